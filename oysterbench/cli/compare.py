@@ -17,30 +17,30 @@ PROVIDERS = "oysterbench.results"
 """Entry points: functions (text, split or None) -> results that the text names, or None. Boards are brought by one."""
 
 
-@click.command("compare", short_help="Set results against each other: ranks, ties, which is better where.")
+@click.command("compare", short_help="Compare results: ranks, ties, which is better where.")
 @click.argument("results", metavar="[LABEL=]RESULT...", nargs=-1, required=True)
-@click.option("--track", help="Results of this track alone, such as slam.")
-@click.option("--split", help="Results on this split alone.")
+@click.option("--track", help="Only results of this track, such as slam.")
+@click.option("--split", help="Only results on this split.")
 @output_options
 def compare_command(results: tuple[str, ...], track: str | None, split: str | None, outputs: Outputs) -> None:
-    """Compare results: are they different, where, and by how much.
+    """Compare results: whether they differ, where, and by how much.
 
     \b
     Examples:
       oysterbench compare ours/results.json theirs/results.json
-      oysterbench compare monday=run1 tuesday=run2     the methods of a file under a label
+      oysterbench compare monday=run1 tuesday=run2     the methods of a file, with a label
       oysterbench compare gtsam_vi gtsam_full --split slam-val     methods on the leaderboard
-      oysterbench compare unet threshold --track segmentation      of several tracks, one
-      oysterbench compare ours/results.json 3f9c21ab   with a record, by the first digits of its name
+      oysterbench compare unet threshold --track segmentation      one track of several
+      oysterbench compare ours/results.json 3f9c21ab   with a record, by the start of its digest
       oysterbench compare run1 run2 --json
       oysterbench compare run1 run2 --report compare.html --tex table.tex
 
     RESULT is a file that `oysterbench eval` or `run` wrote, a folder that holds results.json, a method on the
     leaderboard, or a record's digest (8 digits or more).
 
-    Methods are ranked by their score over the sequences that all of them were run on: 1 + the number of methods that
-    are significantly better (95 %), or better than one placed above. Results of different splits, evaluators or
-    settings are kept apart, in tables of their own.
+    Methods are ranked by their score over the sequences that all of them were run on. A rank is 1 + the number of
+    methods that are significantly better (95 %), or better than one placed above. Results of different splits,
+    evaluators or settings are shown in separate tables.
     """
     from oysterbench.core.errors import ResultError
     from oysterbench.core.names import listed

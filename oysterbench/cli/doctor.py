@@ -13,19 +13,19 @@ from oysterbench.core.errors import MachineError
 COLOURS = {"ok": "green", "poor": "yellow", "missing": "dim", "broken": "bold red"}
 
 
-@click.command(short_help="What is installed, missing or broken here, and what to type.")
+@click.command(short_help="Check what is installed, missing or broken, and what to type.")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def doctor(as_json: bool) -> None:
-    """Look at this machine: what is installed and what is missing, GPU, memory, disk, the home and what is in it, the
-    hub and its key, published systems, and what contains methods.
+    """Check this machine: what is installed and what is missing, GPU, memory, disk, the home folder and its contents,
+    the hub and its key, published systems, and the sandbox for methods.
 
     \b
     Examples:
       oysterbench doctor
       oysterbench doctor --json
 
-    ok: it is there; missing: it need not be, and what to type to have it; poor: it works, and not well; broken: it is
-    set or installed, and does not work. Ends with 1 if anything is broken. No network is touched, and nothing changed.
+    ok: present; missing: optional, with what to type to get it; poor: works, but not well; broken: set or installed,
+    but does not work. Exits with 1 if anything is broken. Uses no network and changes nothing.
     """
     from oysterbench.notebook.doctor import doctor as examine
 
@@ -52,6 +52,6 @@ def doctor(as_json: bool) -> None:
         print_rich(table)
         missing = [one for one in checkup.findings if one.state == "missing"]
         if missing and not broken:
-            message(f"nothing that is set is broken; {len(missing)} things are not here, and need not be")
+            message(f"nothing is broken; {len(missing)} optional things are missing")
     if broken:
         raise MachineError(f"broken: {'; '.join(f'{one.name}: {one.detail}' for one in broken)}")

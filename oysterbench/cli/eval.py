@@ -44,12 +44,12 @@ class TrackCommands(click.Group):
         return track_command(TRACKS[name]) if name in NAMES else None
 
 
-@click.group("eval", cls=TrackCommands, short_help="A first number: score methods on a split, or two files.")
+@click.group("eval", cls=TrackCommands, short_help="Get a first number: score methods on a split, or two files.")
 def eval_command() -> None:
-    """Score methods on a split, one after the other and from scratch, or score files that you have already.
+    """Score methods on a split, one after the other and from scratch, or score files that you already have.
 
-    For a first number: everything has a default. For experiments there is `oysterbench run`: any program, several
-    runs side by side, variants, and resuming after interruption.
+    For a first number: everything has a default. For experiments, use `oysterbench run`: any program, parallel runs,
+    variants, and resuming after interruption.
 
     \b
     Examples:
@@ -63,8 +63,8 @@ def eval_command() -> None:
       oysterbench eval steering --closed-loop --method my_policy:MyPolicy --split steer-val
       oysterbench eval slam --help                  its options
 
-    The split is rendered on first use. The folder of results has them as JSON, CSV, LaTeX, Markdown and as an HTML
-    report. Run k of a method that draws random numbers has the method's seed + k.
+    The split is rendered on first use. The results folder has JSON, CSV, LaTeX, Markdown and an HTML report. Run k of a
+    method that draws random numbers uses the method's seed + k.
     """
 
 

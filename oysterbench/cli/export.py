@@ -35,14 +35,14 @@ def _known_format(ctx: click.Context, parameter: click.Parameter, value: str) ->
     return value
 
 
-@click.command(cls=ExportCommand, short_help="Export a sequence or labelled pictures: EuRoC, KITTI, ROS bag, YOLO, ...")
+@click.command(cls=ExportCommand, short_help="Export a sequence or labelled images: EuRoC, KITTI, ROS bag, YOLO, ...")
 @click.argument("what", nargs=-1, required=True, metavar="SEQUENCE|SPLIT...")
 @click.option("--format", "form", metavar="FORMAT", callback=_known_format, required=True, help="What to write.")
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder, which must not be there yet.")
-@click.option("--truth/--no-truth", default=True, show_default=True, help="With or without what no method may see.")
-@click.option("--json", "as_json", is_flag=True, help="Print the folder and what there is to say as JSON.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="New folder; it must not exist yet.")
+@click.option("--truth/--no-truth", default=True, show_default=True, help="With or without what methods may not see.")
+@click.option("--json", "as_json", is_flag=True, help="Print the folder and notes as JSON.")
 def export(what: tuple[str, ...], form: str, out: Path, truth: bool, as_json: bool) -> None:
-    """Export a sequence, or the labelled pictures of splits, in a format of others.
+    """Export a sequence, or the labelled images of splits, in another format.
 
     \b
     Examples:
@@ -57,11 +57,11 @@ def export(what: tuple[str, ...], form: str, out: Path, truth: bool, as_json: bo
       oysterbench export seg-train seg-val --format parquet --out oysters-hf
       oysterbench export seg-train --format webdataset --out oysters-tars
 
-    A sequence is a file (.mcap) or a folder in EuRoC layout. Labelled pictures are of splits, which are rendered where
-    they are not here, of recipes (.toml), of sequence files, or of folders with images and labels. A name that ends in
-    -train, -val or -test says which part its pictures are.
+    A sequence is a file (.mcap) or a folder in EuRoC layout. Labelled images come from splits, which are rendered if
+    missing, recipes (.toml), sequence files, or folders with images and labels. A name ending in -train, -val or -test
+    says which part its images belong to.
 
-    The folder is there whole or not at all; an interrupted export leaves nothing, and starts over.
+    The folder is written completely or not at all; an interrupted export leaves nothing and starts again.
     """
     from oysterbench.annotations.export import SET_FORMATS
 

@@ -25,16 +25,16 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 NO_HUB = "no hub is set (--from, OYSTERBENCH_HUB or hub.toml in the home folder)"
 
 
-@click.command(short_help="Make the key that a hub's index is signed with.")
+@click.command(short_help="Make the key that signs a hub's index.")
 @click.argument("path", type=FILE, metavar="FILE")
 def keygen(path: Path) -> None:
-    """Make a private key for a hub, and print the public one, which its users give with --key.
+    """Make a private key for a hub, and print the public key, which its users pass with --key.
 
     \b
     Examples:
       oysterbench keygen my-hub.pem
 
-    Keep the file to yourself and keep a copy: without it no client takes a new index.
+    Keep the file private and keep a copy: without it, clients accept no new index.
     """
     from oysterbench.hub.sign import make_key
 
@@ -48,17 +48,17 @@ PROXY = click.option(
     "proxies",
     multiple=True,
     metavar="ADDRESS",
-    help="A proxy before the server, which is believed when it says who asks. Repeatable.",
+    help="A proxy in front of the server, trusted to name the client's address; repeatable.",
 )
 
 
-@click.command(short_help="Write a split into a tree that any web server can serve.")
+@click.command(short_help="Publish a split as a tree that any web server can serve.")
 @click.argument("split_name", metavar="SPLIT")
 @click.argument("tree", type=FOLDER, metavar="DIR")
 @click.option("--key", "key_file", type=FILE, required=True, help="Private key, from `oysterbench keygen`.")
-@click.option("--old-key", "old_files", type=FILE, multiple=True, help="Key that came before; signs, too. Repeatable.")
+@click.option("--old-key", "old_files", type=FILE, multiple=True, help="Previous key, which also signs; repeatable.")
 @click.option("--data", type=FOLDER, help="Folder of the rendered files.  [default: under the home]")
-@click.option("--salt-file", type=FILE, help="Secret of a hidden split, to find its files under the home.")
+@click.option("--salt-file", type=FILE, help="Secret of a hidden split, to find its files under the home folder.")
 @click.option("--url", default="", help="Address that the tree will have, for the Croissant metadata.")
 @click.option("--hidden", is_flag=True, help="Leave out recipe and ground truth; publish a commitment to it.")
 @click.option("--truth-out", type=FOLDER, help="Folder for the ground-truth package, with --hidden.")
@@ -75,15 +75,14 @@ def publish(
     truth_out: Path | None,
     as_json: bool,
 ) -> None:
-    """Publish a rendered split into a static tree: a signed index, manifests, blobs by their hash, a page.
+    """Publish a rendered split into a static tree: a signed index, manifests, content-addressed blobs, a page.
 
     \b
     Examples:
       oysterbench publish slam-val hub --key my-hub.pem
       oysterbench publish slam-test hub --key my-hub.pem --hidden --truth-out truth --salt-file slam-test.salt
 
-    Publishing twice adds nothing; an interrupted publish leaves what was there before. A version that was released
-    is never changed.
+    Publishing twice adds nothing; an interrupted publish leaves the tree as it was. A released version never changes.
     """
     if hidden != (truth_out is not None):
         raise click.UsageError("--hidden and --truth-out belong together: expected both or none")
@@ -120,33 +119,33 @@ def publish(
 @click.command(short_help="Serve a published tree.")
 @click.argument("tree", type=FOLDER, metavar="DIR")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; 0.0.0.0 for all.")
-@click.option("--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="0: any that is free.")
+@click.option("--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="0 for any free port.")
 @PROXY
 def serve(tree: Path, host: str, port: int, proxies: tuple[str, ...]) -> None:
-    """Serve a published tree: ranges, conditional requests, a page with pictures and sizes, /health.
+    """Serve a published tree: range and conditional requests, a page with images and sizes, /health.
 
     \b
     Examples:
       oysterbench serve hub
       oysterbench serve hub --host 0.0.0.0 --port 8080
 
-    Any static web server, object store or shared folder does as well.
+    Any static web server, object store or shared folder works too.
     """
     from oysterbench.hub.serve import serve
 
     serve(tree, host, port, proxies)
 
 
-@click.command(short_help="Fetch a split or trained weights from a hub; without one, a split is rendered.")
+@click.command(short_help="Download a split or trained weights from a hub; without a hub, render the split.")
 @click.argument("name", metavar="SPLIT|MODEL")
 @click.option("--from", "places", multiple=True, metavar="URL", help="Address or folder of a hub; repeat for mirrors.")
 @click.option("--key", help="Public key of the hub.  [default: OYSTERBENCH_HUB_KEY]")
 @click.option("--sequence", "patterns", multiple=True, metavar="GLOB", help="Only these sequences; repeatable.")
 @click.option("--topics", multiple=True, metavar="GLOB", help="Only these topics, in a smaller file; repeatable.")
 @click.option("--out", type=FOLDER, help="Folder.  [default: under the home]")
-@click.option("--connections", type=click.IntRange(1, 32), default=4, show_default=True, help="At once.")
-@click.option("--dry-run", is_flag=True, help="Only say what would be fetched.")
-@click.option("--verify", "check", is_flag=True, help="Read every file again afterwards, and repair what is damaged.")
+@click.option("--connections", type=click.IntRange(1, 32), default=4, show_default=True, help="Connections at once.")
+@click.option("--dry-run", is_flag=True, help="Only show what would be downloaded.")
+@click.option("--verify", "check", is_flag=True, help="Read every file again afterwards, and repair damaged ones.")
 @click.option("--again", is_flag=True, help="Replace weights that were trained here.")
 @click.option("--json", "as_json", is_flag=True, help="Print the files as JSON.")
 @click.pass_context
@@ -164,7 +163,8 @@ def download(
     again: bool,
     as_json: bool,
 ) -> None:
-    """Fetch a split or trained weights: NAME or NAME@VERSION. Every byte is checked; a file appears when it is whole.
+    """Download a split or trained weights: NAME or NAME@VERSION. Every byte is checked; a file appears once it is
+    complete.
 
     \b
     Examples:
@@ -174,9 +174,9 @@ def download(
       oysterbench download slam-val --dry-run
       oysterbench download unet                   trained weights; `oysterbench models --hub` lists them
 
-    May be interrupted at any time, even killed; the same command resumes from there. Without a hub (--from,
-    OYSTERBENCH_HUB or hub.toml in the home folder) a split is rendered instead: the same bytes. Weights that were
-    trained here are replaced with --again alone.
+    May be interrupted at any time, even killed; the same command resumes. Without a hub (--from, OYSTERBENCH_HUB or
+    hub.toml in the home folder), a split is rendered instead, with the same bytes. Weights trained here are replaced
+    only with --again.
     """
     from oysterbench.hub.download import Hub, choose, download, find_here
     from oysterbench.hub.settings import hub_key, hub_places
@@ -308,11 +308,11 @@ def _render_instead(
     context.invoke(group.commands["render"], split_name=name, names=tuple(names), out=out, as_json=as_json)
 
 
-@click.command(short_help="Check what is on disk against its manifest.")
+@click.command(short_help="Check local data against its manifest.")
 @click.argument("what", nargs=-1, metavar="[SPLIT|MODEL|FILE|FOLDER]...")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def verify(what: tuple[str, ...], as_json: bool) -> None:
-    """Read files again and compare them with the manifest of their split; all that is here by default.
+    """Read files again and compare them with the manifest of their split. Checks all local data by default.
 
     \b
     Examples:
@@ -322,9 +322,9 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
       oysterbench verify data                   every sequence file of a folder
       oysterbench verify hub                    every file of a published tree
 
-    Says of each: right; same content, other bytes; alike, within one grey level on 99.9 % of the pixels looked at; or
-    what differs. Ends with 3 if anything differs, is damaged or absent; `oysterbench download SPLIT --verify`, or
-    `download MODEL --again`, repairs it.
+    Prints for each file: right; same content, other bytes; alike (within one grey level on 99.9 % of the pixels
+    checked); or what differs. Exits with 3 if anything differs, is damaged or absent; `oysterbench download SPLIT
+    --verify`, or `download MODEL --again`, repairs it.
     """
     from oysterbench.hub.verify import checks
 

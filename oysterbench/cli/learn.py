@@ -49,23 +49,23 @@ class Installed(click.Group):
 train = Installed(
     "train",
     "oysterbench.train",
-    short_help="Train a method that learns.",
-    help="""Train a method that learns, on labelled images.
+    short_help="Train a learned method.",
+    help="""Train a learned method on labelled images.
 
     \b
     Examples:
       oysterbench train unet --data seg-train
       oysterbench train unet --help
 
-    Methods bring their commands by the entry-point group oysterbench.train.
+    Methods register their commands in the entry-point group oysterbench.train.
     """,
 )
 
 experiment = Installed(
     "experiment",
     "oysterbench.experiment",
-    short_help="Run an experiment: what rendered images add to real ones, and how far they are from them.",
-    help="""Run an experiment, and print its table; what takes long is resumed where it was interrupted.
+    short_help="Run an experiment: what rendered images add to real ones, and how far apart the two are.",
+    help="""Run an experiment and print its table; it resumes after interruption.
 
     \b
     Examples:
@@ -73,7 +73,7 @@ experiment = Installed(
       oysterbench experiment realism --real real-oysters --synthetic closeup=seg-closeup
       oysterbench experiment sim2real --help
 
-    Experiments are brought by the entry-point group oysterbench.experiment.
+    Experiments are registered in the entry-point group oysterbench.experiment.
     """,
 )
 
@@ -81,7 +81,7 @@ translate = Installed(
     "translate",
     "oysterbench.translate",
     short_help="Make rendered images look like real ones.",
-    help="""Give labelled images another look; their labels stay.
+    help="""Change the appearance of labelled images; their labels stay the same.
 
     \b
     Examples:
@@ -89,6 +89,6 @@ translate = Installed(
       oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated/cut
       oysterbench translate cut --help
 
-    Translations are brought by the entry-point group oysterbench.translate.
+    Translations are registered in the entry-point group oysterbench.translate.
     """,
 )

@@ -97,24 +97,24 @@ def main() -> None:
       oysterbench eval slam                         a first number: render, run the baselines, print the table
       oysterbench eval slam --method gtsam_vi --out results
       oysterbench eval slam --truth truth.tum --estimate mine.tum --align se3
-      oysterbench eval steering                     policies that explore, against an expert
-      oysterbench run my_slam --command "..."       experiments: any program, many runs, resumed after interruption
+      oysterbench eval steering                     exploration policies, against an expert
+      oysterbench run my_slam --command "..."       experiments: any program, many runs; resumes after interruption
       oysterbench systems                           published systems: build one, then run it by name
-      oysterbench tune openvins_dynamic --out tuning    the best options by a stated number of trials
-      oysterbench compare ours theirs               ranks, ties, and which is better where
-      oysterbench train unet --data seg-train       a method that learns
-      oysterbench doctor                            what is installed, missing or broken here
-      oysterbench splits                            what can be rendered, and what is here
+      oysterbench tune openvins_dynamic --out tuning    the best options found in a given number of trials
+      oysterbench compare ours theirs               ranks, ties, and which method is better where
+      oysterbench train unet --data seg-train       train a learned method
+      oysterbench doctor                            what is installed, missing or broken
+      oysterbench splits                            which splits exist, and which are here
       oysterbench render slam-mini --workers 2
-      oysterbench download slam-mini                from a hub, or rendered where none is set
+      oysterbench download slam-mini                from a hub, or rendered if no hub is set
       oysterbench download unet                     trained weights, from a hub; `oysterbench models` lists them
       oysterbench info mini-01.mcap
       oysterbench export mini-01.mcap --format euroc --out mini-01
       oysterbench map val-01.mcap --trajectory poses.tum --masks masks --out map    oysters per m2
       oysterbench map mini-01.mcap --trajectory poses.tum --out mini-01.ply
-      oysterbench segment dive.mp4 --out counted    oysters in your own pictures and videos
-      oysterbench view mini-01.mcap                 one page to look through it
-      oysterbench gallery                           every effect of a recipe on one sheet
+      oysterbench segment dive.mp4 --out counted    oysters in your own images and videos
+      oysterbench view mini-01.mcap                 one page to browse it
+      oysterbench gallery                           every recipe effect on one sheet
       oysterbench oyster --seed 7 --out oyster.glb
     """
 
@@ -142,11 +142,11 @@ for _command in (
     main.add_command(_command)
 
 
-@main.command(short_help="What is in a sequence file.")
+@main.command(short_help="Show what is in a sequence file.")
 @click.argument("sequence", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def info(sequence: Path, as_json: bool) -> None:
-    """Say what is in a sequence: an MCAP file or a folder in EuRoC layout.
+    """Show what is in a sequence: an MCAP file or a folder in EuRoC layout.
 
     \b
     Examples:

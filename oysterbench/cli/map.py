@@ -28,24 +28,26 @@ CLOUD_OPTIONS = {"source": "--from", "voxel_m": "--voxel"}
 MAP_OPTIONS = {"depth": "--depth", "kind": "--masks-kind", "cell_m": "--cell", "threshold": "--threshold"}
 
 
-@click.command("map", short_help="Oysters per square metre, or a coloured point cloud, along any trajectory.")
+@click.command("map", short_help="Map oysters per square metre, or a coloured point cloud, along any trajectory.")
 @click.argument("sequence", type=click.Path(path_type=Path))
 @click.option(
     "--trajectory", type=click.Path(path_type=Path), required=True, help="Poses of base_link: any trajectory file."
 )
 @click.option(
-    "--masks", type=click.Path(path_type=Path), help="Oysters in its pictures; 'truth' for the sequence's own."
+    "--masks", type=click.Path(path_type=Path), help="Oyster masks for its images; 'truth' for the ground truth."
 )
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="With --masks a folder, else a .ply file.")
-@click.option("--camera", "cameras", multiple=True, metavar="NAME", help="Look through this one.  [default: the first]")
-@click.option("--far", "far_m", type=float, help="Farthest that is looked at, in m.  [default: map 2.5, cloud 6]")
-@click.option("--depth", type=click.Choice(DEPTHS), help="Map: where depths come from.  [default: stereo, or motion]")
-@click.option("--masks-kind", "kind", type=click.Choice(KINDS), help="Map: what their numbers are.  [default: auto]")
-@click.option("--cell", "cell_m", type=float, help="Map: edge of the grid's cells, in m.  [default: 1]")
-@click.option("--threshold", type=float, help="Map: called oyster from this score on.  [default: 0.5]")
-@click.option("--from", "source", type=click.Choice(SOURCES), help="Cloud: what it is made of.  [default: pictures]")
-@click.option("--voxel", "voxel_m", type=float, help="Cloud: one point per cube of this edge, in m.  [default: 0.01]")
-@click.option("--json", "as_json", is_flag=True, help="Print what was made as JSON.")
+@click.option("--camera", "cameras", multiple=True, metavar="NAME", help="Camera to use.  [default: the first]")
+@click.option("--far", "far_m", type=float, help="Maximum range, in m.  [default: map 2.5, cloud 6]")
+@click.option("--depth", type=click.Choice(DEPTHS), help="Map: source of depths.  [default: stereo, or motion]")
+@click.option(
+    "--masks-kind", "kind", type=click.Choice(KINDS), help="Map: meaning of the masks' values.  [default: auto]"
+)
+@click.option("--cell", "cell_m", type=float, help="Map: size of the grid cells, in m.  [default: 1]")
+@click.option("--threshold", type=float, help="Map: minimum score of an oyster.  [default: 0.5]")
+@click.option("--from", "source", type=click.Choice(SOURCES), help="Cloud: source of points.  [default: pictures]")
+@click.option("--voxel", "voxel_m", type=float, help="Cloud: voxel size, in m; one point per voxel.  [default: 0.01]")
+@click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 def map_command(
     sequence: Path,
     trajectory: Path,
@@ -56,7 +58,7 @@ def map_command(
     as_json: bool,
     **given: Any,
 ) -> None:
-    """Map the oysters that a sequence shows, each once, along a trajectory; or, without --masks, make a cloud of it.
+    """Map the oysters of a sequence along a trajectory, each counted once. Without --masks, make a point cloud.
 
     \b
     Examples:
@@ -67,22 +69,22 @@ def map_command(
       oysterbench map dive.mcap --trajectory poses.tum --from echoes --voxel 0.05 --out bottom.ply
 
     \b
-    Masks are what `oysterbench eval --estimate` reads, named after their pictures (SEQUENCE/CAMERA/STAMP):
-      a folder or .npz   masks, probabilities, classes (what hangs together is an oyster), or numbers of oysters
-      .json              COCO annotations; categories live and dead, or oyster with a `state`, tell them apart
+    Masks as read by `oysterbench eval --estimate`, named after their images (SEQUENCE/CAMERA/STAMP):
+      a folder or .npz   masks, probabilities, classes (each connected region is an oyster), or instance numbers
+      .json              COCO annotations; categories live and dead, or oyster with a `state`, distinguish the two
 
     \b
     Depths:
-      stereo   between two cameras that see the same       motion   between pictures of one moving camera
-      plane    the bottom as a plane under DVL, altimeter  layer    the ground truth of a rendered sequence
+      stereo   between two overlapping cameras             motion   between images of one moving camera
+      plane    the bottom as a plane, by DVL or altimeter  layer    the ground truth of a rendered sequence
 
-    The folder gets map.html and map.png to look at, grid.csv, oysters.csv, summary.json, and the rasters mosaic.png and
-    density.png with world files, in the trajectory's frame.
+    The folder gets map.html and map.png for viewing, grid.csv, oysters.csv, summary.json, and the rasters mosaic.png
+    and density.png with world files, in the trajectory's frame.
 
-    A cloud of pictures has depths between two cameras that see the same, or, of one camera, between its frames on
-    the path. One of echoes has those of DVL, altimeters and imaging sonars, coloured from the pictures; a fan of a
-    sonar tells no elevation, so that its first echo is put on its lower edge. No cloud uses the truth: `export --format
-    ply` does that.
+    A cloud from pictures gets its depths from two overlapping cameras or, with one camera, from its frames along the
+    path. A cloud from echoes uses DVL, altimeters and imaging sonars, coloured from the images; a sonar fan gives no
+    elevation, so its first echo is placed on its lower edge. No cloud uses the ground truth: `export --format ply` does
+    that.
     """
     apart, what = (MAP_OPTIONS, "a map: expected --masks") if masks is None else (CLOUD_OPTIONS, "a cloud")
     if names := [option for key, option in apart.items() if given[key] is not None]:

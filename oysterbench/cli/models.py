@@ -19,24 +19,24 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 FILE = click.Path(path_type=Path, dir_okay=False)
 
 
-@click.command("publish-model", short_help="Write trained weights into a tree that any web server can serve.")
+@click.command("publish-model", short_help="Publish trained weights in a tree that any web server can serve.")
 @click.argument("name", metavar="MODEL")
 @click.argument("tree", type=FOLDER, metavar="DIR")
 @click.option("--key", "key_file", type=FILE, required=True, help="Private key, from `oysterbench keygen`.")
-@click.option("--old-key", "old_files", type=FILE, multiple=True, help="Key that came before; signs, too. Repeatable.")
-@click.option("--weights", "path", type=FILE, help="File of them.  [default: that of `oysterbench train MODEL`]")
-@click.option("--version", default="1.0", show_default=True, help="Of the release; a release never changes.")
+@click.option("--old-key", "old_files", type=FILE, multiple=True, help="Previous key, which also signs; repeatable.")
+@click.option("--weights", "path", type=FILE, help="The weights file.  [default: that of `oysterbench train MODEL`]")
+@click.option("--version", default="1.0", show_default=True, help="Version of the release; a release never changes.")
 @click.option(
     "--results",
     "results",
     type=click.Path(path_type=Path),
     multiple=True,
     metavar="PATH",
-    help="What they reached: results.json of `run` or `eval`, or its folder; repeatable.",
+    help="Results with these weights: results.json of `run` or `eval`, or its folder; repeatable.",
 )
-@click.option("--summary", help="What they are, in a line.  [default: what is known of MODEL]")
-@click.option("--limits", help="What they are not for.  [default: what is known of MODEL]")
-@click.option("--licence", metavar="URL", help="Of the weights.  [default: CC BY 4.0]")
+@click.option("--summary", help="One line about the weights.  [default: what is known of MODEL]")
+@click.option("--limits", help="What the weights are not for.  [default: what is known of MODEL]")
+@click.option("--licence", metavar="URL", help="Licence of the weights.  [default: CC BY 4.0]")
 @click.option("--json", "as_json", is_flag=True, help="Print the card as JSON.")
 def publish_model(
     name: str,
@@ -52,7 +52,7 @@ def publish_model(
     as_json: bool,
 ) -> None:
     """Publish trained weights into a static tree, beside its splits: the file, and a card that says what it was trained
-    on, how, and what it reaches.
+    on, how, and how well it performs.
 
     \b
     Examples:
@@ -60,8 +60,8 @@ def publish_model(
       oysterbench publish-model unet hub --key my-hub.pem --results val
       oysterbench publish-model unet hub --key my-hub.pem --results val --version 1.1 --weights better.pt
 
-    Refused are weights of another kind or of a training that is not finished, and results of other weights than these:
-    each result says by their hash with which it was made.
+    Weights of another kind, weights from an unfinished training, and results of other weights are refused: each result
+    names its weights by their hash.
     """
     from oysterbench.hub.manifest import VERSION_NAME
     from oysterbench.hub.publish_model import build_model, describe_weights
@@ -126,16 +126,16 @@ def download_model(hub: Hub, model: Model, out: Path | None, dry_run: bool, agai
         echo(path)
 
 
-@click.command(short_help="Trained weights: what there is, what is here, and how good it is.")
+@click.command(short_help="List trained weights: which exist, which are here, and how good they are.")
 @click.argument("name", metavar="[MODEL]", required=False)
-@click.option("--hub", "ask_hub", is_flag=True, help="Ask the hub, too.")
+@click.option("--hub", "ask_hub", is_flag=True, help="Also ask the hub.")
 @click.option("--from", "places", multiple=True, metavar="URL", help="Address or folder of a hub; implies --hub.")
 @click.option("--key", help="Public key of the hub.  [default: OYSTERBENCH_HUB_KEY]")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def models(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | None, as_json: bool) -> None:
-    """List trained weights: what is known of, which are on this machine, and how long training them takes.
+    """List trained weights: which are known, which are on this machine, and how long training takes.
 
-    With a MODEL: the card of those that are here, or with --hub of the newest that the hub has.
+    With a MODEL: the card of the local weights or, with --hub, of the newest on the hub.
 
     \b
     Examples:
@@ -143,7 +143,7 @@ def models(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | 
       oysterbench models --hub
       oysterbench models unet
 
-    Without --hub no network is touched.
+    Without --hub, no network is used.
     """
     hub = _hub(places, key) if ask_hub or places else None
     if name is not None:

@@ -87,13 +87,13 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
         return command(outputs=Outputs(as_json, texts, report), **values)
 
     option = click.option(
-        "--report", type=click.Path(path_type=Path, dir_okay=False), help="Write the HTML report here."
+        "--report", type=click.Path(path_type=Path, dir_okay=False), help="Write the HTML report to this file."
     )
     wrapped = option(wrapped)
     for form, what in reversed(TEXTS.items()):
         kind = click.Path(path_type=Path, dir_okay=False, allow_dash=True)
         wrapped = click.option(f"--{form}", f"{form}_file", type=kind, help=f"Write {what}; - for stdout.")(wrapped)
-    option = click.option("--json", "as_json", is_flag=True, help="Print as JSON on stdout, and nothing else.")
+    option = click.option("--json", "as_json", is_flag=True, help="Print only JSON on stdout.")
     return option(wrapped)
 
 

@@ -27,13 +27,13 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 @click.option(
     "--workers",
     type=click.IntRange(min=1),
-    help="Processes that render.  [default: one per core; one where there is little to render]",
+    help="Rendering processes.  [default: one per core; one if there is little to render]",
 )
 @click.option("--scheduler", metavar="ADDRESS", help="Render on the workers of a Dask scheduler instead.")
-@click.option("--device", default="cpu", show_default=True, help="cpu, cuda, or cuda:N, where it is rendered.")
+@click.option("--device", default="cpu", show_default=True, help="Device to render on: cpu, cuda or cuda:N.")
 @click.option("--salt-file", type=FILE, help="Secret of a hidden split.  [default: OYSTERBENCH_SALT_FILE]")
 @click.option("--out", type=FOLDER, help="Folder.  [default: under the home]")
-@click.option("--preview", "as_preview", is_flag=True, help="Only contact sheets of small frames, in seconds.")
+@click.option("--preview", "as_preview", is_flag=True, help="Render only contact sheets of small frames, in seconds.")
 @click.option("--json", "as_json", is_flag=True, help="Print the files as JSON.")
 def render(
     split_name: str,
@@ -57,9 +57,9 @@ def render(
       oysterbench render slam-val --scheduler tcp://10.0.0.1:8786
       oysterbench render slam-test --salt-file secret/slam-test.salt --out secret/slam-test
 
-    May be interrupted at any time, even killed; the same command resumes from there, to the frame. Any number of
-    workers, here or on a cluster, gives the same bytes. A hidden split needs its salt, which is read from a file or
-    from OYSTERBENCH_SALT, as a command line can be read by others; its preview shows how it looks without one.
+    May be interrupted at any time, even killed; the same command resumes at the same frame. Any number of workers, here
+    or on a cluster, gives the same bytes. A hidden split needs its salt, read from a file or from OYSTERBENCH_SALT
+    because others can see the command line; its preview shows the split without the salt.
     """
     from oysterbench.recipe import load_split, split_names
     from oysterbench.simulation.generate import digest

@@ -31,29 +31,31 @@ def track_options() -> dict[str, Option]:
     return {option.name: option for track in TRACKS.values() for option in track.options if not option.files}
 
 
-@click.command("run", cls=Run, short_help="Experiments: run methods or any program on a split, measured and resumed.")
+@click.command("run", cls=Run, short_help="Run experiments: methods or any program on a split, measured and resumable.")
 @click.argument("names", metavar="[METHOD]...", nargs=-1)
-@click.option("--track", "track_name", metavar="TRACK", help="What is evaluated.  [default: the method's own]")
-@click.option("--command", "template", metavar="TEXT", help="Another program: its command line, with placeholders.")
-@click.option("--poses-of", metavar="FRAME", help="Whose poses it writes: base, imu, camera, or a camera's name.")
+@click.option("--track", "track_name", metavar="TRACK", help="Track to evaluate.  [default: the method's own]")
+@click.option("--command", "template", metavar="TEXT", help="Command line of an external program, with placeholders.")
+@click.option(
+    "--poses-of", metavar="FRAME", help="Frame of the program's poses: base, imu, camera, or a camera's name."
+)
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="An option of each METHOD; repeatable.")
 @click.option(
     "--ablate", multiple=True, metavar="KEY=VALUE", help="Run each METHOD once more, with this option; repeatable."
 )
 @click.option("--split", "split_name", help="A split's name or the path of a .toml recipe.")
-@click.option("--on", "places", multiple=True, type=click.Path(path_type=Path), help="Data of your own instead.")
+@click.option("--on", "places", multiple=True, type=click.Path(path_type=Path), help="Your own data instead.")
 @click.option("--sequence", "sequences", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
 @click.option("--runs", type=click.IntRange(min=1), default=1, show_default=True, help="Runs on each sequence.")
-@click.option("--jobs", type=click.IntRange(min=1), help="At a time, at most.  [default: one per core]")
-@click.option("--scheduler", metavar="ADDRESS", help="Run them on the workers of a Dask scheduler instead.")
+@click.option("--jobs", type=click.IntRange(min=1), help="Maximum runs at a time.  [default: one per core]")
+@click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask scheduler instead.")
 @click.option(
     "--timeout",
     "limit_s",
     type=click.FloatRange(min=0, min_open=True),
-    help="Seconds a run may take.  [default: 10 times the sequence's, 10 a picture, at least 600, or a system's own]",
+    help="Time limit in s.  [default: 10 times the sequence's, 10 per image, at least 600, or a system's own]",
 )
-@click.option("--again", is_flag=True, help="Rerun what is finished.")
-@click.option("--retry", is_flag=True, help="Rerun what failed.")
+@click.option("--again", is_flag=True, help="Rerun finished runs.")
+@click.option("--retry", is_flag=True, help="Rerun failed runs.")
 @click.option("--out", type=FOLDER, help="Folder of the results.  [default: under the home]")
 @output_options
 def run_command(
@@ -76,11 +78,10 @@ def run_command(
     outputs: Outputs,
     **values: Any,
 ) -> None:
-    """Run methods, or any program, on the sequences of a split, and score what they leave; what is finished is kept.
+    """Run methods, or any program, on the sequences of a split, and score their output; finished runs are kept.
 
-    For experiments: each run is a process of its own without the ground truth, with its time and memory measured;
-    several run side by side, and the same command resumes after interruption. For a first number there is `oysterbench
-    eval`.
+    For experiments: each run is a separate process without the ground truth, with its time and memory measured. Runs go
+    in parallel, and the same command resumes after interruption. For a first number, use `oysterbench eval`.
 
     \b
     Examples:
@@ -95,12 +96,12 @@ def run_command(
       oysterbench run unet --split seg-val
       oysterbench run my_net --command "./segment {images} {out}" --track detection --split seg-val
 
-    METHOD is the name of an installed method or module:Class; with --command it is only a name for the program.
-    Options of a method are the parameters and settings that its class has; a variant is a method of its own in the
-    tables, named with them, and can be asked for by that name: gtsam_vi[frontend.max_tracks=70].
-    The program is given the sequence without the ground truth, and must leave poses at {out}, as TUM or in any format
-    that `oysterbench eval --estimate` reads; of {images} masks in a folder, named as the pictures, or COCO annotations;
-    on the track steering a table stamp_ns,yaw,pitch.
+    METHOD is the name of an installed method or module:Class; with --command it is only a name for the program. Options
+    of a method are the parameters and settings of its class. A variant is a separate method in the tables, named with
+    its options, and can be run by that name: gtsam_vi[frontend.max_tracks=70]. The program is given the sequence
+    without the ground truth and must write poses to {out}, as TUM or in any format that `oysterbench eval --estimate`
+    reads; for {images}, a folder of masks named like the images, or COCO annotations; on the track steering, a table
+    stamp_ns,yaw,pitch.
 
     \b
     Placeholders:
@@ -109,17 +110,16 @@ def run_command(
       {kitti}  a KITTI odometry folder   its poses are taken as the left camera's
       {rosbag} a folder with a ROS 1 bag its poses are taken as the IMU's
       {mcap}   a sequence file           its poses are taken as the vehicle's
-      {images} a folder of pictures      (--track segmentation, detection or steering)
-      {out}    the file that it leaves   {seed}  the number of the run, from 0
-      {online} a further one, where it likes: its path as it was known at each time (SLAM; measured, not ranked)
+      {images} a folder of images        (--track segmentation, detection or steering)
+      {out}    the file that it writes   {seed}  the number of the run, from 0
+      {online} an optional file: its path as it was known at each time (SLAM; measured, not ranked)
 
-    The folder keeps each run's predictions, logs, cost and versions. A run that ends badly, takes too long, or leaves
-    nothing that can be read is a failure in the results; one that the machine killed, or had no room for, is not, and
-    the same command runs it again. Trained weights that a METHOD needs and that are not here are fetched first, where
-    a hub is set: `oysterbench models`. Whatever is interrupted, even killed: the same command resumes
-    from there. Files between processes lie in the folder that TMPDIR names; folders that programs are given are kept
-    under the home for other runs, up to OYSTERBENCH_EXPORTS_GB (20). Lines `progress 120 of 700` of a program are shown
-    as a bar.
+    The folder keeps each run's predictions, logs, cost and versions. A run that crashes, exceeds the time limit or
+    writes nothing readable is a failure in the results. A run that the machine killed, or had no memory or disk for, is
+    not, and the same command runs it again. If a METHOD needs trained weights that are missing, they are downloaded
+    first where a hub is set: `oysterbench models`. After any interruption, even a kill, the same command resumes.
+    Temporary files go to the folder that TMPDIR names; folders given to programs are kept under the home folder for
+    other runs, up to OYSTERBENCH_EXPORTS_GB (20). A program's lines `progress 120 of 700` are shown as a bar.
     """
     if (split_name is None) == (not places):
         raise click.UsageError("expected --split SPLIT or --on SEQUENCE, one of them")

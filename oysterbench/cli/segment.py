@@ -26,24 +26,32 @@ TOLD = 5
 """Lines of one kind on stderr, at most."""
 
 
-@click.command("segment", short_help="Oysters in your own pictures and videos: masks, counts, cover, a page.")
+@click.command("segment", short_help="Find oysters in your own images and videos: masks, counts, cover, a page.")
 @click.argument("paths", metavar="PATH...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--method", default=METHOD, show_default=True, help="Of the tracks detection or segmentation.")
+@click.option("--method", default=METHOD, show_default=True, help="A method of the track detection or segmentation.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: NAME-oysters]")
-@click.option("--threshold", type=click.FloatRange(0, 1), default=0.5, show_default=True, help="Least score.")
-@click.option("--rate", type=click.FloatRange(min=0, min_open=True), help="Frames a second of videos.  [default: 1]")
-@click.option("--every", type=click.IntRange(min=1), metavar="N", help="Every N-th frame of videos instead.")
-@click.option("--quadrat", type=float, metavar="M", help="Side of a square quadrat; with --corners.")
-@click.option("--corners", type=FILE, help="CSV: picture,x1,y1,...,x4,y4 in px, of each quadrat.")
+@click.option("--threshold", type=click.FloatRange(0, 1), default=0.5, show_default=True, help="Minimum score.")
 @click.option(
-    "--altitude", metavar="M|FILE", help="Above a flat bottom, or CSV: picture,altitude_m; with --calibration."
+    "--rate", type=click.FloatRange(min=0, min_open=True), help="Frames per second taken from videos.  [default: 1]"
+)
+@click.option("--every", type=click.IntRange(min=1), metavar="N", help="Take every N-th frame of videos instead.")
+@click.option("--quadrat", type=float, metavar="M", help="Side length of a square quadrat; needs --corners.")
+@click.option("--corners", type=FILE, help="CSV: picture,x1,y1,...,x4,y4 in px, for each quadrat.")
+@click.option(
+    "--altitude",
+    metavar="M|FILE",
+    help="Altitude above a flat bottom, or CSV: picture,altitude_m; needs --calibration.",
 )
 @click.option("--calibration", type=click.Path(path_type=Path), help="Kalibr, EuRoC or ROS YAML, or a sequence.")
-@click.option("--camera", metavar="NAME", help="Of several in the calibration.  [default: the first]")
-@click.option("--mm-per-px", type=float, help="A plain scale, of pictures straight down.")
-@click.option("--block", type=click.IntRange(min=1), metavar="N", help="Neighbours that are resampled together.")
-@click.option("--checked", type=click.Path(path_type=Path), help="Results of `run --on` your labels, for the page.")
-@click.option("--coco", is_flag=True, help="Write instances.json as well, to be corrected by hand.")
+@click.option("--camera", metavar="NAME", help="Which camera of the calibration.  [default: the first]")
+@click.option("--mm-per-px", type=float, help="A plain scale, for images taken straight down.")
+@click.option(
+    "--block", type=click.IntRange(min=1), metavar="N", help="Resample this many neighbouring images together."
+)
+@click.option(
+    "--checked", type=click.Path(path_type=Path), help="Results of `run --on` your labels, to show on the page."
+)
+@click.option("--coco", is_flag=True, help="Also write instances.json, for correction by hand.")
 @click.option("--again", is_flag=True, help="Recount what is finished.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 def segment_command(
@@ -60,9 +68,9 @@ def segment_command(
     as_json: bool,
     **scaling: Any,
 ) -> None:
-    """Find, outline, count and measure the oysters in pictures and videos of your own.
+    """Find, outline, count and measure oysters in your own images and videos.
 
-    PATH is a picture, a folder with all that lies below it, or a video; several may be given.
+    PATH is an image, a folder (with its subfolders) or a video; several may be given.
 
     \b
     Examples:
@@ -76,20 +84,21 @@ def segment_command(
     \b
     The folder gets
       index.html      one page: counts and cover with intervals, outlines, warnings, how to check it
-      pictures.csv    oysters, cover, live and dead, novelty of each picture    summary.json  the whole
+      pictures.csv    oysters, cover, live and dead, novelty of each image      summary.json  totals
       oysters.csv     box, area, score, state, length and width of each oyster
-      masks/          PNG of 16 bits, a number for each oyster   overlays/, videos/  outlines
+      masks/          16-bit PNG, a number for each oyster   overlays/, videos/  outlines
 
-    Pictures are JPEG, PNG, TIFF, BMP or WebP, upright by their EXIF orientation. Corners are in px of the upright
-    picture, in any order; of a video, one line for all its frames, or VIDEO/NUMBER for one. In a quadrat counts what
-    has its middle inside. Without one, each oyster that the picture's edge cuts is a half in oysters per square metre.
+    Images are JPEG, PNG, TIFF, BMP or WebP, rotated by their EXIF orientation. Corners are in px of the upright image,
+    in any order; for a video, give one line for all frames, or VIDEO/NUMBER for one frame. Within a quadrat, an oyster
+    counts if its centre is inside. Without one, an oyster cut by the image edge counts as half in oysters per square
+    metre.
 
-    Intervals resample pictures, and of a video what falls into 10 s, since neighbouring frames show the same ground;
-    --block N resamples N neighbours together. They hold the chance of sampling, and not what the method itself counts
-    too many or too few. Pairs of cameras, and oysters that several pictures show counted once: `oysterbench map`.
+    Intervals resample images and, for a video, blocks of 10 s, since neighbouring frames show the same ground; --block
+    N resamples N neighbours together. The intervals cover sampling only, not the method's overcounting or
+    undercounting. For stereo pairs, or to count oysters in overlapping images once: `oysterbench map`.
 
-    What is finished is not done again, unless --again is given, or picture, method, weights or settings have changed.
-    Exit code 1: some picture or video could not be counted; the rest was.
+    Finished work is not repeated unless --again is given, or image, method, weights or settings have changed. Exits
+    with 1 if an image or video could not be counted; the rest is counted.
     """
     from oysterbench.cli.render import frames_bar
     from oysterbench.counting import Counting, Sampling, Settings, Store, find_sources, survey

@@ -47,16 +47,16 @@ class SplitRow:
         return f"no ({full})" if full else "no"
 
 
-@click.command(short_help="What can be rendered or downloaded, and what is here.")
+@click.command(short_help="List what can be rendered or downloaded, and what is here.")
 @click.argument("name", metavar="[SPLIT]", required=False)
-@click.option("--hub", "ask_hub", is_flag=True, help="Ask the hub, too: its splits and their sizes.")
+@click.option("--hub", "ask_hub", is_flag=True, help="Also ask the hub for its splits and their sizes.")
 @click.option("--from", "places", multiple=True, metavar="URL", help="Address or folder of a hub; implies --hub.")
 @click.option("--key", help="Public key of the hub.  [default: OYSTERBENCH_HUB_KEY]")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def splits(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | None, as_json: bool) -> None:
-    """List the splits: what they are, which are on this machine, and how large they are.
+    """List the splits: what they contain, which are on this machine, and how large they are.
 
-    With a SPLIT, a name or the path of a .toml recipe: its sequences, what they are like, and what they take to render.
+    With a SPLIT (a name or the path of a .toml recipe): its sequences, their conditions, and their rendering cost.
 
     \b
     Examples:
@@ -65,7 +65,7 @@ def splits(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | 
       oysterbench splits --json
       oysterbench splits slam-val
 
-    Without --hub no network is touched.
+    Without --hub, no network is used.
     """
     from oysterbench.recipe import load_split, split_names
     from oysterbench.simulation.generate import split_folder

@@ -10,11 +10,11 @@ import click
 from oysterbench.cli.echo import echo, message
 
 
-@click.group("systems", invoke_without_command=True, short_help="Published systems: list them, and build them here.")
+@click.group("systems", invoke_without_command=True, short_help="List published systems, and build them here.")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 @click.pass_context
 def systems_command(context: click.Context, as_json: bool) -> None:
-    """List published systems with the methods that each brings, and their state on this machine.
+    """List published systems with the methods each provides, and their state on this machine.
 
     \b
     Examples:
@@ -40,19 +40,19 @@ def systems_command(context: click.Context, as_json: bool) -> None:
         print_table(table)
 
 
-@systems_command.command("build", short_help="Obtain the source of a system at its commit, and build it.")
+@systems_command.command("build", short_help="Get a system's source at its pinned commit, and build it.")
 @click.argument("names", metavar="SYSTEM...", nargs=-1, required=True)
 @click.option(
     "--source",
     "sources",
     multiple=True,
     type=click.Path(path_type=Path, exists=True, file_okay=False),
-    help="A clone of its repository, or of a submodule's, instead of the network; repeatable.",
+    help="Clone of its repository, or of a submodule's, to use instead of the network; repeatable.",
 )
-@click.option("--jobs", type=click.IntRange(min=1), help="Compilers at a time.  [default: one per core]")
-@click.option("--again", is_flag=True, help="Rebuild what is built.")
+@click.option("--jobs", type=click.IntRange(min=1), help="Parallel compile jobs.  [default: one per core]")
+@click.option("--again", is_flag=True, help="Rebuild systems that are already built.")
 def build_command(names: tuple[str, ...], sources: tuple[Path, ...], jobs: int | None, again: bool) -> None:
-    """Build published systems from their own sources, which are none of this project's and stay under their licences.
+    """Build published systems from their own sources, which are not part of this project and keep their own licences.
 
     \b
     Examples:
@@ -60,7 +60,7 @@ def build_command(names: tuple[str, ...], sources: tuple[Path, ...], jobs: int |
       oysterbench systems build openvins --source ~/open_vins --jobs 1
       oysterbench systems build okvis2 --source ~/okvis2 --source ~/brisk --source ~/DBoW2 --source ~/opengv
 
-    With --source, each repository is taken from the first clone that has its commit, and nothing from the network.
+    With --source, each repository is taken from the first clone that has its commit; the network is not used.
     """
     from oysterbench.methods.systems import find_system
     from oysterbench.methods.systems.building import build
@@ -77,10 +77,10 @@ def build_command(names: tuple[str, ...], sources: tuple[Path, ...], jobs: int |
         )
 
 
-@systems_command.command("container", short_help="Print a container recipe of a system.")
+@systems_command.command("container", short_help="Print a container recipe for a system.")
 @click.argument("name", metavar="SYSTEM")
 def container_command(name: str) -> None:
-    """Print a Containerfile in which the system is built and `oysterbench` runs it; for podman, Docker and the like.
+    """Print a Containerfile that builds the system and runs it with `oysterbench`; for podman, Docker and the like.
 
     \b
     Examples:

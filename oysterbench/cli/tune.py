@@ -15,9 +15,9 @@ from oysterbench.cli.evaluate import FOLDER
 from oysterbench.cli.outputs import print_table
 
 
-@click.command("tune", short_help="Search a method's options on a split, by a stated number of trials.")
+@click.command("tune", short_help="Search a method's options on a split, in a given number of trials.")
 @click.argument("method", metavar="METHOD")
-@click.option("--split", "split_name", help="What it is tuned on.  [default: slam-train, or that of its track]")
+@click.option("--split", "split_name", help="Split to tune on.  [default: slam-train, or that of its track]")
 @click.option("--sequence", "sequences", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
 @click.option(
     "--trials",
@@ -25,17 +25,17 @@ from oysterbench.cli.outputs import print_table
     type=click.IntRange(min=2),
     default=30,
     show_default=True,
-    help="The first of them is the method as it is.",
+    help="Number of trials; the first uses the method's defaults.",
 )
 @click.option(
     "--ranges",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="TOML: [OPTION] range, log, choices.  [default: a published system's own]",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Of what is tried.")
-@click.option("--jobs", type=click.IntRange(min=1), help="At a time, at most.  [default: one per core]")
-@click.option("--timeout", "limit_s", type=click.FloatRange(min=0, min_open=True), help="Seconds a run may take.")
-@click.option("--scheduler", metavar="ADDRESS", help="Run them on the workers of a Dask scheduler instead.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the search.")
+@click.option("--jobs", type=click.IntRange(min=1), help="Maximum runs at a time.  [default: one per core]")
+@click.option("--timeout", "limit_s", type=click.FloatRange(min=0, min_open=True), help="Time limit of a run, in s.")
+@click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask scheduler instead.")
 @click.option("--out", type=FOLDER, required=True, help="Folder of all runs; the same command resumes in it.")
 def tune_command(
     method: str,
@@ -49,17 +49,17 @@ def tune_command(
     scheduler: str | None,
     out: Path,
 ) -> None:
-    """Try METHOD with options drawn at random, and say which have the best mean of what ranks on its track.
+    """Try METHOD with random options, and print those with the best mean of the ranking metric of its track.
 
     \b
     Examples:
       oysterbench tune openvins_dynamic --sequence train-02 --sequence train-07 --trials 30 --out tuning/openvins
       oysterbench tune gtsam_vi --ranges ranges.toml --trials 30 --out tuning/gtsam_vi
 
-    A trial's options depend on the seed, its number and their names alone, so that methods with the same budget are
-    searched alike. A file of ranges has a table for each option: range = [1, 9], log = true, or choices = ["a", "b"].
-    A failed run counts as one that answers nothing. The last line is the method with the best options, as `oysterbench
-    run` takes it. The same command resumes after interruption.
+    A trial's options depend only on the seed, its number and their names, so methods with the same budget are searched
+    alike. A ranges file has a table for each option: range = [1, 9], log = true, or choices = ["a", "b"]. A failed run
+    counts as one without any estimates. The last line is the method with the best options, ready for `oysterbench run`.
+    The same command resumes after interruption.
     """
     from oysterbench.cli.progress import runs_shown
     from oysterbench.cli.render import frames_bar, render_files

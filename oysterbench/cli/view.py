@@ -16,16 +16,18 @@ if TYPE_CHECKING:
 FILE = click.Path(path_type=Path, dir_okay=False)
 
 
-@click.command(short_help="Look through a sequence: a page, Rerun, or a layout for Foxglove.")
+@click.command(short_help="View a sequence: as a page, in Rerun, or with a layout for Foxglove.")
 @click.argument("sequence", type=click.Path(path_type=Path))
-@click.option("--start", "begin_s", type=click.FloatRange(min=0), default=0.0, metavar="S", help="Where to begin.")
-@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), metavar="S", help="How long.  [default: all]")
-@click.option("--estimate", "estimates", type=FILE, multiple=True, help="A trajectory beside the true one. Repeatable.")
+@click.option("--start", "begin_s", type=click.FloatRange(min=0), default=0.0, metavar="S", help="Start time.")
+@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Duration.  [default: all]")
+@click.option(
+    "--estimate", "estimates", type=FILE, multiple=True, help="A trajectory shown beside the true one; repeatable."
+)
 @click.option(
     "--align", default=None, metavar="HOW", help="How estimates are aligned to the ground truth.  [default: posyaw]"
 )
-@click.option("--rerun", "in_rerun", is_flag=True, help="Open Rerun's viewer; with --out write its file.")
-@click.option("--foxglove", "layout", type=FILE, help="Write a layout for Foxglove here, and nothing else.")
+@click.option("--rerun", "in_rerun", is_flag=True, help="Open Rerun's viewer; with --out, write a Rerun file.")
+@click.option("--foxglove", "layout", type=FILE, help="Only write a Foxglove layout to this file.")
 @click.option("--out", type=FILE, help="File.  [default: NAME.html; with --rerun none]")
 def view(
     sequence: Path,
@@ -37,8 +39,8 @@ def view(
     layout: Path | None,
     out: Path | None,
 ) -> None:
-    """Make one HTML page that plays a sequence: cameras with their layers, sonar fans, strips of the scalar sensors,
-    the path with what moves along it, and when faults struck. Or show it in Rerun or Foxglove.
+    """Make one HTML page that plays a sequence: cameras with their layers, sonar fans, plots of the scalar sensors, the
+    path with moving objects, and the times of faults. Or show the sequence in Rerun or Foxglove.
 
     \b
     Examples:
@@ -50,11 +52,11 @@ def view(
       oysterbench view mini-01.mcap --rerun --out mini-01.rrd --estimate mine.tum
       oysterbench view mini-01.mcap --foxglove layout.json
 
-    The page needs no other file and no network, and stays small however long the sequence is: of a long one it shows
-    moments, of some 10 s every frame, as a film.
+    The page needs no other file and no network, and stays small however long the sequence is: it shows samples of a
+    long sequence, and every frame of some 10 s as a film.
 
-    Rerun is installed by pip install 'oysterbench[rerun]'. In Foxglove, open the sequence's file, and the layout by
-    Layouts, Import from file; `export --format foxglove` puts both into one folder.
+    To install Rerun: pip install 'oysterbench[rerun]'. In Foxglove, open the sequence file, then load the layout with
+    Layouts, Import from file; `export --format foxglove` writes both into one folder.
     """
     from oysterbench.sequence import open_sequence
 

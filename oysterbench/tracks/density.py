@@ -47,11 +47,11 @@ class DensityTrack(Track):
     default_methods = ("dead_reckoning",)
     evaluator = EVALUATOR
     options = (
-        Option("poses", "--poses", "Folder of SEQUENCE-METHOD.tum, as `run` leaves it.", Path),
-        Option("masks", "--masks", "Oysters in the pictures.  [default: true]", Path),
-        Option("kind", "--masks-kind", "What their numbers are.  [default: auto]", KINDS),
-        Option("depth", "--depth", "Where depths come from.  [default: layer]", DEPTHS),
-        Option("cell_m", "--cell", "Edge of the grid's cells, in m.  [default: 1]", float),
+        Option("poses", "--poses", "Folder of SEQUENCE-METHOD.tum files, as written by `run`.", Path),
+        Option("masks", "--masks", "Oyster masks for the images.  [default: true]", Path),
+        Option("kind", "--masks-kind", "Meaning of the masks' values.  [default: auto]", KINDS),
+        Option("depth", "--depth", "Source of depths.  [default: layer]", DEPTHS),
+        Option("cell_m", "--cell", "Size of the grid cells, in m.  [default: 1]", float),
         next(option for option in SETTINGS if option.key == "align"),
     )
     examples = """

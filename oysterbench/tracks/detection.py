@@ -21,12 +21,12 @@ class DetectionTrack(ImageTrack):
     """Single oysters, counted and found."""
 
     name = "detection"
-    title = "Single oysters in pictures: found, outlined, counted."
+    title = "Individual oysters in images: found, outlined, counted."
     takes = ("detection", "segmentation")
     evaluator = EVALUATOR
     options = (
         THRESHOLD,
-        Option("max_detections", "--max-detections", "Of an image, at most.  [default: 300]", int),
+        Option("max_detections", "--max-detections", "Maximum detections per image.  [default: 300]", int),
         KIND,
     )
     examples = """

@@ -38,11 +38,11 @@ from oysterbench.tracks.track import Evaluation, Option, Track, about_run, about
 
 SAMPLES = 3  # pictures of a sequence in the report
 
-THRESHOLD = Option("threshold", "--threshold", "Called oyster from here on.  [default: 0.5]", float)
+THRESHOLD = Option("threshold", "--threshold", "Minimum score of an oyster.  [default: 0.5]", float)
 KIND = Option(
     "form",
     "--estimate-kind",
-    "What the estimate's numbers are.  [default: auto]",
+    "Meaning of the estimate's values.  [default: auto]",
     ("auto", "mask", "probability", "classes"),
     files=True,
 )

@@ -28,7 +28,7 @@ class SegmentationTrack(ImageTrack):
     """Which pixels are oysters."""
 
     name = "segmentation"
-    title = "Which pixels of pictures are oysters."
+    title = "Which pixels of images are oysters."
     takes = ("segmentation",)
     evaluator = EVALUATOR
     options = (
@@ -37,11 +37,11 @@ class SegmentationTrack(ImageTrack):
         Option(
             "labels",
             "--truth-kind",
-            "What the numbers of the ground truth are.  [default: mask]",
+            "Meaning of the ground truth's values.  [default: mask]",
             ("mask", "classes"),
             files=True,
         ),
-        Option("ignore_value", "--ignore-value", "Number in the ground truth that is not scored.", int, files=True),
+        Option("ignore_value", "--ignore-value", "Ground-truth value that is not scored.", int, files=True),
     )
     examples = """
       oysterbench eval segmentation --method my_net:MyNet --split seg-val

@@ -24,21 +24,23 @@ def seconds(text: str) -> float | str:
 
 
 SETTINGS = (
-    Option("align", "--align", "How it is aligned to the ground truth.  [default: posyaw]", ALIGNMENTS),
-    Option("align_first", "--align-first", "Fit the alignment to this many first poses.  [default: all]", int),
-    Option("associate", "--associate", "How stamps are matched.  [default: interpolate]", ("interpolate", "nearest")),
+    Option("align", "--align", "Alignment with the ground truth.  [default: posyaw]", ALIGNMENTS),
+    Option("align_first", "--align-first", "Fit the alignment to the first N poses.  [default: all]", int),
+    Option(
+        "associate", "--associate", "How timestamps are matched.  [default: interpolate]", ("interpolate", "nearest")
+    ),
     Option("max_gap_s", "--max-gap", "Interpolate across at most this many seconds.  [default: 0.3]", float),
     Option(
-        "max_difference_s", "--max-difference", "Nearest poses are at most this many s away.  [default: 0.01]", float
+        "max_difference_s", "--max-difference", "Match nearest poses at most this many s apart.  [default: 0.01]", float
     ),
     Option(
         "time_offset_s",
         "--time-offset",
-        "Added to the estimate's stamps; found from the motion by 'estimate'.  [default: 0]",
+        "Added to the estimate's timestamps; 'estimate' finds it from the motion.  [default: 0]",
         seconds,
         metavar="SECONDS|estimate",
     ),
-    Option("rpe_pairs", "--rpe-pairs", "Relative errors from every start, or end to end.", ("all", "consecutive")),
+    Option("rpe_pairs", "--rpe-pairs", "Relative errors from every pose, or end to end.", ("all", "consecutive")),
     Option(
         "subpath_m",
         "--subpath",
@@ -50,14 +52,14 @@ SETTINGS = (
 """Settings of the evaluator, each with its default where it is not given."""
 
 OF_BOTH: dict[str, tuple[Any, str]] = {
-    "format": (("tum", "euroc", "kitti", "csv", "npz", "mcap", "bag"), "Format.  [default: by the content]"),
+    "format": (("tum", "euroc", "kitti", "csv", "npz", "mcap", "bag"), "Format.  [default: from the content]"),
     "topic": (str, "Topic of an MCAP file or bag; /tf:map.base_link for one transform."),
-    "time-unit": (("s", "ms", "us", "ns"), "Unit of the stamps."),
+    "time-unit": (("s", "ms", "us", "ns"), "Unit of the timestamps."),
     "quaternion": (("xyzw", "wxyz"), "Order of the quaternion."),
     "unit": (("m", "mm"), "Unit of the positions."),
     "duplicates": (
         ("first", "last", "mean", "refuse"),
-        "Which of several poses at a stamp.  [default: first of near ones]",
+        "Which of several poses at one timestamp.  [default: the first, if they are close]",
     ),
 }
 """Options of the estimate, and with `truth-` before their names of the truth."""
@@ -68,16 +70,18 @@ READING = (
         for prefix, whose in (("", "Estimate"), ("truth-", "Ground truth"))
         for name, (kind, text) in OF_BOTH.items()
     ),
-    Option("times", "--times", "KITTI: a file with one time a line.  [default: the true ones]", Path, files=True),
-    Option("frame", "--frame", "Estimate: whose poses they are.", ("body", "optical"), files=True),
+    Option(
+        "times", "--times", "KITTI: A file with one time per line.  [default: the ground truth's]", Path, files=True
+    ),
+    Option("frame", "--frame", "Estimate: Frame of the poses.", ("body", "optical"), files=True),
     Option(
         "T_body_estimate",
         "--T-body-estimate",
-        "Estimate: where the frame of its poses is in the body: x,y,z,qx,qy,qz,qw or a 4 x 4 matrix.",
+        "Estimate: Pose of its frame in the body: x,y,z,qx,qy,qz,qw or a 4 x 4 matrix.",
         files=True,
         metavar="NUMBERS|FILE",
     ),
-    Option("sort", "--sort", "Estimate: put its poses in the order of their stamps.", bool, files=True),
+    Option("sort", "--sort", "Estimate: Sort the poses by timestamp.", bool, files=True),
 )
 
 OPTIONS = (*SETTINGS, *READING)

@@ -35,9 +35,9 @@ from oysterbench.tracks.track import (
 )
 
 LOOP_OPTIONS = (
-    Option("reefs", "--reefs", "Closed loop: the first N reefs.  [default: all]", int),
-    Option("seconds", "--seconds", "Closed loop: length of a rollout.  [default: the split's]", float),
-    Option("again", "--again", "Closed loop: redo rollouts that are kept in the folder.", bool),
+    Option("reefs", "--reefs", "Closed loop: Only the first N reefs.  [default: all]", int),
+    Option("seconds", "--seconds", "Closed loop: Length of a rollout, in s.  [default: the split's]", float),
+    Option("again", "--again", "Closed loop: Redo the rollouts kept in the folder.", bool),
 )
 
 
@@ -81,7 +81,7 @@ class SteeringTrack(Track):
     default_methods = ("straight", "chance")
     evaluator = EVALUATOR
     options = (
-        Option("closed_loop", "--closed-loop", "Let the policies drive, beside the references.", bool),
+        Option("closed_loop", "--closed-loop", "Let the policies drive, alongside the references.", bool),
         *LOOP_OPTIONS,
     )
     examples = """
