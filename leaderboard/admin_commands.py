@@ -29,16 +29,16 @@ def notify(text: str) -> None:
 
 @click.command("add", short_help="Put results on the board.")
 @click.argument("results", type=click.Path(path_type=Path, exists=True))
-@click.option("--team", required=True, help="Who stands behind them.")
-@click.option("--tier", type=click.Choice(TIERS), default="reported", show_default=True, help="Who vouches for them.")
-@click.option("--url", default="", help="Where the method is described.")
+@click.option("--team", required=True, help="Team that submits them.")
+@click.option("--tier", type=click.Choice(TIERS), default="reported", show_default=True, help="Source of the results.")
+@click.option("--url", default="", help="Address of the method's description.")
 @click.option("--summary", default="", help="One sentence about the method.")
-@click.option("--reason", default="", help="Why they take the place of earlier ones.")
+@click.option("--reason", default="", help="Why they replace earlier results.")
 @click.option(
     "--keep-estimates",
     "estimates",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Keep the paths beside the results in this private folder, for `rescore`.",
+    help="Copy the paths beside the results to this private folder, for `rescore`.",
 )
 @AS_JSON
 @click.pass_context
@@ -53,15 +53,15 @@ def add_command(
     estimates: Path | None,
     as_json: bool,
 ) -> None:
-    """Make records of RESULTS, what `oysterbench run` or `oysterbench eval` wrote: one per method and split.
+    """Make records from RESULTS, the output of `oysterbench run` or `oysterbench eval`: one per method and split.
 
     \b
     Examples:
       oysterbench leaderboard add runs/results.json --tier baseline --team oysterbench
       oysterbench leaderboard --board board add runs --team "reef lab" --summary "Smooths a window of 4 s."
 
-    Paths that lie beside the results are drawn on the record's page, unless the split is hidden. The current record of
-    the same method, team and board is superseded, and stays. The same results are kept once.
+    Paths beside the results are drawn on the record's page, unless the split is hidden. The current record of the same
+    method, team and board is superseded, but kept. Identical results are stored once.
     """
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.publishing import Attribution, keep_estimates, publish, records_of
@@ -104,7 +104,7 @@ def _announcing(action: Any, past: str) -> Any:
     """A command that withdraws a record or puts it back."""
 
     @click.argument("digest")
-    @click.option("--reason", required=True, help="One sentence, which is shown with the record.")
+    @click.option("--reason", required=True, help="One sentence, shown with the record.")
     @click.pass_context
     def announce(context: click.Context, digest: str, reason: str) -> None:
         from oysterbench_leaderboard.record import MOST_TEXT, check_text
@@ -126,20 +126,20 @@ def _announcing(action: Any, past: str) -> Any:
 
 withdraw_command = click.command(
     "withdraw",
-    short_help="Take a record off the board, with the reason.",
+    short_help="Take a record off the board, with a reason.",
     help="""Take a record off the board: it is no longer ranked, and its page says so. Nothing is deleted.
 
     \b
     Examples:
       oysterbench leaderboard withdraw 3f9c21ab --reason "The estimates were made from the truth."
 
-    What the record took the place of comes back.
+    The record that it superseded comes back.
     """,
 )(_announcing("withdrawn", "withdrawn"))
 
 restore_command = click.command(
     "restore",
-    short_help="Put a withdrawn record back, with the reason.",
+    short_help="Put a withdrawn record back, with a reason.",
     help="""Put a withdrawn record back.
 
     \b
@@ -153,7 +153,7 @@ restore_command = click.command(
 @AS_JSON
 @click.pass_context
 def rebuild_command(context: click.Context, as_json: bool) -> None:
-    """Rebuild the index from the records. Readers see the old one until the new one is whole.
+    """Rebuild the index from the records. Readers see the old index until the new one is complete.
 
     \b
     Examples:
@@ -185,18 +185,18 @@ def _progress() -> Any:
     return show
 
 
-@click.command("verify", short_help="Check every record, change of status and curve.")
+@click.command("verify", short_help="Check every record, status change and curve.")
 @AS_JSON
 @click.pass_context
 def verify_command(context: click.Context, as_json: bool) -> None:
-    """Check every file: that its bytes are those it is named for, and that all in it is what this version knows.
+    """Check every file: that its bytes match its name, and that this version knows everything in it.
 
     \b
     Examples:
       oysterbench leaderboard verify
       oysterbench leaderboard --board /srv/board verify --json
 
-    Exits with 3 where a file is damaged.
+    Exits with 3 if a file is damaged.
     """
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.verifying import verify
@@ -224,12 +224,12 @@ def verify_command(context: click.Context, as_json: bool) -> None:
 @click.option(
     "--truth",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
-    help="Folder with the sequences of a hidden split.  [default: where public ones are rendered]",
+    help="Folder with the sequences of a hidden split.  [default: where public splits are rendered]",
 )
-@click.option("--split", help="Records of this split alone, by its name or its .toml recipe; needed with --truth.")
+@click.option("--split", help="Only records of this split, by name or .toml recipe; required with --truth.")
 @click.option("--reason", default="", help="Why.  [default: the evaluator's version]")
-@click.option("--again", is_flag=True, help="Also what this version has scored.")
-@click.option("--dry-run", is_flag=True, help="Score and show what would change; keep nothing.")
+@click.option("--again", is_flag=True, help="Also rescore what this version has scored.")
+@click.option("--dry-run", is_flag=True, help="Score and show what would change; write nothing.")
 @AS_JSON
 @click.pass_context
 def rescore_command(
@@ -243,8 +243,8 @@ def rescore_command(
     dry_run: bool,
     as_json: bool,
 ) -> None:
-    """Score kept estimates with this version's evaluator, and show what changed. Records are appended, each in place of
-    the one it was made of; none is changed.
+    """Score kept estimates with this version's evaluator, and show what changed. New records are appended and supersede
+    the old ones; no record is changed.
 
     \b
     Examples:

@@ -15,20 +15,20 @@ TERMINAL, ADMIN = "oysterbench_leaderboard.terminal", "oysterbench_leaderboard.a
 SERVER, TEAMS = "oysterbench_leaderboard.site.command", "oysterbench_leaderboard.submissions.command_admin"
 
 COMMANDS: dict[str, tuple[str, str, str]] = {
-    "show": (TERMINAL, "show_command", "A record: its place, and its numbers by sequence."),
-    "history": (TERMINAL, "history_command", "All records of a method, the newest first."),
-    "literature": (TERMINAL, "literature_command", "What others reported on other data."),
+    "show": (TERMINAL, "show_command", "Show a record: its place, and its numbers by sequence."),
+    "history": (TERMINAL, "history_command", "Show all records of a method, newest first."),
+    "literature": (TERMINAL, "literature_command", "Show results reported by others on other data."),
     "add": (ADMIN, "add_command", "Put results on the board."),
-    "withdraw": (ADMIN, "withdraw_command", "Take a record off the board, with the reason."),
-    "restore": (ADMIN, "restore_command", "Put a withdrawn record back, with the reason."),
+    "withdraw": (ADMIN, "withdraw_command", "Take a record off the board, with a reason."),
+    "restore": (ADMIN, "restore_command", "Put a withdrawn record back, with a reason."),
     "rebuild": (ADMIN, "rebuild_command", "Rebuild the index from the records."),
-    "verify": (ADMIN, "verify_command", "Check every record, change of status and curve."),
+    "verify": (ADMIN, "verify_command", "Check every record, status change and curve."),
     "rescore": (ADMIN, "rescore_command", "Score kept estimates with this version's evaluator."),
-    "serve": (SERVER, "serve_command", "Serve the site, and take submissions."),
+    "serve": (SERVER, "serve_command", "Serve the site, and accept submissions."),
     "build": (SERVER, "build_command", "Write the whole site as files, for any web host."),
-    "frames": (SERVER, "frames_command", "Render the frame that stands for each data set."),
-    "team": (TEAMS, "team", "Teams that may submit, and their tokens."),
-    "submissions": (TEAMS, "submissions", "What was submitted, and what became of it."),
+    "frames": (SERVER, "frames_command", "Render the preview image of each data set."),
+    "team": (TEAMS, "team", "Manage teams and their tokens."),
+    "submissions": (TEAMS, "submissions", "Manage submissions."),
 }
 """Name -> module, attribute and one line about it: help needs no import."""
 
@@ -61,31 +61,37 @@ class Lazy(click.Group):
 @click.group(
     "leaderboard",
     cls=Lazy,
-    short_help="Published results: ranks, pages, submissions.",
+    short_help="Show published results: ranks, pages, submissions.",
     invoke_without_command=True,
     subcommand_metavar="[COMMAND [ARGS]...]",
 )
 @click.option("--track", help="Boards of this track, such as slam or steering.")
 @click.option("--split", help="Boards of this split.")
-@click.option("--id", "board", help="One board by its id; those of older evaluators are history.")
-@click.option("--rows", type=click.IntRange(min=1), help="Rows of a board.  [default: 5 each, all of a single one]")
-@click.option("--search", "words", default="", help="Rows with this in the method's or the team's name.")
-@click.option("--all", "every", is_flag=True, help="Boards of older evaluators, too.")
-@click.option("--json", "as_json", is_flag=True, help="Print as JSON on stdout, and nothing else.")
-@click.option("--csv", "csv_file", type=click.Path(path_type=Path, allow_dash=True), help=f"{TEXTS['csv']}; - stdout.")
-@click.option("--tex", "tex_file", type=click.Path(path_type=Path, allow_dash=True), help=f"{TEXTS['tex']}; - stdout.")
-@click.option("--md", "md_file", type=click.Path(path_type=Path, allow_dash=True), help=f"{TEXTS['md']}; - stdout.")
+@click.option("--id", "board", help="One board by its id, including boards of older evaluators.")
+@click.option("--rows", type=click.IntRange(min=1), help="Rows per board.  [default: 5, or all rows of a single board]")
+@click.option("--search", "words", default="", help="Only rows whose method or team name contains this.")
+@click.option("--all", "every", is_flag=True, help="Include boards of older evaluators.")
+@click.option("--json", "as_json", is_flag=True, help="Print only JSON on stdout.")
+@click.option(
+    "--csv", "csv_file", type=click.Path(path_type=Path, allow_dash=True), help=f"Write {TEXTS['csv']}; - for stdout."
+)
+@click.option(
+    "--tex", "tex_file", type=click.Path(path_type=Path, allow_dash=True), help=f"Write {TEXTS['tex']}; - for stdout."
+)
+@click.option(
+    "--md", "md_file", type=click.Path(path_type=Path, allow_dash=True), help=f"Write {TEXTS['md']}; - for stdout."
+)
 @click.option(
     "--board",
     "folder",
     type=click.Path(path_type=Path, file_okay=False),
     envvar="OYSTERBENCH_BOARD",
-    help="Folder of the records.  [default: OYSTERBENCH_BOARD, or those that come with oysterbench]",
+    help="Folder of the records.  [default: OYSTERBENCH_BOARD, or the records shipped with oysterbench]",
 )
 @click.option("--index", "url", envvar="OYSTERBENCH_INDEX", help="File or postgresql+psycopg:// URL of the index.")
 @click.pass_context
 def command(context: click.Context, /, folder: Path | None, url: str | None, **asked: Any) -> None:
-    """Show published results: who is ahead, by how much, and whether that is significant.
+    """Show published results: which method leads, by how much, and whether that is significant.
 
     \b
     Examples:
@@ -98,8 +104,8 @@ def command(context: click.Context, /, folder: Path | None, url: str | None, **a
       oysterbench leaderboard --board /srv/board rebuild
       oysterbench compare gtsam_vi gtsam_full --split slam-val
 
-    A rank is 1 + the number of methods that are significantly better (95 %, paired bootstrap over sequences), or
-    better than one placed above; "=" where several share it. Places in brackets: too few sequences to say.
+    A rank is 1 + the number of methods that are significantly better (95 %, paired bootstrap over sequences), or better
+    than one placed above; "=" marks shared ranks. Places in brackets: too few sequences for a rank.
     """
     from oysterbench_leaderboard.options import Place
 

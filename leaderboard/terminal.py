@@ -98,22 +98,22 @@ def _write(path: Path, text: str) -> None:
         message(f"written: {path}")
 
 
-AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print as JSON on stdout, and nothing else.")
+AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print only JSON on stdout.")
 
 
-@click.command("show", short_help="A record: its place, and its numbers by sequence.")
+@click.command("show", short_help="Show a record: its place, and its numbers by sequence.")
 @click.argument("digest")
 @AS_JSON
 @click.pass_context
 def show_command(context: click.Context, digest: str, as_json: bool) -> None:
-    """Show a record: who made it, its place, and its numbers by sequence.
+    """Show a record: its author, its place, and its numbers by sequence.
 
     \b
     Examples:
       oysterbench leaderboard show 3f9c21ab
       oysterbench leaderboard show 3f9c21ab --json      the whole record
 
-    DIGEST is the record's name, or its first 8 digits or more.
+    DIGEST is the record's name, or at least its first 8 digits.
     """
     index = find_place(context).reader()
     row = index.row(digest)
@@ -167,13 +167,13 @@ def _facts(row: Any, record: Any, board: BoardInfo) -> list[tuple[str, str]]:
     ]
 
 
-@click.command("history", short_help="All records of a method, the newest first.")
+@click.command("history", short_help="Show all records of a method, newest first.")
 @click.argument("method")
-@click.option("--team", help="Of this team alone.")
+@click.option("--team", help="Only of this team.")
 @AS_JSON
 @click.pass_context
 def history_command(context: click.Context, method: str, team: str | None, as_json: bool) -> None:
-    """Show all records of a method, superseded and withdrawn ones too.
+    """Show all records of a method, including superseded and withdrawn ones.
 
     \b
     Examples:
@@ -195,11 +195,11 @@ def history_command(context: click.Context, method: str, team: str | None, as_js
     print_rich(terminal_table(history_table(rows, {board.id: board for board in index.boards()})))
 
 
-@click.command("literature", short_help="What others reported on other data.")
-@click.option("--track", help="Of this track alone.")
+@click.command("literature", short_help="Show results reported by others on other data.")
+@click.option("--track", help="Only of this track.")
 @AS_JSON
 def literature_command(track: str | None, as_json: bool) -> None:
-    """Show what others reported on other data, each number with its source. It is never ranked with ours.
+    """Show results reported by others on other data, each with its source. They are never ranked with ours.
 
     \b
     Examples:

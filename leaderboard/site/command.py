@@ -20,19 +20,26 @@ def _place(context: click.Context, folder: Path | None, url: str | None) -> Plac
     return Place(folder or given.folder, url or given.url)
 
 
-@click.command("serve", short_help="Serve the site, and take submissions.")
+@click.command("serve", short_help="Serve the site, and accept submissions.")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; 0.0.0.0 for all.")
 @click.option("--port", default=8000, show_default=True, type=click.IntRange(0, 65535))
-@click.option("--board", "folder", type=FOLDER, help="Folder of the records.  [default: OYSTERBENCH_BOARD, or ours]")
-@click.option("--index", "url", help="Index: a file (SQLite) or postgresql://...  [default: a file under the home]")
-@click.option("--submissions", type=FOLDER, help="Take submissions; private folder of tokens, queue and estimates.")
-@click.option("--truth", "truths", multiple=True, metavar="SPLIT=DIR", help="What is scored against. Repeatable.")
 @click.option(
-    "--workers", type=click.IntRange(min=1), help="Submissions scored at once.  [default: as the folder says]"
+    "--board",
+    "folder",
+    type=FOLDER,
+    help="Folder of the records.  [default: OYSTERBENCH_BOARD, or the shipped records]",
+)
+@click.option(
+    "--index", "url", help="Index: a file (SQLite) or postgresql://...  [default: a file under the home folder]"
+)
+@click.option("--submissions", type=FOLDER, help="Accept submissions; private folder of tokens, queue and estimates.")
+@click.option("--truth", "truths", multiple=True, metavar="SPLIT=DIR", help="Ground truth of a split; repeatable.")
+@click.option(
+    "--workers", type=click.IntRange(min=1), help="Submissions scored at once.  [default: as set in the folder]"
 )
 @click.option("--scheduler", default="", metavar="ADDRESS", help="Score on the workers of a Dask scheduler instead.")
-@click.option("--metrics", default="", metavar="HOST:PORT", help="Where Prometheus may ask, with --submissions.")
-@click.option("--root", default="", help="Path that a proxy puts before our addresses, such as /board.")
+@click.option("--metrics", default="", metavar="HOST:PORT", help="Address for Prometheus metrics; needs --submissions.")
+@click.option("--root", default="", help="Path prefix that a proxy adds to the site's addresses, such as /board.")
 @PROXY
 @click.pass_context
 def serve_command(
@@ -49,7 +56,7 @@ def serve_command(
     root: str,
     proxies: tuple[str, ...],
 ) -> None:
-    """Serve the site: boards, records, data sets; with --submissions, take estimates and score them.
+    """Serve the site: boards, records, data sets. With --submissions, accept estimates and score them.
 
     \b
     Examples:
@@ -58,8 +65,8 @@ def serve_command(
       oysterbench leaderboard serve --board board --submissions private --truth slam-test=truth/slam-test
       oysterbench leaderboard serve --submissions private --truth ... --scheduler tcp://10.0.0.1:8786
 
-    Records that come into the folder while it runs are shown within seconds. For the world, put a proxy with TLS before
-    it, and name it with --proxy; teams and their tokens are made by `oysterbench leaderboard team`.
+    New records in the folder are shown within seconds. For public access, put a TLS proxy in front of the server and
+    name it with --proxy. `oysterbench leaderboard team` creates teams and their tokens.
     """
     import uvicorn
 
@@ -85,8 +92,15 @@ def serve_command(
 
 @click.command("build", short_help="Write the whole site as files, for any web host.")
 @click.argument("target", metavar="DIR", type=FOLDER)
-@click.option("--board", "folder", type=FOLDER, help="Folder of the records.  [default: OYSTERBENCH_BOARD, or ours]")
-@click.option("--index", "url", help="Index: a file (SQLite) or postgresql://...  [default: a file under the home]")
+@click.option(
+    "--board",
+    "folder",
+    type=FOLDER,
+    help="Folder of the records.  [default: OYSTERBENCH_BOARD, or the shipped records]",
+)
+@click.option(
+    "--index", "url", help="Index: a file (SQLite) or postgresql://...  [default: a file under the home folder]"
+)
 @click.pass_context
 def build_command(context: click.Context, target: Path, folder: Path | None, url: str | None) -> None:
     """Write the whole site as files: pages, their JSON, CSV and LaTeX, records, curves, OpenAPI.
@@ -96,8 +110,8 @@ def build_command(context: click.Context, target: Path, folder: Path | None, url
       oysterbench leaderboard build site
       rsync -a --delete site/ host:/var/www/board/
 
-    It works from any web host, in any folder, and from the disk. DIR is replaced as a whole when all is written; files
-    that are the same as before keep their times.
+    The site works from any web host, in any folder, and from disk. DIR is replaced as a whole once everything is
+    written; unchanged files keep their timestamps.
     """
     import sys
 
@@ -115,18 +129,18 @@ def build_command(context: click.Context, target: Path, folder: Path | None, url
     message(f"{target}: {count} files; open {target / 'index.html'}")
 
 
-@click.command("frames", short_help="Render the frame that stands for each data set.")
+@click.command("frames", short_help="Render the preview image of each data set.")
 @click.argument("splits", metavar="[SPLIT]...", nargs=-1)
-@click.option("--out", type=FOLDER, help="Folder of the pictures.  [default: where those of this version lie]")
+@click.option("--out", type=FOLDER, help="Folder of the images.  [default: that of this version]")
 def frames_command(splits: tuple[str, ...], out: Path | None) -> None:
-    """Render the frame that the pages of the board show of each data set, as small WebP.
+    """Render the preview image of each data set on the board's pages, as small WebP.
 
     \b
     Examples:
       oysterbench leaderboard frames
       oysterbench leaderboard frames seg-val seg-closeup
 
-    Which frame it is stands in datasets/frames/frames.toml. Of a hidden split it shows how such pictures look: it is
+    datasets/frames/frames.toml says which frame it is. The image of a hidden split only shows its appearance: it is
     rendered without the secret.
     """
     from oysterbench.cli.render import frames_bar

@@ -19,16 +19,18 @@ TOKEN = "OYSTERBENCH_TOKEN"
 @click.command("submit", short_help="Send results or estimates to a leaderboard.")
 @click.argument("place", metavar="RESULT_OR_ESTIMATES", type=click.Path(path_type=Path))
 @click.option("--to", "url", required=True, envvar="OYSTERBENCH_BOARD_URL", help="Address of the leaderboard.")
-@click.option("--method", required=True, help="Name of the method, for the board.")
-@click.option("--split", help="What it was run on.  [default: as the results or the names say]")
-@click.option("--track", help="Of a split with several.  [default: its first]")
-@click.option("--of", "of", default="", help="Whose estimates, of a folder with those of several methods.")
-@click.option("--run", type=click.IntRange(min=1), default=1, show_default=True, help="Which run, of several.")
-@click.option("--results", is_flag=True, help="Send the results.json of a folder, not its estimates.")
+@click.option("--method", required=True, help="Name of the method on the board.")
+@click.option("--split", help="Split it was run on.  [default: from the results or the names]")
+@click.option("--track", help="Track, if the split has several.  [default: its first]")
+@click.option("--of", "of", default="", help="Which method's estimates, if the folder has several.")
+@click.option(
+    "--run", type=click.IntRange(min=1), default=1, show_default=True, help="Which run, if there are several."
+)
+@click.option("--results", is_flag=True, help="Send a folder's results.json, not its estimates.")
 @click.option("--team-token-file", type=click.Path(path_type=Path), help=f"File with the token.  [default: {TOKEN}]")
-@click.option("--url", "about", default="", help="Where the method is described.")
+@click.option("--url", "about", default="", help="Address of the method's description.")
 @click.option("--summary", default="", help="The method in one sentence.")
-@click.option("--publish", is_flag=True, help="Put it on the board when it is scored.")
+@click.option("--publish", is_flag=True, help="Publish on the board once it is scored.")
 @click.option("--wait/--no-wait", default=True, show_default=True, help="Until it is scored.")
 @click.option("--json", "as_json", is_flag=True, help="Print the submission as JSON.")
 def command(
@@ -47,7 +49,7 @@ def command(
     wait: bool,
     as_json: bool,
 ) -> None:
-    """Send results or estimates to a leaderboard, and say how they scored.
+    """Send results or estimates to a leaderboard, and print their score.
 
     \b
     Examples:
@@ -57,14 +59,14 @@ def command(
       oysterbench submit masks.npz --to https://board.example --method net --split seg-test --track detection
 
     \b
-    What may be sent:
-      a folder with a file for each sequence: SEQUENCE.tum, .txt, .csv (EuRoC or named columns), .npz
-      what `oysterbench run` and `eval` leave; of public splits also their results.json, marked as reported
-      masks: SEQUENCE/CAMERA/STAMP.png in a folder, an .npz with an array for each image, COCO annotations
-      commands: SEQUENCE.csv with the columns stamp_ns,yaw,pitch, or the probabilities of all classes
+    What can be sent:
+      a folder with one file per sequence: SEQUENCE.tum, .txt, .csv (EuRoC or named columns), .npz
+      the output of `oysterbench run` and `eval`; for public splits also results.json, marked as reported
+      masks: SEQUENCE/CAMERA/STAMP.png in a folder, an .npz with an array per image, or COCO annotations
+      commands: SEQUENCE.csv with columns stamp_ns,yaw,pitch, or with the probabilities of all classes
       a zip archive of any of these
 
-    The files are read here first, with the server's own checks. Sent twice, they are one submission.
+    The files are first checked locally, with the server's own checks. Sending them twice makes one submission.
     """
     if publish and not wait:
         raise click.UsageError("--publish waits until the submission is scored: --no-wait does not go with it")

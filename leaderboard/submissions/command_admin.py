@@ -24,9 +24,9 @@ FOLDER = click.option(
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 
 
-@click.group("team", short_help="Teams that may submit, and their tokens.")
+@click.group("team", short_help="Manage teams and their tokens.")
 def team() -> None:
-    """Give tokens to teams, list them, revoke them.
+    """Create, list and revoke the tokens of teams.
 
     \b
     Examples:
@@ -36,12 +36,12 @@ def team() -> None:
     """
 
 
-@team.command("add", short_help="A new token of a team, shown this once.")
+@team.command("add", short_help="Create a token for a team; it is shown only once.")
 @click.argument("name")
 @FOLDER
 @AS_JSON
 def add(name: str, folder: Path, as_json: bool) -> None:
-    """Print a new token of a team, which is made if it is new. Only its hash is kept: it is shown this once."""
+    """Print a new token for a team; a new team is created. Only its hash is stored, so the token is shown only once."""
     from oysterbench_leaderboard.submissions.tokens import issue
 
     token = issue(_database(folder), name)
@@ -53,7 +53,7 @@ def add(name: str, folder: Path, as_json: bool) -> None:
 @FOLDER
 @AS_JSON
 def list_teams(folder: Path, as_json: bool) -> None:
-    """List the tokens of all teams, without what is secret."""
+    """List the tokens of all teams, without their secrets."""
     from oysterbench_leaderboard.submissions.tokens import listed
 
     rows = listed(_database(folder, must_exist=True))
@@ -63,7 +63,7 @@ def list_teams(folder: Path, as_json: bool) -> None:
         echo(f"{row['id']}  {row['created']}  {'revoked ' + row['revoked'] if row['revoked'] else ''}  {row['team']}")
 
 
-@team.command("revoke", short_help="Revoke a token, or all of a team.")
+@team.command("revoke", short_help="Revoke a token, or all tokens of a team.")
 @click.argument("name")
 @FOLDER
 @AS_JSON
@@ -75,9 +75,9 @@ def revoke_token(name: str, folder: Path, as_json: bool) -> None:
     echo(json.dumps({"revoked": gone}) if as_json else f"revoked: {', '.join(gone) or 'none that was not before'}")
 
 
-@click.group("submissions", short_help="What was submitted, and what became of it.")
+@click.group("submissions", short_help="Manage submissions.")
 def submissions() -> None:
-    """Look at what was submitted, read the log, try again what failed.
+    """List submissions, read the log, retry failed submissions.
 
     \b
     Examples:
@@ -88,14 +88,16 @@ def submissions() -> None:
     """
 
 
-@submissions.command("list", short_help="The newest submissions.")
+@submissions.command("list", short_help="List the newest submissions.")
 @FOLDER
-@click.option("--team", "of", help="Of one team.")
+@click.option("--team", "of", help="Only of this team.")
 @click.option("--state", help="queued, running, done, failed or withdrawn.")
-@click.option("--limit", type=click.IntRange(min=1), default=50, show_default=True, help="At most this many.")
+@click.option(
+    "--limit", type=click.IntRange(min=1), default=50, show_default=True, help="Maximum number of submissions."
+)
 @AS_JSON
 def list_submissions(folder: Path, of: str | None, state: str | None, limit: int, as_json: bool) -> None:
-    """List submissions, the newest first."""
+    """List submissions, newest first."""
     from oysterbench_leaderboard.submissions import database
 
     c = database.submissions.c
@@ -111,13 +113,19 @@ def list_submissions(folder: Path, of: str | None, state: str | None, limit: int
         echo(f"{one.id}  {one.created}  {one.team}  {one.method} on {one.split} ({one.track})  {one.state}{shown}{why}")
 
 
-@submissions.command("log", short_help="Events: who, what, when, why; also refusals.")
+@submissions.command("log", short_help="Show the log of events, including refusals.")
 @FOLDER
 @click.argument("id", required=False, default="")
-@click.option("--limit", type=click.IntRange(min=1), default=200, show_default=True, help="The newest N.")
+@click.option(
+    "--limit",
+    type=click.IntRange(min=1),
+    default=200,
+    show_default=True,
+    help="Only the newest N entries.",
+)
 @AS_JSON
 def show_log(folder: Path, id: str, limit: int, as_json: bool) -> None:
-    """Print the log, of one submission where its id is given. Nothing is ever taken out of it."""
+    """Print the log, or that of one submission if its ID is given. Entries are never removed."""
     from oysterbench_leaderboard.submissions import database
 
     with _database(folder, must_exist=True).reading() as connection:
@@ -128,12 +136,12 @@ def show_log(folder: Path, id: str, limit: int, as_json: bool) -> None:
         echo(f"{row['at']}  {row['who']}  {row['what']}  {row['submission']}  {row['why']}".rstrip())
 
 
-@submissions.command("retry", short_help="Score again what failed.")
+@submissions.command("retry", short_help="Score a failed submission again.")
 @click.argument("id")
 @FOLDER
 @AS_JSON
 def retry(id: str, folder: Path, as_json: bool) -> None:
-    """Put a submission that failed back into the queue; a running server scores it."""
+    """Put a failed submission back into the queue; a running server scores it."""
     import time
 
     from oysterbench_leaderboard.submissions import database
@@ -150,14 +158,14 @@ def retry(id: str, folder: Path, as_json: bool) -> None:
     echo(json.dumps({"id": id, "state": "queued"}) if as_json else f"{id}: queued")
 
 
-@submissions.command("backup", short_help="All of a server in one file, while it runs.")
+@submissions.command("backup", short_help="Back up a server into one file, while it runs.")
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
 @FOLDER
 @AS_JSON
 @click.pass_context
 def backup_command(context: click.Context, file: Path, folder: Path, as_json: bool) -> None:
-    """Write database, estimates and records into a file that only its owner can read; the server may run meanwhile.
-    With `leaderboard --board DIR` or OYSTERBENCH_BOARD the records of the board come along.
+    """Write database, estimates and records into a file that only its owner can read; the server may keep running. With
+    `leaderboard --board DIR` or OYSTERBENCH_BOARD, the board's records are included.
 
     \b
     Examples:
@@ -171,15 +179,15 @@ def backup_command(context: click.Context, file: Path, folder: Path, as_json: bo
     _show_backup(file, backup(load_settings(folder), file, find_place(context).folder), as_json)
 
 
-@submissions.command("restore", short_help="A server from such a file, into an empty folder.")
+@submissions.command("restore", short_help="Restore a server from a backup, into an empty folder.")
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
 @FOLDER
 @AS_JSON
 @click.pass_context
 def restore_command(context: click.Context, file: Path, folder: Path, as_json: bool) -> None:
-    """Make the private folder and its database of a backup, and with `leaderboard --board DIR` or OYSTERBENCH_BOARD the
-    board's folder, too. They must be empty; a settings.toml that is there already counts, so that another database may
-    be named. What was being scored at that time is scored again.
+    """Restore the private folder and its database from a backup and, with `leaderboard --board DIR` or
+    OYSTERBENCH_BOARD, also the board's folder. Both must be empty, except for a settings.toml, which is used and may
+    name another database. Submissions that were being scored are scored again.
 
     \b
     Examples:
