@@ -24,24 +24,26 @@ source_option = click.option(
     "--source", "sources", type=LABELLED, multiple=True, required=True, help="Labelled images; repeatable."
 )
 side_option = click.option(
-    "--side", help="Only targets of this side of their manifest.csv.  [default: train, where there are sides]"
+    "--side", help="Only targets of this split in their manifest.csv.  [default: train, if there are splits]"
 )
 clip_option = click.option(
-    "--clip", "clips", multiple=True, metavar="NAME", help="Only targets of this clip; repeatable: waters of one kind."
+    "--clip",
+    "clips",
+    multiple=True,
+    metavar="NAME",
+    help="Only targets of this clip, for one kind of water; repeatable.",
 )
 
 
 @click.command("cut", short_help="Make rendered images look like real ones, without pairs.")
 @source_option
-@click.option(
-    "--target", required=True, type=LABELLED, metavar="PATH", help="Real images; their labels are not looked at."
-)
+@click.option("--target", required=True, type=LABELLED, metavar="PATH", help="Real images; their labels are not used.")
 @side_option
 @clip_option
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder of the training.")
 @click.option("--method", default="fastcut", show_default=True, help="cut or fastcut.")
-@click.option("--size", default="small", show_default=True, help="small, for a processor; full, as published.")
-@click.option("--steps", type=click.IntRange(min=1), help="In place of the size's own.")
+@click.option("--size", default="small", show_default=True, help="small, for a CPU; full, as published.")
+@click.option("--steps", type=click.IntRange(min=1), help="Optimiser steps.  [default: by size]")
 @seed_option
 @device_option("cpu")
 def train_command(
@@ -64,8 +66,8 @@ def train_command(
       oysterbench train cut --source seg-train --target my-dives --method cut --size full --device auto --out cut-full
       oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated
 
-    Leaves checkpoint.pt, losses.csv, losses.png and samples/, sheets of some twenty steps. May be
-    interrupted, even killed: the same command resumes from the last checkpoint, to the same weights.
+    Writes checkpoint.pt, losses.csv, losses.png and samples/, with sheets from some twenty steps. May be interrupted,
+    even killed: the same command resumes from the last checkpoint and gives the same weights.
     """
     from oysterbench.cli.labelled import open_all, open_data
     from oysterbench.cli.render import frames_bar
@@ -101,19 +103,19 @@ def train_command(
     echo(out / "checkpoint.pt")
 
 
-@click.command("cut", short_help="By a trained generator.")
+@click.command("cut", short_help="Translate with a trained generator.")
 @click.argument("checkpoint", metavar="[CHECKPOINT]", required=False, type=click.Path(path_type=Path))
 @source_option
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write.")
 def cut_command(checkpoint: Path | None, sources: tuple[str, ...], out: Path) -> None:
-    """Translate labelled images at their own size; their labels stay, and what that costs is measured and printed.
+    """Translate labelled images at their own size. Their labels stay; the error this causes is measured and printed.
 
     \b
     Examples:
       oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated
       oysterbench translate cut --source seg-closeup --out translated
 
-    Without CHECKPOINT the weights of `oysterbench download cut` are taken, which are fetched where a hub is set.
+    Without CHECKPOINT, the weights of `oysterbench download cut` are used, and downloaded if a hub is set.
     """
     from oysterbench.cli.labelled import open_all
     from oysterbench.cli.render import frames_bar
@@ -128,7 +130,7 @@ def cut_command(checkpoint: Path | None, sources: tuple[str, ...], out: Path) ->
 
 
 def _recolour(name: str) -> click.Command:
-    @click.command(name, short_help=f"By {name} colour transfer, image by image, without training.")
+    @click.command(name, short_help=f"Transfer colours with {name}, image by image, without training.")
     @source_option
     @click.option("--target", required=True, type=LABELLED, metavar="PATH", help="Real images to take colours from.")
     @side_option
@@ -144,8 +146,8 @@ def _recolour(name: str) -> click.Command:
         models = targets(open_data(target), side, clips)
         _write(open_all(sources), lambda images: recoloured(images, models, TRANSFERS[name], seed), out)
 
-    command.help = f"""Give labelled images the colours of real ones ({name}): a clip, then one of its images, drawn for
-    each. No edge moves; the control that a learnt translation has to beat.
+    command.help = f"""Give labelled images the colours of real ones ({name}): for each, a clip and then one of its
+    images is drawn. No edge moves; this is the control that a learned translation has to beat.
 
     \b
     Example:

@@ -10,7 +10,7 @@ import click
 from oysterbench_baselines.learning.trained import checkpoint_path, start_training, tell_end, training_options
 
 
-@click.command("gtsam_vi_learned", short_help="Where and in what gtsam_vi tracks, on rendered dives.")
+@click.command("gtsam_vi_learned", short_help="The learned front end of gtsam_vi, on rendered dives.")
 @training_options
 @click.option("--sequence", "wanted", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
 def command(
@@ -22,7 +22,7 @@ def command(
     threads: int,
     again: bool,
 ) -> None:
-    """Train the front end of the method gtsam_vi_learned, which `oysterbench run gtsam_vi_learned` then uses.
+    """Train the front end of the method gtsam_vi_learned, for `oysterbench run gtsam_vi_learned`.
 
     \b
     Examples:
@@ -30,9 +30,9 @@ def command(
       oysterbench train gtsam_vi_learned --data slam-train --sequence train-02 --sequence train-05 --sequence train-08
       oysterbench train gtsam_vi_learned --data my-dives --steps 500 --out mine.pt
 
-    Data is a split of the track slam, which is rendered where it is not there yet, a sequence file, or a folder of
-    them: rendered ones, since the ground truth of depth and motion says where each point of a picture is in the others.
-    May be interrupted, even killed: the same command resumes from the last checkpoint, to the same weights.
+    Data is a split of the track slam, which is rendered if missing, a sequence file, or a folder of them. Only rendered
+    data works, since ground-truth depth and motion give each image point's position in the other images. May be
+    interrupted, even killed: the same command resumes from the last checkpoint and gives the same weights.
     """
     from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.gtsam_vi_learned.correspondence import files_of, read_footage

@@ -35,12 +35,18 @@ def training_options(command: Callable[..., Any]) -> Callable[..., Any]:
     number = click.IntRange(min=1)
     file = click.Path(path_type=Path, dir_okay=False)
     for option in (
-        click.option("--again", is_flag=True, help="Start over where there is a checkpoint already."),
-        click.option("--threads", type=number, default=2, show_default=True, help="Part of what makes it repeatable."),
-        click.option("--steps", type=number, default=2000, show_default=True, help="Of the optimiser."),
+        click.option("--again", is_flag=True, help="Start over, even if a checkpoint exists."),
+        click.option(
+            "--threads",
+            type=number,
+            default=2,
+            show_default=True,
+            help="CPU threads; the result depends on their number.",
+        ),
+        click.option("--steps", type=number, default=2000, show_default=True, help="Optimiser steps."),
         seed_option,
-        click.option("--out", type=file, help="Checkpoint.  [default: under the home]"),
-        click.option("--data", "names", type=LABELLED, multiple=True, required=True, help="Repeatable."),
+        click.option("--out", type=file, help="Checkpoint.  [default: under the home folder]"),
+        click.option("--data", "names", type=LABELLED, multiple=True, required=True, help="Training data; repeatable."),
     ):
         command = option(command)
     return command

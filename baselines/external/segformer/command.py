@@ -14,10 +14,12 @@ from oysterbench.methods.systems import find_system
 from oysterbench_baselines.learning.trained import device_option, run_training, training_options
 
 
-@click.command("segformer", short_help="SegFormer, of the package transformers, on any labelled images.")
+@click.command("segformer", short_help="SegFormer, from the package transformers, on any labelled images.")
 @training_options
-@click.option("--side", help="Only images of this split of the data, as its manifest.csv names it, such as train.")
-@click.option("--size", type=click.Choice(["b0", "b1", "b2"]), default="b0", show_default=True, help="Of the network.")
+@click.option("--side", help="Only images of this split, as named in the data's manifest.csv, such as train.")
+@click.option(
+    "--size", type=click.Choice(["b0", "b1", "b2"]), default="b0", show_default=True, help="Size of the network."
+)
 @device_option("auto")
 def command(
     names: tuple[str, ...],
@@ -30,7 +32,7 @@ def command(
     device: str,
     again: bool,
 ) -> None:
-    """Train the published network SegFormer from random weights, which `oysterbench run segformer` then uses.
+    """Train the published network SegFormer from random weights, for `oysterbench run segformer`.
 
     \b
     Examples:
@@ -39,8 +41,8 @@ def command(
       oysterbench train segformer --data seg-train --data my-masks --size b1 --out mine.pt
       oysterbench run "segformer[weights=mine.pt]" --split seg-val
 
-    Data is as of `oysterbench train unet`. May be interrupted, even killed: the same command resumes from the last
-    checkpoint, to the same weights.
+    Data is as for `oysterbench train unet`. May be interrupted, even killed: the same command resumes from the last
+    checkpoint and gives the same weights.
     """
     from oysterbench.methods.systems.building import interpreter
 
