@@ -19,7 +19,9 @@ from oysterbench_baselines.learning.trained import on_torch
     metavar="NAME=SPLIT|PATH",
     help="Rendered images; those with one NAME form one set.",
 )
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home]")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home folder]"
+)
 @click.option(
     "--most", type=click.IntRange(min=4), default=200, show_default=True, help="Maximum images per set, evenly spaced."
 )

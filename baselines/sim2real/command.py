@@ -27,7 +27,9 @@ from oysterbench_baselines.learning.trained import device_option
     metavar="NAME=SPLIT|PATH",
     help="Synthetic images; those with one NAME form one set.",
 )
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home]")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home folder]"
+)
 @click.option("--sizes", default="5,10,20,40,all", show_default=True, help="Numbers of real training images.")
 @click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Training runs of each kind.")
 @click.option("--steps", type=click.IntRange(min=1), help="Optimiser steps of each training run.  [default: 1200]")

@@ -89,7 +89,7 @@ def track_command(track: Track) -> click.Command:
         ]
     parameters += [click_option(option) for option in track.options]
     parameters += [
-        click.Option(["--out"], type=FOLDER, help="Folder of the results.  [default: under the home]"),
+        click.Option(["--out"], type=FOLDER, help="Folder of the results.  [default: under the home folder]"),
         click.Option(["--workers"], type=click.IntRange(min=1), help=WORKERS),
         click.Option(["--runs"], type=click.IntRange(min=1), help="Runs on each sequence.  [default: 1]"),
     ]

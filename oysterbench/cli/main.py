@@ -53,7 +53,7 @@ class Commands(click.Group):
         self, context: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and args[0] in RENAMED:
-            context.fail(f"No such command {args[0]!r}: it is `oysterbench {RENAMED[args[0]]}` now.")
+            context.fail(f"No such command {args[0]!r}: it is called `oysterbench {RENAMED[args[0]]}`.")
         return super().resolve_command(context, args)
 
     def invoke(self, context: click.Context) -> Any:
@@ -174,11 +174,11 @@ def info(sequence: Path, as_json: bool) -> None:
     print_rich(table)
 
 
-@main.command(short_help="One sheet of pictures over every effect of a recipe.")
+@main.command(short_help="Render one sheet that shows every recipe effect.")
 @click.option("--real", type=click.Path(path_type=Path, file_okay=False), help="Show close-ups beside real images.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default="gallery.png", show_default=True)
 def gallery(real: Path | None, out: Path) -> None:
-    """Render one sheet of pictures: water, light, reef, life, sensors and faults; or close-ups beside real images.
+    """Render one sheet of images: water, light, reef, life, sensors and faults; or close-ups beside real images.
 
     \b
     Examples:
@@ -200,13 +200,13 @@ def gallery(real: Path | None, out: Path) -> None:
 
 
 @main.command(short_help="Export one oyster as a mesh.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Which oyster.")
-@click.option("--size", "size_mm", type=float, help="Height of the shell in mm, 25 to 172.  [default: by the seed]")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the oyster.")
+@click.option("--size", "size_mm", type=float, help="Height of the shell in mm, 25 to 172.  [default: from the seed]")
 @click.option("--state", default="live", show_default=True, help="live, box, left valve or right valve.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default="oyster.glb", show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="Print its measures as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print its measurements as JSON.")
 def oyster(seed: int, size_mm: float | None, state: str, out: Path, as_json: bool) -> None:
-    """Export one oyster in real-world size, in metres: .glb, .obj, .stl or .ply by the suffix.
+    """Export one oyster at real size, in metres: .glb, .obj, .stl or .ply, by suffix.
 
     \b
     Examples:

@@ -11,23 +11,23 @@ from oysterbench.cli.echo import echo, message
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
-@click.command(short_help="Write the manifest that renders of a split are held against.")
+@click.command(short_help="Write the manifest that renders of a split are checked against.")
 @click.argument("split_name", metavar="SPLIT")
 @click.option("--sequence", "names", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
-@click.option("--data", type=FOLDER, help="Folder of the rendered files.  [default: under the home]")
-@click.option("--out", type=FOLDER, help="Folder of the manifest.  [default: the one in the package]")
-@click.option("--again", is_flag=True, help="Read sequences again that were read before.")
+@click.option("--data", type=FOLDER, help="Folder of the rendered files.  [default: under the home folder]")
+@click.option("--out", type=FOLDER, help="Folder of the manifest.  [default: that of the package]")
+@click.option("--again", is_flag=True, help="Read sequences again that have been read before.")
 def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Path | None, again: bool) -> None:
-    """Read a rendered split and write its manifest, for those who maintain splits: hashes of every file and of what is
-    decoded from it, with the versions of what made them.
+    """Read a rendered split and write its manifest, for maintainers of splits: hashes of every file and of its decoded
+    content, with the versions of the software that made them.
 
     \b
     Examples:
       oysterbench release slam-mini
-      oysterbench release slam-val --sequence val-03     one of many; its file may go afterwards
+      oysterbench release slam-val --sequence val-03     one of many; its file may be deleted afterwards
 
-    What was read of each sequence is kept under the home, in `releases`. The manifest is written when all of them were
-    read. A release never changes: another manifest under its name is refused.
+    The data read from each sequence is kept under the home folder, in `releases`. The manifest is written once all
+    sequences have been read. A release never changes: another manifest under its name is refused.
     """
     from importlib import resources
 
@@ -42,7 +42,9 @@ def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Pat
 
     split = load_split(split_name)
     if split.hidden:
-        raise HubError(f"{split.name} is a hidden split: nobody can render it; `oysterbench publish --hidden` pins it")
+        raise HubError(
+            f"{split.name} is a hidden split, which others cannot render; `oysterbench publish --hidden` pins it"
+        )
     made_by = digest(split)
     kept = home() / "releases" / f"{split.name}-{split.version}-{made_by[:12]}"
     known = [sequence.name for sequence in split.sequence]

@@ -32,7 +32,7 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 @click.option("--scheduler", metavar="ADDRESS", help="Render on the workers of a Dask scheduler instead.")
 @click.option("--device", default="cpu", show_default=True, help="Device to render on: cpu, cuda or cuda:N.")
 @click.option("--salt-file", type=FILE, help="Secret of a hidden split.  [default: OYSTERBENCH_SALT_FILE]")
-@click.option("--out", type=FOLDER, help="Folder.  [default: under the home]")
+@click.option("--out", type=FOLDER, help="Folder.  [default: under the home folder]")
 @click.option("--preview", "as_preview", is_flag=True, help="Render only contact sheets of small frames, in seconds.")
 @click.option("--json", "as_json", is_flag=True, help="Print the files as JSON.")
 def render(

@@ -56,7 +56,7 @@ def track_options() -> dict[str, Option]:
 )
 @click.option("--again", is_flag=True, help="Rerun finished runs.")
 @click.option("--retry", is_flag=True, help="Rerun failed runs.")
-@click.option("--out", type=FOLDER, help="Folder of the results.  [default: under the home]")
+@click.option("--out", type=FOLDER, help="Folder of the results.  [default: under the home folder]")
 @output_options
 def run_command(
     names: tuple[str, ...],
