@@ -97,7 +97,7 @@ class CocoFile:
         """(H, W) of an item of an image. Raises LabelError for a box alone."""
         if not item.values.get("segmentation"):
             raise LabelError(
-                f"{item.where}: has no segmentation: expected a mask; of boxes alone `--track detection` can be scored"
+                f"{item.where}: has no segmentation: expected a mask; with boxes only, use `--track detection`"
             )
         with numpy_2():
             mask = mask_tools().decode(run_lengths(item, *self.sizes[name]))
@@ -162,8 +162,8 @@ def read_coco(path: Path, images: Mapping[Any, CocoImage] | None = None, categor
     if isinstance(content, list):
         if images is None:
             raise LabelError(
-                f"{path}: a bare list of results names images by number alone: expected a truth in COCO form, which "
-                "says which numbers are which images, or an object with 'images' here"
+                f"{path}: a bare list of results names images only by number: expected ground truth in COCO form, "
+                "which maps numbers to images, or an object with 'images' here"
             )
         return _sorted(path, images, _checked(path, "", content, images, None))
     for key in ("images", "annotations", "categories"):
@@ -201,7 +201,7 @@ def _images(path: Path, images: list[Any]) -> dict[Any, CocoImage]:
         file = str(image["file_name"])
         name = PurePosixPath(file).with_suffix("").as_posix()
         if image["id"] in found or name in names:
-            raise LabelError(f"{where}: id {image['id']!r} or file_name {file!r} is used a second time")
+            raise LabelError(f"{where}: id {image['id']!r} or file_name {file!r} is used twice")
         sides = [image[key] for key in ("width", "height")]
         if not all(type(side) is int and 0 < side <= LONGEST_SIDE_PX for side in sides) or (
             sides[0] * sides[1] > LARGEST_IMAGE_PX
@@ -230,15 +230,13 @@ def _checked(
         for name in ("image_id", "category_id", "id"):
             _check_id(item.get(name), where)
         if item.get("image_id") not in images:
-            raise LabelError(
-                f"{where}: image_id {item.get('image_id')!r} is of no image; {len(images)} images are known"
-            )
+            raise LabelError(f"{where}: image_id {item.get('image_id')!r} matches none of {len(images)} images")
         if categories is not None and item.get("category_id") not in categories:
             known = ", ".join(f"{one} {name}" for one, name in categories.items())
-            raise LabelError(f"{where}: category_id {item.get('category_id')!r} is of no category; known: {known}")
+            raise LabelError(f"{where}: category_id {item.get('category_id')!r} matches no category; known: {known}")
         if categories is not None and "id" in item:
             if item["id"] in seen:
-                raise LabelError(f"{where}: id {item['id']!r} is used a second time")
+                raise LabelError(f"{where}: id {item['id']!r} is used twice")
             seen.add(item["id"])
         if "segmentation" not in item and "bbox" not in item:
             raise LabelError(f"{where}: expected a 'segmentation', a 'bbox' or both, got neither")
@@ -254,7 +252,7 @@ def _sorted(path: Path, images: Mapping[Any, CocoImage], items: Iterator[CocoIte
 
 def _check_id(value: Any, where: str) -> None:
     if not isinstance(value, str | int | float | None):
-        raise LabelError(f"{where}: expected ids as numbers or texts, got {value!s:.60}")
+        raise LabelError(f"{where}: expected numbers or text as ids, got {value!s:.60}")
 
 
 def _is_number(value: Any, low: float = -sys.float_info.max, high: float = sys.float_info.max) -> bool:
@@ -309,7 +307,7 @@ def run_lengths(item: CocoItem, height: int, width: int) -> Runs:
         for polygon in segmentation:
             if not isinstance(polygon, list) or len(polygon) < 6 or len(polygon) % 2:
                 count = len(polygon) if isinstance(polygon, list) else 0
-                raise LabelError(f"{where}: expected polygons of three corners x y or more, got {count} numbers")
+                raise LabelError(f"{where}: expected polygons of at least three corners x y, got {count} numbers")
             if not all(_is_place(v, height if k % 2 else width) for k, v in enumerate(polygon)):
                 raise LabelError(
                     f"{where}: expected the corners of polygons as numbers, in or near the image of {width} x "

@@ -68,5 +68,5 @@ def check_leakage(train: LabelledSet, test: LabelledSet, min_correlation: float 
     """
     shared = {entry.name for entry in train.entries} & {entry.name for entry in test.entries}
     if shared:
-        raise LabelError(f"{min(shared)!r} and {len(shared) - 1} more images are for training and for the test as well")
+        raise LabelError(f"{min(shared)!r} and {len(shared) - 1} more images are in both the training and the test set")
     return near_duplicates(test, train, min_correlation)

@@ -89,7 +89,7 @@ class LabelledSet:
         seen: set[str] = set()
         for entry in self.entries:
             if entry.name in seen:
-                raise LabelError(f"{name}: two images are named {entry.name!r}; expected a name of its own for each")
+                raise LabelError(f"{name}: two images are named {entry.name!r}; expected a unique name for each")
             seen.add(entry.name)
 
     def __repr__(self) -> str:
@@ -123,8 +123,8 @@ class LabelledSet:
         found = self.where(lambda entry: entry.split == split, f"{self.name} {split}")
         if not len(found):
             raise LabelError(
-                f"{self.name}: no image of split {split!r}; its splits: {', '.join(self.splits) or 'none'}; a file "
-                "manifest.csv with the columns id, clip and split says what is of which"
+                f"{self.name}: no image of split {split!r}; its splits: {', '.join(self.splits) or 'none'}; a "
+                "manifest.csv with the columns id, clip and split assigns them"
             )
         return found
 

@@ -40,7 +40,7 @@ def read_manifest(folder: Path) -> dict[str, ManifestRow]:
                 if not name or not clip:
                     raise LabelError(f"{path}:{reader.line_num}: expected an id and a clip, got {name!r} and {clip!r}")
                 if name in rows:
-                    raise LabelError(f"{path}:{reader.line_num}: {name!r} is listed a second time")
+                    raise LabelError(f"{path}:{reader.line_num}: {name!r} is listed twice")
                 rows[name] = ManifestRow(clip, values.get("split") or "")
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise LabelError(f"{path}: cannot be read as CSV: {error}") from None
@@ -53,7 +53,7 @@ def _check_sides(path: Path, rows: Mapping[str, ManifestRow]) -> None:
         raise LabelError(f"{path}: lists no image")
     if any(row.split for row in rows.values()) and not all(row.split for row in rows.values()):
         name = next(name for name, row in rows.items() if not row.split)
-        raise LabelError(f"{path}: {name!r} has no split, but others have; expected one for each image or for none")
+        raise LabelError(f"{path}: {name!r} has no split, but others do; expected one for every image or for none")
 
 
 def images_with(

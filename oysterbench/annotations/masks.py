@@ -77,22 +77,24 @@ class MaskFiles:
         if values.ndim != 2:
             raise LabelError(f"{where}: expected an array (H, W), got one of shape {values.shape}")
         if values.dtype.kind not in "biuf":
-            raise LabelError(f"{where}: expected numbers or truth values, got {values.dtype}")
+            raise LabelError(f"{where}: expected numbers or booleans, got {values.dtype}")
         return values
 
     def _integers(self, name: str, values: NDArray[Any], where: str) -> EstimateImage:
         """Integers whose meaning is to be guessed, or that are said to be probabilities."""
         greatest, most = int(values.max(initial=0)), np.iinfo(values.dtype).max
         if int(values.min(initial=0)) < 0 or values.dtype not in (np.uint8, np.uint16):
-            raise LabelError(f"{where}: expected 8 or 16 bits without a sign, got {values.dtype}; say --estimate-kind")
+            raise LabelError(
+                f"{where}: expected unsigned integers of 8 or 16 bits, got {values.dtype}; give --estimate-kind"
+            )
         if self.form == "auto" and greatest == 1:
             self._zero_one = name
         elif greatest > 1:
             self._probability = name
         if self._zero_one and self._probability:
             raise LabelError(
-                f"{self.place}: {self._zero_one} has 0 and 1 alone, as masks may, and {self._probability} greater "
-                f"numbers, as probability maps of {most} for 1 have; --estimate-kind says which"
+                f"{self.place}: {self._zero_one} has only 0 and 1, like a mask, and {self._probability} greater "
+                f"values, like a probability map with {most} for 1; choose with --estimate-kind"
             )
         if self.form == "auto" and greatest == 1:
             return EstimateImage(name, probability=values.astype(np.float32))
@@ -100,7 +102,7 @@ class MaskFiles:
 
     def _classes(self, values: NDArray[Any], where: str) -> NDArray[np.uint8]:
         if not np.issubdtype(values.dtype, np.integer) or values.min(initial=0) < 0 or values.max(initial=0) > 255:
-            raise LabelError(f"{where}: expected numbers of classes from 0 to 255, got {values.dtype}")
+            raise LabelError(f"{where}: expected class numbers from 0 to 255, got {values.dtype}")
         return values.astype(np.uint8)
 
 
@@ -112,8 +114,8 @@ def as_mask(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
     if not ((values == 0) | (values == greatest)).all():
         found = [f"{number:g}" for number in np.unique(values)[:6]]
         raise LabelError(
-            f"{where}: expected a mask of 0 and one other number, got {', '.join(found)}...; for probabilities "
-            "or numbers of classes, say --estimate-kind"
+            f"{where}: expected a mask of 0 and one other number, got {', '.join(found)}...; for probabilities or "
+            "class numbers, give --estimate-kind"
         )
     return values > 0
 
@@ -125,7 +127,7 @@ def open_predictions(place: Path, form: Form = "auto") -> MaskFiles:
     if not place.is_dir():
         raise LabelError(
             f"{place}: expected a folder with a .png, .npy or .npz per image, an .npz of all, or COCO annotations "
-            f"(.json), got {'a file of another kind' if place.exists() else 'nothing of that name'}"
+            f"(.json), got {'another kind of file' if place.exists() else 'nothing of that name'}"
         )
     readers: dict[str, Callable[[], NDArray[Any]]] = {}
     for path in sorted(path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES):
@@ -159,10 +161,10 @@ def read_png(path: Path) -> NDArray[Any]:
     if head and not head.startswith(PNG_MAGIC):
         raise LabelError(f"{path}: not a PNG file")
     if not whole:
-        raise LabelError(f"{path}: not a whole PNG file: its end is missing ({path.stat().st_size} bytes)")
+        raise LabelError(f"{path}: incomplete PNG file: its end is missing ({path.stat().st_size} bytes)")
     width, height = int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
     if width * height > LARGEST_IMAGE_PX:
-        raise LabelError(f"{path}: {width} x {height} pixels are more than any image here has")
+        raise LabelError(f"{path}: {width} x {height} pixels: larger than any image here")
     return read_plane(path)
 
 
@@ -181,7 +183,7 @@ def _load(path: Path, kind: type[T]) -> T:
     with _reading(str(path)):
         found = np.load(path, allow_pickle=False)
     if not isinstance(found, kind):
-        raise LabelError(f"{path}: expected one array in an .npy, several in an .npz, got the other")
+        raise LabelError(f"{path}: expected one array in an .npy, or several in an .npz")
     return found
 
 
@@ -220,5 +222,5 @@ def check_names(truth: Iterable[str], predicted: Iterable[str], place: Path) -> 
             more = f" and {len(names) - 3} more" if len(names) > 3 else ""
             raise LabelError(
                 f"{place}: {text} {', '.join(names[:3])}{more}; expected one prediction for each of {len(wanted)} "
-                f"images, named as the truth names them, e.g. {min(wanted, default='NAME')}"
+                f"images, named as in the ground truth, e.g. {min(wanted, default='NAME')}"
             )

@@ -57,7 +57,7 @@ class LabelledSequence:
             return self.coco.instances(truth.name, scored=False)
         if truth.instances is None:
             raise LabelError(
-                f"{truth.name}: the truth is a mask, which does not separate single oysters; expected COCO "
+                f"{truth.name}: the ground truth is a mask, which does not separate individual oysters; expected COCO "
                 "annotations, YOLO polygons, masks with instances/, or sequences"
             )
         numbers = np.where(truth.oyster, truth.instances, 0)
@@ -221,13 +221,13 @@ def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Lab
     if not files:
         got = "none of them" if place.exists() else "nothing of that name"
         raise LabelError(
-            f"{place}: expected the truth: masks as .png, a folder with images/ and labels/ or masks/, COCO "
+            f"{place}: expected ground truth: masks as .png, a folder with images/ and labels/ or masks/, COCO "
             f"annotations (.json) or sequences (.mcap), got {got}"
         )
     listed = read_manifest(place)
     for name in files:
         if listed and name not in listed:
-            raise LabelError(f"{place / FILE}: does not say which clip {name} is of")
+            raise LabelError(f"{place / FILE}: does not assign a clip to {name}")
     groups: dict[str, list[str]] = {}
     for name in files:
         clip = listed[name].clip if listed else name.rpartition("/")[0] or place.resolve().name

@@ -59,9 +59,9 @@ def read_yolo(path: Path, classes: Mapping[int, str]) -> list[NDArray[np.float64
             raise LabelError(f"{where}: class {kind:g} is not an oyster; known classes: {known}")
         if len(values) < 6 or len(values) % 2:
             hint = ": a box, not a polygon" if len(values) == 4 else ""
-            raise LabelError(f"{where}: expected three corners x y or more, got {len(values)} numbers{hint}")
+            raise LabelError(f"{where}: expected at least three corners x y, got {len(values)} numbers{hint}")
         corners = np.array(values).reshape(-1, 2)
         if not np.isfinite(corners).all() or corners.min() < -OUTSIDE or corners.max() > 1 + OUTSIDE:
-            raise LabelError(f"{where}: expected corners in fractions of width and height, got {line[:60]!r}")
+            raise LabelError(f"{where}: expected corners as fractions of width and height, got {line[:60]!r}")
         polygons.append(corners)
     return polygons

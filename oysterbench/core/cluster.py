@@ -84,8 +84,8 @@ def run_on_cluster(task: Callable[[J], R], jobs: Sequence[J], address: str, most
                     deaths[repr(job)] += 1
                     if deaths[repr(job)] >= DEATHS:
                         raise OysterbenchError(
-                            f"workers of {address} die again and again at {job} (out of memory?); what was finished is "
-                            "kept: run the same command again, on workers with more memory"
+                            f"workers of {address} keep dying at {job} (out of memory?); finished work is kept: run "
+                            "the same command again, on workers with more memory"
                         ) from None
                     submit(job)
                     continue
@@ -93,8 +93,8 @@ def run_on_cluster(task: Callable[[J], R], jobs: Sequence[J], address: str, most
                 yield job, data
         except (dask.comm.CommClosedError, CancelledError, OSError, TimeoutError) as error:
             raise OysterbenchError(
-                f"the scheduler {address} was lost ({error}); what was finished is kept: run the same command again "
-                "when it is back"
+                f"the scheduler {address} was lost ({error}); finished work is kept: run the same command again when "
+                "it is back"
             ) from None
 
 

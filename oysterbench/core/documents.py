@@ -15,5 +15,5 @@ def read_json(data: bytes | str) -> Any:
         if "\\ud" in text or "\\uD" in text:  # halves of surrogate pairs, which may stand alone
             json.dumps(value, ensure_ascii=False).encode()
     except RecursionError:
-        raise ValueError("it is nested too deep") from None
+        raise ValueError("it is nested too deeply") from None
     return value

@@ -65,7 +65,7 @@ def appearing_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     folder = Path(path)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise FileExistsError(errno.EEXIST, "is there already; it was left as it is", str(folder))
+        raise FileExistsError(errno.EEXIST, "already exists and was left unchanged", str(folder))
     whole = folder.absolute()
     whole.parent.mkdir(parents=True, exist_ok=True)
     draft = whole.parent / f".{whole.name}.draft"

@@ -127,7 +127,7 @@ def iter_messages(
         _, offset, _, item = heapq.heappop(queue)
         for k, message in enumerate(read_chunk(file, item) if isinstance(item, ChunkIndex) else (item,)):
             if message.channel_id not in summary.channels:
-                raise ValueError(f"it has messages of a channel {message.channel_id}, which its index has not")
+                raise ValueError(f"it has messages of a channel {message.channel_id}, which its index lacks")
             if message.channel_id not in wanted or not low <= message.log_time < high:
                 continue
             if message is item:
@@ -166,7 +166,7 @@ def message_at(data: bytes, place: int, channel: int, stamp_ns: int) -> bytes:
         raise ValueError(f"its index names a message of channel {channel} at {stamp_ns}, where there is none")
     begin = place + RECORD.size
     if begin + length > len(data):
-        raise ValueError("a message ends behind its chunk")
+        raise ValueError("a message ends after its chunk")
     return data[begin + MESSAGE.size : begin + length]
 
 
@@ -227,7 +227,7 @@ def unpack(data: bytes, compression: str, most: int) -> bytes:
 
         return bz2.BZ2Decompressor().decompress(data, most + 1)
     if compression:
-        raise ValueError(f"expected chunks packed by zstd, lz4 or not at all, got {compression!a:.40}")
+        raise ValueError(f"expected chunks compressed with zstd or lz4, or uncompressed, got {compression!a:.40}")
     return data
 
 

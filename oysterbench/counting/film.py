@@ -46,7 +46,7 @@ def _encode(path: str, frames: Sequence[Path], rate_hz: float) -> None:
     for frame in frames:
         pixels = cv2.imdecode(np.frombuffer(frame.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
         if pixels is None:
-            raise OysterbenchError(f"{frame}: cannot be read; `oysterbench segment --again` makes it anew")
+            raise OysterbenchError(f"{frame}: cannot be read; `oysterbench segment --again` recreates it")
         pixels = pixels[: pixels.shape[0] // 2 * 2, : pixels.shape[1] // 2 * 2]  # as colour is halved
         if writer is None:
             size = (pixels.shape[1], pixels.shape[0])

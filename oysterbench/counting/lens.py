@@ -45,8 +45,8 @@ class Lens:
             missed = float(np.abs(again - given.reshape(-1, 2)).max(initial=0.0))
         if not missed < UNDONE_PX:  # NaN fails as well
             raise SequenceError(
-                f"calibration: its distortion cannot be undone at the border of a picture of {self.width} x "
-                f"{self.height} px: calibrate with the target in the corners of the picture, too"
+                f"calibration: its distortion cannot be undone at the edge of an image of {self.width} x {self.height} "
+                "px: calibrate with the target in the image corners as well"
             )
         return found
 
@@ -66,7 +66,7 @@ class Lens:
         if abs(width * self.height - height * self.width) > max(width, height):  # a pixel of rounding
             raise SequenceError(
                 f"calibration: of pictures of {self.width} x {self.height} px, got one of {width} x {height}: expected "
-                "its proportions, as a camera crops differently in other modes"
+                "the same aspect ratio, since cameras crop differently in other modes"
             )
         across, down = width / self.width, height / self.height
         matrix = self.matrix.copy()

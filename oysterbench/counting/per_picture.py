@@ -53,5 +53,5 @@ def altitudes(lens: Lens, altitude: float | PictureTable) -> ScaleOf:
 def _row(table: PictureTable, source: Source, name: str, what: str) -> tuple[float, ...]:
     row = table.of(source, name)
     if row is None:
-        raise LabelError(f"{name}: {table.path} has no {what} of it, and so it is not counted: add a line for it")
+        raise LabelError(f"{name}: {table.path} has no {what} for it, so it was not counted: add a line for it")
     return row

@@ -45,14 +45,14 @@ def decode(data: bytes, where: str) -> NDArray[np.uint8]:
     """(H, W, 3) uint8 RGB of an image file, turned as its EXIF orientation says; grey becomes RGB, alpha is left out,
     16 bits are divided by 256. Raises LabelError, beginning with `where`, for what cannot be decoded as a whole."""
     if not data:
-        raise LabelError(f"{where}: an empty file")
+        raise LabelError(f"{where}: empty file")
     if cut := _cut_short(data):
         raise LabelError(f"{where}: {cut}: copy it again from the camera")
     pixels = decode_picture(data, cv2.IMREAD_COLOR_RGB)
     if pixels is None:
         raise LabelError(
             f"{where}: cannot be decoded as a picture ({len(data)} bytes), or has more than "
-            f"{LARGEST_IMAGE_PX // 1_000_000} megapixels: such ones are to be cut into tiles"
+            f"{LARGEST_IMAGE_PX // 1_000_000} megapixels: cut larger images into tiles"
         )
     return np.asarray(pixels, dtype=np.uint8)
 
@@ -100,7 +100,7 @@ class Video:
         with _quiet():
             self._capture = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
-            raise LabelError(f"{path}: cannot be opened as a video ({path.stat().st_size} bytes): is it whole?")
+            raise LabelError(f"{path}: cannot be opened as a video ({path.stat().st_size} bytes): is it complete?")
         rate = self._capture.get(cv2.CAP_PROP_FPS)
         self.rate_hz = float(rate) if 0 < rate < 10_000 else 0.0
         self.claimed = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
@@ -125,9 +125,9 @@ class Video:
             index += 1
         self._capture.release()
         if index == 0:
-            raise LabelError(f"{self.path}: holds no frame that can be decoded")
+            raise LabelError(f"{self.path}: has no frame that can be decoded")
         if index < COMPLETE * self.claimed:
-            raise LabelError(f"{self.path}: breaks off after {index} of {self.claimed} frames; these are counted")
+            raise LabelError(f"{self.path}: ends after {index} of {self.claimed} frames; these are counted")
 
     def _time_s(self, index: int) -> float:
         """Of the frame that was grabbed last; by the rate, where the file has no stamps."""

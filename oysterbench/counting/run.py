@@ -138,7 +138,7 @@ class Counting:
             if answer is None:
                 left = next(iter(waiting.values()), None) or next(works, None)
                 if left is not None:
-                    raise MethodError(f"method {self.method.name!r} ended without an answer for {left.name}")
+                    raise MethodError(f"method {self.method.name!r} ended without a result for {left.name}")
                 return None
             self._finish(waiting.pop(answer.name), answer)
 

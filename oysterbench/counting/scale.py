@@ -196,7 +196,7 @@ def _going_round(corners: Array, where: str) -> Array:
     outline = cv2.convexHull(corners.astype(np.float32)).reshape(-1, 2).astype(float)
     if len(outline) < 4 or polygon_area(outline) < LEAST_QUADRAT_PX**2:
         raise LabelError(
-            f"{where}: expected the four corners of a quadrat, each of which sticks out, got "
+            f"{where}: expected the four corners of a convex quadrat, got "
             f"{', '.join(f'({x:g}, {y:g})' for x, y in corners)}"
         )
     return outline

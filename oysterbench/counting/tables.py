@@ -64,7 +64,7 @@ def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) ->
             unused.append(said)
             continue
         if name in rows:
-            raise LabelError(f"{where}: {said} is listed a second time")
+            raise LabelError(f"{where}: {said} is listed twice")
         rows[name] = tuple(_number(v.replace(",", ".") if semicolons else v, where) for v in values)
     return PictureTable(path, rows, tuple(unused))
 

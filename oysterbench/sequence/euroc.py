@@ -93,7 +93,7 @@ class EurocSequence(Sequence):
     def truth(self) -> Trajectory:
         path = self._root / "state_groundtruth_estimate0" / "data.csv"
         if not path.is_file():
-            raise SequenceError(f"{self.folder} has no truth: {path} is absent")
+            raise SequenceError(f"{self.folder} has no ground truth: {path} is absent")
         return read_trajectory(path)
 
 

@@ -110,14 +110,11 @@ class IndexedFile:
         try:
             with open(self.path, "rb") as file:
                 if _identity(os.fstat(file.fileno())) != self._identity:
-                    raise SequenceError(
-                        f"{self.path}: it is not the file any more that was opened; make the data set again"
-                    )
+                    raise SequenceError(f"{self.path}: has changed since it was opened; create the data set again")
                 return unpacked_chunk(file, offset)
         except FileNotFoundError:
             raise SequenceError(
-                f"{self.path}: no such file any more; it was there when the data set was made: render or download it "
-                "again"
+                f"{self.path}: no longer exists; it did when the data set was created: render or download it again"
             ) from None
         except SequenceError:
             raise

@@ -149,8 +149,8 @@ class McapSequence(Sequence):
         if f"/{camera}/{layer}" not in self.types or layer not in LAYERS:
             known = [name for name in LAYERS if f"/{camera}/{name}" in self.types]
             raise SequenceError(
-                f"{self.path}: {camera} has no layer {layer!r}; its layers: {', '.join(known) or 'none'}; more can be "
-                "asked for with the rig's key 'camera.layers'"
+                f"{self.path}: {camera} has no layer {layer!r}; its layers: {', '.join(known) or 'none'}; the rig's "
+                "key 'camera.layers' adds more"
             )
         for (data,) in self._messages((f"/{camera}/{layer}",), start_ns, end_ns):
             stamp, pixels = self._decoded(read_layer, data, layer)
@@ -168,9 +168,7 @@ class McapSequence(Sequence):
 
         tables = self._tables()
         if topic not in tables:
-            raise SequenceError(
-                f"{self.path}: no topic {topic!r} that makes a table; those that do: {', '.join(tables)}"
-            )
+            raise SequenceError(f"{self.path}: topic {topic!r} makes no table; those that do: {', '.join(tables)}")
         stamps, rows = [], []
         for (data,) in self._messages((topic,), start_ns, end_ns):
             message = self._decoded(decode, data, self.types[topic])
@@ -188,14 +186,14 @@ class McapSequence(Sequence):
     def truth(self) -> Trajectory:
         truth = self._decoded(read_truth, [data for (data,) in self._messages((TRUTH,))])
         if len(truth) == 0:
-            raise SequenceError(f"{self.path} has no truth: no message on {TRUTH}")
+            raise SequenceError(f"{self.path} has no ground truth: no message on {TRUTH}")
         return truth
 
     def oysters(self) -> pd.DataFrame:
         """The truth about each oyster, a row each: id (as in instance images), state, host (the oyster it grows on, or
         0), height_m, length_m, width_m, volume_m3, and the pose of its umbo in `map`: x, y, z (m), qx, qy, qz, qw."""
         if OYSTERS not in self.attachments:
-            raise SequenceError(f"{self.path} has no truth about oysters: no attachment {OYSTERS}")
+            raise SequenceError(f"{self.path} has no ground truth about oysters: no attachment {OYSTERS}")
         return self._decoded(_oysters, self.attachments[OYSTERS])
 
     def living(self) -> dict[int, bool]:
@@ -218,7 +216,7 @@ class McapSequence(Sequence):
         numbers of the classes; heading_rad, pitch_rad (bow down positive), depth_m and altitude_m of the vehicle; and
         value_Y_P, the oysters that the expert's best plan would gain if it began with classes Y and P."""
         if STEERING not in self.attachments:
-            raise SequenceError(f"{self.path} has no truth about steering: no attachment {STEERING}")
+            raise SequenceError(f"{self.path} has no ground truth about steering: no attachment {STEERING}")
         return self._decoded(_table, self.attachments[STEERING], STEERING, ("stamp_ns", "yaw", "pitch"))
 
     def moving(self) -> pd.DataFrame:

@@ -328,7 +328,7 @@ class SensorsOnly(Sequence):
         self._hidden("layer()")
 
     def _hidden(self, call: str) -> NoReturn:
-        raise MethodError(f"a method does not see the truth: Sequence.{call} is for evaluators")
+        raise MethodError(f"methods may not see the ground truth: Sequence.{call} is for evaluators")
 
 
 def is_measured(topic: str) -> bool:

@@ -48,7 +48,7 @@ def test_a_frame_further_on_in_other_light_is_found_and_another_place_is_not(tmp
 
 def test_one_image_on_both_sides_is_refused_by_name(tmp_path):
     one = write_set(tmp_path / "one", {"a": picture(1, SIZE, SIZE)})
-    with pytest.raises(LabelError, match="'a' and 0 more images are for training and for the test"):
+    with pytest.raises(LabelError, match="'a' and 0 more images are in both the training and the test set"):
         check_leakage(one, one)
 
 

@@ -40,7 +40,7 @@ def test_an_empty_folder_is_filled_and_another_is_left_as_it_is(tmp_path):
     with appearing_folder(tmp_path / "empty") as draft:
         (draft / "one").write_text("1")
     assert (tmp_path / "empty" / "one").read_text() == "1"
-    with pytest.raises(FileExistsError, match="left as it is"), appearing_folder(tmp_path / "empty"):
+    with pytest.raises(FileExistsError, match="left unchanged"), appearing_folder(tmp_path / "empty"):
         pytest.fail("it was entered")
     assert (tmp_path / "empty" / "one").read_text() == "1"
 

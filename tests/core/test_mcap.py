@@ -66,7 +66,7 @@ BOMBS = {
     "no records": (chunk_of(ZEROS, streamed(ZEROS), "zstd"), "expected records in a chunk, got none"),
     "a part of a record": (chunk_of(message(1)[:-1]), "got a part of one"),
     "no messages": (chunk_of(message(1)[:9] + bytes(3)), "got a part of one"),
-    "another compression": (chunk_of(b"x", compression="br"), "packed by zstd, lz4 or not at all, got 'br'"),
+    "another compression": (chunk_of(b"x", compression="br"), "compressed with zstd or lz4, or uncompressed, got 'br'"),
     "no zstd": (chunk_of(b"x", b"x" * 20, "zstd"), "Unknown frame descriptor"),
     "no lz4": (chunk_of(b"x", b"x" * 20, "lz4"), "lz4: "),
     "wrong CRC": (chunk_of(message(1), crc=1), "crc validation failed"),

@@ -261,7 +261,7 @@ def test_quaternions_with_few_decimals_are_normalised_and_said(tmp_path):
 
 def test_nan_is_named_with_line_and_column(tmp_path):
     message = refusal(tmp_path, f"1 {POSE}\n2 1 2 nan 0 0 0 1\n")
-    assert message == "poses.txt:2: expected finite numbers, got z = nan; leave out poses not known"
+    assert message == "poses.txt:2: expected finite numbers, got z = nan; leave out unknown poses"
 
 
 def test_nanoseconds_in_a_seconds_file_are_exact_and_said(tmp_path):

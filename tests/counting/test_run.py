@@ -123,7 +123,7 @@ def test_a_method_that_fails_on_three_pictures_one_after_the_other_is_not_tried_
     [
         (Small(), "on a b: expected an answer of the picture's size, 160 x 120, got 2 x 2"),
         (Another(), "expected a prediction for a b, got one for 'x'"),
-        (Lazy(), "ended without an answer for b|for the pictures"),
+        (Lazy(), "ended without a result for b|for the pictures"),
     ],
 )
 def test_a_method_that_does_not_answer_as_agreed_is_refused(folder, tmp_path, method, said):
@@ -136,7 +136,7 @@ def test_a_method_that_does_not_answer_as_agreed_is_refused(folder, tmp_path, me
 
 
 def test_a_method_that_does_not_ask_for_all_pictures_is_refused(folder, tmp_path):
-    with pytest.raises(MethodError, match="method 'lazy' ended without an answer for b"):
+    with pytest.raises(MethodError, match="method 'lazy' ended without a result for b"):
         count(folder, tmp_path / "out", method=Lazy())
 
 

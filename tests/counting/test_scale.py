@@ -234,7 +234,7 @@ def test_a_table_of_a_spreadsheet_may_have_semicolons_and_decimal_commas(tmp_pat
         ("name,altitude_m\n", ":1: expected the columns picture,altitude_m, missing: picture"),
         ("picture,altitude_m\na/1,high\n", ":2: expected a number, got 'high'"),
         ("picture,altitude_m\na/1\n", ":2: expected 2 values, got 1"),
-        ("picture,altitude_m\na/1,1\na/1.jpg,2\n", ":3: a/1.jpg is listed a second time"),
+        ("picture,altitude_m\na/1,1\na/1.jpg,2\n", ":3: a/1.jpg is listed twice"),
         ("picture,altitude_m\n1.jpg,1\n", ":2: 2 pictures are called '1.jpg': expected one of a/1, b/1"),
     ],
 )
@@ -247,7 +247,7 @@ def test_a_picture_without_corners_or_altitude_is_not_counted(tmp_path, sources)
     corners = table(tmp_path, f"picture,{','.join(CORNERS)}\na/1,10,10,90,10,90,90,10,90\n", sources)
     scale = quadrats(0.5, corners)
     assert area_m2(scale(sources[0], "a/1"), SHAPE) == pytest.approx(0.25)
-    with pytest.raises(LabelError, match=r"b/1: .*t\.csv has no corners of it"):
+    with pytest.raises(LabelError, match=r"b/1: .*t\.csv has no corners for it"):
         scale(sources[1], "b/1")
     heights = table(tmp_path, "picture,altitude_m\na/1,2\n", sources, ALTITUDE)
     with pytest.raises(LabelError, match=r"b/1: .*t\.csv has no altitude of it"):

@@ -43,7 +43,7 @@ def export_set(
         raise LabelError(f"unknown format {form!r}; formats: {', '.join(SET_FORMATS)}")
     folder = Path(out)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise LabelError(f"{folder} is there already; it was left as it is: delete it or choose another --out")
+        raise LabelError(f"{folder} already exists and was left unchanged: delete it or choose another --out")
     write: Write = import_module(f"{__name__}.{form}").write
     parts = parted(sets)
     total, done = sum(map(len, parts.values())), 0

@@ -82,8 +82,8 @@ def parted(sets: Sequence[LabelledSet]) -> Parts:
         key = key_of(entry.name)
         if key in names:
             raise LabelError(
-                f"two images have one name, {names[key]} and {entry.name}: expected names that differ, as names of "
-                "files, too; were two sets given that hold the same?"
+                f"two images have the same name, {names[key]} and {entry.name}: expected names that differ as file "
+                "names; were overlapping sets given?"
             )
         names[key] = entry.name
     return {part: entries for part, entries in found.items() if entries}

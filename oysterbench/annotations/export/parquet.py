@@ -35,7 +35,7 @@ def write(name: str, parts: Parts, folder: Path, step: Callable[[], None], shard
     except ImportError:
         raise MissingExtraError(
             "the format parquet needs pyarrow, which is not installed; type: pip install 'oysterbench[parquet]', or "
-            "choose the format webdataset, which needs nothing",
+            "choose the format webdataset, which needs no extra",
             name="pyarrow",
         ) from None
     schema = _schema(arrow)

@@ -95,7 +95,7 @@ def _stamps(
     limit = 2**62 // factor
     if not np.isfinite(stamps).all() or (len(stamps) and (stamps.min() < -limit or stamps.max() > limit)):
         raise TrajectoryError(
-            f"{path}: expected {key!r} in {unit}, finite and within 146 years of the epoch; say their unit "
+            f"{path}: expected {key!r} in {unit}, finite and within 146 years of the epoch; give their unit "
             "(--time-unit s, ms, us or ns)"
         )
     if stamps.dtype.kind in "iu":

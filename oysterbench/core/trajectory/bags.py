@@ -172,7 +172,7 @@ def _open(path: Path) -> Bag:
     if magic.startswith(BAG_MAGIC):
         return _ros1(path)
     if magic.startswith(SQLITE_MAGIC) and path.suffix != ".db3":
-        raise TrajectoryError(f"{path}: looks like the database of a ROS 2 bag; name it .db3")
+        raise TrajectoryError(f"{path}: looks like the database of a ROS 2 bag; rename it to .db3")
     if magic.startswith(SQLITE_MAGIC):
         return _ros2(path)
     raise TrajectoryError(f"{path}: expected an MCAP file or a ROS bag, got neither")

@@ -40,7 +40,7 @@ def checked_poses(
         i = int(np.argmax(wrong))
         column = ("x", "y", "z", "qx", "qy", "qz", "qw")[int(np.argmin(np.isfinite(values[i])))]
         value = values[i][~np.isfinite(values[i])][0]
-        raise TrajectoryError(f"{where(i)}: expected finite numbers, got {column} = {value}; leave out poses not known")
+        raise TrajectoryError(f"{where(i)}: expected finite numbers, got {column} = {value}; leave out unknown poses")
     if trajectory.covariances is not None:
         _check_covariances(trajectory.covariances, where)
     quaternions = _unit(trajectory.quaternions, name, where, notes)

@@ -62,7 +62,7 @@ class ReadOptions:
                 raise TrajectoryError(f"{key}: expected one of {', '.join(get_args(values))}, got {value!r}")
         if self.T_body_estimate is not None:
             if self.frame is not None:
-                raise TrajectoryError("frame and T_body_estimate both say whose poses they are: expected one of them")
+                raise TrajectoryError("frame and T_body_estimate both set the frame of the poses: expected only one")
             check_rigid(self.T_body_estimate, "T_body_estimate")
 
 

@@ -74,10 +74,10 @@ def _read(path: Path, options: ReadOptions) -> Trajectory:
         chosen = options.format or found
         if chosen in ("mcap", "bag"):
             if once:
-                raise TrajectoryError(f"{path}: expected a file or folder, as recordings are not read from a pipe")
+                raise TrajectoryError(f"{path}: expected a file or folder: recordings cannot be read from a pipe")
             return read_bag(path, options)
         if options.topic is not None:
-            raise TrajectoryError(f"{path}: --topic chooses among those of an MCAP file or a bag, got neither")
+            raise TrajectoryError(f"{path}: --topic applies to an MCAP file or a bag, got neither")
         if folder:
             raise TrajectoryError(f"{path} is a folder; {EXPECTED}")
         data = data if once else path.read_bytes()

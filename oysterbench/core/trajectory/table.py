@@ -207,7 +207,7 @@ def _check_count(fields: list[str], columns: Columns, where: str, line: str) -> 
         return
     hint = ""
     if len(fields) == 12 and columns.stamp == 0:
-        hint = " (KITTI poses carry no stamps: --format kitti and --times FILE)"
+        hint = " (KITTI poses have no timestamps: --format kitti and --times FILE)"
     expected = columns.exact if columns.exact and columns.exact >= needed else needed
     raise TrajectoryError(
         f"{where}: expected {expected} numbers `{columns.kind}`, got {len(fields)} fields: {_shown(line)}{hint}"
@@ -219,7 +219,7 @@ def _check_number(text: str, column: int, columns: Columns, where: str, line: st
         return
     name = column_name(column, columns)
     if NO_NUMBER.fullmatch(text):
-        raise TrajectoryError(f"{where}: expected finite numbers, got {name} = {text}; leave out poses not known")
+        raise TrajectoryError(f"{where}: expected finite numbers, got {name} = {text}; leave out unknown poses")
     raise TrajectoryError(f"{where}: expected a number for {name}, got {text[:40]!r} in {_shown(line)}")
 
 

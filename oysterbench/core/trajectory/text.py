@@ -60,7 +60,9 @@ def read_times(path: Path, unit: str | None = None) -> NDArray[np.int64]:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise TrajectoryError(f"{path}: cannot be read: {error.strerror or error}; expected one time a line") from None
+        raise TrajectoryError(
+            f"{path}: cannot be read: {error.strerror or error}; expected one time per line"
+        ) from None
     times = []
     for number, line in enumerate(decoded(path, data).split("\n"), 1):
         if is_comment(line):
@@ -148,8 +150,8 @@ def _columns(head: _Head, path: Path, options: ReadOptions) -> Columns:
     if options.format == "csv" or head.certain:
         raise TrajectoryError(
             f"{path}: expected a header that names a column for each of t, x, y, z, qx, qy, qz, qw, got "
-            f"{','.join(head.names)[:80] or 'none'!r} over {len(head.first)} columns; correct it, or say what the "
-            "columns are (--format tum or euroc)"
+            f"{','.join(head.names)[:80] or 'none'!r} over {len(head.first)} columns; correct it, or name the format "
+            "(--format tum or euroc)"
         )
     if head.commas:
         return EUROC
@@ -182,9 +184,9 @@ def _stamps(
         elif columns.euroc and not columns.named:
             i = int(np.argmax(broken))
             raise TrajectoryError(
-                f"{table.where(i)}: expected a stamp in whole nanoseconds, as lines with commas are EuRoC, got "
+                f"{table.where(i)}: expected a stamp in whole nanoseconds, since lines with commas are EuRoC, got "
                 f"{table.stamp(i)}; write `t x y z qx qy qz qw` with spaces for stamps in seconds, name the "
-                "columns in a header, or say what it is (--format tum, --time-unit s)"
+                "columns in a header, or name the format (--format tum, --time-unit s)"
             )
         else:
             unit = "s"
@@ -235,14 +237,14 @@ def _kitti(table: NumberTable, path: Path, options: ReadOptions) -> Trajectory:
     """Poses from the top three rows of their matrices; stamps from `options.times`."""
     if options.times is None:
         raise NoStampsError(
-            f"{path}: KITTI poses carry no stamps; give a file with one time a line (--times FILE), or a truth with "
-            f"as many poses ({len(table)})",
+            f"{path}: KITTI poses have no timestamps; give a file with one time per line (--times FILE), or ground "
+            f"truth with as many poses ({len(table)})",
             len(table),
         )
     if len(options.times) != len(table):
         raise TrajectoryError(
             f"{path}: expected a time for each of {len(table)} poses, got {len(options.times)} times; give a file with "
-            "one time a line (--times FILE)"
+            "one time per line (--times FILE)"
         )
     rotations = table.values[:, KITTI_MATRIX].reshape(-1, 3, 3)
     with np.errstate(over="ignore", invalid="ignore"):

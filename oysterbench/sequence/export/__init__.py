@@ -51,7 +51,7 @@ def export_sequence(
         raise SequenceError(f"unknown format {form!r}; formats: {', '.join(FORMATS)}")
     folder = Path(out)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise SequenceError(f"{folder} is there already; it was left as it is: delete it or choose another --out")
+        raise SequenceError(f"{folder} already exists and was left unchanged: delete it or choose another --out")
     write: Write = import_module(f"{__name__}.{form}").write if form in SHARED_FORMATS else partial(_write_kind, form)
     with appearing_folder(folder) as draft:
         notes = write(sequence, draft, truth, Steps(progress))

@@ -25,8 +25,8 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     cameras = labelled_cameras(sequence, "visibility")
     if not truth or not cameras:
         raise SequenceError(
-            f"{sequence.name}: COCO is made of the layers class and instance, which are truth: expected a camera that "
-            f"has them and no --no-truth, got {'--no-truth' if not truth else 'no such camera'}"
+            f"{sequence.name}: COCO needs the layers class and instance, which are ground truth: expected a camera "
+            f"with both and no --no-truth, got {'--no-truth' if not truth else 'no such camera'}"
         )
     steps.expect(frames(sequence, cameras, "class"))
     (folder / "images").mkdir()

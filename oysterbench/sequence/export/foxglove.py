@@ -73,7 +73,9 @@ def layout(sequence: Sequence) -> dict[str, Any]:
     """The layout for a sequence's own topics, as JSON values. Raises SequenceError where it is no MCAP file."""
     types = {topic: kind for topic, kind, count in sequence.contents() if count}
     if "/imu" not in types:
-        raise SequenceError(f"{sequence.name}: a layout is of the topics of a sequence file (.mcap), and this is none")
+        raise SequenceError(
+            f"{sequence.name}: a layout needs the topics of a sequence file (.mcap), and this is not one"
+        )
     panels: dict[str, Any] = {}
     cameras = [_image(panels, name, f"/{name}/image", f"/{name}/camera_info") for name in sequence.cameras]
     sonars = [_sonar(panels, sequence, name) for name in sequence.sonars if f"/{name}/image" in types]

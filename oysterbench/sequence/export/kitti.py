@@ -51,7 +51,9 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
             notes.append(f"{len(kept) - len(known)} frames before or after the truth were left out: no pose is known")
         kept = known
     if not kept:
-        raise SequenceError(f"{sequence.name}: no frame that every camera and the truth have; nothing to export")
+        raise SequenceError(
+            f"{sequence.name}: no frame that every camera and the ground truth share; nothing to export"
+        )
     for index, name in enumerate(pair):
         _write_images(sequence, name, matrix, turns[index], set(kept), place / f"image_{index}", steps)
     calibration = [*_projections(sequence, pair, matrix), f"Tr: {_row(_of_body(sequence, left, turns[0]))}"]

@@ -15,7 +15,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     """NAME.mcap."""
     source = getattr(sequence, "path", None)
     if source is None or not Path(source).is_file():
-        raise SequenceError(f"{sequence.name}: the format mcap is cut from a sequence file, and this is none")
+        raise SequenceError(f"{sequence.name}: the format mcap needs a sequence file, and this is not one")
     out = folder / f"{sequence.name}.mcap"
     if truth:
         shutil.copyfile(source, out)

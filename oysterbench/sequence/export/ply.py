@@ -42,8 +42,8 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     sonars = [name for name in sequence.sonars if f"/{name}/cloud" in topics]
     if not truth or not (cameras or sonars):
         raise SequenceError(
-            f"{sequence.name}: point clouds are made of the truth: expected a camera with depth or a sonar with clouds "
-            f"and no --no-truth, got {'--no-truth' if not truth else 'neither'}"
+            f"{sequence.name}: point clouds need the ground truth: expected a camera with depth or a sonar with "
+            f"clouds, and no --no-truth, got {'--no-truth' if not truth else 'neither'}"
         )
     path, sequence = sequence.truth(), sequence.truly_calibrated()
     notes = []

@@ -70,7 +70,7 @@ def test_euroc_without_truth_has_none(sequence, tmp_path):
     folder, _ = export_sequence(sequence, "euroc", tmp_path / "blind", truth=False)
     assert not (folder / "mav0" / "state_groundtruth_estimate0").exists()
     assert len(list((folder / "mav0" / "cam0" / "data").iterdir())) == 20
-    with pytest.raises(SequenceError, match="has no truth"):
+    with pytest.raises(SequenceError, match="has no ground truth"):
         oysterbench.open(folder).truth()
 
 

@@ -14,7 +14,7 @@ from oysterbench.sequence.export import export_sequence
 def test_nothing_is_overwritten(sequence, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("mine")
-    with pytest.raises(SequenceError, match="is there already; it was left as it is"):
+    with pytest.raises(SequenceError, match="already exists and was left unchanged"):
         export_sequence(sequence, "kalibr", tmp_path / "out")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["mine.txt"]
 

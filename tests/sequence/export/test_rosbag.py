@@ -74,7 +74,7 @@ def test_a_bag_and_a_file_for_ros_2_have_no_truth_where_none_is_asked_for(sequen
     assert path.name == f"{sequence.name}.mcap"
     assert all(is_measured(topic) for topic, _, _ in blind.contents())
     assert set(blind.attachments) <= {"calibration.json", "classes.json"}
-    with pytest.raises(SequenceError, match="has no truth"):
+    with pytest.raises(SequenceError, match="has no ground truth"):
         blind.truth()
     assert len(list(blind.images("cam_left"))) == 20
     (whole,) = folders["mcap"].iterdir()
@@ -82,5 +82,5 @@ def test_a_bag_and_a_file_for_ros_2_have_no_truth_where_none_is_asked_for(sequen
 
 
 def test_a_folder_is_no_sequence_file_that_could_be_cut(folders, tmp_path):
-    with pytest.raises(SequenceError, match="the format mcap is cut from a sequence file, and this is none"):
+    with pytest.raises(SequenceError, match="the format mcap needs a sequence file, and this is not one"):
         export_sequence(oysterbench.open(folders["euroc"]), "mcap", tmp_path / "out")
