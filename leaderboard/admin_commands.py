@@ -208,7 +208,7 @@ def verify_command(context: click.Context, as_json: bool) -> None:
         for file, why in found.problems.items():
             echo(f"{file}: {why}")
         counts = ", ".join(f"{kind}: {count}" for kind, count in found.checked.items())
-        echo(f"{counts}; {f'{len(found.problems)} damaged' if found.problems else 'all whole'}")
+        echo(f"{counts}; {f'{len(found.problems)} damaged' if found.problems else 'all intact'}")
     if found.problems:
         sys.exit(DAMAGED)
 
@@ -276,10 +276,10 @@ def rescore_command(
         if not again and not is_outdated(record):
             continue
         notify(f"scoring {record.method} by {record.team} on {record.split}")
-        why = reason or f"Scored again by {evaluator_of(record.track)[0]}, earlier by {record.evaluator_version}."
+        why = reason or f"Rescored by {evaluator_of(record.track)[0]}, earlier by {record.evaluator_version}."
         done = score_again(record, estimates, truth, why, recipe)
         if done.record is None:
-            notify(f"{before.digest[:8]} ({record.method} on {record.split}) was not scored again: {done.why}")
+            notify(f"{before.digest[:8]} ({record.method} on {record.split}) was not rescored: {done.why}")
             continue
         made = done.record
         if not dry_run and done.curves is not None:
@@ -300,7 +300,7 @@ def rescore_command(
             f"rank {_rank(line['before'])} -> {_rank(line['after'])}"
         )
     if not shown:
-        echo("nothing was scored again: all current records are of this version's evaluator, or were not kept")
+        echo("nothing was rescored: all current records use this version's evaluator, or have no kept estimates")
 
 
 def _current(index: BoardIndex, board: str) -> list[Row]:

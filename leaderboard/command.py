@@ -115,4 +115,4 @@ def command(context: click.Context, /, folder: Path | None, url: str | None, **a
 
         show_boards(context.obj, **asked)
     elif given := [key for key, value in asked.items() if value]:
-        raise click.UsageError(f"{', '.join(given)}: of the list of boards, not of {context.invoked_subcommand}")
+        raise click.UsageError(f"{', '.join(given)}: for the list of boards, not for {context.invoked_subcommand}")

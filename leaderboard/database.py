@@ -122,7 +122,7 @@ class Database:
 
     def _in_one_line(self, error: Exception) -> ResultError:
         message = " ".join(str(getattr(error, "orig", None) or error).split())
-        return ResultError(f"index {self.name}: {message:.200}; `oysterbench leaderboard rebuild` makes it anew")
+        return ResultError(f"index {self.name}: {message:.200}; `oysterbench leaderboard rebuild` rebuilds it")
 
 
 def _make_file(file: Path) -> None:

@@ -9,7 +9,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.board import Literature
 
-REPORTED = "Reported by others, on other data: not to be set against the boards, nor against each other across data."
+REPORTED = "Reported by others, on other data: not comparable with the boards, nor with each other across data sets."
 
 _SHARED = {"track", "metric", "data", "source", "url", "note"}
 _OWN = {"method", "value", "note", "source", "url"}

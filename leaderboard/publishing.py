@@ -143,7 +143,7 @@ def _check(path: Path, method: str, split: str, group: Sequence[ResultRecord]) -
     first = group[0]
     if not split:
         raise ResultError(
-            f"{path}: the results of {method} are of no split, and a board is of one; run it on a split: "
+            f"{path}: the results of {method} belong to no split, but a board needs one; run it on a split: "
             f"`oysterbench run {method} --split SPLIT`"
         )
     if first.track not in PRIMARY:
@@ -151,8 +151,8 @@ def _check(path: Path, method: str, split: str, group: Sequence[ResultRecord]) -
     for key, what in ((comparable_key, "recipes, evaluators or settings of these"), (method_key, "settings")):
         if len({key(result) for result in group}) > 1:
             raise ResultError(
-                f"{path}: the results of {method} on {split} are of several {what}, and would be averaged; give them "
-                "files of their own"
+                f"{path}: the results of {method} on {split} come from several {what} and would be averaged; put them "
+                "in separate files"
             )
     for result in group:
         check_plausible(result, f"{path}: {method} on {result.sequence}")
@@ -172,7 +172,7 @@ def _recipe(split: str, result: ResultRecord, notify: Notify) -> Any:
     if digest(recipe) != result.split_digest:
         notify(
             f"the results are of another recipe of {split} ({result.split_digest[:12]}) than the one here "
-            f"({digest(recipe)[:12]}): they go on a board of their own, and no paths are drawn"
+            f"({digest(recipe)[:12]}): they go on a separate board, and no paths are drawn"
         )
         return None
     return recipe

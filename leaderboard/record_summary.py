@@ -56,7 +56,7 @@ class RecordSummary(msgspec.Struct, frozen=True):
 def read_record(data: bytes, digest: str) -> Record:
     """A record from the bytes of its file. Raises ResultError, without its name, where they are not those of one."""
     if sha256(data) != digest:
-        raise ResultError("its bytes are not those it is named for; it was changed")
+        raise ResultError("its bytes do not match its name: it was changed")
     try:
         record = Record.from_dict(msgspec.json.decode(data), "record")
     except msgspec.DecodeError as error:

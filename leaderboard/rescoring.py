@@ -92,7 +92,7 @@ def _file(folder: Path, digest: str) -> Path:
     if not path.is_file():
         raise ResultError(f"its estimate {digest[:12]} is not in {folder}")
     if sha256(path.read_bytes()) != digest:
-        raise ResultError(f"{path}: its bytes are not those it is named for; it was changed, and was not used")
+        raise ResultError(f"{path}: its bytes do not match its name: it was changed, and was not used")
     return path
 
 
@@ -156,7 +156,7 @@ def _score_paths(record: Record, files: Mapping[str, Path], truths: Mapping[str,
     from oysterbench_leaderboard.submissions.catalogue import KIND_OF
 
     if KIND_OF.get(record.track) != "poses":
-        raise ResultError(f"expected paths, got answers of the track {record.track}; run the method again")
+        raise ResultError(f"expected paths, got estimates of the track {record.track}; run the method again")
     version, settings = evaluator_of(record.track)
     results: list[ResultRecord] = []
     curves: dict[str, Any] = {}

@@ -126,5 +126,5 @@ class RecordStore:
         except FileNotFoundError:
             raise ResultError(f"no such {kind.removesuffix('s')}: {digest[:12]}") from None
         if sha256(data) != digest:
-            raise ResultError(f"{path}: its bytes are not those it is named for; it was changed, and was not used")
+            raise ResultError(f"{path}: its bytes do not match its name: it was changed, and was not used")
         return data

@@ -44,7 +44,7 @@ def show_boards(
 
     files = {"csv": csv_file, "tex": tex_file, "md": md_file}
     if as_json + list(files.values()).count(Path("-")) > 1:
-        raise click.UsageError("--json, --csv, --tex, --md: expected one of them at most on stdout")
+        raise click.UsageError("--json, --csv, --tex, --md: at most one of them can go to stdout")
     index = place.reader()
     chosen = _chosen(index, track, split, board, every)
     size = rows or (MOST if len(chosen) == 1 else TOP)
@@ -213,7 +213,7 @@ def literature_command(track: str | None, as_json: bool) -> None:
 
     rows = literature(track)
     if not rows:
-        raise ResultError(f"nothing is listed for the track {track!r:.40}")
+        raise ResultError(f"nothing is listed for track {track!r:.40}")
     if as_json:
         echo(dump({"note": REPORTED, "rows": [asdict(row) for row in rows]}))
         return

@@ -48,7 +48,7 @@ def _check(store: RecordStore, kind: str, name: str, known: dict[str, set[str]])
         return
     record = store.record(name)
     if record.curves and record.curves not in known["curves"]:
-        raise ResultError(f"the curves that it names, {record.curves[:12]}, are not there")
+        raise ResultError(f"the curves that it names, {record.curves[:12]}, are missing")
 
 
 def _check_curves(document: dict[str, Any]) -> None:

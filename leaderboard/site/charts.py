@@ -104,7 +104,7 @@ def _drawing(name: str, of: Mapping[str, Path], align: str) -> Drawing:
         ("Height over time", height_plot(heights, f"{name}, height", TIME, AXES[2], span)),
     )
     runs = " and ".join(dict.fromkeys(str(p.run + 1) for p in of.values()))
-    about = f"Run {runs}, shown where it answers, aligned to the ground truth by {align or 'the evaluator'}, thinned."
+    about = f"Run {runs}, shown where it has an estimate, aligned by {align or 'the evaluator'}, thinned."
     entries = [("truth", 0), *((label, k) for k, label in enumerate(of, 1))]
     # `plots` escapes what it is given; labels of the legend are escaped here.
     return Drawing(name, about, legend(entries), tuple(Card(title, Markup(plot)) for title, plot in cards))

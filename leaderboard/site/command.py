@@ -74,18 +74,18 @@ def serve_command(
     from oysterbench_leaderboard.site.running import whole
 
     if truths and submissions is None:
-        raise click.UsageError("--truth says what submissions are scored against: give --submissions, too")
+        raise click.UsageError("--truth is the ground truth for submissions: give --submissions as well")
     if metrics and submissions is None:
-        raise click.UsageError("--metrics are of submissions: give --submissions, too")
+        raise click.UsageError("--metrics are about submissions: give --submissions as well")
     if scheduler and workers is not None:
-        raise click.UsageError("--workers and --scheduler exclude each other: a cluster's workers are its own")
+        raise click.UsageError("--workers and --scheduler cannot be combined: a cluster has its own workers")
     if root and (not root.startswith("/") or root.endswith("/")):
         raise click.UsageError(f"--root: expected a path like /board, got {root!r}")
     app = whole(_place(context, folder, url).index(), submissions, truths, workers, root, scheduler, metrics)
     if submissions is not None:
         from oysterbench_leaderboard.submissions.sandbox import in_force
 
-        message(f"what is sent is read and scored in a sandbox: {in_force()}")
+        message(f"uploads are read and scored in a sandbox: {in_force()}")
     message(f"serving http://{host}:{port}{root}/ (stop with Ctrl-C)")
     uvicorn.run(**server_settings(app, host, port, "on", proxies))
 
@@ -149,7 +149,7 @@ def frames_command(splits: tuple[str, ...], out: Path | None) -> None:
 
     known = choices()
     if unknown := [split for split in splits if split not in known]:
-        raise click.UsageError(f"no frame of {unknown[0]} is chosen: expected some of {', '.join(known)}")
+        raise click.UsageError(f"no frame is defined for {unknown[0]}: expected some of {', '.join(known)}")
     target = out or Path(str(folder()))
     wanted = splits or tuple(known)
     with frames_bar("rendering frames") as progress:

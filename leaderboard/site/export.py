@@ -51,7 +51,8 @@ def export(site: Site, folder: str | os.PathLike[str], progress: Progress = lamb
     target = Path(folder).resolve()
     if target.exists() and (not target.is_dir() or (any(target.iterdir()) and not (target / MARK).is_file())):
         raise ResultError(
-            f"{target}: expected an empty folder, or one that `oysterbench leaderboard build` wrote; it was left alone"
+            f"{target}: expected an empty folder, or one that `oysterbench leaderboard build` wrote; it was left "
+            "unchanged"
         )
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))

@@ -1,4 +1,4 @@
-"""What became of records: withdrawn, put back, superseded, scored again."""
+"""Changes to records: withdrawn, put back, superseded, scored again."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Action = Literal["withdrawn", "restored", "superseded", "scored again"]
 
 @dataclass(frozen=True)
 class Event:
-    """What happened to a record, when (UTC, ISO 8601), and why; by: the record that took its place."""
+    """What happened to a record, when (UTC, ISO 8601), and why; by: the record that superseded it."""
 
     created: str
     action: Action

@@ -15,10 +15,10 @@ from oysterbench_leaderboard.site.routes import FILES, PATTERNS, ROUTES, Route
 
 ABOUT = {
     "track": "track of a board",
-    "split": "data set, as pages spell it in addresses",
-    "method": "method, as pages spell it in addresses",
+    "split": "data set, as spelled in page addresses",
+    "method": "method, as spelled in page addresses",
     "board": "id of a board",
-    "digest": "SHA-256 of a record, or its first 8 digits or more, which lead to the whole",
+    "digest": "SHA-256 of a record, or at least its first 8 digits, which redirect to the full one",
 }
 
 
@@ -55,7 +55,7 @@ def describe(root: str = "", static: bool = False) -> dict[str, Any]:
         "info": {
             "title": "oysterbench leaderboard",
             "version": VERSION,
-            "description": "Every page has other representations: its address with .json, .csv or .tex behind it.",
+            "description": "Every page has other representations: append .json, .csv or .tex to its address.",
             "license": {"name": "CC BY 4.0", "url": "https://creativecommons.org/licenses/by/4.0/"},
         },
         "servers": [{"url": "." if static else root or "/"}],
@@ -79,11 +79,11 @@ def _get(name: str, summary: str, parameters: list[dict[str, Any]], content: dic
     refused = {"application/json": {"schema": {"$ref": "#/components/schemas/RequestError"}}}
     responses = {
         "200": {"description": "as asked", "content": content},
-        "304": {"description": "what the client has is still so"},
-        "404": {"description": "nothing is there; what is", "content": refused},
+        "304": {"description": "the client's copy is up to date"},
+        "404": {"description": "not found, with what exists", "content": refused},
     }
     if any(parameter["in"] == "query" for parameter in parameters):
-        responses["400"] = {"description": "this cannot be asked, and why", "content": refused}
+        responses["400"] = {"description": "invalid request, with the reason", "content": refused}
     return {"operationId": name, "summary": summary, "parameters": parameters, "responses": responses}
 
 

@@ -77,8 +77,8 @@ BOARD_QUERY = (
     Parameter("sort", "rank, method, team, created, data_set, or the key of a metric of the board", {"type": "string"}),
     Parameter("order", "which way round", {"type": "string", "enum": ["asc", "desc"], "default": "asc"}),
     Parameter("q", "text in method or team", {"type": "string", "maxLength": LONGEST_TEXT}),
-    Parameter("tier", "who vouches for the numbers; all where none is given", _choice(TIERS)),
-    Parameter("state", "which records; the current ones where none is given", _choice(STATES)),
+    Parameter("tier", "source of the numbers; all if none is given", _choice(TIERS)),
+    Parameter("state", "which records; the current ones if none is given", _choice(STATES)),
     Parameter("page", "from 1", {"type": "integer", "minimum": 1, "default": 1}),
     Parameter("size", "rows of a page", {"type": "integer", "minimum": 1, "maximum": MOST_ROWS}),
 )
@@ -87,7 +87,7 @@ PAIR_QUERY = (
     Parameter("b", "digest of a record (8 digits or more), or a method", {"type": "string"}),
     Parameter(
         "r",
-        "any number of these, in place of a and b",
+        "any number of these, instead of a and b",
         {"type": "array", "items": {"type": "string"}, "maxItems": MOST},
     ),
 )
@@ -111,7 +111,7 @@ def _compared(site: Site, names: Sequence[str]) -> Page:
 ROUTES = (
     Route(
         "/",
-        "All boards, with who leads them.",
+        "All boards, with their leaders.",
         lambda site, given, asked: home_page(site),
         {"boards": Objects},
     ),
@@ -125,7 +125,7 @@ ROUTES = (
     ),
     Route(
         "/boards/{track}/{split}/{board}",
-        "A board by its id, which stays.",
+        "A board by its permanent ID.",
         lambda site, given, asked: board_page(site, given["track"], given["split"], given["board"], asked),
         BOARD,
         parse_query,
@@ -133,7 +133,7 @@ ROUTES = (
     ),
     Route(
         "/methods/{method}",
-        "All records of a method, by its name as pages spell it in addresses.",
+        "All records of a method, by its name as spelled in page addresses.",
         lambda site, given, asked: method_page(site, given["method"]),
         {"method": str, "teams": list[str], "records": list[Row]},
     ),
@@ -169,7 +169,7 @@ ROUTES = (
     Route("/data", "All data sets.", lambda site, given, asked: data_page(site), {"data_sets": Objects}),
     Route(
         "/data/{split}",
-        "A data set: its recipe, what its sequences are like, its boards.",
+        "A data set: its recipe, the conditions of its sequences, its boards.",
         lambda site, given, asked: split_page(site, given["split"]),
         {
             "name": str,
@@ -183,7 +183,7 @@ ROUTES = (
     ),
     Route(
         "/literature",
-        "Numbers that others reported on other data; never ranked with ours.",
+        "Results reported by others on other data; never ranked with ours.",
         lambda site, given, asked: literature_page(site),
         {"literature": list[Literature]},
     ),
@@ -195,7 +195,7 @@ ROUTES = (
     ),
     Route(
         "/log",
-        "What was withdrawn, put back, superseded or scored again.",
+        "Records withdrawn, restored, superseded or rescored.",
         lambda site, given, asked: log_page(site),
         {"events": Objects, "left_out": dict[str, str]},
     ),
@@ -209,7 +209,7 @@ ROUTES = (
 
 FILES = {
     "/records/{digest}/record.json": "The record itself, as it was published: its SHA-256 is the digest.",
-    "/records/{digest}/curves.json": "Paths and errors that are drawn on its page.",
+    "/records/{digest}/curves.json": "The paths and errors drawn on its page.",
     "/openapi.json": "This description.",
     "/health": "Whether the site is up.",
 }

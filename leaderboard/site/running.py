@@ -63,7 +63,7 @@ async def _keep_up(index: BoardIndex) -> None:
         try:
             await anyio.to_thread.run_sync(watch.look)
         except (OysterbenchError, OSError) as error:  # a disk that is full now may not be later
-            LOG.error("new records were not taken in: %s", error)
+            LOG.error("new records were not loaded: %s", error)
 
 
 def whole(

@@ -124,7 +124,7 @@ class Pages:
         return Response(render.html("error.html", self.links, context), status, headers, HTML)
 
 
-TITLES = {400: "This cannot be asked", 404: "Not here", 405: "Not so", 409: "Not comparable", 500: "Our mistake"}
+TITLES = {400: "Invalid request", 404: "Not here", 405: "Not so", 409: "Not comparable", 500: "Our mistake"}
 
 
 def application(
@@ -188,13 +188,15 @@ def application(
         if isinstance(error, PageError):
             return pages.error(request, error.status, str(error), error.hints)
         if isinstance(error, HTTPException) and error.status_code < 500:
-            message = "nothing is at this address" if error.status_code == 404 else error.detail
+            message = "there is nothing at this address" if error.status_code == 404 else error.detail
             response = pages.error(request, error.status_code, message, {"/": "all boards", "/data": "data sets"})
             response.headers.update(error.headers or {})
             return response
         if isinstance(error, OysterbenchError):  # it may name files, which are nobody's business
             LOG.error("%s: %s", request.url.path, error)
-        response = pages.error(request, 500, "this page could not be made; it has been noted", {"/": "all boards"})
+        response = pages.error(
+            request, 500, "this page could not be generated; the error has been logged", {"/": "all boards"}
+        )
         for name, value in SECURITY.items():  # what answers a failure stands outside of `Secured`
             response.headers[name.decode()] = value.decode()
         return response

@@ -82,7 +82,7 @@ class Archive:
             self._zip = zipfile.ZipFile(file)
             entries = self._zip.infolist()
         except BROKEN as error:
-            raise Refusal("archive", f"{label}: not a whole zip archive: {in_one_line(error, 100)}") from None
+            raise Refusal("archive", f"{label}: not a complete zip archive: {in_one_line(error, 100)}") from None
         budget.take(len(entries), sum(max(entry.file_size, 0) for entry in entries))
         self.entries: dict[str, zipfile.ZipInfo] = {}
         for entry in entries:
@@ -95,14 +95,17 @@ class Archive:
         kind = stat.S_IFMT(entry.external_attr >> 16)
         size, most, ratio = entry.file_size, self.limits.file_bytes, self.limits.ratio
         wrong = (
-            (not PurePosixPath(name).name, f"is no name of a file; {NAMED}"),
+            (not PurePosixPath(name).name, f"is not a valid file name; {NAMED}"),
             (name in self.entries, "is there twice; expected each name once"),
-            (stat.S_ISLNK(kind), "is a symbolic link; expected files alone"),
-            (kind and not stat.S_ISREG(kind) and not stat.S_ISDIR(kind), "is no regular file; expected files alone"),
+            (stat.S_ISLNK(kind), "is a symbolic link; expected only files"),
+            (kind and not stat.S_ISREG(kind) and not stat.S_ISDIR(kind), "is not a regular file; expected only files"),
             (name.startswith(("/", "\\")) or name[1:2] == ":", f"is an absolute path; {NAMED}"),
             (".." in name.replace("\\", "/").split("/"), f"leaves its folder by '..'; {NAMED}"),
-            ("\\" in name or "\0" in name or not name.isprintable(), f"has characters that no name here has; {NAMED}"),
-            (name.endswith("/"), "is a folder; archive the files alone, e.g. `zip -D predictions.zip *.tum`"),
+            (
+                "\\" in name or "\0" in name or not name.isprintable(),
+                f"has characters that are not allowed in names; {NAMED}",
+            ),
+            (name.endswith("/"), "is a folder; archive only the files, e.g. `zip -D predictions.zip *.tum`"),
             (
                 entry.flag_bits & ENCRYPTED or entry.compress_type not in METHODS,
                 "is encrypted or packed in an unusual way; expected deflate or none",
@@ -154,7 +157,7 @@ def arrays_of(data: bytes, label: str, budget: Budget) -> Archive:
     archive = Archive(io.BytesIO(data), label, budget, arrays=True)
     for name in archive.entries:
         if not name.endswith(".npy"):
-            raise Refusal("archive", f"{label}: {shown(name)}: expected arrays (.npy) alone in an .npz, no archive")
+            raise Refusal("archive", f"{label}: {shown(name)}: expected only arrays (.npy) in an .npz, no archive")
     return archive
 
 

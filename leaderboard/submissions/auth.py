@@ -36,7 +36,9 @@ HEADERS = {
     "form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
 }
 
-FAILED = Refusal("failed", "something went wrong on the server, and nothing was changed; its operators can see what")
+FAILED = Refusal(
+    "failed", "something went wrong on the server and nothing was changed; its operators can see the cause"
+)
 
 Handler = Callable[[Request], Awaitable[Response]]
 Show = Callable[[Request, Refusal], Awaitable[Response]]
@@ -65,7 +67,7 @@ class Auth:
         found = await run_in_threadpool(look)
         if found is None:
             self.guesses.failed(address)
-            raise Refusal("token", "the token is not known, or was revoked; ask the operators of this board for one")
+            raise Refusal("token", "the token is unknown or revoked; ask the operators of this board for one")
         return found
 
     @asynccontextmanager

@@ -100,7 +100,7 @@ def restore(file: Path, folder: Path, board: Path | None = None) -> Backup:
     and where the file is none of ours or is damaged."""
     for place in (folder, *([board] if board else [])):
         if place.exists() and any(path.name != FILE for path in place.iterdir()):
-            raise ResultError(f"{place}: expected an empty folder, or none, to restore into; nothing was changed")
+            raise ResultError(f"{place}: expected an empty or new folder to restore into; nothing was changed")
     try:
         with tarfile.open(file) as archive:
             return _restore(archive, folder, board)
@@ -119,7 +119,7 @@ def _restore(archive: tarfile.TarFile, folder: Path, board: Path | None) -> Back
     folder.chmod(0o700)
     for entry in entries[1:]:
         if not entry.isfile() or not KNOWN.fullmatch(entry.name):
-            raise ValueError(f"{entry.name!r} is nothing that a backup has")
+            raise ValueError(f"{entry.name!r} is not part of a backup")
         root, _, name = entry.name.partition("/")
         if root == "rows":
             tables[name.removesuffix(".jsonl")] = _read(archive, entry.name).splitlines()

@@ -26,8 +26,8 @@ SCORED = tuple(track for tracks in TRACKS_OF.values() for track in tracks)
 """Tracks that can be submitted."""
 
 ELSEWHERE = {
-    "density": "maps are scored where they are made: `oysterbench eval --track density`",
-    "exploration": "rollouts are scored where they are made: `oysterbench eval --track steering --closed-loop`",
+    "density": "maps are scored locally: `oysterbench eval --track density`",
+    "exploration": "rollouts are scored locally: `oysterbench eval --track steering --closed-loop`",
 }
 """Track that cannot be submitted -> why."""
 
@@ -104,7 +104,7 @@ class Catalogue:
         """Raises Refusal naming what there is."""
         if split not in self.splits:
             known = ", ".join(self.splits) or "none"
-            raise Refusal("split", f"submissions to {split!r:.60} are not taken here; the splits are {known}")
+            raise Refusal("split", f"submissions to {split!r:.60} are not accepted here; the splits are {known}")
         served = self.splits[split]
         if track and track not in served.wanted:
             raise Refusal("split", f"{split} has the tracks {', '.join(served.wanted)}, got {track!r:.60}{why(track)}")

@@ -119,8 +119,8 @@ class Client:
             if attempt < self._patience.attempts:
                 time.sleep(pause_s(attempt, asked_s, self._patience))
         raise NetworkError(
-            f"{self.url}: no answer after {self._patience.attempts} attempts: {failure}; the same command sends it "
-            "again, and what arrived is not counted twice"
+            f"{self.url}: no answer after {self._patience.attempts} attempts: {failure}; run the same command again: "
+            "what has arrived is not counted twice"
         )
 
     def _once(

@@ -31,7 +31,7 @@ TOKEN = "OYSTERBENCH_TOKEN"
 @click.option("--url", "about", default="", help="Address of the method's description.")
 @click.option("--summary", default="", help="The method in one sentence.")
 @click.option("--publish", is_flag=True, help="Publish on the board once it is scored.")
-@click.option("--wait/--no-wait", default=True, show_default=True, help="Until it is scored.")
+@click.option("--wait/--no-wait", default=True, show_default=True, help="Wait until it is scored.")
 @click.option("--json", "as_json", is_flag=True, help="Print the submission as JSON.")
 def command(
     place: Path,
@@ -69,7 +69,7 @@ def command(
     The files are first checked locally, with the server's own checks. Sending them twice makes one submission.
     """
     if publish and not wait:
-        raise click.UsageError("--publish waits until the submission is scored: --no-wait does not go with it")
+        raise click.UsageError("--publish waits until the submission is scored: it cannot be combined with --no-wait")
     from oysterbench.cli.progress import bytes_bar
     from oysterbench_leaderboard.submissions.catalogue import why
     from oysterbench_leaderboard.submissions.client import Client
@@ -77,7 +77,7 @@ def command(
 
     client = Client(url, _token(team_token_file))
     if client.open:
-        message(f"{url}: without https others on the way can read the token and what is sent")
+        message(f"{url}: without https, others can read the token and the upload")
     offered = client.splits()
     known_split, known_track = split_in(place)
     chosen = _choose(offered["splits"], split or known_split, place)
@@ -90,9 +90,9 @@ def command(
     results = results or "estimates" not in chosen["takes"]
     found = find_package(place, chosen["sequences"], of, run, results)
     with packed(found, wanted_of(chosen["split"], of_track, chosen), offered["limits"]) as package:
-        message(f"checked: {_described(package.facts)}; {package.size / 1e6:.3g} MB to be sent")
+        message(f"checked: {_described(package.facts)}; {package.size / 1e6:.3g} MB to send")
         if absent := [name for name in chosen["sequences"] if name not in package.facts["sequences"]]:
-            message(f"nothing is sent for {', '.join(absent)}: counted as failed there")
+            message(f"no estimate is sent for {', '.join(absent)}: counted as failed there")
         with bytes_bar("sending") as progress:
             sent = client.send(package, method, about, summary, progress)
     message(f"submission {sent['id']}: {url.rstrip('/')}{sent['page']}")
@@ -123,7 +123,7 @@ def _choose(splits: list[dict[str, Any]], name: str, place: Path) -> dict[str, A
     known = {one["split"]: one for one in splits}
     if name:
         if name not in known:
-            raise ResultError(f"{name}: this leaderboard takes submissions to {', '.join(known) or 'no split'}")
+            raise ResultError(f"{name}: this leaderboard accepts submissions to {', '.join(known) or 'no split'}")
         return known[name]
     names = {path.stem for path in place.iterdir()} if place.is_dir() else set()
     fits = [one for one in splits if names & set(one["sequences"])]

@@ -46,10 +46,10 @@ def add(name: str, folder: Path, as_json: bool) -> None:
 
     token = issue(_database(folder), name)
     echo(json.dumps({"team": name, "token": token}) if as_json else token)
-    message("this token is not shown again; OYSTERBENCH_TOKEN or --team-token-file gives it to `submit`")
+    message("this token is not shown again; pass it to `submit` with OYSTERBENCH_TOKEN or --team-token-file")
 
 
-@team.command("list", short_help="All teams and tokens.")
+@team.command("list", short_help="List all teams and tokens.")
 @FOLDER
 @AS_JSON
 def list_teams(folder: Path, as_json: bool) -> None:
@@ -72,7 +72,11 @@ def revoke_token(name: str, folder: Path, as_json: bool) -> None:
     from oysterbench_leaderboard.submissions.tokens import revoke
 
     gone = revoke(_database(folder, must_exist=True), name)
-    echo(json.dumps({"revoked": gone}) if as_json else f"revoked: {', '.join(gone) or 'none that was not before'}")
+    echo(
+        json.dumps({"revoked": gone})
+        if as_json
+        else f"revoked: {', '.join(gone) or 'none that were not revoked before'}"
+    )
 
 
 @click.group("submissions", short_help="Manage submissions.")

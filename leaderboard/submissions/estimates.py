@@ -59,7 +59,7 @@ class Estimates:
             if self._is_far:
                 self._store().get_file(f"{self.place}/{digest}", str(path))
             if upload_of(path).digest != digest:
-                raise ResultError(f"{self.place}/{digest}: its bytes are not those it is named for; it was changed")
+                raise ResultError(f"{self.place}/{digest}: its bytes do not match its name: it was changed")
             yield path
 
     @property

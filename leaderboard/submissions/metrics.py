@@ -47,7 +47,9 @@ class Numbers(Collector):
             family.add_metric([state], states.get(state, 0))
         yield family
         waited = 0.0 if oldest is None else max(0.0, self.service.clock() - oldest)
-        yield GaugeMetricFamily("oysterbench_queue_oldest_seconds", "How long the first in the queue waits.", waited)
+        yield GaugeMetricFamily(
+            "oysterbench_queue_oldest_seconds", "Waiting time of the first submission in the queue.", waited
+        )
         family = GaugeMetricFamily("oysterbench_failures", "Submissions that failed, by cause.", labels=["cause"])
         for cause in FAILED:
             family.add_metric([cause], causes[cause])

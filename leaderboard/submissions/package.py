@@ -155,7 +155,7 @@ def packed(found: Found, wanted: Wanted, limits: dict[str, int]) -> Iterator[Pac
         size = path.stat().st_size
         if size > limits["upload_bytes"]:
             most = limits["upload_bytes"] // 1_000_000
-            raise ResultError(f"{path.name}: {size / 1e6:.0f} MB to be sent; the server takes at most {most} MB")
+            raise ResultError(f"{path.name}: {size / 1e6:.0f} MB to send; the server takes at most {most} MB")
         within = Limits(limits["file_bytes"], limits["file_bytes"], 1 << 30, 1 << 40, NO_RATIO)
         known = wanted
         if not wanted.split_digest:  # then nothing is known but what results say of themselves

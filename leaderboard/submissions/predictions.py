@@ -101,7 +101,8 @@ def open_predictions(path: Path, wanted: Wanted, limits: Limits) -> Predictions:
     if len(wanted.sequences) > 1:
         raise Refusal(
             "name",
-            f"{wanted.split} has {len(wanted.sequences)} sequences, and one file does not say of which it is; expected "
+            f"{wanted.split} has {len(wanted.sequences)} sequences, and one file does not say which one it is for; "
+            "expected "
             f"a zip archive with a file for each, named {wanted.sequences[0]}.tum and so on",
         )
     (only,) = wanted.sequences

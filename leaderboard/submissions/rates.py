@@ -65,8 +65,8 @@ class DailyReads:
                 wait_s = int(times[0] + DAY_S - now) + 1
                 raise Refusal(
                     "quota",
-                    f"{self._most} uploads in 24 hours, refused ones included, are all that are read of a team; another"
-                    f" is taken in {wait_s // 3600} h {wait_s % 3600 // 60 + 1} min",
+                    f"{self._most} uploads in 24 hours, refused ones included, are the limit for a team; the next is "
+                    f"accepted in {wait_s // 3600} h {wait_s % 3600 // 60 + 1} min",
                     wait_s,
                 )
             times.append(now)

@@ -47,10 +47,10 @@ class Refusal(OysterbenchError):
 
 
 FAILED = {
-    "time": "scoring took longer than is allowed",
-    "memory": "scoring took more memory than is allowed",
-    "crash": "scoring ended without a result; the operators can see why, and try again",
-    "refused": "what was sent can no longer be read by this version; send it again",
+    "time": "scoring exceeded the time limit",
+    "memory": "scoring exceeded the memory limit",
+    "crash": "scoring ended without a result; the operators can see why and try again",
+    "refused": "the upload can no longer be read by this version; send it again",
     "absent": "the split is no longer served here",
     "none": "no sequence could be scored; ",
 }

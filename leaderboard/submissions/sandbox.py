@@ -171,8 +171,8 @@ def in_force() -> str:
     """Which sandbox this is here, in a line."""
     why = namespaces.missing()
     if not why:
-        return "namespaces of their own (bubblewrap), Landlock and limits"
-    hides = "Landlock and limits" if can_hide() else "limits alone: the kernel has no Landlock"
+        return "separate namespaces (bubblewrap), Landlock and limits"
+    hides = "Landlock and limits" if can_hide() else "limits only: the kernel has no Landlock"
     return f"{hides}; no namespaces: {why}"
 
 
@@ -205,9 +205,9 @@ def _ended(code: int | None, answer: IO[bytes], stderr: IO[bytes]) -> Ended:
 
 
 CHECK_ENDED = {
-    "time": "what was sent takes longer to be read than is allowed",
-    "memory": "what was sent takes more memory to be read than is allowed",
-    "crash": "what was sent cannot be read: its reader gave up on it",
+    "time": "reading the upload exceeded the time limit",
+    "memory": "reading the upload exceeded the memory limit",
+    "crash": "the upload cannot be read",
 }
 """Why a reader gave no answer."""
 

@@ -20,19 +20,20 @@ from oysterbench_leaderboard.submissions.catalogue import SCORED, Kind, Wanted, 
 from oysterbench_leaderboard.submissions.predictions import Predictions, Reader, image_track
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
-MISSING = "nothing was sent for this sequence"
+MISSING = "no estimate was sent for this sequence"
 NOT_SCORED: dict[Kind, str] = {
-    "poses": "the path cannot be brought to the truth: too few of its poses are at times of the sequence, or its "
-    "motion determines no alignment; `oysterbench eval` on a public split says which",
-    "predictions": "the predictions cannot be held against the truth; `oysterbench eval` on a public split says why",
-    "commands": "the commands cannot be held against the truth",
+    "poses": "the path cannot be aligned with the ground truth: too few of its poses are at times of the sequence, or "
+    "its motion determines no alignment; `oysterbench eval` on a public split says which",
+    "predictions": "the predictions cannot be compared with the ground truth; `oysterbench eval` on a public split "
+    "says why",
+    "commands": "the commands cannot be compared with the ground truth",
 }
 
 CAUSES = {
-    "time-unit": "its stamps are in another unit than seconds or nanoseconds, as the layout of the file has them",
+    "time-unit": "its timestamps are not in the unit of its file layout (seconds or nanoseconds)",
     "no-overlap": "it has no pose at the times of the sequence",
-    "length-unit": "its positions are in another unit than metres",
-    "quaternion-order": "its quaternions are in another order than x y z w",
+    "length-unit": "its positions are not in metres",
+    "quaternion-order": "its quaternions are not in the order x y z w",
     "frame": "its poses are not those of base_link",
     "turned": "its poses are not those of base_link",
     "swapped": "its axes are swapped",
@@ -141,7 +142,9 @@ def _reported(results: Sequence[ResultRecord], wanted: Wanted, truth: Mapping[st
     digests = {name: scorer.open(truth[name], name) for name in {one.sequence for one in results} & truth.keys()}
     for one in results:
         if one.truth_digest != digests.get(one.sequence, one.truth_digest):
-            raise Refusal("format", f"{one.sequence}: the results were computed against another truth than the split's")
+            raise Refusal(
+                "format", f"{one.sequence}: the results were computed against a ground truth other than the split's"
+            )
     return Scored(
         tuple(replace(one, method=method, conditions=dict(wanted.conditions[one.sequence])) for one in results)
     )

@@ -115,7 +115,9 @@ class Service:
             facts = sandbox.check(self.settings, upload.path, wanted, self.hidden, self.log.info, self.forks)
         if facts["kind"] != "results" and not self.catalogue.splits[form.split].truth:
             raise Refusal(
-                "split", f"{form.split} has no truth on this server, which takes results alone: send the results.json"
+                "split",
+                f"{form.split} has no ground truth on this server, which accepts only results for it: send the "
+                "results.json",
             )
         self.estimates.keep(upload)
         return self._accept(team, form, upload, facts)
@@ -145,13 +147,13 @@ class Service:
             wait_s = int(oldest - since) + 1
             raise Refusal(
                 "quota",
-                f"{today} submissions in 24 hours are all that a team has; the next one is taken in "
+                f"{today} submissions in 24 hours are the limit for a team; the next is accepted in "
                 f"{wait_s // 3600} h {wait_s % 3600 // 60 + 1} min",
                 wait_s,
             )
         of_split, _ = connection.execute(of_team.where(c.split == split)).one()
         if of_split >= self.settings.per_split:
-            raise Refusal("quota", f"{of_split} submissions to {split} are all that a team has")
+            raise Refusal("quota", f"{of_split} submissions to {split} are the limit for a team")
 
     def _accept(self, team: str, form: Form, upload: Upload, facts: dict[str, Any]) -> tuple[Submission, bool]:
         at_s = self.clock()
@@ -197,7 +199,7 @@ class Service:
     def self_test(self) -> None:
         """Read an upload as those of teams are read. Raises ResultError where this server cannot."""
         if self.settings.needs_namespaces and (why := namespaces.missing()):
-            raise ResultError(f"needs_namespaces of {FILE} asks for a sandbox that is not to be had here: {why}")
+            raise ResultError(f"needs_namespaces of {FILE} requires a sandbox that is not available here: {why}")
         self.log.info("sandbox: %s", sandbox.in_force())
         wanted = Wanted("slam", "self-test", "", False, ("one",))
         with tempfile.NamedTemporaryFile(dir=self.incoming, suffix=".tum") as file:
@@ -236,7 +238,7 @@ class Service:
     def _own(self, connection: Connection, team: str, id: str) -> Submission:
         found = find(connection, submissions.c.id == id, submissions.c.team == team)
         if not found:
-            raise Refusal("absent", "there is no such submission of yours")
+            raise Refusal("absent", "you have no such submission")
         return found[0]
 
     def record(self, submission: Submission) -> Record | None:
@@ -260,7 +262,7 @@ class Service:
             if found.published and found.state == "done":
                 return found
             if found.state != "done":
-                raise Refusal("state", f"only what is done can be published; this submission is {found.state}")
+                raise Refusal("state", f"only finished submissions can be published; this one is {found.state}")
             record = self.scored.record(found.record)
             same = (c.team == team, c.track == found.track, c.split == found.split, c.method == found.method)
             before = [other for other in find(connection, *same, c.published != "") if other.state == "done"]

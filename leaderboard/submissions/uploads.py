@@ -57,7 +57,7 @@ async def paced(stream: AsyncIterator[bytes], settings: SubmissionSettings, most
         except StopAsyncIteration:
             return
         except TimeoutError:
-            raise Refusal("request", f"nothing came for {settings.idle_s:g} s; send it again") from None
+            raise Refusal("request", f"no data arrived for {settings.idle_s:g} s; send it again") from None
         size += len(chunk)
         if size > most:
             raise too_large(settings)
@@ -72,7 +72,7 @@ def check_headers(request: Request, settings: SubmissionSettings) -> None:
     if length.isascii() and length.isdigit() and int(length[:20]) > settings.upload_bytes + OVERHEAD:
         raise too_large(settings)
     if request.headers.get("content-encoding", "identity") != "identity":
-        raise Refusal("type", "expected the bytes as they are, got a content encoding")
+        raise Refusal("type", "expected the plain bytes, got a content encoding")
 
 
 async def receive_file(request: Request, file: IO[bytes], settings: SubmissionSettings) -> None:
@@ -90,7 +90,8 @@ async def receive_file(request: Request, file: IO[bytes], settings: SubmissionSe
         file.write(chunk)
     if kind and kind != kind_of(first):
         raise Refusal(
-            "type", f"the content type says {content_type!r:.60}, and the bytes are {kind_of(first)}; send as they are"
+            "type",
+            f"the content type says {content_type!r:.60}, but the bytes are {kind_of(first)}; send the matching type",
         )
 
 
@@ -133,7 +134,7 @@ async def receive_form(request: Request, settings: SubmissionSettings) -> FormDa
     await form.close()
     if parser.ended:
         raise too_large(settings)
-    raise Refusal("request", "the form breaks off before its end; send it again")
+    raise Refusal("request", "the form is incomplete; send it again")
 
 
 def texts_of(form: FormData) -> dict[str, str]:

@@ -351,7 +351,7 @@ def test_a_hidden_split_shows_neither_recipe_nor_seed(site):
     assert hidden.data["recipe"] == ""
     assert "seed" not in hidden.data
     assert "[[sequence]]" not in html(hidden)
-    assert "truth kept back" in html(hidden)
+    assert "ground truth withheld" in html(hidden)
 
 
 def test_csv_runs_nothing_in_a_spreadsheet_and_has_every_digit(site, pages):

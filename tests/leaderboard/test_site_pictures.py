@@ -138,7 +138,7 @@ def test_any_number_of_ticked_records_stand_side_by_side(site, made):
 
 
 def test_records_of_no_common_board_and_too_many_are_refused(site):
-    with pytest.raises(PageError, match="on no board together"):
+    with pytest.raises(PageError, match="these records share no board"):
         several_page(site, ["carp", "cod", "unet"])
     with pytest.raises(PageError, match="expected 50 records at most, got 51"):
         several_page(site, ["carp"] * 51)

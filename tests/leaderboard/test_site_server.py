@@ -324,14 +324,14 @@ def test_every_link_of_the_files_leads_to_a_file_of_them(exported):
 
 def test_files_say_which_pairs_they_have_and_what_to_type_for_others(made, exported, client, digests, monkeypatch):
     board = Reading((exported / "boards/slam/slam-val/index.html").read_text()).text
-    assert "Every two records have a page head to head; in a terminal, oysterbench compare A B" in board
+    assert "Every two records have a head-to-head page; in a terminal, oysterbench compare A B" in board
     record = Reading((exported / "records" / digests["cod"] / "index.html").read_text()).text
-    assert f"oysterbench compare {digests['cod'][:8]} B --split slam-val sets any two against each other" in record
+    assert f"oysterbench compare {digests['cod'][:8]} B --split slam-val compares any two" in record
     assert "oysterbench compare" not in client.get(BOARD).text
     monkeypatch.setattr(board_pages, "PAIRED", 3)
     page = board_pages.board_page(made[0], "slam", "slam-val")
     shown_text = Reading(page_html(page, FileLinks(page.path, set()))).text
-    assert "Pages head to head are those of the first 3 records; in a terminal" in shown_text
+    assert "Only the first 3 records have head-to-head pages; in a terminal" in shown_text
 
 
 def test_files_say_what_the_server_says(exported, client, digests):
@@ -392,5 +392,5 @@ def test_build_writes_the_board_that_it_is_told(made, tmp_path):
 
 def test_serve_refuses_what_makes_no_sense():
     runner = CliRunner()
-    assert "give --submissions, too" in runner.invoke(serve_command, ["--truth", "a=b"]).output
+    assert "give --submissions as well" in runner.invoke(serve_command, ["--truth", "a=b"]).output
     assert "expected a path like /board" in runner.invoke(serve_command, ["--root", "board/"]).output

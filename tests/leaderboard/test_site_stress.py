@@ -42,7 +42,7 @@ def test_a_board_of_disturbances_draws_a_plot_for_each(tmp_path):
     assert 'data-label="carp"' in plot
     assert 'data-label="cod"' in plot
     html = page_html(page, server_links())
-    assert "Single disturbances" in html
+    assert "Individual disturbances" in html
     assert "silt <b>" not in html
     assert "start, " not in str(drawing.legend)
 
@@ -56,4 +56,4 @@ def test_two_records_of_one_method_are_drawn_apart(tmp_path):
 def test_another_board_draws_nothing(tmp_path):
     page = page_of(tmp_path, record_made("carp"), record_made("cod", skill=0.3))
     assert page.context["drawings"] == []
-    assert "Single disturbances" not in page_html(page, server_links())
+    assert "Individual disturbances" not in page_html(page, server_links())

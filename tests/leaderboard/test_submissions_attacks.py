@@ -112,7 +112,7 @@ FILES: dict[str, tuple[Callable[[Path], bytes], int, str]] = {
     "zip bomb": (bomb, 422, "unpacks to 2900000 bytes from"),
     "many arrays": (many, 422, "expected at most 20 MB in all when unpacked"),
     "symbolic link": (link, 422, r"'pool-01\.tum' is a symbolic link"),
-    "nested archive": (nested, 422, r"'inner\.zip': expected arrays \(\.npy\) alone in an \.npz, no archive"),
+    "nested archive": (nested, 422, r"'inner\.zip': expected only arrays \(\.npy\) in an \.npz, no archive"),
     "pickle": (pickled, 422, r"not an \.npz of plain arrays: Object arrays cannot be loaded"),
     "huge header": (claims, 422, r"pool-01\.npz"),
     "NaN pose": (nan, 422, r"pool-01\.tum:8: expected finite numbers, got y = nan"),
@@ -124,7 +124,7 @@ FILES: dict[str, tuple[Callable[[Path], bytes], int, str]] = {
     "folder around": (named("mine/pool-01.tum"), 422, r"is no name of pool-test; expected SEQUENCE\.tum"),
     "script in a name": (named("<script>alert(1)</script>.tum"), 422, r"'<script>alert\(1\)</script>\.tum' is no"),
     "XML": (lambda folder: XML, 415, "the bytes are text"),
-    "truncated archive": (lambda folder: answers(folder)[:-30], 422, "not a whole zip archive"),
+    "truncated archive": (lambda folder: answers(folder)[:-30], 422, "not a complete zip archive"),
     "empty": (lambda folder: b"", 415, "the bytes are text"),
 }  # fmt: skip
 """What is sent as a zip archive -> status and reason."""
@@ -152,8 +152,8 @@ def test_a_file_that_does_harm_is_refused_with_its_reason(site, tmp_path, attack
     [
         ("image/png", "got the content type 'image/png'"),
         ("", "got the content type ''"),
-        ("text/plain", "the content type says 'text/plain', and the bytes are zip"),
-        ("application/json", "and the bytes are zip"),
+        ("text/plain", "the content type says 'text/plain', but the bytes are zip"),
+        ("application/json", "but the bytes are zip"),
         ("multipart/form-data", "expected multipart/form-data with a boundary"),
     ],
 )
@@ -237,7 +237,7 @@ def test_scripts_in_names_are_kept_as_text_and_escaped_on_every_page(site, tmp_p
         ({"method": "x" * 81}, "expected at most 80 characters"),
         ({"method": " "}, "expected the name of the method"),
         ({"url": "javascript:alert(1)"}, "expected https://"),
-        ({"split": "../../etc"}, "submissions to '../../etc' are not taken here"),
+        ({"split": "../../etc"}, "submissions to '../../etc' are not accepted here"),
         ({"track": "segmentation"}, "pool-test has the tracks slam"),
     ],
 )
@@ -325,9 +325,9 @@ def test_a_form_with_a_file_and_a_wrong_csrf_token_is_refused(site, tmp_path):
 
 ELSEWHERE = {
     "at other times": (lambda e: replace(e, stamps_ns=e.stamps_ns + 10**15), "it has no pose at the times"),
-    "in millimetres": (lambda e: replace(e, positions=1000 * e.positions), "another unit than metres"),
+    "in millimetres": (lambda e: replace(e, positions=1000 * e.positions), "its positions are not in metres"),
     "standing still": (lambda e: replace(e, positions=0 * e.positions), ""),
-    "too few": (lambda e: e.select(np.arange(3)), "the path cannot be brought to the truth"),
+    "too few": (lambda e: e.select(np.arange(3)), "the path cannot be aligned with the ground truth"),
     "of a camera": (lambda e: replace(e, quaternions=turned(e.quaternions)), ""),
 }
 """What makes a scorer that sees the truth say something -> what it may say."""

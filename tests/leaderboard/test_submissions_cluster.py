@@ -120,7 +120,7 @@ def test_uploads_in_a_store_are_checked_when_they_are_read(tmp_path):
     assert not path.exists()
     with fsspec.open(f"memory://board/estimates/{upload.digest}", "wb") as changed:
         changed.write(b"1 0 0 0 0 0 0 1\n")
-    with pytest.raises(ResultError, match="its bytes are not those it is named for"), store.opened(upload.digest):
+    with pytest.raises(ResultError, match="its bytes do not match its name"), store.opened(upload.digest):
         pass
     with pytest.raises(FileNotFoundError), store.opened("0" * 64):
         pass

@@ -44,7 +44,7 @@ def test_uploads_of_a_team_are_read_so_often_a_day_and_no_more():
     reads = DailyReads(3, clock)
     for _ in range(3):
         reads.count("reef")
-    with pytest.raises(Refusal, match=r"3 uploads in 24 hours.*another is taken in 24 h 1 min") as caught:
+    with pytest.raises(Refusal, match=r"3 uploads in 24 hours.*the next is accepted in 24 h 1 min") as caught:
         reads.count("reef")
     assert (caught.value.kind, caught.value.retry_s) == ("quota", DAY_S + 1)
     reads.count("kelp")

@@ -90,7 +90,7 @@ def test_a_sequence_without_a_file_counts_as_failed(served, tmp_path):
         (b"1 2 3 4 0 0 0 9\n", r"pool-01\.tum:1: expected a unit quaternion"),
         (b"\xff\xfe\x00", r"pool-01\.tum is not text"),
         (b"", r"pool-01\.tum holds no pose"),
-        (b"1 0 0 0 0 1 0 0 0 0 1 0\n", r"pool-01\.tum: KITTI poses carry no stamps"),
+        (b"1 0 0 0 0 1 0 0 0 0 1 0\n", r"pool-01\.tum: KITTI poses have no timestamps"),
     ],
 )
 def test_what_is_wrong_with_a_path_is_said_by_line(served, tmp_path, text, message):
@@ -144,7 +144,7 @@ def test_an_iou_is_the_evaluators(served, tmp_path):
         (lambda: npz(**{name: mask[:, :60] for name, mask in masks(0).items()}), "expected 64 x 48 pixels"),
         (lambda: npz(**{name: mask * 2.0 for name, mask in masks(0).items()}), "expected probabilities from 0 to 1"),
         (lambda: npz(**{name: np.where(mask, np.nan, 0) for name, mask in masks(0).items()}), "from 0 to 1, got nan"),
-        (lambda: zipped({f"{name}.png": as_png(mask)[:-9] for name, mask in masks(0).items()}), "not a whole PNG"),
+        (lambda: zipped({f"{name}.png": as_png(mask)[:-9] for name, mask in masks(0).items()}), "incomplete PNG"),
         (lambda: zipped({f"{name}.png": b"<svg/>" for name in image_names(0)}), "not a PNG file"),
         (lambda: as_coco(masks(0)).replace(b'"counts": [', b'"counts": [9, '), "add up to 3072 pixels, got 3081"),
         (lambda: as_coco(masks(0)).replace(b'"width": 64', b'"width": 6400'), "expected 64 x 48 pixels"),
@@ -230,7 +230,9 @@ def test_results_that_would_not_stand_on_the_board_are_refused(served, tmp_path,
 def test_results_against_another_truth_are_refused(served, tmp_path):
     wanted, truth = wanted_of(served, "pool-val"), served["pool-val"].truth
     made_up, _ = opened(tmp_path, reported(served, tmp_path, truth_digest="0" * 64), wanted)
-    with pytest.raises(Refusal, match="pool-01: the results were computed against another truth than the split's"):
+    with pytest.raises(
+        Refusal, match="pool-01: the results were computed against a ground truth other than the split's"
+    ):
         score_predictions(made_up, wanted, truth, "carp", "x")
     honest, _ = opened(tmp_path, reported(served, tmp_path), wanted)
     assert len(score_predictions(honest, wanted, truth, "carp", "x").results) == len(wanted.sequences)
@@ -251,11 +253,11 @@ def test_results_with_half_a_character_are_refused(served, tmp_path):
 def test_tracks_that_cannot_be_submitted_are_refused_with_those_that_can(served, tmp_path):
     catalogue = Catalogue(served.values())
     for split, track in (("pool-val", "density"), ("pool-dive", "exploration")):
-        with pytest.raises(Refusal, match=f"{served[split].any.track}, got '{track}': .* where they are made"):
+        with pytest.raises(Refusal, match=f"{served[split].any.track}, got '{track}': .* are scored locally"):
             catalogue.find(split, track)
         with pytest.raises(Refusal, match=f"'{track}' cannot be submitted.*are {', '.join(SCORED)}$"):
             evaluator(track)
-    with pytest.raises(Refusal, match="key 'track': expected slam, got 'density': maps are scored where they are made"):
+    with pytest.raises(Refusal, match="key 'track': expected slam, got 'density': maps are scored locally"):
         opened(tmp_path, reported(served, tmp_path, track="density"), wanted_of(served, "pool-val"))
 
 

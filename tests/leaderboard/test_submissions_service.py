@@ -102,13 +102,13 @@ def test_quotas_count_what_was_accepted_in_a_day_and_on_a_split(service, tmp_pat
         service.submit("reef lab", FORM, upload_of(bad))
     service.clock.now += 3600
     send(service, tmp_path, 2)
-    with pytest.raises(Refusal, match="2 submissions in 24 hours are all that a team has") as refused:
+    with pytest.raises(Refusal, match="2 submissions in 24 hours are the limit for a team") as refused:
         send(service, tmp_path, 3)
     assert 82_000 < refused.value.retry_s <= 82_801
     send(service, tmp_path, 3, team="others")
     service.clock.now += 86_400
     send(service, tmp_path, 3)
-    with pytest.raises(Refusal, match="3 submissions to pool-test are all that a team has"):
+    with pytest.raises(Refusal, match="3 submissions to pool-test are the limit for a team"):
         send(service, tmp_path, 4)
     send(service, tmp_path, 4, form=replace(FORM, split="pool-val"))
 
@@ -129,7 +129,7 @@ def test_what_is_queued_is_scored_once_and_stays_private(service, tmp_path):
     assert record.curves == ""
     assert all(not result.hardware and result.created == found.created for result in record.results)
     assert service.store.digests() == []
-    with pytest.raises(Refusal, match="no such submission of yours"):
+    with pytest.raises(Refusal, match="you have no such submission"):
         service.get("others", made.id)
 
 
@@ -175,7 +175,7 @@ def test_what_was_begun_most_often_comes_last(service, tmp_path):
 
 @pytest.mark.parametrize(
     ("cause", "reason"),
-    [("time", "scoring took longer than is allowed"), ("memory", "more memory"), ("crash", "ended without a result")],
+    [("time", "scoring exceeded the time limit"), ("memory", "memory limit"), ("crash", "ended without a result")],
 )
 def test_a_scoring_without_an_answer_fails_with_a_sentence_of_the_list(service, tmp_path, monkeypatch, cause, reason):
     message = "Traceback: truth at /secret/place is 1.234"
@@ -242,7 +242,7 @@ def test_a_record_comes_onto_the_board_when_its_team_says_so(service, tmp_path):
     told = []
     service.changed = lambda: told.append(1)
     id = done(service, tmp_path)
-    with pytest.raises(Refusal, match="no such submission of yours"):
+    with pytest.raises(Refusal, match="you have no such submission"):
         service.publish("others", id)
     found = service.publish("reef lab", id)
     assert service.store.digests() == [found.published]
@@ -254,7 +254,7 @@ def test_a_record_comes_onto_the_board_when_its_team_says_so(service, tmp_path):
 
 def test_only_what_is_done_is_published(service, tmp_path):
     made, _ = send(service, tmp_path)
-    with pytest.raises(Refusal, match="this submission is queued"):
+    with pytest.raises(Refusal, match="this one is queued"):
         service.publish("reef lab", made.id)
 
 
@@ -290,7 +290,7 @@ def test_a_withdrawal_is_announced_and_logged(service, tmp_path):
     assert events(service, "withdrawn")[0]["who"] == "reef lab"
     assert service.withdraw("reef lab", found.id, "again") == gone
     assert service.store.digests() == [found.published], "records stay"
-    with pytest.raises(Refusal, match="this submission is withdrawn"):
+    with pytest.raises(Refusal, match="this one is withdrawn"):
         service.publish("reef lab", found.id)
 
 

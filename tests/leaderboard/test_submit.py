@@ -98,7 +98,7 @@ def test_commands_are_sent_as_tables_and_scored_in_the_sandbox(site, tmp_path):
 def test_a_track_that_cannot_be_submitted_is_refused_before_anything_is_sent(site, estimates, tmp_path):
     refused = submit(site, estimates, "--method", "map", "--split", "pool-val", "--track", "density")
     assert refused.exit_code == 1
-    assert "--track: pool-val has slam, got 'density': maps are scored where they are made" in refused.stderr
+    assert "--track: pool-val has slam, got 'density': maps are scored locally" in refused.stderr
     row = {"split": "pool-val", "track": "density", "sequence": "pool-01", "method": "map"}
     (tmp_path / "results.json").write_text(json.dumps({"results": [row]}))
     refused = submit(site, tmp_path / "results.json", "--method", "map")
@@ -154,21 +154,21 @@ def test_masks_in_a_folder_are_sent_as_they_lie(site, tmp_path):
     )
     assert sent.exit_code == 0, sent.output
     assert "predictions of 1 sequences, 3 images" in sent.stderr
-    assert "nothing is sent for pool-02: counted as failed there" in sent.stderr
+    assert "no estimate is sent for pool-02: counted as failed there" in sent.stderr
     found = json.loads(sent.stdout)
     assert (found["state"], found["track"]) == ("done", "detection")
-    assert found["failures"] == {"pool-02": "nothing was sent for this sequence"}
+    assert found["failures"] == {"pool-02": "no estimate was sent for this sequence"}
 
 
 @pytest.mark.parametrize(
     ("args", "token", "message", "code"),
     [
-        (["--method", "x", "--split", "slam-99"], None, "this leaderboard takes submissions to pool-masks", 1),
+        (["--method", "x", "--split", "slam-99"], None, "this leaderboard accepts submissions to pool-masks", 1),
         (["--method", "x"], None, "--split: expected the split that was predicted, one of", 2),
         (["--method", "x" * 90, "--split", "pool-test"], None, "refused: key 'method': expected at most 80", 1),
-        (["--method", "x", "--split", "pool-test"], "oyb_0_wrong", "refused: the token is not known", 1),
+        (["--method", "x", "--split", "pool-test"], "oyb_0_wrong", "refused: the token is unknown", 1),
         (["--method", "x", "--split", "pool-test", "--track", "detection"], None, "--track: pool-test has slam", 1),
-        (["--method", "x", "--publish", "--no-wait"], None, "--no-wait does not go with it", 2),
+        (["--method", "x", "--publish", "--no-wait"], None, "it cannot be combined with --no-wait", 2),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(site, estimates, args, token, message, code):
@@ -198,7 +198,7 @@ def test_a_server_that_is_not_there_is_a_network_failure(tmp_path):
 
 def test_a_refusal_is_no_reason_to_try_again(site):
     client = Client(site.url, site.token, Patience(attempts=3, first_wait_s=60))
-    with pytest.raises(Refused, match="there is no such submission of yours"):
+    with pytest.raises(Refused, match="you have no such submission"):
         client.get("0" * 16)
 
 
@@ -222,7 +222,7 @@ def test_the_form_takes_a_submission_from_its_sending_to_its_withdrawal(site, tm
     wrong = urlencode({"csrf": csrf_in(page), "token": "oyb_1_2"})
     status, _, again = ask("POST", "/submit/sign-in", wrong, {**plain, **cookie})
     assert status == 401
-    assert b"the token is not known" in again
+    assert b"the token is unknown" in again
 
     right = urlencode({"csrf": csrf_in(page), "token": site.token})
     status, headers, _ = ask("POST", "/submit/sign-in", right, {**plain, **cookie})

@@ -140,7 +140,7 @@ def test_results_that_belong_on_no_board_are_refused(board, tmp_path):
     from dataclasses import replace
 
     write_results(path, [replace(results[0], split="")])
-    assert "of no split" in refused("leaderboard", "add", path, "--team", "x")
+    assert "belong to no split" in refused("leaderboard", "add", path, "--team", "x")
     write_results(path, [results[0], replace(results[1], evaluator_version="slam 2")])
     assert "would be averaged" in refused("leaderboard", "add", path, "--team", "x")
     write_results(path, [results[0], replace(results[1], method_settings={"window_s": 9.0})])
@@ -165,7 +165,7 @@ def test_a_withdrawal_is_said_and_can_be_taken_back(board):
 
 def test_verify_names_what_is_damaged_and_exits_with_3(board):
     digests = fill(board)
-    assert "all whole" in shown("verify").stdout
+    assert "all intact" in shown("verify").stdout
     path = board.folder / "records" / f"{digests['cod']}.json"
     path.write_bytes(path.read_bytes()[:-2])
     (board.folder / "changes" / "readme.txt").write_text("x")

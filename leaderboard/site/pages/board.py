@@ -34,10 +34,10 @@ LONGEST_TEXT = 100
 HIDDEN = ("place", "team", "tier", "mode", "sequences", "runs", "state", "record", "supersedes", "url")
 """Columns in CSV and JSON alone."""
 
-MODE = "Online: each from what was known at its time; offline: from all of the sequence."
+MODE = "Online: each estimate uses only earlier data; offline: the whole sequence."
 
-CODE = "Where the method says that its program is."
-PAPER = "That the method says describes it."
+CODE = "Address of the code, as given by the method."
+PAPER = "Paper that describes it, as given by the method."
 
 MOST_SHOWN = 5
 """Metrics beside the one that ranks, on the page; CSV and JSON have all of them."""
@@ -205,23 +205,27 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     columns = (
         Column("rank", "Rank", kind="number", sort="rank", about=RANK),
         Column("method", "Method", sort="method"),
-        Column("sensors", "Sensors", "poses", hidden=not described, about=f"That the method says it uses. {MODE}"),
+        Column("sensors", "Sensors", "poses", hidden=not described, about=f"As stated by the method. {MODE}"),
         metric,
         interval_column(metric, "interval", "Interval", numbers.LEVEL if axis is None else f"{numbers.LEVEL}, {drawn}"),
         replace(
             metric,
             key="data_set",
             unit="data set",
-            about="Over all sequences at once, and not a mean of them: it does not rank.",
+            about="Over all sequences at once, not a mean over them; not used for ranking.",
             sort="data_set",
             hidden=not whole,
         ),
         *(replace(metric_column(key, sort=True), hidden=key not in shown) for key in keys[1:]),
-        Column("failures", "Failed", "runs", "number", about="Runs that failed, and sequences not answered."),
+        Column("failures", "Failed", "runs", "number", about="Failed runs, and sequences without an estimate."),
         Column("code", "Code", hidden=not any(row.code for row in rows), about=CODE),
         Column("paper", "Paper", hidden=not any(row.paper for row in rows), about=PAPER),
         Column(
-            "created", "Date", "tier", sort="created", about="Of the record, in UTC, and who vouches for its numbers."
+            "created",
+            "Date",
+            "tier",
+            sort="created",
+            about="Date of the record, in UTC, and the source of its numbers.",
         ),
         *(
             Column(key, kind="number" if key in ("place", "sequences", "runs") else "text", hidden=True)
@@ -266,7 +270,9 @@ def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
         if metric is not None and metric.weight
         else f"Means over {numbers.count(len(info.sequences), 'sequence')}, each the mean of its runs"
     )
-    notes = [f"{mean}; what failed or was not answered scores 0. Errors are of what was answered: mind the coverage."]
+    notes = [
+        f"{mean}; failures and missing estimates score 0. Errors cover only what was estimated: mind the coverage."
+    ]
     if has_data_set(info, rows):
         notes.append(DATA_SET.format(metric_column(info.metric).heading))
     if any(row.state == "current" and row.tier not in RANKED for row in rows):

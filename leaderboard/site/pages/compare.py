@@ -100,7 +100,9 @@ def _find(site: Site, a: str, b: str) -> list[Row]:
     if pairs:
         return list(pairs[0])
     if found[0][0].digest == found[1][0].digest:
-        raise PageError("a and b: expected two records, got one twice", 400, {record_path(found[0][0].digest): "it"})
+        raise PageError(
+            "a and b: expected two records, got the same one twice", 400, {record_path(found[0][0].digest): "it"}
+        )
     return [found[0][0], found[1][0]]
 
 
@@ -154,7 +156,7 @@ def verdict(sides: Sequence[Side], whole: Comparison, metric: str) -> str:
     """In a sentence."""
     a, b = (side.label for side in sides)
     if not whole.interval.known:
-        return f"Which of the two is better cannot be said: {whole.interval.reason}."
+        return f"It cannot be said which of the two is better: {whole.interval.reason}."
     if whole.verdict == "not significantly different":
         return f"{a} and {b} are not significantly different."
     name = metric_column(metric).heading
@@ -177,7 +179,7 @@ def _compared_columns(sides: Sequence[Side]) -> tuple[Column, ...]:
     a, b = (side.label for side in sides)
     return (
         Column("difference", "Difference", "first less second", "number", about=f"{a} less {b}"),
-        Column("interval", "Interval", numbers.LEVEL, "interval", about="By bootstrap of the paired differences."),
+        Column("interval", "Interval", numbers.LEVEL, "interval", about="Bootstrap of the paired differences."),
         Column("won", "Sequences", "won / tied / lost", "number"),
         Column("verdict", "The first is"),
     )
@@ -206,7 +208,7 @@ def _sequences(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:
         conditions = board.conditions(name)
         lines.append(TableRow((name, *values, Cell(gain, kind=kind), *(conditions.get(key) for key in known))))
     title = f"{sides[0].label} and {sides[1].label} by sequence"
-    notes = ("Means over the runs of each sequence; what failed or was not answered scores 0.",)
+    notes = ("Means over the runs of each sequence; failures and missing estimates score 0.",)
     return Table(title, tuple(columns), tuple(lines), notes, "sequences")
 
 
@@ -220,7 +222,7 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
         Column("a", sides[0].label, "mean", "number"),
         Column("b", sides[1].label, "mean", "number"),
         *_compared_columns(sides),
-        Column("shared", "On", "sequences", "number", about="Those on which both have a value."),
+        Column("shared", "On", "sequences", "number", about="Sequences where both have a value."),
         Column("key", hidden=True),
     )
     lines = []
@@ -239,7 +241,7 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
             key,
         )
         lines.append(TableRow(cells))
-    notes = ("Errors are compared on the sequences that both have a value of: read them beside coverage.",)
+    notes = ("Errors are compared on the sequences where both have a value: read them together with coverage.",)
     return Table(f"{sides[0].label} against {sides[1].label}", columns, tuple(lines), notes, "metrics")
 
 

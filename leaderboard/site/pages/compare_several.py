@@ -72,7 +72,7 @@ def _common(site: Site, names: Sequence[str]) -> tuple[BoardInfo, list[Row]]:
         if None not in here and len(rows) > 1:
             return info, sorted(rows, key=lambda row: (row.place is None, row.place or 0, row.digest))
     hints = {record_path(several[0].digest): several[0].method for several in found}
-    raise PageError("these records are on no board together: expected some of one board", 409, hints)
+    raise PageError("these records share no board: expected records of one board", 409, hints)
 
 
 def _metrics(board: Board, sides: Sequence[Side]) -> Table:
@@ -88,7 +88,7 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
         of = board.runs_of(side.label)
         means = (numbers.finite(of.summary(key, board.sequences).mean) for key in keys)
         lines.append(TableRow((rank, Cell(side.label, path=record_path(side.row.digest), small=side.row.team), *means)))
-    notes = ("Errors are of what was answered: read them beside coverage.",) if "coverage" in keys else ()
+    notes = ("Errors cover only what was estimated: read them together with coverage.",) if "coverage" in keys else ()
     return Table(f"Means over {numbers.count(len(board.sequences), 'sequence')}", columns, tuple(lines), notes)
 
 
@@ -106,12 +106,12 @@ def _pairs(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:
             found = board.runs_of(a.label).compare(board.runs_of(b.label), board.metric, board.sequences)
             verdict = found.verdict if found.interval.known else "too few to tell"
             text = difference.text(numbers.finite(found.difference))
-            about = f"{a.label} less {b.label}; 95 %: {difference.text(found.interval)}"
+            about = f"{a.label} minus {b.label}; 95 %: {difference.text(found.interval)}"
             small = verdict if verdict in KINDS or not found.interval.known else "no difference shown"
             cells.append(Cell(found.difference, text, KINDS.get(verdict, "soft"), about, small))
         lines.append(TableRow(tuple(cells)))
     notes = (
-        f"{metric_column(info.metric).heading} of the row less that of the column, and whether the interval of the "
-        "paired differences on the same sequences leaves zero out (95 %, bootstrap; no correction for their number).",
+        f"{metric_column(info.metric).heading} of the row minus that of the column, and whether the interval of the "
+        "paired differences on the same sequences excludes zero (95 %, bootstrap; no correction for their number).",
     )
     return Table("Every two", tuple(columns), tuple(lines), notes, "pairs")

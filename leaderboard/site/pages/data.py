@@ -50,7 +50,7 @@ def data_page(site: Site) -> Page:
                     Cell("kept back" if found.hidden else "public"),
                     entries.get(name, 0),
                     Cell(found.rig, found.rig or ABSENT),
-                    Cell(found.summary or "known from records alone", kind="wrap"),
+                    Cell(found.summary or "known only from records", kind="wrap"),
                     Cell(found.version),
                     Cell(found.digest),
                     Cell(found.manifest),
@@ -102,7 +102,7 @@ def conditions_table(found: DataSet, like: Mapping[str, Conditions]) -> Table:
     lines = []
     for name in found.sequences:
         lines.append(TableRow((name, *(like.get(name, {}).get(key) or None for key in keys))))
-    notes = () if keys else ("What the sequences are like is not known here.",)
+    notes = () if keys else ("The conditions of the sequences are not known here.",)
     return Table(f"Sequences of {found.name}", columns, tuple(lines), notes, "sequences")
 
 

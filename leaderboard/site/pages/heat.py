@@ -83,7 +83,7 @@ def classes_heat(scores: Scores) -> Table | None:
     values = {row.digest: [_mean(scores.values[row.digest], names) for names in groups] for row in scores.rows}
     metric = find_metric(scores.info.metric)
     weighed = " A sequence has one vote here, whatever its pixels." if metric is not None and metric.weight else ""
-    notes = (f"Means over the sequences of a class; n is how many they are.{weighed}",)
+    notes = (f"Means over the sequences of a class; n is their number.{weighed}",)
     return _heat(scores, f"{metric_column(scores.info.metric).heading} by conditions", columns, values, notes)
 
 

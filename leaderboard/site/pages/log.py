@@ -25,7 +25,7 @@ def log_page(site: Site) -> Page:
         Column("split", "Split"),
         Column("score_before", "Score", "before", "number"),
         Column("score_after", "Score", "after", "number"),
-        Column("by", "Record", "that took its place"),
+        Column("by", "Record", "that superseded it"),
         Column("reason", "Why"),
         Column("record", hidden=True),
     )
@@ -49,8 +49,10 @@ def log_page(site: Site) -> Page:
                 )
             )
         )
-    notes = (f"Of superseded records the {MOST} latest of each board are listed; every record's own page tells of it.",)
-    table = Table("What became of records", columns, tuple(lines), notes, "log")
+    notes = (
+        f"Only the {MOST} latest superseded records of each board are listed; every record's page notes its status.",
+    )
+    table = Table("Changes to records", columns, tuple(lines), notes, "log")
     left_out = site.index.problems()
     data = {"events": [_plain(event) for event in found], "left_out": left_out}
     tables = (table, *([_left_out(left_out)] if left_out else []))

@@ -22,8 +22,8 @@ FORMS = {
     "slam": "a TUM file for each sequence, named like it (val-01.tum): t x y z qx qy qz qw, the body's pose in the map",
     "segmentation": "masks as PNG, or COCO JSON, for each clip",
     "detection": "COCO JSON with the mask of each oyster, for each clip",
-    "steering": "a CSV file for each sequence, named like it (val-01.csv): stamp_ns,yaw,pitch with the classes at each "
-    "picture, or stamp_ns,yaw_0,...,pitch_0,... with their probabilities",
+    "steering": "a CSV file for each sequence, named like it (val-01.csv): stamp_ns,yaw,pitch with the classes per "
+    "image, or stamp_ns,yaw_0,...,pitch_0,... with their probabilities",
 }
 """Track of a board -> what is sent."""
 
@@ -53,7 +53,7 @@ def submit_page(site: Site) -> Page:
     notes = tuple(
         f"{numbers.track_name(track)} cannot be sent: {reason.replace('`', '')}." for track, reason in ELSEWHERE.items()
     )
-    table = Table("What is compared on", columns, tuple(lines), notes, "submit")
+    table = Table("Conditions for comparison", columns, tuple(lines), notes, "submit")
     splits = json_rows(table)
     data = plain({"form": site.form or None, "splits": splits, "elsewhere": ELSEWHERE})
     context = {"form": site.form, "tiers": TIERS}

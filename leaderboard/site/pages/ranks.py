@@ -8,15 +8,15 @@ from oysterbench.report.table import ABSENT, Cell
 from oysterbench_leaderboard.board import Row
 
 TIERS = {
-    "baseline": "Run and scored by us, from this project's own tree.",
-    "scored": "Estimates of others, scored by a server against ground truth that they need not have seen.",
-    "reported": "Results that their authors computed themselves: shown, and not ranked.",
+    "baseline": "Run and scored by us, from this project's source.",
+    "scored": "Estimates by others, scored by a server against ground truth that they may never have seen.",
+    "reported": "Results computed by their authors: shown, but not ranked.",
 }
 """Tier -> who vouches for the numbers."""
 
-RANK = "1 + the number of methods that are significantly better (95 %, paired bootstrap), or better than one above."
-TIED = "Others have this rank: as many methods are significantly better than them (95 %, paired bootstrap)."
-UNRANKED = "a place by the mean alone: on so few sequences no difference is significant."
+RANK = "1 + the number of methods that are significantly better (95 %, paired bootstrap), or better than one above it."
+TIED = "A shared rank: the same number of methods is significantly better (95 %, paired bootstrap)."
+UNRANKED = "a place by the mean only: with so few sequences, no difference is significant."
 
 
 def rank_cells(rows: Sequence[Row]) -> list[Cell]:

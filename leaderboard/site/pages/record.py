@@ -29,7 +29,7 @@ from oysterbench_leaderboard.site.site import Site, curves_of
 from oysterbench_leaderboard.site.works import code_cell, paper_address
 from oysterbench_leaderboard.tables import DATA_SET, has_data_set
 
-HIDDEN = "The split is hidden: of most metrics the mean alone is told, and by sequence in steps, if at all."
+HIDDEN = "The split is hidden: most metrics are shown only as a mean, and values by sequence only in steps, if at all."
 
 LEADERS = 3
 """First records of the board that every record may be compared with; its neighbours are offered, too."""
@@ -37,7 +37,7 @@ LEADERS = 3
 
 @dataclass(frozen=True)
 class Notes:
-    """What must be said before the numbers. withdrawn: why, and when; by: the record that took its place."""
+    """What must be said before the numbers. withdrawn: why, and when; by: the record that superseded it."""
 
     withdrawn: tuple[str, str] | None
     by: Row | None
@@ -252,7 +252,7 @@ def strata_table(results: Sequence[ResultRecord], title: str) -> Table:
             bar = numbers.bar(summary.interval.low, summary.mean, summary.interval.high) if known else None
             cells = (CONDITIONS[condition].name, value, summary.of_sequences, summary.mean)
             lines.append(TableRow((*cells, Cell(summary.interval, kind="soft", bar=bar))))
-    notes = ("An interval needs several sequences of a class; a dash stands where there are too few.",) if lines else ()
+    notes = ("An interval needs several sequences per class; a dash marks classes with too few.",) if lines else ()
     return Table(title, columns, tuple(lines), notes, "conditions")
 
 
