@@ -14,7 +14,7 @@ UNITS = {"x": "\N{MULTIPLICATION SIGN} real time"}
 
 def metric_column(key: str, sort: bool = False, track: str = "") -> Column:
     """The column of a metric; sort: whether an address may ask for the order of its values; track: whose it is."""
-    metric = find_metric(key, track) or Metric("No definition is known to this version.", key)
+    metric = find_metric(key, track) or Metric("This version has no definition of it.", key)
     unit = metric.unit or ("%" if metric.factor == 100.0 else UNITS.get(metric.narrow[1], ""))
     return Column(
         key,

@@ -28,12 +28,14 @@ def confusion_figure(method: str, score: PictureScore, task: SteeringRecipe) -> 
     ):
         _matrix(panel, counts, degrees, ends)
         accuracy, f1, cost = (score.metrics[f"{axis}_{key}"] for key in ("accuracy", "macro_f1", "cost_deg"))
-        found = "" if math.isnan(accuracy) else f": {accuracy:.0%} right, F1 {f1:.2f}, off by {cost:.1f} deg on average"
+        found = (
+            "" if math.isnan(accuracy) else f": {accuracy:.0%} correct, F1 {f1:.2f}, off by {cost:.1f} deg on average"
+        )
         panel.set_title(axis.capitalize() + found)
-    label = "share of the expert's pictures of that class"
+    label = "share of the expert's images of that class"
     figure.colorbar(panels[0].collections[0], ax=panels, label=label, format="{x:.0%}", shrink=0.8)
-    pictures = f"{score.metrics['pictures']:.0f} pictures: how many, by what the expert commands and what {method} does"
-    add_note(figure, pictures, "Framed: both the same. Right of a row: pictures of that class.")
+    pictures = f"{score.metrics['pictures']:.0f} images, by the expert's command and that of {method}"
+    add_note(figure, pictures, "Framed: both agree. Right of a row: images of that class.")
     return figure
 
 

@@ -48,11 +48,11 @@ def consistency_table(records: Sequence[ResultRecord]) -> Table | None:
             values += [of.get(key) for key in _OF_STATE]
         rows.append(TableRow((record.sequence, record.method, *values)))
     note = (
-        "NEES is the squared error over its covariance: 3 where an estimate is as sure as it may be, more where it "
-        "promises too much. Relocalised: it tracks after a loss, and a loop ties it to what was seen before."
+        "NEES is the squared error over its covariance: 3 for a consistent estimate, more for an overconfident one. "
+        "Relocalised: it tracks after a loss, and a loop closure ties it to what was seen before."
     )
     columns = (*_COLUMNS, *(column for state in states for column in _columns(_name(state))))
-    return Table("How sure, and how each pose was had", columns, tuple(rows), (note,)) if rows else None
+    return Table("Consistency, and source of each pose", columns, tuple(rows), (note,)) if rows else None
 
 
 def _name(state: Health) -> str:
@@ -91,9 +91,7 @@ def consistency_cards(
             title = f"NEES of {part} over time"
             freedom = next(result.nees[part].freedom for _, result in scored if part in result.nees)
             plot = nees_plot(curves, title, TIME, "e\N{SUPERSCRIPT TWO} / covariance", (0.0, end_s), freedom)
-            cards.append(
-                Card(title, plot, f"Shaded is where 95 % of a consistent estimate's values lie; mean {freedom}.")
-            )
+            cards.append(Card(title, plot, f"Shaded: range of 95 % of a consistent estimate's values; mean {freedom}."))
     return tuple(cards)
 
 
@@ -103,7 +101,7 @@ def health_cards(
     healths: Mapping[str, np.ndarray],
     styles: Mapping[str, int],
 ) -> tuple[Card, ...]:
-    """How each pose was had over time, of the methods that say so; healths: (N,) of a method's matched stamps."""
+    """Source of each pose over time, of the methods that say so; healths: (N,) of a method's matched stamps."""
     end_s = float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
     curves = []
     for method, result in scored:
@@ -112,6 +110,6 @@ def health_cards(
             curves.append(Curve(method, seconds, healths[method].astype(float), styles[method]))
     if not curves:
         return ()
-    title = "How each pose was had"
+    title = "Source of each pose"
     plot = states_plot(curves, title, TIME, "state", (0.0, end_s), [STATES[health] for health in Health])
-    return (Card(title, plot, "Found: it tracks after a loss, and a loop ties it to what was seen before."),)
+    return (Card(title, plot, "Found: it tracks after a loss, and a loop closure ties it to what was seen before."),)

@@ -36,9 +36,9 @@ SHOWN_FILMS = 6  # videos of which counts over time are drawn
 THUMBNAIL_PX = 480
 
 SCALES = {
-    "plain": "a length of {mm_per_px:g} mm for each pixel, which holds for pictures straight down without distortion",
-    "altitude": "a camera that looks straight down from the altitude given onto a flat bottom, by its calibration",
-    "quadrat": "the corners of a quadrat of {size_m:g} m that lies flat on the bottom",
+    "plain": "a length of {mm_per_px:g} mm per pixel, which holds for images taken straight down without distortion",
+    "altitude": "a calibrated camera looking straight down onto a flat bottom from the given altitude",
+    "quadrat": "the corners of a {size_m:g} m quadrat lying flat on the bottom",
 }
 """Kind of a scale -> what metres come from."""
 
@@ -72,7 +72,7 @@ def counting_page(
         "colours": _colours(found),
         "scale": _scale(settings),
         "accuracy": _accuracy(found),
-        "figures": [f"{one.heading.lower()} on {one.split} {reached(one)} a picture" for one in found.figures],
+        "figures": [f"{one.heading.lower()} on {one.split} {reached(one)} per image" for one in found.figures],
         "settings": settings,
         "command": command,
         "to_label": drawn([one.name for one in found.pictures if not one.video]),
@@ -129,13 +129,13 @@ def _charts(found: Survey) -> list[Card]:
     """How counts are spread, and how they go over the time of each video."""
     if not found.pictures:
         return []
-    title = "How many pictures have how many oysters"
+    title = "Images by number of oysters"
     charts = [
-        Card(title, histogram_plot([one.oysters for one in found.pictures], title, "oysters in a picture", "pictures"))
+        Card(title, histogram_plot([one.oysters for one in found.pictures], title, "oysters in an image", "pictures"))
     ]
     pictures = [one.oysters for one in found.pictures if not one.video]
     if len(pictures) > 1:
-        title = "Oysters of each picture, in the order of their names"
+        title = "Oysters in each image, in order of name"
         order = np.arange(1, len(pictures) + 1, dtype=float)
         curve = Curve("oysters", order, np.array(pictures, dtype=float), 1)
         charts.append(Card(title, time_plot([curve], title, "picture", "oysters", (1.0, float(len(pictures))))))
@@ -176,7 +176,7 @@ def _film(found: Survey, store: Store, name: str, path: Path) -> dict[str, str]:
     times = [one.time_s or 0.0 for one in found.pictures if one.video and one.name.rpartition("/")[0] == name]
     span_s = times[-1] - times[0] if len(times) > 1 else 0.0
     fast = film_rate(times) * span_s / max(len(times) - 1, 1)
-    speed = f", {fast:.0f} times as fast as taken" if fast >= 1.5 else ""
+    speed = f", {fast:.0f} times as fast as recorded" if fast >= 1.5 else ""
     return {"name": name, "address": quote(path.relative_to(store.folder).as_posix()), "speed": speed}
 
 
@@ -185,7 +185,7 @@ def _colours(found: Survey) -> list[tuple[str, str]]:
     told = any(one.live or one.dead for one in found.pictures)
     kinds = {"live": "live", "dead": "dead", "unknown": "not told"} if told else {"unknown": "oyster"}
     if any(one.area_m2 is not None for one in found.pictures):
-        kinds["left out"] = "not counted, as its middle lies outside"
+        kinds["left out"] = "not counted: its centre is outside"
     return [(f"rgb{COLOURS[kind]}", text) for kind, text in kinds.items()]
 
 
@@ -201,9 +201,9 @@ def _accuracy(found: Survey) -> str:
         return ""
     direction = "too many" if one.percent > 0 else "too few"
     return (
-        f"On labelled pictures ({one.where}), {found.method} counted {one.counted:.0f} oysters where "
+        f"On labelled images ({one.where}), {found.method} counted {one.counted:.0f} oysters where "
         f"{one.labelled:.0f} are labelled: {abs(one.percent):.0f} % {direction}"
-        f"{', but with other weights than here' if one.other_weights else ''}."
+        f"{', but with different weights' if one.other_weights else ''}."
     )
 
 

@@ -36,13 +36,13 @@ EDGES = (5.0, 15.0, 30.0, 50.0, 100.0)
 STATES = {
     "live": ("#f7f7f7", "live"),
     "dead": ("#d95f02", "dead (boxes, single valves)"),
-    "unknown": ("#ffd92f", "live or dead not told"),
+    "unknown": ("#ffd92f", "live or dead unknown"),
 }
 """Of oysters: their colours and names."""
 NONE = "#e5e8eb"
 DEPTHS = {
-    "stereo": "depth from the pair of cameras",
-    "motion": "depth from the camera's way",
+    "stereo": "depth from the stereo pair",
+    "motion": "depth from camera motion",
     "plane": "depth from echoes, as a plane",
     "layer": "true depth",
 }
@@ -50,7 +50,7 @@ DEPTHS = {
 NARROW = 4.6  # the same where a panel stands by itself: it is shown as large on a telephone
 
 SQUARED = "\N{SUPERSCRIPT TWO}"
-PANELS = ("Seen from above, every oyster a dot", f"Live oysters per m{SQUARED}")
+PANELS = ("From above, one dot per oyster", f"Live oysters per m{SQUARED}")
 MOSAIC_PX = 1200  # along the longer side
 PANEL = 7.0  # inches of the longer side of a panel
 LINE_SIZE = 12.5  # points, of the numbers below the headline
@@ -103,11 +103,11 @@ def notes(found: OysterMap) -> list[str]:
     """What must be said of it, in sentences."""
     return [
         f"{len(found.path)} of {found.pictures} pictures of {found.camera}, {DEPTHS[found.depth]}",
-        "What no picture shows, as others lie on it, is not counted.",
-        "An oyster that the edge always cuts counts a half.",
-        "? the 95 % interval reaches into another class. Grey: too little seen.",
+        "Oysters hidden under others in every image are not counted.",
+        "An oyster that the edge always cuts counts as half.",
+        "? the 95 % interval extends into another class. Grey: too little seen.",
         "Up is +y of the path; "
-        + ("where north is, is not known." if found.magnetic_north_rad is None else "N is magnetic north."),
+        + ("north is unknown." if found.magnetic_north_rad is None else "N is magnetic north."),
     ]
 
 
@@ -224,7 +224,7 @@ def numbers(total: Total, shares: dict[str, float]) -> list[str]:
     lines = [counted(total)]
     if not math.isnan(total.live_per_m2):
         lines.append(
-            f"{total.live_per_m2:.1f} live oysters per m{SQUARED} (95 % for the reef that this is a sample of: "
+            f"{total.live_per_m2:.1f} live oysters per m{SQUARED} (95 % for the sampled reef: "
             f"{total.low_per_m2:.1f} to {total.high_per_m2:.1f})"
         )
     if not any(math.isnan(share) for share in shares.values()):
@@ -237,7 +237,7 @@ def numbers(total: Total, shares: dict[str, float]) -> list[str]:
 
 
 def _states(total: Total) -> str:
-    parts = [("live", total.live), ("dead", total.dead), ("not told whether live or dead", total.unknown)]
+    parts = [("live", total.live), ("dead", total.dead), ("live or dead unknown", total.unknown)]
     return ", ".join(f"{_count(n)} {name}" for name, n in parts if n) or "none"
 
 

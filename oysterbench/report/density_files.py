@@ -29,14 +29,14 @@ BANDS = ("live_per_m2", "low_per_m2", "high_per_m2", "seen_m2")
 
 FILES = {
     "grid.csv": "cells with counts, intervals and classes",
-    "oysters.csv": "every oyster with its place",
-    "summary.json": "the whole, with the settings",
+    "oysters.csv": "every oyster with its position",
+    "summary.json": "totals, with the settings",
     "density.tif": "cells as GeoTIFF: " + ", ".join(BANDS),
-    "mosaic.tif": "what was seen, from above, as GeoTIFF",
-    "density.png": "cells as a picture, with density.pgw",
-    "mosaic.png": "what was seen, as a picture, with mosaic.pgw",
+    "mosaic.tif": "the seen ground, from above, as GeoTIFF",
+    "density.png": "cells as an image, with density.pgw",
+    "mosaic.png": "the seen ground as an image, with mosaic.pgw",
     "map.png": "both figures, for a document",
-    "map.svg": "the same, to be scaled",
+    "map.svg": "the same, scalable",
 }
 """Beside the page, and what they are."""
 

@@ -125,6 +125,6 @@ def places_table(found: Mapping[str, NormalisedScore]) -> Table:
     )
     reasons = dict.fromkeys(where.reason or where.interval.reason for where in found.values())
     formula = f"(policy {MINUS} {LOWER}) / ({UPPER} {MINUS} {LOWER})"
-    notes = [f"{formula}, of the mean oysters per minute on the same reefs."]
+    notes = [f"{formula}, from the mean oysters per minute on the same reefs."]
     notes += [f"{capital(reason)}." for reason in reasons if reason]
     return Table(f"Place between {LOWER} and {UPPER}", columns, tuple(rows), tuple(notes))

@@ -23,7 +23,7 @@ from oysterbench.report.plots import Curve, share_plot
 from oysterbench.report.table import Column, Estimate, Table, TableRow, interval_column
 from oysterbench.results.records import ResultRecord, plain
 
-LEGEND = "Green: found. Blue: missed. Orange: called oyster, and none. Grey: ignored."
+LEGEND = "Green: found. Blue: missed. Orange: false positive. Grey: ignored."
 STRATA = {"iou_range_": "range", "recall_height_": "shell height", "recall_area_": "visible area", "iou_": "class"}
 """How keys of classes within images begin -> what they are classes of."""
 
@@ -132,7 +132,7 @@ def _count_table(rows: Sequence[DatasetRow]) -> Table:
         for row in rows
         if "count_truth" in row.metrics
     ]
-    return Table("Counts", (*name_columns("method"), *columns), tuple(table_rows), ("Bias and MAE are of an image.",))
+    return Table("Counts", (*name_columns("method"), *columns), tuple(table_rows), ("Bias and MAE are per image.",))
 
 
 def _strata_table(rows: Sequence[DatasetRow]) -> Table:
@@ -153,7 +153,9 @@ def _strata_table(rows: Sequence[DatasetRow]) -> Table:
         *name_columns("of", "class", "metric"),
         *(Column(r.method, r.method, "", "estimate", digits=3) for r in rows),
     )
-    note = "False positives belong to no oyster: by size there is recall alone, which calling everything oyster wins."
+    note = (
+        "False positives belong to no oyster, so only recall is given by size; calling everything oyster would win it."
+    )
     return Table("By class within images", columns, tuple(table_rows), (note,) if by_size else ())
 
 

@@ -51,5 +51,5 @@ def ladder_figure(
         axes.tick_params(length=0)
     reason = next((s.interval.reason for s in summaries.values() if not s.interval.known), "")
     intervals = reason or f"Bars: {LEVEL:.0%} intervals of the mean, by resampling the reefs."
-    add_note(figure, "Live oysters seen in a rollout, each once, by its length.", intervals)
+    add_note(figure, "Live oysters seen in a rollout, each counted once, per minute.", intervals)
     return figure

@@ -115,7 +115,9 @@ def signed_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str,
     top = 1.08 * max([tops[curve.label] for curve in drawn if tops[curve.label] > 1e-12], default=1.0)
     x_axis, y_axis = _time_axis(span), Axis(-top, top, TOP + 150.0, TOP, 40.0)
     away = [f"{label} up to {value:.2g}" for label, value in tops.items() if value > LOG_RATIO * smallest]
-    note = away[0] if len(away) == 1 and len(away[0]) <= 30 else f"{len(away)} larger are not drawn" if away else ""
+    note = (
+        away[0] if len(away) == 1 and len(away[0]) <= 30 else f"{len(away)} larger values are not drawn" if away else ""
+    )
     zero = f'<path class="zero" d="M{LEFT} {TOP + 75.0:.1f}H{LEFT + INNER}"/>'
     return _drawing(drawn, x_axis, y_axis, title, x_label, y_label, note, zero)
 

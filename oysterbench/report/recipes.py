@@ -35,7 +35,7 @@ def sequences_table(split: SplitRecipe) -> Table:
         values = (like[sequence.name].get(key) for key in shown)
         rows.append(TableRow((sequence.name, *values, estimate, measured.get(sequence.name))))
     note = (
-        f"To render all takes about {total / 3600:.1f} hours of one core like ours, shared by the workers; measured "
-        "is what it took here."
+        f"Rendering all takes about {total / 3600:.1f} hours on one core like ours, shared by the workers; measured "
+        "values are from this machine."
     )
     return Table(f"{split.name} {split.version}", tuple(columns), tuple(rows), (note,))

@@ -62,10 +62,10 @@ def sequence_plots(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]
     truth = scored[0][1].whole_truth
     begin_ns = int(truth.stamps_ns[0])
     end_s = (int(truth.stamps_ns[-1]) - begin_ns) * 1e-9
-    several = " Of several runs the one of median score is drawn." if len(drawn) < len(runs) else ""
+    several = " Of several runs, the one with the median score is drawn." if len(drawn) < len(runs) else ""
     facts = (
-        f"{truth.path_length:.1f} m of path in {end_s:.1f} s, from stamp {ns_to_seconds(begin_ns)} s. Estimates are "
-        f"shown where they answer, aligned by {scored[0][1].settings.align}.{several}"
+        f"{truth.path_length:.1f} m of path in {end_s:.1f} s, from timestamp {ns_to_seconds(begin_ns)} s. "
+        f"Estimates are shown where they have poses, aligned by {scored[0][1].settings.align}.{several}"
     )
     legend = (("truth", 0), *((method, styles[method]) for method, _ in scored))
     healths = {run.record.method: run.health for run in drawn if run.result is not None and run.health is not None}
@@ -162,7 +162,7 @@ def _last(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> tuple
         percent = scored[0][1].settings.recall_scale_percent
         scale = next(result.recall.scale_m for _, result in scored if result.recall is not None)
         unit = f"{percent:g} % of the path, {scale:.3g} m"
-        title = "Recall: share of true poses within an error"
+        title = "Recall: share of ground-truth poses within an error"
         plot = recall_plot(curves, title, f"error [{unit}]", "share")
         cards.append(Card(title, plot, "The area under a curve is its score."))
     return tuple(cards)

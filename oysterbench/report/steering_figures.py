@@ -36,14 +36,14 @@ def picture_figures(
         _kept(
             folder / f"confusion-{_safe(method)}.png",
             confusion_figure(method, whole.score, task),
-            f"What {method} commands where the expert commands what",
+            f"Commands of {method} by command of the expert",
         )
         for method, whole in wholes.items()
     ]
     samples = samples_of(dives, runs)
     if samples and methods:
         drawn = samples_figure(samples, task, colours_of(methods))
-        made.append(_kept(folder / "pictures.png", drawn, "Some of the pictures"))
+        made.append(_kept(folder / "pictures.png", drawn, "Sample images"))
     return made
 
 

@@ -104,7 +104,7 @@ def samples_figure(samples: Sequence[Sample], task: SteeringRecipe, colours: Map
         _action_values(panels[2 * k + 1], sample, task, colours)
     for panel in panels[2 * len(samples) :]:
         panel.set_axis_off()
-    about = "Where the bow points, and would point after the commands;\nbeside it the value of each pair, in oysters."
+    about = "Where the bow points now and after the commands;\nbeside it the value of each pair, in oysters."
     for method, colour in colours.items():
         panels[0].plot([], [], "o", color=colour, label=method)
     handles, labels = panels[0].get_legend_handles_labels()

@@ -42,8 +42,8 @@ def stress_table(board: Board) -> Table | None:
     rows = [TableRow((each.name, *(_cell(each, label) for label in labels))) for each in found]
     note = (
         f"{metric_column(board.metric).heading} on the calm dive and at strengths "
-        f"{_list(found[0].strengths[1:])}; broken is a method "
-        f"from where on it stays below {BROKEN_SHARE:.0%} of the former."
+        f"{_list(found[0].strengths[1:])}; a method is broken from the strength at which it stays below "
+        f"{BROKEN_SHARE:.0%} of the former."
     )
     return Table(f"Disturbances on {board.name}", tuple(columns), tuple(rows), (note,))
 

@@ -111,7 +111,7 @@ def path_notes(records: Sequence[ResultRecord]) -> list[str]:
             trust = f", NEES of position {np.mean(nees):.2g}" if nees else ""
             others.append(f"{name} (ATE {np.mean([each['ate_rmse_m'] for each in all_metrics]):.2g} m{trust}{mean})")
         beside = f"; not scored: {', '.join(others)}" if others else ""
-        notes.append(f"{method}: scored is the {scored} path{beside}")
+        notes.append(f"{method}: the {scored} path is scored{beside}")
     return notes
 
 
@@ -173,18 +173,18 @@ def _reading(board: Board) -> list[str]:
     metric = find_metric(board.metric)
     beside = "coverage and " if "coverage" in TRACKS[board.track].standing else ""
     notes = [
-        f"Means over {count}, each the mean of its runs; a failed run scores 0, and errors are those of the runs "
-        f"that have one: read them beside {beside}failures."
+        f"Means over {count}, each the mean of its runs; a failed run scores 0, and errors cover the runs that have "
+        f"one: read them together with {beside}failures."
     ]
     if metric is not None and metric.weight:
-        notes = [f"{metric.heading} is that of all pixels of {count} together; a failed run finds nothing."]
+        notes = [f"{metric.heading} is computed over all pixels of {count}; a failed run finds nothing."]
     if any(row.standing.rank is not None for row in board.standings):
         notes.append(
             f"A rank is a range where methods are not significantly different at {LEVEL:.0%}, by resampling the "
-            "differences on the same sequences; each pair by itself, with no correction for their number."
+            "differences on the same sequences; each pair separately, without correction for the number of pairs."
         )
     elif len(board.standings) > 1:
-        notes.append("Places in brackets are the order of these means: there are too few sequences for ranks.")
+        notes.append("Places in brackets are only the order of these means: there are too few sequences for ranks.")
     return notes
 
 
@@ -240,7 +240,7 @@ def strata_table(board: Board) -> Table:
         Column("sequences", "Sequences", kind="number", short="sequences"),
         *(replace(metric, key=label, heading=label, short="", unit=unit, kind="estimate") for label in labels),
     )
-    note = f"In brackets the {LEVEL:.0%} interval, where there are enough sequences."
+    note = f"Brackets give the {LEVEL:.0%} interval, where there are enough sequences."
     return Table(f"By conditions on {board.name}", columns, tuple(rows), (note,) if rows else ())
 
 
@@ -267,7 +267,7 @@ def runs_table(board: Board) -> Table:
         _median_column(error),
         replace(interval_column(error, f"{error.key}_range", "from, to", ""), wide=True),
     )
-    note = "A failed run scores 0; errors are those of the runs that have one."
+    note = "A failed run scores 0; errors cover the runs that have one."
     return Table(f"Runs on {board.name}", columns, tuple(rows), (note,) if rows else ())
 
 

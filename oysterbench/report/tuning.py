@@ -58,4 +58,6 @@ def trials_table(records: Sequence[ResultRecord], names: Mapping[str, str]) -> T
     for name in chosen:
         options = names[name].partition("[")[2].removesuffix("]").replace(",", ", ") or "as it is"
         rows.append(TableRow((numbers[name], means[name], failures[name], options)))
-    return Table("Trials", columns, tuple(rows), (f"The best of {len(names)} trials; 0 is the method as it is.",))
+    return Table(
+        "Trials", columns, tuple(rows), (f"The best of {len(names)} trials; 0 is the method with its defaults.",)
+    )

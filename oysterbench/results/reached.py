@@ -26,12 +26,13 @@ def figures_of(path: Path, name: str, sha256: str) -> list[Figure]:
         others = sorted({f"{record.method} with {digest[:12]}…" for record, digest in known if digest})
         raise ResultError(
             f"{path}: expected results of these weights of {name} (SHA-256 {sha256[:12]}…), got "
-            f"{', '.join(others) or 'none that says which weights it was made with'}; `oysterbench run` makes some"
+            f"{', '.join(others) or 'none that says which weights it was made with'}; create some with `oysterbench "
+            "run`"
         )
     if failed := [record for record in own if record.failure is not None]:
         raise ResultError(
             f"{path}: {failed[0].method} failed on {failed[0].sequence}: {failed[0].failure}; `oysterbench run "
-            "--retry` runs it once more"
+            "--retry` repeats it"
         )
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     return [figure for row in aggregate(own) for figure in _figures(row, digest)]

@@ -13,7 +13,7 @@ def remarks(found: Sequence[Board]) -> list[str]:
     """In words: boards kept apart and why, sequences left out, no intervals."""
     notes = []
     if len(found) > 1:
-        notes.append(f"kept apart as {len(found)} comparisons, as they differ in {_differences(found)}")
+        notes.append(f"shown as {len(found)} separate comparisons, since they differ in {_differences(found)}")
     for board in found:
         where = f"{board.name}: " if len(found) > 1 else ""
         if board.left_out:

@@ -120,7 +120,7 @@ def test_the_page_says_what_its_numbers_are_worth(folder, tmp_path):
     page, said = (tmp_path / "index.html").read_text(), words(tmp_path / "index.html")
     assert "18 oysters in 8 pictures and 2 frames of 1 video, by discs." in said
     assert "1 could not be counted" in said
-    assert "is not to be relied upon: 1 of 10 pictures" in said
+    assert "1 of 10 images are unlike the training data of discs" in said
     assert "how to measure it" in said
     assert "oysterbench run discs --track detection --on LABELLED --out check" in said
     assert 'href="videos/dive.avi.mp4"' in page
@@ -134,7 +134,7 @@ def test_the_page_says_how_far_counts_are_off_where_that_was_measured(folder, tm
     counts(folder, tmp_path, accuracy=Accuracy(200.0, 230.0, "my-labels", True))
     said = words(tmp_path / "index.html")
     assert (
-        "(my-labels), discs counted 230 oysters where 200 are labelled: 15 % too many, but with other weights than"
+        "(my-labels), discs counted 230 oysters where 200 are labelled: 15 % too many, but with different weights"
         in said
     )
     assert "how to measure it" not in said
@@ -144,12 +144,12 @@ def test_the_page_says_what_the_card_of_the_weights_says(folder, tmp_path):
     bias = replace(FIGURE, method="discs", track="detection", metric="count_bias", heading="Count bias", unit="oysters")
     counts(folder, tmp_path, figures=[replace(bias, value=2.5, low=1.0, high=4.0)])
     said = words(tmp_path / "index.html")
-    assert "of other pictures than yours: count bias on seg-val 2.500 oysters (1.000 to 4.000) a picture." in said
+    assert "on other images than yours: count bias on seg-val 2.500 oysters (1.000 to 4.000) per image." in said
 
 
 def test_the_page_of_a_method_that_does_not_know_the_strange_says_so(folder, tmp_path):
     counts(folder, tmp_path, Boxed())
-    assert "boxed does not say whether pictures are unlike" in words(tmp_path / "index.html")
+    assert "boxed does not report whether images are unlike" in words(tmp_path / "index.html")
 
 
 def test_a_page_of_nothing_but_failures_is_a_page(tmp_path):

@@ -203,7 +203,7 @@ def test_report_is_well_formed_and_holds_everything():
         "1.00 s",
         "1700000001.000000000",
         "mean of 2",
-        "the errors speak of 20% of the sequence only",
+        "the errors cover only 20% of the sequence",
     ):
         assert part in tags.text, part
     for key in TRACKS["slam"].table:
@@ -291,7 +291,7 @@ def test_of_several_runs_the_median_one_is_drawn():
         return re.findall('class="c1" data-label="a" d="([^"]*)"', html_report(runs, "x"))
 
     runs = [run("a", sigma, run=k) for k, sigma in enumerate((0.001, 0.3, 0.02))]
-    assert "of median score is drawn" in html_report(runs, "x")
+    assert "the one with the median score is drawn" in html_report(runs, "x")
     assert drawn(runs) == drawn([runs[1], runs[0], runs[2]]) == drawn([runs[2]]) != drawn([runs[0]])
 
 

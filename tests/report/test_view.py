@@ -183,7 +183,7 @@ def test_two_files_of_one_name_are_told_apart(sequence, tmp_path):
 def test_an_estimate_needs_a_truth(sequence, tmp_path):
     write_tum(tmp_path / "mine.tum", sequence.truth())
     blind, _ = export_sequence(sequence, "euroc", tmp_path / "blind", truth=False)
-    with pytest.raises(SequenceError, match=r"--estimate is shown beside the truth: .* has no truth"):
+    with pytest.raises(SequenceError, match=r"--estimate is shown beside the truth: .* has no ground truth"):
         estimated_paths(oysterbench.open(blind), [tmp_path / "mine.tum"], SlamSettings())
 
 

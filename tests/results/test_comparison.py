@@ -64,7 +64,7 @@ def test_one_sequence_has_places_and_says_why_there_are_no_ranks():
         ("a", 1, None),
         ("b", 2, None),
     ]
-    assert remarks(found) == ["1 sequence: no 95% interval can be had from fewer than 6"]
+    assert remarks(found) == ["1 sequence: no 95% interval is possible with fewer than 6"]
 
 
 @pytest.mark.parametrize(
@@ -79,13 +79,13 @@ def test_one_sequence_has_places_and_says_why_there_are_no_ranks():
 def test_what_differs_in_more_than_the_method_is_kept_apart(change, remark):
     found = boards([*runs("a", [0.9]), *runs("b", [0.8], **change)])
     assert [len(board.standings) for board in found] == [1, 1]
-    assert remarks(found)[0] == f"kept apart as 2 comparisons, as they differ in {remark}"
+    assert remarks(found)[0] == f"shown as 2 separate comparisons, since they differ in {remark}"
 
 
 def test_settings_that_only_another_track_has_are_not_told_of():
     found = boards([*runs("a", [0.9]), *runs("b", [0.8], track="steering", split="steer-mini", settings={"start": 0})])
     assert remarks(found)[0] == (
-        "kept apart as 2 comparisons, as they differ in track (slam, steering), split (slam-mini, steer-mini)"
+        "shown as 2 separate comparisons, since they differ in track (slam, steering), split (slam-mini, steer-mini)"
     )
 
 

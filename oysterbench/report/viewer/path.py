@@ -86,7 +86,7 @@ def path_plot(sequence: Sequence, times: NDArray[np.int64], estimates: Several[E
     moving = {name: [window.dots(points) for points in found] for name, found in _moving(sequence, times).items()}
     kinds = "path and oysters" if dots else "path"
     north = has_truth(sequence)  # in a sequence file, whose `map` is east, north and up; no other layout says
-    title = f"{kinds} from above" + (", east to the right" if north else "; where north is, nobody says")
+    title = f"{kinds} from above" + (", east to the right" if north else "; north unknown")
     beside = [(estimate.label, window.line(estimate.poses.positions[:, :2])) for estimate in estimates]
     bar_px = bar * SIDE / (2 * window.half)
     states = _states(truth, at, times, north)
