@@ -149,7 +149,7 @@ def summarise(sample: Sample, weights: Sample | None = None) -> Summary:
     >>> round(found.mean, 3), found.sequences, found.runs
     (0.775, 2, 3)
     >>> found.interval.reason
-    '2 sequences: no 95% interval can be had from fewer than 6'
+    '2 sequences: no 95% interval is possible with fewer than 6'
     """
     means = np.array(list(weighed_means(sample, weights).values()))
     shares = None if weights is None else np.array(list(sequence_weights(sample, weights).values()))
@@ -206,7 +206,7 @@ def resampled_interval(values: Array, n: int) -> Interval:
     """
     known = values[~np.isnan(values)]
     if len(known) < len(values) / 2:
-        return Interval(math.nan, math.nan, "it does not exist in most resamples")
+        return Interval(math.nan, math.nan, "it is undefined in most resamples")
     low, high = np.quantile(known, _tails(n))
     return Interval(_settled(low), _settled(high))
 
@@ -234,7 +234,7 @@ def _weights(n: int) -> Array:
 def too_few(sequences: int, noun: str = "sequence") -> str:
     """Why so few sequences have no interval."""
     return (
-        f"{sequences} {noun}{'' if sequences == 1 else 's'}: no {LEVEL:.0%} interval can be had from fewer than "
+        f"{sequences} {noun}{'' if sequences == 1 else 's'}: no {LEVEL:.0%} interval is possible with fewer than "
         f"{LEAST_SEQUENCES}"
     )
 
@@ -264,7 +264,7 @@ def compare(
     gains = differences if better == "higher" else -differences
     if not len(shared):
         return Comparison(
-            0, math.nan, Interval(math.nan, math.nan, "no sequence in common"), 0, 0, 0, "not significantly different"
+            0, math.nan, Interval(math.nan, math.nan, "no common sequence"), 0, 0, 0, "not significantly different"
         )
     difference, interval = mean_of(differences), bootstrap_interval(differences)
     if weights is not None:

@@ -163,7 +163,7 @@ def _metric(key: str, truth: Planes, estimate: Planes, scores: Scores | None) ->
     true, said = _pictures(truth), _pictures(estimate)
     if len(true) != len(said) or (scores is not None and len(scores) != len(said)):
         given = f"{len(true)}, {len(said)}" + ("" if scores is None else f" and {len(scores)}")
-        raise LabelError(f"expected truth, estimate and scores of the same pictures, got {given}")
+        raise LabelError(f"expected ground truth, estimate and scores of the same images, got {given}")
     scorer = DetectionScorer(DetectionSettings())
     for number, (one, other) in enumerate(zip(true, said, strict=True)):
         sure = None if scores is None else scores[number]

@@ -52,7 +52,7 @@ def test_nothing_to_score_by_is_said():
     nothing = TrueCount({}, 0, 0, 0, 0.0)
     score = score_density(nothing, mapped({}, 0.0, 0.0, (), ()))
     assert math.isnan(score.metrics["count_error_percent"])
-    assert score.reasons["count_error_percent"] == "no picture shows an oyster"
+    assert score.reasons["count_error_percent"] == "no image shows an oyster"
     assert score.reasons["map_score"] == "no cell was seen enough to have a number"
 
 

@@ -92,7 +92,7 @@ def test_quaternions_as_w_x_y_z_are_recognised_read_so_and_said(tmp_path, truth)
     _, read = pair(tmp_path, truth, mixed)
     np.testing.assert_allclose(read.quaternions, estimate.quaternions, rtol=0, atol=1e-15)
     (note,) = read.notes
-    assert "as w x y z; they are read so (--quaternion wxyz, or --quaternion xyzw to keep them)" in note
+    assert "as w x y z; read accordingly (--quaternion wxyz, or --quaternion xyzw to keep them)" in note
     assert note in score(truth, read).notes
     _, kept = pair(tmp_path, truth, mixed, quaternion="xyzw")
     np.testing.assert_array_equal(kept.quaternions, mixed.quaternions)
@@ -233,7 +233,7 @@ def test_two_kitti_files_without_times_meet_by_index_and_it_is_said(tmp_path):
     ):
         read_pair(tmp_path / "truth.txt", tmp_path / "poses.txt")
     write_npz(tmp_path / "poses.npz", TRUTH)
-    with pytest.raises(TrajectoryError, match=r"truth\.txt: KITTI poses carry no stamps; .*--times FILE"):
+    with pytest.raises(TrajectoryError, match=r"truth\.txt: KITTI poses have no timestamps; .*--times FILE"):
         read_pair(tmp_path / "truth.txt", tmp_path / "poses.npz")
 
 

@@ -115,7 +115,7 @@ def test_the_first_tenth_of_a_dive_has_a_small_error_and_a_small_score():
     result = score(truth, noisy(truth).select(slice(0, 100)))
     assert result.metrics["ate_rmse_m"] < 0.02
     assert 0.08 < result.metrics["score"] < 0.1
-    assert any("10% of the sequence only" in note for note in result.notes)
+    assert any("cover only 10% of the sequence" in note for note in result.notes)
 
 
 @pytest.mark.parametrize("associate", ["interpolate", "nearest"])

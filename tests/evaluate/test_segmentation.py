@@ -138,7 +138,7 @@ def test_classes_agree_with_sets_of_pixels_and_absent_ones_have_no_part_in_the_m
         assert metrics[f"iou_{name}"] == pytest.approx(value, nan_ok=True)
     assert metrics["miou"] == pytest.approx(np.nanmean(each))
     assert metrics["iou"] == metrics["iou_oyster"]
-    assert reasons["iou_vehicle"] == "neither truth nor estimate has it"
+    assert reasons["iou_vehicle"] == "neither ground truth nor estimate has it"
 
 
 def test_without_named_classes_there_is_no_mean_over_them():
@@ -202,7 +202,7 @@ def test_a_data_set_is_its_counts_together_and_its_interval_resamples_clips():
 
 def test_few_clips_have_no_interval_and_the_reason_is_said():
     found = over_dataset([scored((LEFT, FULL))] * 3)
-    assert found.intervals["iou"].reason == "3 sequences: no 95% interval can be had from fewer than 6"
+    assert found.intervals["iou"].reason == "3 sequences: no 95% interval is possible with fewer than 6"
 
 
 def test_scoring_in_parts_and_at_once_are_the_same():
@@ -271,7 +271,7 @@ def test_bytes_that_no_bool_has_count_as_true_and_nothing_else(tmp_path):
         ),
         ({"oyster": LEFT.astype(float)}, "expected a mask of bool, or of the integers 0 and 1, got float64"),
         ({"oyster": LEFT.astype(str)}, "expected a mask of bool, or of the integers 0 and 1, got <U5"),
-        ({"classes": LEFT.astype(float)}, "expected numbers of classes as integers, got float64"),
+        ({"classes": LEFT.astype(float)}, "expected class numbers as integers, got float64"),
         ({"probability": LEFT.astype(int)}, "expected probabilities as floating point numbers, got int64"),
     ],
 )

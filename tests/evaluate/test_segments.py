@@ -169,4 +169,4 @@ def test_no_sub_path_is_nan_with_the_reason_and_no_zero():
     assert result.metrics["subpath_segments"] == 0
     few = truth.select(slice(0, 20))
     result = score(truth, few, SlamSettings(align="none", subpath_m=(10.0,)))
-    assert result.reasons["subpath_10m_translation_percent"] == "no segment of 10 m is answered at both ends"
+    assert result.reasons["subpath_10m_translation_percent"] == "no segment of 10 m has an estimate at both ends"

@@ -121,7 +121,7 @@ def test_every_metric_is_defined_and_has_a_value_or_a_reason(changes):
 
 def test_a_metric_over_another_size_is_defined_with_that_size():
     assert find_metric("rpe_0.5s_rotation_rmse_deg").definition.count("0.5 s") == 1
-    assert find_metric("rpe_1frames_pairs").definition.endswith("over 1 pose are taken over.")
+    assert find_metric("rpe_1frames_pairs").definition.endswith("over 1 pose.")
     assert "10 deg apart" in find_metric("rpe_10deg_translation_rmse_m").definition
     assert find_metric("recall_3percent").heading == "Recall 3 %"
     assert find_metric("subpath_100m_translation_percent").heading == "100 m"
@@ -201,7 +201,7 @@ def test_a_truth_at_a_low_rate_is_answered_at_all_its_stamps_and_said_to_be_spar
     (note,) = result.notes
     assert note.startswith("the truth has 41 stamps, 0.5 s apart, for the estimate's 401 poses, 0.05 s apart")
     assert result.reasons["velocity_rmse_m_per_s"] == "no two matched poses are 0.2 s apart"
-    assert "answers 0 of 41 truth stamps" in refusal(truth, estimate, associate="nearest")
+    assert "covers 0 of 41 ground-truth timestamps" in refusal(truth, estimate, associate="nearest")
 
 
 def test_keyframes_alone_answer_as_many_stamps_as_they_are():
@@ -296,7 +296,7 @@ def test_common_time_without_a_match_is_refused_with_the_cause():
 
 
 def test_a_handful_of_matched_poses_is_refused():
-    assert "answers 4 of 1001 truth stamps" in refusal(survey(), survey().select(slice(0, 4)))
+    assert "covers 4 of 1001 ground-truth timestamps" in refusal(survey(), survey().select(slice(0, 4)))
 
 
 @pytest.mark.parametrize("noise_m", [0.0, 0.001])

@@ -93,7 +93,7 @@ def test_an_empty_sample_is_nan_with_a_reason_and_never_zero(empty):
     assert (summary.sequences, summary.runs) == (0, 0)
     against = compare(empty, sample([1, 2]), "lower")
     assert math.isnan(against.difference)
-    assert against.interval.reason == "no sequence in common"
+    assert against.interval.reason == "no common sequence"
 
 
 def test_spread_of_runs_is_told_from_spread_of_sequences():

@@ -116,8 +116,8 @@ def test_a_picture_has_one_vote_where_it_is_asked_for(masks):
         (lambda: metrics.iou(np.ones(4, bool), np.ones(4, bool)), r"expected masks \(H, W\)"),
         (lambda: metrics.iou(np.ones((4, 4)) > 0, np.ones((4, 4)) > 0, np.ones((3, 3)) > 0), "ignore: expected"),
         (lambda: metrics.count_mae([1, 2], [1]), "as many estimated counts"),
-        (lambda: metrics.average_precision(np.ones((4, 4), int), np.ones((2, 4, 4), int)), "of the same pictures"),
-        (lambda: metrics.average_precision(np.ones((4, 4)), np.ones((4, 4), int)), "numbers of oysters as integers"),
+        (lambda: metrics.average_precision(np.ones((4, 4), int), np.ones((2, 4, 4), int)), "of the same images"),
+        (lambda: metrics.average_precision(np.ones((4, 4)), np.ones((4, 4), int)), "oyster numbers as integers"),
         (lambda: metrics.average_precision(np.ones((4, 4), int), np.ones((4, 4), int), [{2: 1.0}]), "no score of"),
     ],
 )  # fmt: skip

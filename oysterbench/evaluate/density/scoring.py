@@ -77,11 +77,11 @@ def score_density(truth: TrueCount, estimate: MapCount) -> Score:
     measures.ratio("right_class", right, asked, none_seen)
     measures.ratio("coverage", len(errors), asked, none_seen)
 
-    none_true = "no picture shows an oyster"
+    none_true = "no image shows an oyster"
     measures.ratio("count_error_percent", 100.0 * (estimate.count - truth.shown), truth.shown, none_true)
     measures.ratio("count_off_percent", 100.0 * abs(estimate.count - truth.shown), truth.shown, none_true)
     measures.ratio(
-        "live_error_percent", 100.0 * (estimate.live - truth.live), truth.live, "no picture shows a live oyster"
+        "live_error_percent", 100.0 * (estimate.live - truth.live), truth.live, "no image shows a live oyster"
     )
     measures["count_within"] = float(estimate.low <= truth.shown <= estimate.high)
     entries = Counter(owner for owner in estimate.owners if owner)
@@ -89,7 +89,7 @@ def score_density(truth: TrueCount, estimate: MapCount) -> Score:
     measures.ratio("lost_percent", 100.0 * len(estimate.found - set(entries)), truth.shown, none_true)
     measures["oysters_truth"], measures["oysters_counted"] = float(truth.shown), float(estimate.count)
     measures.ratio(
-        "hidden_percent", 100.0 * truth.hidden, truth.shown + truth.hidden, "no oyster lies on what was seen"
+        "hidden_percent", 100.0 * truth.hidden, truth.shown + truth.hidden, "there is no oyster on the seen ground"
     )
     measures["area_m2"] = truth.area_m2
     measures.ratio("density_truth_live_per_m2", truth.live, truth.area_m2, "nothing was seen")

@@ -19,9 +19,9 @@ from oysterbench.evaluate.detection.settings import DetectionSettings
 from oysterbench.evaluate.detection.states import STATE_METRICS, StateCounts, state_metrics, states_of
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
 
-NO_TRUTH = "there is no such oyster in the truth"
+NO_TRUTH = "the ground truth has no such oyster"
 NO_MASKS = "the estimate has boxes, and no masks"
-NOTHING = "there is neither an oyster nor an estimate of one"
+NOTHING = "there is neither a true nor an estimated oyster"
 NO_MATCH = "no estimate matches an oyster"
 RESAMPLES = 1000  # for the interval of AP: each is a curve of its own
 

@@ -28,7 +28,7 @@ def mask_tools() -> Any:
         from pycocotools import mask
     except ImportError:
         raise LabelError(
-            "COCO masks are read, and single oysters matched, by pycocotools, which is not installed: pip install "
+            "reading COCO masks and matching oysters need pycocotools, which is not installed: pip install "
             "'oysterbench[score]'"
         ) from None
     return mask
@@ -92,7 +92,7 @@ def instance_numbers(values: NDArray[Any], where: str) -> NDArray[np.integer]:
     if values.ndim == 2 and values.dtype.kind in "iu" and 0 <= values.min(initial=0) <= values.max(initial=0) <= most:
         return values
     raise LabelError(
-        f"{where}: expected numbers of oysters as integers (H, W) from 0, for none, to {most}, got {values.dtype} of "
+        f"{where}: expected oyster numbers as integers (H, W) from 0 (none) to {most}, got {values.dtype} of "
         f"shape {values.shape}"
     )
 

@@ -81,13 +81,13 @@ class EstimateImage:
         low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
         if not (low >= 0.0 and high <= 1.0):  # NaN fails as well
             raise LabelError(
-                f"{self.name}: expected probabilities from 0 to 1, got {low:g} to {high:g}; logits are to be put "
-                "through a sigmoid first"
+                f"{self.name}: expected probabilities from 0 to 1, got {low:g} to {high:g}; apply a sigmoid to logits "
+                "first"
             )
 
     def _checked_classes(self, values: NDArray[Any]) -> NDArray[np.uint8]:
         if values.dtype.kind not in "iu":
-            raise LabelError(f"{self.name}: expected numbers of classes as integers, got {values.dtype}")
+            raise LabelError(f"{self.name}: expected class numbers as integers, got {values.dtype}")
         unknown = sorted(set(np.unique(values).tolist()) - set(CLASSES))
         if unknown:
             known = ", ".join(f"{number} {name}" for number, name in CLASSES.items())
@@ -125,6 +125,6 @@ def check_pair(truth: TruthImage, estimate: EstimateImage) -> None:
     if truth.classes.shape != estimate.shape:
         (h, w), (eh, ew) = truth.classes.shape, estimate.shape
         raise LabelError(
-            f"{truth.name}: expected an estimate of the truth's size, {w} x {h}, got {ew} x {eh}; bring probabilities "
-            "to that size (bilinear) before they become a mask"
+            f"{truth.name}: expected an estimate of the truth's size, {w} x {h}, got {ew} x {eh}; resize probabilities "
+            "to it (bilinear) before thresholding"
         )

@@ -11,11 +11,11 @@ import numpy as np
 from oysterbench.evaluate.segmentation.metrics import SEGMENTATION
 from oysterbench.recipe import CLASSES
 
-NO_OYSTER = "there is no oyster in the truth"
-NOTHING_CALLED = "nothing is called oyster"
+NO_OYSTER = "the ground truth has no oyster"
+NOTHING_CALLED = "nothing is predicted as oyster"
 NO_EMPTY_IMAGE = "there is no image without oysters"
-NO_IMAGE = "there is no image with pixels to be asked about"
-ABSENT = "neither truth nor estimate has it"
+NO_IMAGE = "there is no image with pixels to score"
+ABSENT = "neither ground truth nor estimate has it"
 _REASONS = {
     "precision": NOTHING_CALLED,
     "recall": NO_OYSTER,

@@ -168,6 +168,6 @@ def _check_matched(matched: int, truth: Trajectory, estimate: Trajectory, settin
             f"{settings.max_difference_s:g} away"
         )
     raise TrajectoryError(
-        f"estimate answers {matched} of {len(truth)} truth stamps, expected at least {MIN_MATCHED}: {why}; give poses "
-        "more often, or allow more"
+        f"the estimate covers {matched} of {len(truth)} ground-truth timestamps, expected at least {MIN_MATCHED}: "
+        f"{why}; give poses more often, or allow larger gaps"
     )

@@ -69,7 +69,7 @@ def read_pair(
     except NoStampsError as missing:
         assert not isinstance(truth_path, Trajectory)
         truth = read_trajectory(truth_path, truth_options, times=_by_index(estimate_path, options, missing))
-        step = f"{KITTI_STEP_NS * 1e-9:g} s apart, as KITTI's are; what is per second stands on that"
+        step = f"{KITTI_STEP_NS * 1e-9:g} s apart, as in KITTI; per-second metrics depend on it"
         truth = replace(truth, notes=(*truth.notes, f"neither file has times: poses meet by index, taken as {step}"))
     if options.times is None:
         options = replace(options, times=truth.stamps_ns)
@@ -86,7 +86,7 @@ def read_pair(
             notes = estimate.notes
             estimate = read_trajectory(estimate_path, options)
             estimate = replace(estimate, notes=tuple(dict.fromkeys((*notes, *estimate.notes))))
-            note = f"{Path(estimate_path).name}: {finding.sentence}; they are read so ({finding.decide})"
+            note = f"{Path(estimate_path).name}: {finding.sentence}; read accordingly ({finding.decide})"
         else:
             note = str(finding)
         estimate = replace(estimate, notes=(*estimate.notes, note))
@@ -102,8 +102,8 @@ def _by_index(estimate_path: str | os.PathLike[str], options: ReadOptions, missi
             if other.poses == missing.poses:
                 return np.arange(missing.poses, dtype=np.int64) * KITTI_STEP_NS
             raise TrajectoryError(
-                f"{estimate_path}: expected as many poses as the truth has, {missing.poses}, as neither file says its "
-                f"times, got {other.poses}; give a file with one time a line, which both take (--times FILE), or "
+                f"{estimate_path}: expected as many poses as the truth has, {missing.poses}, since neither file has "
+                f"times, got {other.poses}; give a file with one time per line, used for both (--times FILE), or "
                 "all poses"
             ) from None
     raise missing

@@ -141,7 +141,7 @@ def measure_segments(matched: Matched, settings: SlamSettings, path_m: Array, me
             measures[key] = float(np.mean(np.concatenate(parts)))
     ratio = np.concatenate(ratios) if ratios else np.empty(0)
     if not len(ratio):
-        reason = f"no segment is answered at ends that are {MIN_CHORD:.0%} of its length apart"
+        reason = f"no segment has estimates at ends that are {MIN_CHORD:.0%} of its length apart"
         measures.missing(reason, "subpath_scale", "subpath_scale_error_percent")
         return
     measures["subpath_scale"] = float(np.median(ratio))
@@ -161,7 +161,7 @@ def _no_segment(length_m: float, total_m: float) -> str:
         return STILL
     if length_m >= total_m:
         return f"the true path of {total_m:.4g} m has no segment of {length_m:.4g} m"
-    return f"no segment of {length_m:.4g} m is answered at both ends"
+    return f"no segment of {length_m:.4g} m has an estimate at both ends"
 
 
 def measure_drift(matched: Matched, path_m: Array, measures: Measures) -> None:
@@ -203,7 +203,7 @@ def measure_answers(matched: Matched, path_m: float, measures: Measures) -> None
     measures["path_length_m"] = path_m
     measures["duration_s"] = float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
     if measures["coverage"] < 0.5:
-        measures.notes.append(f"the errors speak of {measures['coverage']:.0%} of the sequence only")
+        measures.notes.append(f"the errors cover only {measures['coverage']:.0%} of the sequence")
 
 
 def measure_alignment(fit: Alignment, settings: SlamSettings, measures: Measures) -> None:

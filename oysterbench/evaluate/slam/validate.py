@@ -64,7 +64,7 @@ def _check_finite(trajectory: Trajectory, name: str) -> None:
         column = ("x", "y", "z", "qx", "qy", "qz", "qw")[int(np.argmin(np.isfinite(values[i])))]
         raise TrajectoryError(
             f"{name}: expected finite numbers, got {column} = {values[i][~np.isfinite(values[i])][0]} at "
-            f"{_pose(trajectory, i)}{_others(wrong)}; leave out poses that are not known"
+            f"{_pose(trajectory, i)}{_others(wrong)}; leave out unknown poses"
         )
     wrong = np.asarray((np.abs(trajectory.positions) > MAX_POSITION_M).any(axis=1))
     if wrong.any():

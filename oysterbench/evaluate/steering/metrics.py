@@ -14,22 +14,22 @@ def _axis(axis: str, sides: str) -> dict[str, Metric]:
     name = axis.capitalize()
     return {
         f"{axis}_accuracy": higher(f"{name} right", column=Column(axis, "% right", 1, factor=100.0))(
-            f"Share (0 to 1) of the pictures whose class of {axis} is the expert's."
+            f"Share (0 to 1) of the images whose class of {axis} is the expert's."
         ),
         f"{axis}_balanced_accuracy": higher(f"{name} balanced")(
-            f"Mean over the classes of {axis} that the expert commands somewhere of the share of their pictures in "
-            "which they are commanded: classes count alike however often they occur."
+            f"Recall averaged over the classes of {axis} that the expert commands anywhere: classes count equally, "
+            "however often they occur."
         ),
         f"{axis}_macro_f1": higher(f"{name} F1", column=Column(axis, "F1"))(
-            f"Mean of F1 over the classes of {axis}; one that neither the expert nor the policy commands in any "
-            "picture is left out, one that only one of them commands counts 0."
+            f"Mean of F1 over the classes of {axis}; a class that neither the expert nor the policy ever commands is "
+            "left out, one that only one of them commands counts 0."
         ),
         f"{axis}_within_one": higher(f"{name} within one")(
-            f"Share (0 to 1) of the pictures whose class of {axis} is the expert's or one next to it."
+            f"Share (0 to 1) of the images whose class of {axis} is the expert's or adjacent to it."
         ),
         f"{axis}_cost_classes": lower(f"{name} cost", "classes")(
-            f"Expected cost: mean over pictures of the distance to the expert's class of {axis}, {sides}, each class "
-            "weighed by its probability; a policy that only says which class gives it all of it."
+            f"Expected cost: mean over images of the distance to the expert's class of {axis}, {sides}, each class "
+            "weighted by its probability; a policy that only names a class gives it probability 1."
         ),
         f"{axis}_cost_deg": lower(f"{name} cost", "deg", Column(axis, "deg off", 1))(
             f"The same cost of {axis} in degrees of the task's turns."
@@ -39,53 +39,53 @@ def _axis(axis: str, sides: str) -> dict[str, Metric]:
 
 PICTURES: dict[str, Metric] = {
     "skill": higher("Skill", column=Column("skill"), limits=(-math.inf, 1.0))(
-        "1 - regret / regret of commands drawn evenly from all pairs of classes, over the pictures of a sequence: 1 of "
-        "the expert's own commands, 0 of chance, below 0 of what is worse than chance. Where several commands are as "
-        "good, any of them is right. A failed run counts 0."
+        "1 - regret / regret of commands drawn evenly from all pairs of classes, over the images of a sequence: 1 for "
+        "the expert's own commands, 0 for chance, below 0 if worse than chance. If several commands are equally good, "
+        "any of them is right. A failed run counts 0."
     ),
     "regret_oysters": lower("Regret", "oysters", Column("regret", "oysters", 2))(
-        "Mean over pictures of the value of the expert's best pair of classes less that of the commanded pair: oysters "
-        "lost per decision, by the expert's own plans, in which leaving the altitude band and touching cost oysters."
+        "Mean over images of the value of the expert's best pair of classes minus that of the commanded pair: oysters "
+        "lost per decision, by the expert's own plans, in which leaving the altitude band and contacts cost oysters."
     ),
-    **_axis("yaw", "which lie from left to right"),
-    **_axis("pitch", "which lie from up to down"),
-    "joint_accuracy": higher("Both right")("Share (0 to 1) of the pictures in which both classes are the expert's."),
-    "pictures": neutral("Pictures")("Number of pictures that were answered."),
-    "pictures_per_s": higher("Speed", "per s")("Pictures answered by the wall time of the policy."),
+    **_axis("yaw", "ordered from left to right"),
+    **_axis("pitch", "ordered from up to down"),
+    "joint_accuracy": higher("Both right")("Share (0 to 1) of the images in which both classes are the expert's."),
+    "pictures": neutral("Pictures")("Number of images with a command."),
+    "pictures_per_s": higher("Speed", "per s")("Images processed per wall time of the policy."),
 }
 """Metrics of the track steering, over labelled pictures, by their key."""
 
 ROLLOUTS: dict[str, Metric] = {
     "oysters_per_min": higher("Oysters", PER_MIN, Column("oysters", "per min", 1))(
-        "Live oysters of the rollout's area that were seen, each once, by the length of the rollout; those in the "
-        "first view included. An oyster is seen when it is near enough for the water, and large enough in the picture, "
-        "for the task's limits. A failed rollout counts 0."
+        "Live oysters of the rollout's area that were seen, each counted once, per minute of the rollout, including "
+        "those in the first view. An oyster is seen when it is near enough for the water and large enough in the "
+        "image, by the task's limits. A failed rollout counts 0."
     ),
     "oysters_seen": higher("Seen", limits=(0.0, math.inf))("Those oysters."),
     "found_share": higher("Found", column=Column("found", "%", 1, factor=100.0))(
-        "Those oysters by all live ones of the area (0 to 1): what can be found in a rollout."
+        "Those oysters as a share (0 to 1) of all live ones in the area: what can be found in a rollout."
     ),
     "covered_share": higher("Covered", column=Column("covered", "%", 1, factor=100.0))(
-        "Share (0 to 1) of the bottom within the fence that was seen from near enough."
+        "Share (0 to 1) of the bottom within the fence that was seen from close enough."
     ),
     "contacts": lower("Contacts")(
-        "Times that the hull would have touched something and was held above it: steps in a row count once."
+        "Number of times the hull would have touched something and was held above it; consecutive steps count once."
     ),
     "contacts_per_min": lower("Contacts", PER_MIN, Column("contacts", "per min", 2))(
-        "The same by the length of the rollout."
+        "The same per minute of the rollout."
     ),
     "contact_share": lower("In contact")("Share (0 to 1) of the steps with a contact."),
     "in_band_share": higher("Band", column=Column("in band", "%", 1, factor=100.0))(
         "Share (0 to 1) of the commands after which the altitude is in the task's band."
     ),
     "turned_back": lower("Turned", column=Column("turned", "times", 1))(
-        "Times that the fence turned the vehicle: steps in a row count once."
+        "Number of times the fence turned the vehicle; consecutive steps count once."
     ),
-    "distance_m": neutral("Path", "m", Column("path", "m", 1))("Length of the path, in chords from step to step."),
-    "oysters_per_m": higher("Oysters", "per m")("Oysters seen by that length."),
+    "distance_m": neutral("Path", "m", Column("path", "m", 1))("Length of the path, as chords from step to step."),
+    "oysters_per_m": higher("Oysters", "per m")("Oysters seen per length of path."),
     "steps_per_s": higher("Steps", "per s", Column("speed", "steps/s", 1))(
-        "Commands by the wall time of the rollout: steering, moving, and, for a policy, rendering what it sees; the "
-        "references are shown no picture."
+        "Commands per wall time of the rollout: steering, moving and, for a policy, rendering its views; the "
+        "references get no images."
     ),
     "rollout_s": neutral("Rollout", "s")("Length of the rollout."),
 }

@@ -15,7 +15,7 @@ from oysterbench.evaluate.steering import labels
 from oysterbench.recipe.steering import SteeringRecipe
 
 AXES = ("yaw", "pitch")
-NO_PICTURES = "no picture was answered"
+NO_PICTURES = "no image has a command"
 
 
 @dataclass(frozen=True)
@@ -86,5 +86,5 @@ def score_pictures(truth: Labels, commands: Commands) -> PictureScore:
     metrics["pictures"] = float(n)
     reasons = {key: NO_PICTURES for key, value in metrics.items() if math.isnan(value)}
     if n and "skill" in reasons:
-        reasons["skill"] = "in no picture does it make a difference what is commanded"
+        reasons["skill"] = "the command makes no difference in any image"
     return PictureScore(metrics, reasons, *counts)
