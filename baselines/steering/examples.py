@@ -147,7 +147,7 @@ def recipe_of(path: Path) -> SplitRecipe:
     try:
         return parse_split(held["split.toml"].decode(), f"{path}: split.toml", rig_source=held["rig.toml"].decode())
     except KeyError as error:
-        raise SequenceError(f"{path} has no truth about steering: no attachment {error}") from None
+        raise SequenceError(f"{path} has no ground truth about steering: no attachment {error}") from None
 
 
 def task_of(path: Path) -> SteeringRecipe:

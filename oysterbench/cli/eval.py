@@ -146,7 +146,7 @@ def _evaluate(
         finish(track.score_files(truth, estimate, options), out, outputs)
         return
     if reading:
-        raise click.UsageError(f"{', '.join(reading)}: says how to read files, but no --truth and --estimate are")
+        raise click.UsageError(f"{', '.join(reading)}: says how to read files, but no --truth and --estimate are given")
 
     from oysterbench.recipe import load_split
     from oysterbench.simulation.generate import split_folder

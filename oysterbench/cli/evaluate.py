@@ -94,7 +94,7 @@ def _check_folder(out: Path) -> None:
         try:
             read_results(out / "results.json")
         except ResultError as error:
-            raise ResultError(f"{error}; it was left as it is: move it away, or choose another --out") from None
+            raise ResultError(f"{error}; it was left unchanged: move it away, or choose another --out") from None
 
 
 def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
@@ -127,17 +127,19 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
             message(each.failure)
         elif out is not None:
             place = each.job.folder(out)
-            message(f"{each.job.sequence.name} has no truth to score by; the predictions: {place}")
+            message(f"{each.job.sequence.name} has no ground truth to score against; the predictions: {place}")
     if kept:
         methods = ", ".join(dict.fromkeys(one.method for one in kept))
         runs = "1 earlier run" if len(kept) == 1 else f"{len(kept)} earlier runs"
-        message(f"{out}: results of {runs} stay beside these, without figures: {methods}; oysterbench compare {out}")
+        message(
+            f"{out}: results of {runs} are kept beside these, without figures: {methods}; oysterbench compare {out}"
+        )
     for path in written:
         message(f"written: {path}")
     failures = [one for one in records if one.failure is not None]
     for one in failures:
         kept_at = None if out is None else out / "runs" / one.method / one.sequence / f"{one.run + 1}"
-        logs = f"; all that it said: {kept_at}" if kept_at is not None and kept_at.is_dir() else ""
+        logs = f"; full output: {kept_at}" if kept_at is not None and kept_at.is_dir() else ""
         message(f"{one.method} failed on {one.sequence}: {one.failure}{logs}")
     if failures or any(each.failure is not None for each in found.unscored):
         sys.exit(OysterbenchError.exit_code)

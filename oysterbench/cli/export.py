@@ -31,7 +31,7 @@ def _known_format(ctx: click.Context, parameter: click.Parameter, value: str) ->
 
     known = [*FORMATS, *SET_FORMATS]
     if value not in known:
-        raise click.BadParameter(f"{value!r} is no format; {instead(value, known, 'oysterbench export --help')}.")
+        raise click.BadParameter(f"{value!r} is not a format; {instead(value, known, 'oysterbench export --help')}.")
     return value
 
 
@@ -83,11 +83,11 @@ def _export_one(what: tuple[str, ...], form: str, out: Path, truth: bool) -> tup
 
     sets = ", ".join(SET_FORMATS)
     if len(what) > 1:
-        raise OptionError(f"the format {form} is of one sequence, got {len(what)}; several go into {sets}")
+        raise OptionError(f"the format {form} takes one sequence, got {len(what)}; for several, use {sets}")
     if what[0] in split_names() and not Path(what[0]).exists():
         raise SequenceError(
-            f"{what[0]} is a split, and the format {form} is of one sequence: expected its file (.mcap), which "
-            f"`oysterbench download {what[0]}` prints; splits as a whole go into {sets}"
+            f"{what[0]} is a split, but the format {form} takes one sequence: expected its file (.mcap), as printed by "
+            f"`oysterbench download {what[0]}`; for whole splits, use {sets}"
         )
     opened = open_sequence(Path(what[0]))
     with late_bar(f"exporting {opened.name}", "pictures") as progress:
@@ -100,7 +100,7 @@ def _export_sets(what: tuple[str, ...], form: str, out: Path, truth: bool) -> tu
     from oysterbench.cli.progress import late_bar
 
     if not truth:
-        raise OptionError(f"--no-truth: the format {form} is of pictures with their labels, which are truth")
+        raise OptionError(f"--no-truth: the format {form} needs labels, which are ground truth")
     sets = [open_data(name) for name in what]
     with late_bar(f"exporting {', '.join(one.name for one in sets)}", "pictures") as progress:
         return export_set(sets, form, out, progress)

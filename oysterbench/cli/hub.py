@@ -39,7 +39,7 @@ def keygen(path: Path) -> None:
     from oysterbench.hub.sign import make_key
 
     public = make_key(path)
-    message(f"private key: {path}; the public one, for OYSTERBENCH_HUB_KEY or --key of those who download:")
+    message(f"private key: {path}; public key, for users to set as OYSTERBENCH_HUB_KEY or --key:")
     echo(public)
 
 
@@ -96,7 +96,7 @@ def publish(
     split = load_split(split_name)
     if split.hidden and not hidden:
         raise HubError(
-            f"{split.name} is a hidden split: published as it is, everybody would have its truth; nothing was "
+            f"{split.name} is a hidden split: publishing it like this would reveal its ground truth; nothing was "
             "published: give --hidden and --truth-out"
         )
     key, old_keys = load_key(key_file), [load_key(file) for file in old_files]
@@ -146,7 +146,7 @@ def serve(tree: Path, host: str, port: int, proxies: tuple[str, ...]) -> None:
 @click.option("--connections", type=click.IntRange(1, 32), default=4, show_default=True, help="Connections at once.")
 @click.option("--dry-run", is_flag=True, help="Only show what would be downloaded.")
 @click.option("--verify", "check", is_flag=True, help="Read every file again afterwards, and repair damaged ones.")
-@click.option("--again", is_flag=True, help="Replace weights that were trained here.")
+@click.option("--again", is_flag=True, help="Replace weights trained here.")
 @click.option("--json", "as_json", is_flag=True, help="Print the files as JSON.")
 @click.pass_context
 def download(
@@ -190,7 +190,7 @@ def download(
     here = None if check else find_here(split_name, version or None, patterns, out)
     if here is None and split is None and (model := _model(name, version, hub_at, key, out, connections)):
         if patterns or topics:
-            raise click.UsageError(f"--sequence and --topics choose from a split; {name} is trained weights")
+            raise click.UsageError(f"--sequence and --topics apply to splits; {name} is trained weights")
         download_model(*model, out, dry_run, again, as_json)
         return
     if here is None and not hub_at:
@@ -239,7 +239,7 @@ def _model(
     known = name in weights_names()
     if not hub_at:
         if here is not None:
-            raise HubError(f"{name}: {NO_HUB}; here are {here.described}")
+            raise HubError(f"{name}: {NO_HUB}; found here: {here.described}")
         if known:
             raise no_weights(name, path)
         return None
@@ -266,7 +266,8 @@ def _folder(split: SplitRecipe | None, manifest: Manifest) -> Path:
         return split_folder(split)
     if split is not None and not manifest.hidden:
         message(
-            f"{manifest.split} {manifest.version} of the hub was made by another recipe or version: it is kept apart"
+            f"{manifest.split} {manifest.version} on the hub was made by another recipe or version: it is stored "
+            "separately"
         )
     return home() / "splits" / manifest.split / f"{manifest.version}-{manifest.sha256[:12]}"
 
@@ -294,7 +295,7 @@ def _render_instead(
             "splits` and `oysterbench models` list what there is"
         )
     if split.hidden:
-        raise HubError(f"{name}: {NO_HUB}, and a hidden split cannot be rendered by who has not its salt")
+        raise HubError(f"{name}: {NO_HUB}, and a hidden split cannot be rendered without its salt")
     if topics:
         raise HubError(f"{name}: {NO_HUB}, and --topics needs one; `oysterbench render {name}` makes all topics")
     known = [sequence.name for sequence in split.sequence]
@@ -337,12 +338,13 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
         rows = [{"file": str(check.path), "state": check.state, "detail": check.detail} for check in found]
         echo(json.dumps({"files": rows}, indent=2))
     if not found:
-        message("nothing is here; `oysterbench splits` lists what there is")
+        message("there is no local data; `oysterbench splits` lists the splits")
     bad = sum(not check.good for check in found)
     if bad:
         raise IntegrityError(
-            f"{bad} of {len(found)} files are damaged, absent or not what was released; `oysterbench download SPLIT "
-            "--verify`, or `oysterbench download MODEL --again`, fetches what is wrong again"
+            f"{bad} of {len(found)} files are damaged, absent or different from the release; `oysterbench download "
+            "SPLIT "
+            "--verify`, or `oysterbench download MODEL --again`, downloads those files again"
         )
 
 

@@ -6,24 +6,24 @@ import shlex
 import sys
 
 RESUMED = {
-    "download": "what was fetched is kept",
-    "experiment": "finished trainings and the last checkpoint are kept",
+    "download": "downloaded data is kept",
+    "experiment": "finished training runs and the last checkpoint are kept",
     "release": "sequences that were read are kept",
     "render": "finished frames are kept",
     "run": "finished runs are kept",
-    "segment": "finished pictures are kept",
+    "segment": "finished images are kept",
     "train": "the last checkpoint is kept",
     "tune": "finished trials are kept",
 }
 """Command -> what is kept of it; the same command resumes from there."""
 
 BEGUN_ANEW = {
-    "eval": "finished frames are kept, and results of finished runs are in results.json; typed again, it begins with "
-    "the first run: `oysterbench run` resumes where it was",
+    "eval": "finished frames are kept, and results of finished runs are in results.json; the same command starts again "
+    "from the first run, `oysterbench run` resumes",
     "publish": "the tree is as it was before",
     "publish-model": "the tree is as it was before",
-    "systems": "a system that was not finished is built anew",
-    "translate": "pictures that were written stay, and the set is not complete: choose another --out, or delete it",
+    "systems": "an unfinished system is built again",
+    "translate": "written images stay, but the set is incomplete: choose another --out, or delete it",
 }
 """Command -> what is left of it, of those that do not go on."""
 

@@ -36,9 +36,7 @@ def check_data(name: str) -> None:
     known = split_names()
     if name not in known and not name.endswith(".toml") and not Path(name).exists():
         meant = did_you_mean(nearest(name, known))
-        raise LabelError(
-            f"{name}: no split of that name, nor a file or folder; {meant}`oysterbench splits` lists splits"
-        )
+        raise LabelError(f"{name}: no split, file or folder of that name; {meant}`oysterbench splits` lists splits")
 
 
 def open_data(name: str) -> LabelledSet:
@@ -65,7 +63,8 @@ def named_places(texts: Sequence[str], taken: Collection[str]) -> dict[str, list
         name, equals, place = text.partition("=")
         if not equals or not name.replace("-", "").replace("_", "").isalnum() or name in taken:
             raise click.UsageError(
-                f"--synthetic: expected NAME=SPLIT or NAME=PATH, and a name but {', '.join(taken)}, got {text!r}"
+                f"--synthetic: expected NAME=SPLIT or NAME=PATH, with a name other than {', '.join(taken)}, got "
+                f"{text!r}"
             )
         check_data(place)
         found.setdefault(name, []).append(place)

@@ -86,17 +86,17 @@ def map_command(
     elevation, so its first echo is placed on its lower edge. No cloud uses the ground truth: `export --format ply` does
     that.
     """
-    apart, what = (MAP_OPTIONS, "a map: expected --masks") if masks is None else (CLOUD_OPTIONS, "a cloud")
+    apart, what = (MAP_OPTIONS, "a map: give --masks") if masks is None else (CLOUD_OPTIONS, "a cloud")
     if names := [option for key, option in apart.items() if given[key] is not None]:
         raise click.UsageError(
-            f"{', '.join(names)}: of {what}{'' if masks is None else ', which is made without --masks'}"
+            f"{', '.join(names)}: only for {what}{'' if masks is None else ', which is made without --masks'}"
         )
     if masks is None:
         facts = _cloud(sequence, trajectory, out, given["source"] or "pictures", cameras, given["voxel_m"], far_m)
         summary = facts.pop("summary")
     else:
         if len(cameras) > 1:
-            raise click.UsageError("--camera: a map is made of one camera's pictures, got several")
+            raise click.UsageError("--camera: a map uses one camera, got several")
         chosen = {key: given[key] for key in ("cell_m", "threshold") if given[key] is not None}
         if far_m is not None:
             chosen["far_m"] = far_m
@@ -136,9 +136,7 @@ def _cloud(
         watch = _watching(opened, looks, progress)
         cloud = build_cloud(opened, read_trajectory(trajectory), source, cameras, settings, watch)
     if len(cloud) == 0:
-        raise OysterbenchError(
-            f"{opened.name}: no point was found from {source} along {trajectory}; nothing is written"
-        )
+        raise OysterbenchError(f"{opened.name}: no points found from {source} along {trajectory}; nothing was written")
     cloud.write(out, f"{opened.name} along {trajectory.name}, from {source}, in odom, m")
     facts = {
         "file": str(out),
@@ -201,7 +199,7 @@ def _oysters(
     own = str(masks) == TRUTH
     if own or depth == "layer":
         used = " and ".join([*(["masks"] if own else []), *(["depths"] if depth == "layer" else [])])
-        message(f"the true {used} of {opened.name} are used: this map is no estimate")
+        message(f"the true {used} of {opened.name} are used: this map is not an estimate")
     start = time.process_time()
 
     def seen() -> Any:

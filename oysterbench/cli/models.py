@@ -83,7 +83,7 @@ def publish_model(
         tree, build_model(name, version, known.methods, words, file, training, figures), path, key, message, old_keys
     )
     if not figures:
-        message("no --results: the card says that nothing was measured with these weights")
+        message("no --results: the card says that these weights were not evaluated")
     if as_json:
         echo(model.data.decode(), nl=False)
         return
@@ -217,7 +217,7 @@ def _print_card(name: str, hub: Hub | None, as_json: bool) -> None:
     if hub is not None:
         model = hub.model(name, version or None)
     elif version:
-        raise MethodError(f"{name}@{version}: of weights that are here there is one; a version is of a hub, with --hub")
+        raise MethodError(f"{name}@{version}: local weights have one version; add --hub for a version on a hub")
     elif here is not None and here.model is not None:
         model = here.model
     else:

@@ -83,7 +83,7 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
     def wrapped(*, as_json: bool, report: Path | None, **values: Any) -> Any:
         texts = {form: path for form in TEXTS if (path := values.pop(f"{form}_file")) is not None}
         if as_json + list(texts.values()).count(Path("-")) > 1:
-            raise click.UsageError("--json, --csv, --tex, --md: expected one of them at most on stdout")
+            raise click.UsageError("--json, --csv, --tex, --md: at most one of them can go to stdout")
         return command(outputs=Outputs(as_json, texts, report), **values)
 
     option = click.option(

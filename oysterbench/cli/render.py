@@ -66,7 +66,7 @@ def render(
     from oysterbench.simulation.salt import salt_for
 
     if workers is not None and scheduler is not None:
-        raise click.UsageError("--workers and --scheduler exclude each other: a cluster's workers are its own")
+        raise click.UsageError("--workers and --scheduler cannot be combined: a cluster has its own workers")
     split = load_split(split_name)
     if as_preview:
         files = _preview(split, names, out or Path("."))
@@ -91,13 +91,13 @@ def _compare(split: SplitRecipe, files: dict[str, Path], made_by: str, device: s
     name = f"{split.name} {split.version}"
     manifest = released_manifest(split.name, split.version)
     if manifest is None:
-        message(f"{name}: no manifest of it was released, so that nothing could be compared")
+        message(f"{name}: no released manifest, so nothing was compared")
         return
     if device == "cpu" and manifest.recipe_digest != made_by:
-        message(f"{name} was released by another recipe or generation, and is not what was rendered here")
+        message(f"{name} was released with another recipe or generation than the one rendered here")
         return
     done, total, same = 0, sum(path.stat().st_size for path in files.values()), 0
-    with bytes_bar(f"comparing {split.name} with what was released") as progress:
+    with bytes_bar(f"comparing {split.name} with the release") as progress:
         for path in files.values():
             check = check_released(path, manifest)
             same += check.state == RIGHT
@@ -108,7 +108,7 @@ def _compare(split: SplitRecipe, files: dict[str, Path], made_by: str, device: s
     if same == len(files):
         message(f"{name}: as released, {same} of {len(manifest.files)} files")
     else:
-        message(f"{name}: {len(files) - same} of {len(files)} files are not, byte for byte, those released")
+        message(f"{name}: {len(files) - same} of {len(files)} files differ from the release")
 
 
 def _preview(split: SplitRecipe, names: tuple[str, ...], folder: Path) -> dict[str, Path]:

@@ -122,19 +122,19 @@ def run_command(
     other runs, up to OYSTERBENCH_EXPORTS_GB (20). A program's lines `progress 120 of 700` are shown as a bar.
     """
     if (split_name is None) == (not places):
-        raise click.UsageError("expected --split SPLIT or --on SEQUENCE, one of them")
+        raise click.UsageError("expected either --split SPLIT or --on SEQUENCE")
     if template is None and not names:
         raise click.UsageError("expected a METHOD, or --command; `oysterbench run --help` has examples")
     if template is not None and len(names) > 1:
-        raise click.UsageError(f"--command runs one program: expected one name for it at most, got {', '.join(names)}")
+        raise click.UsageError(f"--command runs one program: expected at most one name for it, got {', '.join(names)}")
     if template is None and poses_of is not None:
-        raise click.UsageError("--poses-of is for --command: a method of Python gives the poses of base_link")
+        raise click.UsageError("--poses-of is for --command: a Python method gives the poses of base_link")
     if template is not None and (settings or ablate):
-        raise click.UsageError("--set and --ablate are for methods of Python: a program takes options in its --command")
+        raise click.UsageError("--set and --ablate are for Python methods: put a program's options into --command")
     if places and sequences:
-        raise click.UsageError("--sequence chooses from a split; with --on every sequence that is named is taken")
+        raise click.UsageError("--sequence chooses from a split; with --on, every named sequence is used")
     if places and out is None:
-        raise click.UsageError("--on needs --out: there is no folder that the results would belong to")
+        raise click.UsageError("--on needs --out: its results have no default folder")
 
     from oysterbench.methods.interfaces import track_of_command
     from oysterbench.methods.systems import track_of

@@ -109,7 +109,7 @@ def segment_command(
     from oysterbench.report.counting import Making, write_counts
 
     if rate is not None and every is not None:
-        raise click.UsageError("--rate, --every: expected one of them")
+        raise click.UsageError("--rate, --every: expected only one of them")
     _check_scaling(scaling)
     title = paths[0].absolute().name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
     out = out or Path(f"{paths[0].absolute().stem or 'pictures'}-oysters")
@@ -153,7 +153,7 @@ def _check_scaling(given: dict[str, Any]) -> None:
     names = {"quadrat": "--quadrat", "altitude": "--altitude", "mm_per_px": "--mm-per-px"}
     kinds = [option for key, option in names.items() if given[key] is not None]
     if len(kinds) > 1:
-        raise click.UsageError(f"{', '.join(kinds)}: expected one scale at most")
+        raise click.UsageError(f"{', '.join(kinds)}: expected at most one scale")
     for key, needed, what in (
         ("quadrat", "corners", "--quadrat: expected --corners FILE as well, with picture,x1,y1,x2,y2,x3,y3,x4,y4"),
         ("corners", "quadrat", "--corners: expected --quadrat M as well, the side of the square in metres"),
@@ -193,15 +193,15 @@ def _tell_others(found: Found) -> None:
     from oysterbench.counting.sources import listed
 
     if found.to_convert:
-        message(f"left out, as their format cannot be read (save them as JPEG or PNG): {listed(found.to_convert)}")
+        message(f"left out because their format cannot be read (save them as JPEG or PNG): {listed(found.to_convert)}")
     if found.others:
-        message(f"left out, as neither picture nor video: {listed(found.others)}")
+        message(f"left out because they are neither image nor video: {listed(found.others)}")
 
 
 def _tell_unused(path: Path, names: tuple[str, ...]) -> None:
     if names:
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-        message(f"{path}: no picture is called {', '.join(names[:3])}{more}; these lines are not used")
+        message(f"{path}: no image is called {', '.join(names[:3])}{more}; these lines are not used")
 
 
 def _tell(found: Survey, page: Path, made: int, cpu_s: float) -> None:
@@ -230,14 +230,14 @@ def _warn(found: Survey) -> None:
         names = ", ".join(one.name for one in unlike[:3])
         more = f" and {len(unlike) - 3} more" if len(unlike) > 3 else ""
         message(
-            f"unlike anything that {found.method} has learnt from, so that its counts are not to be relied upon: "
-            f"{len(unlike)} of {len(found.pictures)} pictures: {names}{more}"
+            f"unlike the training data of {found.method}, so their counts are not reliable: {len(unlike)} of "
+            f"{len(found.pictures)} images: {names}{more}"
         )
     if not math.isnan(found.alike):
         what = "pictures" if found.block == "pictures" else "blocks"
         message(
-            f"neighbouring {what} have like counts (correlation {found.alike:.2f}), so that intervals may be too "
-            "narrow: --block N resamples N neighbours together"
+            f"neighbouring {what} have similar counts (correlation {found.alike:.2f}), so intervals may be too narrow: "
+            "--block N resamples N neighbours together"
         )
 
 

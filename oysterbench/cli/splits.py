@@ -72,7 +72,7 @@ def splits(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | 
 
     if name is not None:
         if ask_hub or places:
-            raise click.UsageError("SPLIT and --hub exclude each other: a hub tells of splits, a recipe of sequences")
+            raise click.UsageError("SPLIT and --hub cannot be combined: a hub lists splits, a recipe lists sequences")
         _print_sequences(load_split(name), as_json)
         return
     known = {split_folder(split): split for split in map(load_split, split_names())}

@@ -74,7 +74,7 @@ def tune_command(
     track = TRACKS[track_of(method)]
     found = split_reference(method)
     if ranges is None and found is None:
-        raise click.UsageError(f"--ranges: {method} is no published system, which would have ranges of its own")
+        raise click.UsageError(f"--ranges: {method} is not a published system, so it has no ranges of its own")
     known = read_ranges(ranges) if ranges is not None else dict(found[0].description.options) if found else {}
     references = trials(method, known, count, seed)
 

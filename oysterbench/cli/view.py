@@ -61,9 +61,9 @@ def view(
     from oysterbench.sequence import open_sequence
 
     if layout is not None and (in_rerun or estimates or out or begin_s or seconds):
-        raise click.UsageError("--foxglove: a layout is of a whole file, and goes with no other option")
+        raise click.UsageError("--foxglove: a layout covers a whole file and takes no other option")
     if align is not None and not estimates:
-        raise click.UsageError("--align: says how an --estimate is aligned to the ground truth, and there is none")
+        raise click.UsageError("--align: expected an --estimate to align")
     opened = open_sequence(sequence)
     if layout is not None:
         _write_layout(opened, layout)

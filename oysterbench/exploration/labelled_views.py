@@ -96,5 +96,5 @@ def labelled_views(path: Path, task: SteeringRecipe) -> LabelledViews:
             f"{path}: expected values of {len(task.yaw_deg)} x {len(task.pitch_deg)} commands, got {len(found)}"
         )
     if not sequence.cameras:
-        raise LabelError(f"{path}: no camera, whose pictures could be labelled")
+        raise LabelError(f"{path}: no camera whose images could be labelled")
     return LabelledViews(sequence, next(iter(sequence.cameras)), table, task)

@@ -43,8 +43,8 @@ def unpacked(data: bytes, where: str = "rollout") -> RolloutLog:
             return RolloutLog(**head, **{key: held[key] for key in ARRAYS})
     except Exception as error:  # numpy, zipfile and json each have their own
         raise ResultError(
-            f"{where}: not a rollout as this version keeps it ({type(error).__name__}: {error}); delete it, or make it "
-            "anew with --again"
+            f"{where}: not a rollout in this version's format ({type(error).__name__}: {error}); delete it, or redo it "
+            "with --again"
         ) from None
 
 

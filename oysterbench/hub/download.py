@@ -181,7 +181,7 @@ def choose_names(names: Sequence[str], patterns: Sequence[str], of: str, listed_
     """
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in names):
-            raise HubError(f"{of} has no sequence that fits {pattern!r}; {instead(pattern, names, listed_by)}")
+            raise HubError(f"{of} has no sequence matching {pattern!r}; {instead(pattern, names, listed_by)}")
     return [name for name in names if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)]
 
 
@@ -208,7 +208,7 @@ def plan(manifest: Manifest, entries: Sequence[FileEntry], folder: Path) -> list
         path, part = folder / entry.name, part_path(folder, entry)
         if path.is_file() and not same and not (found := check_file(path, entry)).good:
             raise HubError(
-                f"{path}: there is another file under this name ({found.detail}); it was left as it is: delete it or "
+                f"{path}: a different file has this name ({found.detail}); it was left unchanged: delete it or "
                 "choose another folder with --out"
             )
         if path.is_file() and (not same or path.stat().st_size == entry.size):
@@ -265,7 +265,7 @@ def download(
     """Fetch the files of a manifest that are not in the folder yet, and return all: sequence -> path.
 
     verify: read files that are here already, and those that were written, once more, and repair what is damaged.
-    Raises IntegrityError or NetworkError where that fails; what was fetched is kept.
+    Raises IntegrityError or NetworkError where that fails; downloaded data is kept.
     """
     entries = manifest.files if entries is None else entries
     steps = plan(manifest, entries, folder)
@@ -297,8 +297,8 @@ def _fetch(hub: Hub, step: Step, verify: bool, count: Callable[[int], None]) -> 
         if verify and (found := check_file(target, entry)).state != RIGHT:
             os.replace(target, path)
             raise IntegrityError(
-                f"{target}: read back from the disk, it is {found.state} ({found.detail}); it was taken away again: "
-                "the disk may be failing"
+                f"{target}: read back from the disk, it is {found.state} ({found.detail}); it was removed again: the "
+                "disk may be failing"
             )
 
 
@@ -320,7 +320,7 @@ def _is_good(hub: Hub, target: Path, entry: FileEntry, read: bool, part: Path) -
     found = check_file(target, entry)
     if found.state == RIGHT:
         return True
-    hub.announce(f"{target}: {found.state} ({found.detail}); what is wrong of it is fetched again")
+    hub.announce(f"{target}: {found.state} ({found.detail}); damaged parts are downloaded again")
     os.replace(target, part)
     return False
 

@@ -69,7 +69,7 @@ def _as_released(manifest: Manifest) -> Manifest:
     if differing or len(manifest.files) != len(released.files):
         raise HubError(
             f"{manifest.split} {manifest.version} was released with other files ({', '.join(differing[:5])}), and "
-            f"clients take those alone; nothing was published: `oysterbench verify {manifest.split}` says what differs"
+            f"clients accept only those; nothing was published: `oysterbench verify {manifest.split}` says what differs"
         )
     return released
 
@@ -84,10 +84,10 @@ def _without_truth(
     """
     package = truth / f"{facts['split']}-{facts['version']}"
     if tree.resolve() in (package.resolve(), *package.resolve().parents):
-        raise HubError(f"{truth}: expected a folder outside the tree {tree}, which everybody can read")
+        raise HubError(f"{truth}: expected a folder outside the tree {tree}, which is public")
     shown, kept = {}, {}
     for name, path in files.items():
-        announce(f"taking the truth out of {name}")
+        announce(f"removing the ground truth from {name}")
         shown[name], kept[name] = scratch / f"{name}.mcap", package / f"{name}.mcap"
         with open(shown[name], "wb") as file:
             cut_public(path, file)
@@ -103,7 +103,9 @@ def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: s
     with another one, which only a salt gives: without one everybody could render the truth."""
     for name, path in files.items():
         if not path.is_file():
-            raise HubError(f"{path}: not there yet; `oysterbench render {split}` makes it, or --data names its folder")
+            raise HubError(
+                f"{path}: does not exist yet; `oysterbench render {split}` makes it, or --data names its folder"
+            )
         known = McapSequence(path).metadata
         if (known.get("sequence"), known.get("split"), known.get("split_version")) != (name, split, version):
             raise HubError(
@@ -113,7 +115,8 @@ def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: s
         made_with = known.get("digest")
         if hidden and made_with == digest:
             raise HubError(
-                f"{path}: rendered without a salt, so that anybody can render its truth; nothing was published: render "
+                f"{path}: rendered without a salt, so anyone can render its ground truth; nothing was published: "
+                "render "
                 "a hidden split with its salt"
             )
         if not hidden and made_with != digest:
@@ -150,17 +153,17 @@ def _release(
 ) -> None:
     """Put everything into the tree that is not there yet, and name it in the index."""
     if manifest.split in index.models:
-        raise HubError(f"{manifest.split}: a model has this name in {tree}, and `download` knows both by their names")
+        raise HubError(f"{manifest.split}: a model in {tree} has this name, and `download` finds both by name")
     known = index.splits.get(manifest.split, {}).get(manifest.version)
     if known is not None and known.manifest != manifest.sha256:
         raise HubError(
             f"{manifest.split} {manifest.version} was released with other bytes (manifest {known.manifest[:12]}…, now "
-            f"{manifest.sha256[:12]}…) and a release never changes; the tree was left as it is: raise the version in "
+            f"{manifest.sha256[:12]}…) and a release never changes; the tree was left unchanged: raise the version in "
             "the split's recipe"
         )
     for entry in manifest.files:
         new = put_blob(tree, files[entry.sequence], entry.sha256)
-        announce(f"{entry.name}, {entry.size / 1e6:.1f} MB: {'published' if new else 'was there already'}")
+        announce(f"{entry.name}, {entry.size / 1e6:.1f} MB: {'published' if new else 'already there'}")
     put(tree / "manifests" / f"{manifest.sha256}.json", manifest.data)
     if known is None:
         published = datetime.now(UTC).date().isoformat()

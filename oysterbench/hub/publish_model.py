@@ -66,16 +66,16 @@ def publish_model(
     keys = (key, *old_keys)
     with writing(tree, *keys) as index:
         if model.name in index.splits:
-            raise HubError(f"{model.name}: a split has this name in {tree}, and `download` knows both by their names")
+            raise HubError(f"{model.name}: a split in {tree} has this name, and `download` finds both by name")
         known = index.models.get(model.name, {}).get(model.version)
         if known is not None and known.card != model.sha256:
             raise HubError(
                 f"{model.name} {model.version} was released with other weights or another card ({known.card[:12]}…, "
-                f"now {model.sha256[:12]}…) and a release never changes; the tree was left as it is: give another "
+                f"now {model.sha256[:12]}…) and a release never changes; the tree was left unchanged: give another "
                 "--version"
             )
         new = put_blob(tree, weights, model.file.sha256)
-        announce(f"{model.file.name}, {model.file.size / 1e6:.1f} MB: {'published' if new else 'was there already'}")
+        announce(f"{model.file.name}, {model.file.size / 1e6:.1f} MB: {'published' if new else 'already there'}")
         put(tree / "models" / f"{model.sha256}.json", model.data)
         if known is None:
             page = card_page(model).encode()

@@ -47,7 +47,7 @@ def keep_read(kept: Path, name: str, path: Path, topics: Collection[str]) -> Non
     read = Read(describe_file(path, f"{name}.mcap"), made_with())
     absent = sorted({*topics} - {*read.entry.content})
     if absent:
-        raise HubError(f"{path}: expected all topics of its rig, got none of {', '.join(absent)}; it was not taken")
+        raise HubError(f"{path}: expected all topics of its rig, got none of {', '.join(absent)}; it was not accepted")
     write_atomically(kept / f"{name}.json", canonical(msgspec.to_builtins(read)))
 
 
@@ -80,7 +80,7 @@ def write_release(manifest: Manifest, folder: Path) -> Path:
     if path.is_file() and path.read_bytes() != manifest.data:
         raise HubError(
             f"{path}: {manifest.split} {manifest.version} has another manifest, and a release never changes; it was "
-            "left as it is: raise the version in the split's recipe, or delete the file if nobody has it yet"
+            "left unchanged: raise the version in the split's recipe, or delete the file if it has not been distributed"
         )
     write_atomically(path, manifest.data)
     return path

@@ -28,7 +28,7 @@ def make_key(path: Path) -> str:
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except FileExistsError:
-        raise HubError(f"{path}: there is a file already; it was left as it is: choose another name") from None
+        raise HubError(f"{path}: the file already exists; it was left unchanged: choose another name") from None
     with os.fdopen(handle, "wb") as file:
         file.write(data)
         os.fsync(file.fileno())

@@ -51,7 +51,9 @@ def fetch_topics(
         names = match_topics(entry.content, wanted, entry.name)
         target = out / entry.name
         if target.exists() and out.resolve() == folder.resolve():
-            raise HubError(f"{target}: the whole file is here; it was left as it is: choose another folder with --out")
+            raise HubError(
+                f"{target}: the complete file is here; it was left unchanged: choose another folder with --out"
+            )
         source = folder / entry.name
         if _is_here(source, entry):
             _cut_into(target, source, names)

@@ -96,7 +96,7 @@ def _check_content(path: Path, content: Content, entry: FileEntry) -> Check:
             from oysterbench.hub.pixels import SHARE, share_within
 
             share = share_within(topic, here["pixels"], there["pixels"])
-            told = f"{topic} is within a grey level on {100.0 * share:.5g} % of the pixels looked at"
+            told = f"{topic} is within a grey level on {100.0 * share:.5g} % of the pixels checked"
             (alike if share >= SHARE else wrong).append(told)
     for name in sorted({*content.attachments, *entry.attachments}):
         if content.attachments.get(name) != entry.attachments.get(name):
@@ -105,7 +105,7 @@ def _check_content(path: Path, content: Content, entry: FileEntry) -> Check:
         return Check(path, OTHER, ", ".join([*wrong, *alike]))
     if alike:
         return Check(path, ALIKE, ", ".join(alike))
-    return Check(path, REPACKED, "all messages and attachments are right, their packing is not")
+    return Check(path, REPACKED, "all messages and attachments are right, but packed differently")
 
 
 def check_released(path: Path, manifest: Manifest) -> Check:
@@ -142,7 +142,7 @@ def check_unknown(path: Path) -> Check:
         content_of(path)
     except SequenceError as error:
         return Check(path, DAMAGED, str(error))
-    return Check(path, UNKNOWN, "its own checksums are right; that it is the released file cannot be known")
+    return Check(path, UNKNOWN, "its own checksums are right; whether it is the released file is unknown")
 
 
 def kept_manifest(folder: Path) -> Manifest | None:
@@ -168,7 +168,7 @@ def check_weights(path: Path) -> Check:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     if digest == card.file.sha256:
         return Check(path, RIGHT)
-    again = f"`oysterbench download {card.name} --again` fetches it anew"
+    again = f"`oysterbench download {card.name} --again` downloads it again"
     return Check(path, DAMAGED, f"expected {card.name} {card.version}, SHA-256 {card.file.sha256[:12]}…; {again}")
 
 
@@ -201,7 +201,7 @@ def checks(name: str = "") -> Iterator[Check]:
         found = True
         yield check
     if name and not found:
-        raise HubError(f"{name}: nothing of it is here; `oysterbench download {name}` fetches it")
+        raise HubError(f"{name}: no data of it is here; `oysterbench download {name}` downloads it")
 
 
 def check_tree(tree: Path) -> Iterator[Check]:

@@ -42,11 +42,11 @@ class Here:
     @property
     def described(self) -> str:
         """What it is, in words."""
-        state, what = self.path.stat(), "weights that were trained here"
+        state, what = self.path.stat(), "weights trained here"
         if self.model is not None:
             what = f"{self.model.name} {self.model.version} of a hub"
         elif self.card is not None:
-            what = f"weights that are not {self.card.name} {self.card.version}, whose card lies beside them"
+            what = f"weights that are not {self.card.name} {self.card.version}, whose card is beside them"
         day = datetime.fromtimestamp(state.st_mtime).date().isoformat()
         return f"{what} ({state.st_size / 1e6:.1f} MB of {day}, SHA-256 {self.sha256[:12]}…)"
 
@@ -77,8 +77,8 @@ def check_replaced(path: Path, model: Model, again: bool = False) -> bool:
         return True
     if here.model is None and not again:
         raise HubError(
-            f"{path}: there are {here.described}; they were left as they are: --again replaces them by {model.name} "
-            f"{model.version}, --out fetches it into another folder"
+            f"{path}: there are {here.described}; they were left unchanged: --again replaces them with {model.name} "
+            f"{model.version}, --out downloads it into another folder"
         )
     return False
 

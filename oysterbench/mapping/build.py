@@ -46,7 +46,7 @@ def build_cloud(
     check_time(sequence, trajectory)
     if source == "pictures":
         if not chosen:
-            raise SequenceError(f"{sequence.name} has no camera to make a cloud from; its echoes make one, too: --from")
+            raise SequenceError(f"{sequence.name} has no camera to make a cloud from; use its echoes: --from")
         parts = (part for name in chosen for part in seen_points(sequence, name, poses, settings, watch))
         return without_outliers(thinned(parts, settings.voxel_m), settings)
     if source != "echoes":

@@ -83,8 +83,8 @@ class _Pictures:
         self.other = partner(sequence, camera, self.settings) if pair else None
         if pair and self.other is None:
             raise SequenceError(
-                f"{sequence.name}: no camera beside {camera} sees what it sees: expected a pair for --depth stereo; "
-                "--depth motion takes one camera's pictures, --depth plane echoes"
+                f"{sequence.name}: no other camera overlaps with {camera}: expected a pair for --depth stereo; "
+                "--depth motion uses one camera, --depth plane echoes"
             )
         self.pinhole = Pinhole(camera, sequence.cameras[camera], self.settings.width_px)
         self.second = None

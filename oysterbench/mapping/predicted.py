@@ -88,7 +88,7 @@ def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str
                 f"{', '.join(sequence.cameras)}"
             )
     if not found:
-        raise LabelError(f"{place}: no mask is of {camera}; expected some of it, or another --camera")
+        raise LabelError(f"{place}: no masks for {camera}; expected some, or another --camera")
     return dict(sorted(found.items()))
 
 
@@ -124,7 +124,7 @@ def stacked(found: ImageInstances) -> tuple[NDArray[np.int32], dict[int, float]]
     scores = {}
     for k, one in enumerate(sorted(found.instances, key=lambda one: one.score), start=1):
         if one.mask is None:
-            raise LabelError(f"{found.name}: boxes alone have no footprint: expected masks of single oysters")
+            raise LabelError(f"{found.name}: boxes have no footprint: expected masks of individual oysters")
         numbers[mask_tools().decode(one.mask) > 0] = k
         scores[k] = one.score
     return numbers, scores
@@ -142,7 +142,7 @@ def _categories(place: Path) -> list[tuple[str, CocoFile]]:
     if not isinstance(content, dict) or not isinstance(content.get("categories"), list):
         raise LabelError(
             f"{place}: expected COCO annotations with 'images', 'annotations' and 'categories': a bare list of results "
-            "does not say which pictures its numbers are"
+            "does not say which images its numbers mean"
         )
     named = [str(one.get("name")) for one in content["categories"] if isinstance(one, dict)]
     chosen = [name for name in named if name in COCO_STATES]

@@ -68,8 +68,8 @@ class Lens:
     def __init__(self, name: str, camera: CameraCalibration) -> None:
         if camera.port_m is not None:
             raise SequenceError(
-                f"{name} looks through a flat port, and so its rays do not meet in a point: expected a camera that is "
-                "calibrated in water"
+                f"{name} looks through a flat port, so its rays do not meet in one point: expected a camera calibrated "
+                "in water"
             )
         self.shape = (camera.height, camera.width)
         self.pixel_sr = 1.0 / float(camera.matrix[0, 0] * camera.matrix[1, 1])  # of a pixel on the axis

@@ -233,6 +233,6 @@ def _check(sequence: Sequence, camera: str, depth: str, counts: dict[str, int], 
         )
     if used == 0:
         raise SequenceError(
-            f"{sequence.name}: none of {counts['pictures']} pictures has a depth from {depth!r}; expected another "
+            f"{sequence.name}: none of {counts['pictures']} images has a depth from {depth!r}; expected another "
             "--depth: stereo, motion, plane or layer"
         )

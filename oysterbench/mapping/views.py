@@ -47,8 +47,8 @@ class Pinhole:
     def __init__(self, name: str, camera: CameraCalibration, width_px: int) -> None:
         if camera.port_m is not None:
             raise SequenceError(
-                f"{name} looks through a flat port, and so its rays do not meet in a point: expected a camera that is "
-                "calibrated in water"
+                f"{name} looks through a flat port, so its rays do not meet in one point: expected a camera calibrated "
+                "in water"
             )
         self.T_base_cam = camera.T_base_cam
         self._maps = undistorting_maps(camera, camera.matrix)

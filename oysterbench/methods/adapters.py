@@ -96,7 +96,9 @@ class PythonMethod(MethodAdapter):
         """Raises MethodError where it cannot be found, or is of none of these tracks."""
         method, self._options = find_variant(reference)
         if method.track not in tracks:
-            raise MethodError(f"method {reference!r} is of the track {method.track!r}; expected one of {tracks[0]!r}")
+            raise MethodError(
+                f"method {reference!r} is of the track {method.track!r}; expected a method of {tracks[0]!r}"
+            )
         self.reference, self.track = reference, method.track
         check_name(method.name.partition("[")[0])
         self.name = method.name
@@ -152,7 +154,7 @@ class PythonMethod(MethodAdapter):
         try:
             found = read_predicted(folder)
         except (OSError, ValueError, TypeError) as error:
-            raise MethodError(f"left no predictions: {error}") from None
+            raise MethodError(f"wrote no predictions: {error}") from None
         if isinstance(found, str):
             raise MethodError(found)
         return found
@@ -180,23 +182,23 @@ class ExternalCommand(MethodAdapter):
             self._words = shlex.split(template)
             asked = {key for word in self._words for _, key, _, _ in Formatter().parse(word) if key is not None}
         except ValueError as error:
-            raise MethodError(f"--command {template!r}: {error}; write {{{{ and }}}} for braces of your own") from None
+            raise MethodError(f"--command {template!r}: {error}; write {{{{ and }}}} for literal braces") from None
         known = [*forms, "out", *self.interface.further, "seed"]
         for key in sorted(asked - set(known)):
             raise MethodError(
                 f"--command {template!r}: unknown placeholder {{{key}}}; known: "
-                f"{', '.join(f'{{{k}}}' for k in known)}; write {{{{ and }}}} for braces of your own"
+                f"{', '.join(f'{{{k}}}' for k in known)}; write {{{{ and }}}} for literal braces"
             )
         found = sorted(asked & set(forms))
         if "out" not in asked or len(found) != 1:
             raise MethodError(
-                f"--command {template!r}: expected {{out}}, where the program leaves {self.interface.leaves}, and one "
-                f"of {', '.join(f'{{{form}}}' for form in forms)}, what it reads, got "
+                f"--command {template!r}: expected {{out}}, where the program writes {self.interface.leaves}, and one "
+                f"of {', '.join(f'{{{form}}}' for form in forms)}, which it reads, got "
                 f"{', '.join(f'{{{key}}}' for key in sorted(asked)) or 'no placeholder'}"
             )
         program = shutil.which(self._words[0])
         if program is None:
-            raise MethodError(f"--command {template!r}: no program {self._words[0]!r} that can be run")
+            raise MethodError(f"--command {template!r}: no program {self._words[0]!r} that can be executed")
         self.program = Path(program).absolute()  # not resolved: the name may decide what it does
         self.name = check_name(name or Path(self._words[0]).stem)
         self.form = found[0]
@@ -231,7 +233,7 @@ class ExternalCommand(MethodAdapter):
 
     def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
         if not (folder / self.interface.out).exists():
-            raise MethodError(f"ended well, but left no {self.interface.leaves.removeprefix('a ')} at {{out}}")
+            raise MethodError(f"exited normally, but wrote no {self.interface.leaves.removeprefix('a ')} to {{out}}")
         return self.interface.take(sequence, given, folder, self.form, self.options)
 
 

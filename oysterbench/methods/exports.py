@@ -113,7 +113,7 @@ def most_gigabytes() -> float:
     try:
         return max(0.0, float(text))
     except ValueError:
-        raise MethodError(f"{SETTING}: expected a number, GB that exports may take, got {text!r}") from None
+        raise MethodError(f"{SETTING}: expected the maximum size of exports in GB, got {text!r}") from None
 
 
 def key_of(sequence: RunSequence, form: str) -> str:

@@ -66,9 +66,9 @@ def _load_point(name: str) -> Any:
     if name not in points:
         meant = did_you_mean(nearest(name, points))
         raise MethodError(
-            f"unknown method {name!r}; {meant}installed methods: {', '.join(sorted(points)) or 'none'}; a class is "
-            "given as module:Class, another program with `oysterbench run --command`; `oysterbench systems` lists "
-            "published ones"
+            f"unknown method {name!r}; {meant}installed methods: {', '.join(sorted(points)) or 'none'}; give a class "
+            "as module:Class, any other program with `oysterbench run --command`; `oysterbench systems` lists "
+            "published systems"
         )
     return points[name].load()
 

@@ -69,7 +69,7 @@ class Inputs:
         """Folder of what is kept for other runs, held until the last job is done."""
 
         def make(folder: Path) -> None:
-            self._announce(f"writing {job.sequence.name} as {job.adapter.form}, which is kept for other runs")
+            self._announce(f"writing {job.sequence.name} as {job.adapter.form}, kept for other runs")
             name = job.adapter.interface.input_name(job.sequence, job.adapter.form)
             job.sequence.write_input(job.adapter.form, folder / name, self._processes)
 

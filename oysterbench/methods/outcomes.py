@@ -91,5 +91,6 @@ def read_outcome(folder: Path) -> Outcome | None:
         return None
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise MethodError(
-            f"{path}: not what this version writes ({error}); --again runs it anew, --out chooses another folder"
+            f"{path}: not in this version's format ({error}); rerun it with --again, or choose another folder with "
+            "--out"
         ) from None

@@ -37,7 +37,9 @@ def commands(
             last[:] = [view]
             yield view
             if last:
-                raise MethodError(f"method {policy.name!r}, {where}: took a view before a command at {view.name}")
+                raise MethodError(
+                    f"method {policy.name!r}, {where}: requested another view before giving a command at {view.name}"
+                )
 
     try:
         for command in policy.run(_Views(task, remembered())):

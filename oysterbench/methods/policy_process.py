@@ -63,7 +63,7 @@ class PolicyProcess:
                 yield from self._commands(views, process.stdin, process.stdout)
             except (BrokenPipeError, EOFError):
                 process.wait()
-                failure = failure_of(report, LIMIT_S, Path(scratch)) or "it ended without a word"
+                failure = failure_of(report, LIMIT_S, Path(scratch)) or "it ended without output"
                 raise MethodError(f"method {self.name!r}: {failure}") from None
             finally:
                 process.terminate()  # its supervisor ends all that it started

@@ -150,7 +150,7 @@ def _ended(report: dict[str, Any], limit_s: float, folder: Path) -> Ended:
     if killed:
         failure = f"{failure} (out of memory?)"
     if failure is not None and (last := tail(folder / STDERR) or tail(folder / STDOUT)):
-        failure = f"{failure}; it last said: {last}"
+        failure = f"{failure}; last output: {last}"
     return Ended(report["wall_s"], report["cpu_s"], report["peak_bytes"], report["left_behind"], failure, killed)
 
 

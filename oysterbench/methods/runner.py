@@ -84,8 +84,8 @@ def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
         changed = _changed_files(outcome.identity, job.identity)
         differs = f"{', '.join(changed)} changed" if changed else "method, command or recipe differ"
         raise MethodError(
-            f"{folder}: holds run {job.number + 1} of another {job.adapter.name} ({differs}); "
-            "it was left as it is: --again runs it anew, --out chooses another folder"
+            f"{folder}: has run {job.number + 1} of another {job.adapter.name} ({differs}); "
+            "it was left unchanged: rerun it with --again, or choose another folder with --out"
         )
     return outcome
 
@@ -213,7 +213,7 @@ def _move(source: Path, target: Path) -> None:
 def _with_predictions(outcome: Outcome, job: Job, found: Predicted) -> Outcome:
     notes = list(found.notes)
     if left := outcome.process["left_behind"]:
-        notes.append(f"{left} processes were still running when it had ended: they were killed")
+        notes.append(f"{left} processes were still running after it ended and were killed")
     return replace(
         outcome,
         wall_s=outcome.wall_s if found.wall_s is None else found.wall_s,
@@ -275,5 +275,5 @@ def _alone(root: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            raise MethodError(f"{root}: another run is working in it; wait for it or choose another --out") from None
+            raise MethodError(f"{root}: another run is using it; wait for it or choose another --out") from None
         yield

@@ -109,8 +109,8 @@ def no_weights(name: str, path: Path) -> MethodError:
         return MethodError(f"{name}: no trained weights at {path}")
     return MethodError(
         f"{name}: no trained weights at {path}: `oysterbench train {known.train}` trains them on your machine "
-        f"({known.takes}), `oysterbench download {name}` fetches them where a hub is set; others are named by "
-        f"{known.option} or by OYSTERBENCH_{name.upper()}"
+        f"({known.takes}), `oysterbench download {name}` downloads them if a hub is set; name others with "
+        f"{known.option} or OYSTERBENCH_{name.upper()}"
     )
 
 
@@ -149,7 +149,7 @@ def _fetched(name: str, path: Path, announce: Announce, bar: Bar) -> bool:
         return False
     hub = Hub.at(places, hub_key(), announce)
     model = hub.model(name)
-    announce(f"{name}: no trained weights here; fetching {hub.described(model)}")
+    announce(f"{name}: no trained weights here; downloading {hub.described(model)}")
     with bar(f"fetching {name}", "kB") as progress:
         fetch_weights(hub, model, path, progress=lambda done, total: progress(done // 1000, total // 1000))
     return True

@@ -51,7 +51,7 @@ def check_renderer(wanted: str) -> None:
     """Raise MachineError, with what to type, where what renders is not installed. wanted: begins the sentence"""
     if find_spec("warp") is None:
         raise MachineError(
-            f"{wanted} what renders is not installed: pip install 'oysterbench[render]'; or set a hub that has it "
+            f"{wanted} rendering is not installed: pip install 'oysterbench[render]'; or set a hub that has it "
             "(OYSTERBENCH_HUB)"
         )
 

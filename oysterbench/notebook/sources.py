@@ -68,7 +68,7 @@ class FolderSource(Source):
 
     def get(self, names: Sequence[str], workers: int | None, quiet: bool) -> None:
         gone = self._paths[names[0]]
-        raise SequenceError(f"{gone}: no such file any more; it was there when the folder was opened")
+        raise SequenceError(f"{gone}: no longer exists; it did when the folder was opened")
 
 
 class HubSource(Source):
@@ -136,8 +136,8 @@ class RecipeSource(Source):
         if hub is None:
             if self.recipe.hidden and not self._salt:
                 raise HubError(
-                    f"{self.name} is a hidden split: it comes from a hub, without its truth, and {NO_HUB}; only who "
-                    "has its salt can render it"
+                    f"{self.name} is a hidden split: it comes from a hub, without its ground truth, and {NO_HUB}; "
+                    "rendering it needs its salt"
                 )
             render_files(self.recipe, self.folder, workers, tuple(names), self._salt, quiet=quiet)
             return
@@ -170,7 +170,7 @@ def find_source(name: str | Path) -> Source:
     if hub is not None and hub.public is not None:
         return HubSource(hub, hub.manifest(plain, version or None))
     if plain in known:
-        raise HubError(f"{text}: this oysterbench makes {plain} {load_split(plain).version}, and {NO_HUB}")
+        raise HubError(f"{text}: this version of oysterbench renders {plain} {load_split(plain).version}, and {NO_HUB}")
     return RecipeSource(load_split(text))  # which says what is wrong with the name
 
 

@@ -216,7 +216,7 @@ class Split:
         from oysterbench.simulation.gallery import preview
 
         if self.recipe is None:
-            raise SequenceError(f"{self.name}: only files are known, and no recipe: there is nothing to preview")
+            raise SequenceError(f"{self.name}: it has files but no recipe: there is nothing to preview")
         check_renderer(f"{self.name}:")
         shown = self._name(self.names[0] if name is None else name)
         with nullcontext(lambda done, total: None) if self._quiet else frames_bar(f"previewing {shown}") as progress:

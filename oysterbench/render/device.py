@@ -18,5 +18,5 @@ def check_device(name: str) -> None:
         return
     raise OysterbenchError(
         f"--device {name}: there is no such device here; expected one of {', '.join(known)}. CUDA needs an NVIDIA GPU "
-        "and its driver; without --device the processor renders"
+        "and its driver; without --device, the CPU renders"
     )

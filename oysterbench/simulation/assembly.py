@@ -74,7 +74,7 @@ def assemble(
                 messages = kind_of(bulky[source]).pass_on(bulky[source], topic, messages)
             for message in messages:
                 if stop is not None and stop.is_set():
-                    raise OysterbenchError(f"{path}: stopped while it was put together; its parts are kept")
+                    raise OysterbenchError(f"{path}: stopped while it was being assembled; its parts are kept")
                 writer.write(message)
             writer.section()
         writer.finish()

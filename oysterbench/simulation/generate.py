@@ -97,7 +97,7 @@ def generate_split(
     """
     if split.hidden and not is_strong(salt):
         raise RecipeError(
-            f"split {split.name} is hidden: it is made with a secret salt only, of at least {LEAST_BYTES} mixed bytes, "
+            f"split {split.name} is hidden: it needs a secret salt, of at least {LEAST_BYTES} mixed bytes, "
             f"and got {len(salt)}; {HOW_TO_MAKE}"
         )
     wanted = [split.find_sequence(name) for name in names] or split.sequence
@@ -148,7 +148,7 @@ def _check_made_by(path: Path, split: SplitRecipe, made_by: str) -> None:
     if McapSequence(path).metadata.get("digest") != made_by:
         raise SequenceError(
             f"{path} was made by another recipe of {split.name} (or with another salt, on another kind of device, by "
-            "another version of oysterbench); it was left as it is: delete it or choose another folder with --out"
+            "another version of oysterbench); it was left unchanged: delete it or choose another folder with --out"
         )
 
 

@@ -45,8 +45,8 @@ def read_salt(file: Path | None = None) -> Salt | None:
     salt = Salt(data.rstrip(b"\r\n"))
     if not is_strong(salt):
         raise RecipeError(
-            f"{where}: expected a salt of at least {LEAST_BYTES} bytes, {LEAST_DISTINCT} of them different, so that "
-            f"nobody guesses it; got {len(salt)} bytes, {len(set(salt))} different; {HOW_TO_MAKE}"
+            f"{where}: expected a salt of at least {LEAST_BYTES} bytes, {LEAST_DISTINCT} of them different, so that it "
+            f"cannot be guessed; got {len(salt)} bytes, {len(set(salt))} different; {HOW_TO_MAKE}"
         )
     return salt
 
@@ -70,7 +70,7 @@ def salt_for(name: str, hidden: bool, file: Path | None = None) -> bytes:
     salt = read_salt(file)
     if salt is None:
         raise RecipeError(
-            f"split {name} is hidden: it is made with a secret salt only, and none is given; expected --salt-file, or "
+            f"split {name} is hidden: it needs a secret salt, and none is given; expected --salt-file, or "
             f"{SALT_FILE} or {SALT} in the environment; {HOW_TO_MAKE}"
         )
     return salt

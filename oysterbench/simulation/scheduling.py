@@ -62,7 +62,7 @@ def _ended_in_order() -> Iterator[None]:
 
 def _terminated(number: int, frame: object) -> None:
     signal.signal(number, signal.SIG_IGN)  # once is enough
-    raise Terminated("terminated; what was finished is kept, and the same command resumes from there")
+    raise Terminated("terminated; finished work is kept, and the same command resumes from there")
 
 
 def _run_in_processes(
@@ -88,7 +88,7 @@ def _run_in_processes(
                 yield pending.pop(future), future.result()
     except BrokenProcessPool:
         raise OysterbenchError(
-            "a render worker was killed (out of memory?); the frames that were finished are kept: run the same command "
+            "a render worker was killed (out of memory?); finished frames are kept: run the same command "
             "again, with fewer --workers"
         ) from None
     except BaseException:

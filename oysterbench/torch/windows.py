@@ -219,7 +219,7 @@ def _poses(sequence: Sequence, path: Path, camera: str, stamps_ns: NDArray[np.in
         truth = sequence.truth()
     except SequenceError:
         raise SequenceError(
-            f"{path}: it has no true poses: its truth is kept back, or was never there; poses=False leaves them out"
+            f"{path}: it has no ground-truth poses (withheld, or never recorded); poses=False leaves them out"
         ) from None
     true = sequence.truly_calibrated().cameras[camera]
     taken = np.array([true.taken_ns(int(stamp)) for stamp in stamps_ns], dtype=np.int64)

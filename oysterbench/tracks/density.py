@@ -76,7 +76,7 @@ class DensityTrack(Track):
         self.check(request)
         options, settings = request.options, self.settings(request.options)
         if request.template is not None or request.runs > 1:
-            raise MethodError("density: maps are made of methods of Python, each run once, or of --poses and --masks")
+            raise MethodError("density: maps need Python methods, each run once, or --poses and --masks")
         names = dict.fromkeys(request.methods or (() if "poses" in options else self.default_methods))
         methods = [PythonMethod(name, self.takes) for name in names]
         images = [method for method in methods if method.track in IMAGES]

@@ -79,7 +79,7 @@ class PictureSequence(RunSequence):
     def _pictures(self) -> Iterator[Picture]:
         for truth, pixels in self.labelled.images():
             if pixels is None:
-                raise LabelError(f"{truth.name}: expected a picture to run a method on, got the truth alone")
+                raise LabelError(f"{truth.name}: expected an image to run a method on, got only the ground truth")
             yield Picture(truth.name, pixels)
 
 

@@ -197,7 +197,7 @@ def own_sequences(paths: Sequence[Path]) -> list[SlamSequence]:
     found = [SlamSequence(open_sequence(path).name, path) for path in paths]
     names = [sequence.name for sequence in found]
     if twice := [name for name in names if names.count(name) > 1]:
-        raise MethodError(f"two sequences are named {twice[0]!r}: their results would take each other's place")
+        raise MethodError(f"two sequences are named {twice[0]!r}: their results would overwrite each other")
     return found
 
 

@@ -107,9 +107,9 @@ class SteeringTrack(Track):
         if request.options.get("closed_loop"):
             return self._drive(request)
         if given := [option.name for option in LOOP_OPTIONS[:2] if option.key in request.options]:
-            raise MethodError(f"{', '.join(given)}: of rollouts: expected --closed-loop beside it")
+            raise MethodError(f"{', '.join(given)}: for rollouts only: add --closed-loop")
         if named := [name for name in request.methods if name in REFERENCES]:
-            raise MethodError(f"{named[0]!r} sees the truth and no picture; expected --closed-loop beside it")
+            raise MethodError(f"{named[0]!r} sees the ground truth and no images: add --closed-loop")
         return super().evaluate(request)
 
     def rendered(self, request: Request) -> dict[str, Path]:
@@ -163,7 +163,9 @@ class SteeringTrack(Track):
         split, options = request.split, request.options
         assert split is not None
         if request.template is not None or request.runs > 1:
-            raise MethodError("--closed-loop: expected policies of Python, each once over each reef; its seed decides")
+            raise MethodError(
+                "--closed-loop: expected Python policies, each run once over each reef, which its seed determines"
+            )
         policies = [name for name in dict.fromkeys(request.methods) if name not in REFERENCES]
         for name in policies:
             self.have_weights(self.adapters(Request(request.out, split, methods=[name])), request)

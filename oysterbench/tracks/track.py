@@ -199,7 +199,7 @@ class Track(ABC):
             return
         if split.track not in self.splits:
             raise RecipeError(
-                f"split {split.name} is of the track {split.track}, and {self.name} is run on splits of "
+                f"split {split.name} is of the track {split.track}, but {self.name} runs on splits of "
                 f"{' or '.join(self.splits)}, such as {self.default_split}; `oysterbench splits` lists what there is"
             )
         for name in request.sequences:

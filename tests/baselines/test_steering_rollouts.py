@@ -79,7 +79,7 @@ def test_data_of_another_kind_is_named(tiny_file, tmp_path):
         files_of(str(tmp_path / "nothing"))
     with pytest.raises(LabelError, match="slam-mini: expected a split of the track steering, got one of slam"):
         files_of("slam-mini")
-    with pytest.raises(SequenceError, match="has no truth about steering"):
+    with pytest.raises(SequenceError, match="has no ground truth about steering"):
         read_examples(tiny_file, NETWORK)
 
 

@@ -226,7 +226,7 @@ def test_export_writes_a_folder_and_prints_it(dive_file, tmp_path, form):
     assert any((tmp_path / "out").iterdir())
     assert [path.name for path in tmp_path.iterdir()] == ["out"], "nothing is left beside it"
     again = run("export", dive_file, "--format", form, "--out", tmp_path / "out")
-    assert_one_line(again, "is there already; it was left as it is")
+    assert_one_line(again, "already exists and was left unchanged")
 
 
 def test_export_says_what_is_worth_knowing_as_json_too(dive_file, tmp_path):
@@ -252,7 +252,8 @@ def test_an_export_of_nothing_is_one_line(dive_file, tmp_path):
         run("export", tmp_path / "absent.mcap", "--format", "tum", "--out", tmp_path / "out"), "no such file"
     )
     assert_one_line(
-        run("export", dive_file, "--format", "coco", "--out", tmp_path / "out", "--no-truth"), "which are truth"
+        run("export", dive_file, "--format", "coco", "--out", tmp_path / "out", "--no-truth"),
+        "which are ground truth",
     )
     assert run("export", dive_file, "--format", "pcap", "--out", tmp_path / "out").returncode == 2
     assert list(tmp_path.iterdir()) == []

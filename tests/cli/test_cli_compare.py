@@ -32,7 +32,7 @@ def test_compare_ranks_any_results_and_equal_ones_tie(two_results):
     ]
     (pair,) = board["pairs"]
     assert (pair["verdict"], pair["ties"], pair["difference"]) == ("not significantly different", 1, 0.0)
-    assert document["remarks"] == ["1 sequence: no 95% interval can be had from fewer than 6"]
+    assert document["remarks"] == ["1 sequence: no 95% interval is possible with fewer than 6"]
     table = run("compare", *two_results).stdout
     assert "Standings on truth.tum" in table
     assert "Pairs on truth.tum" in table
@@ -52,7 +52,7 @@ def test_compare_keeps_other_settings_apart_and_says_so(two_results, trajectorie
     result = run("compare", two_results[0], tmp_path / "other", "--json")
     document = json.loads(result.stdout)
     assert len(document["comparisons"]) == 2
-    assert 'kept apart as 2 comparisons, as they differ in setting align ("none", "se3")' in document["remarks"]
+    assert 'shown as 2 separate comparisons, since they differ in setting align ("none", "se3")' in document["remarks"]
 
 
 def test_compare_asks_for_labels_where_two_files_say_to_be_the_same_run(two_results, trajectories, tmp_path):

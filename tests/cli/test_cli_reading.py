@@ -54,9 +54,9 @@ def test_quaternions_as_w_x_y_z_are_read_so_and_the_record_says_it(run):
     mixed = tum(replace(TRUTH, quaternions=TRUTH.quaternions[:, [3, 0, 1, 2]]))
     error_m, notes = scored(run(mixed, "--json"))
     assert error_m < 1e-9
-    assert any("they are read so (--quaternion wxyz" in note for note in notes)
+    assert any("read accordingly (--quaternion wxyz" in note for note in notes)
     _, notes = scored(run(mixed, "--quaternion", "xyzw", "--json"))
-    assert not any("they are read so" in note for note in notes)
+    assert not any("read accordingly" in note for note in notes)
 
 
 def test_millimetres_are_decided_by_an_option(run):

@@ -31,7 +31,7 @@ def test_results_of_other_methods_stay_and_those_of_the_same_are_replaced(evalua
     # What is printed is what was asked for.
     assert [row["method"] for row in json.loads(done.stdout)["results"]] == ["theirs.tum"]
     assert (
-        f"{out}: results of 1 earlier run stay beside these, without figures: mine.tum; oysterbench compare {out}\n"
+        f"{out}: results of 1 earlier run are kept beside these, without figures: mine.tum; oysterbench compare {out}\n"
         in done.stderr
     )
     assert [record.method for record in read_results(out / "results.json")] == ["mine.tum", "theirs.tum"]
@@ -51,5 +51,5 @@ def test_a_folder_whose_results_cannot_be_read_is_left_as_it_is(evaluate, trajec
     assert done.exit_code == 1
     assert done.stderr.count("\n") == 1
     assert "results.json: expected an object with the list 'results'" in done.stderr
-    assert "it was left as it is: move it away, or choose another --out" in done.stderr
+    assert "it was left unchanged: move it away, or choose another --out" in done.stderr
     assert (tmp_path / "out" / "results.json").read_text() == "[1]"

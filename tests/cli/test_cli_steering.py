@@ -140,7 +140,7 @@ def test_all_can_fail(recipe, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--method", "unet"), "method 'unet' is of the track 'segmentation'; expected one of 'steering'"),
+        (("--method", "unet"), "method 'unet' is of the track 'segmentation'; expected a method of 'steering'"),
         (("--method", "dead_reckoning"), "of the track 'slam'"),
         (("--method", "expert"), "expected --closed-loop"),
         (("--method", "nobody"), "unknown method 'nobody'"),
@@ -180,7 +180,7 @@ def test_a_sequence_without_labels_is_refused(recipe, tmp_path):
     write_labelled(tmp_path / "one.mcap", "one", None)
     result = run("--split", recipe, "--out", tmp_path / "out")
     assert result.exit_code == 1
-    assert re.fullmatch(r"(?s).*oysterbench: [^\n]*one\.mcap has no truth about steering[^\n]*\n", result.stderr)
+    assert re.fullmatch(r"(?s).*oysterbench: [^\n]*one\.mcap has no ground truth about steering[^\n]*\n", result.stderr)
 
 
 def message(*arguments: str) -> str:
@@ -194,7 +194,7 @@ def test_its_options_are_refused_elsewhere(options):
     assert f"{options[0]}: of the track steering" in message("--track", "slam", *options)
     if options[0] not in ("--closed-loop", "--again"):
         result = CliRunner().invoke(main, ["eval", "steering", *options])
-        assert f"{options[0]}: of rollouts: expected --closed-loop" in result.output
+        assert f"{options[0]}: for rollouts only: add --closed-loop" in result.output
 
 
 @pytest.mark.parametrize("options", [("--threshold", "0.4"), ("--cell", "1"), ("--align", "se3"), ("--max-gap", "2")])

@@ -18,9 +18,9 @@ def error_of(*arguments: str) -> str:
 def test_a_map_and_a_cloud_have_options_of_their_own(tmp_path):
     common = ("map", "x.mcap", "--trajectory", "p.tum")
     assert "--cell, " not in error_of(*common, "--out", "x.ply", "--cell", "0.5")
-    assert "--cell: of a map: expected --masks" in error_of(*common, "--out", "x.ply", "--cell", "0.5")
-    assert "--voxel: of a cloud" in error_of(*common, "--out", "m", "--masks", "truth", "--voxel", "0.1")
-    assert "one camera's pictures" in error_of(*common, "--out", "m", "--masks", "t", "--camera", "a", "--camera", "b")
+    assert "--cell: only for a map: give --masks" in error_of(*common, "--out", "x.ply", "--cell", "0.5")
+    assert "--voxel: only for a cloud" in error_of(*common, "--out", "m", "--masks", "truth", "--voxel", "0.1")
+    assert "a map uses one camera" in error_of(*common, "--out", "m", "--masks", "t", "--camera", "a", "--camera", "b")
 
 
 def test_a_cloud_needs_the_name_of_a_ply_file():

@@ -39,9 +39,13 @@ def test_labelled_pictures_of_a_file_are_exported(dive_file, tmp_path, form):
 
 def test_what_does_not_go_together_is_one_line(dive_file, tmp_path):
     out = ("--out", tmp_path / "out")
-    refused(run("export", dive_file, dive_file, "--format", "tum", *out), "is of one sequence, got 2")
+    refused(run("export", dive_file, dive_file, "--format", "tum", *out), "takes one sequence, got 2")
     refused(run("export", "seg-mini", "--format", "euroc", *out), "is a split", "oysterbench download seg-mini")
-    refused(run("export", dive_file, "--format", "yolo", "--no-truth", *out), "--no-truth", "which are truth")
+    refused(
+        run("export", dive_file, "--format", "yolo", "--no-truth", *out),
+        "--no-truth",
+        "which are ground truth",
+    )
     refused(run("export", dive_file, "--format", "yollo", *out), "did you mean yolo")
     refused(run("view", dive_file, "--foxglove", tmp_path / "a.json", "--rerun"), "--foxglove")
     refused(run("view", dive_file, "--align", "se3"), "--align")

@@ -128,7 +128,7 @@ def test_a_sequence_without_truth_gives_poses_and_no_score(dive_file, answer, tm
     template = command(tmp_path, "copies", answer)
     done = run_here("run", "mine", "--command", template, "--on", tmp_path / "hidden.mcap", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
-    assert "hand-made has no truth to score by; the predictions: " in done.stderr
+    assert "hand-made has no ground truth to score against; the predictions: " in done.stderr
     assert (tmp_path / "out/hand-made-mine.tum").is_file()
     assert read_results(tmp_path / "out/results.json") == []
 
@@ -153,7 +153,7 @@ def test_what_another_program_reached_stays_in_the_folder(dive_file, answer, tmp
         done = run_here("run", name, "--command", command(tmp_path, "copies", answer), "--on", dive_file, "--out", out)
         assert done.returncode == 0, done.stderr
     assert [record.method for record in read_results(out / "results.json")] == ["second", "first"]
-    assert f"{out}: results of 1 earlier run stay beside these, without figures: second" in done.stderr
+    assert f"{out}: results of 1 earlier run are kept beside these, without figures: second" in done.stderr
 
 
 def test_a_program_that_fails_is_a_row_beside_others_in_every_file_of_the_folder(dive_file, answer, tmp_path):
@@ -177,14 +177,14 @@ def test_a_program_that_fails_is_a_row_beside_others_in_every_file_of_the_folder
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "expected --split SPLIT or --on SEQUENCE, one of them"),
+        ((), "expected either --split SPLIT or --on SEQUENCE"),
         (("--split", "slam-mini"), "expected a METHOD, or --command"),
         (
             ("a", "b", "--split", "slam-mini", "--command", "x {euroc} {out}"),
-            "expected one name for it at most, got a, b",
+            "expected at most one name for it, got a, b",
         ),
-        (("a", "--split", "slam-mini", "--poses-of", "imu"), "a method of Python gives the poses of base_link"),
-        (("--split", "slam-mini", "--command", "x {euroc} {out}", "--set", "a=1"), "are for methods of Python"),
+        (("a", "--split", "slam-mini", "--poses-of", "imu"), "a Python method gives the poses of base_link"),
+        (("--split", "slam-mini", "--command", "x {euroc} {out}", "--set", "a=1"), "are for Python methods"),
         (("a", "--on", "x.mcap"), "--on needs --out"),
         (("a", "--on", "x.mcap", "--out", "o", "--sequence", "s"), "--sequence chooses from a split"),
     ],

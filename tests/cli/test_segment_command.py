@@ -53,7 +53,7 @@ def test_what_is_no_picture_is_a_line_and_what_is_broken_an_exit_code(folder):
     (folder / "notes.txt").write_text("x")
     done = run("segment", folder, *DISCS)
     assert done.returncode == 0
-    assert "left out, as neither picture nor video: notes.txt" in done.stderr
+    assert "left out because they are neither image nor video: notes.txt" in done.stderr
     (folder / "broken.jpg").write_bytes(b"\xff\xd8")
     done = run("segment", folder, *DISCS)
     assert done.returncode == 1
@@ -66,7 +66,7 @@ def test_unlike_pictures_are_warned_of_in_one_line(folder):
     write(folder / "strange.png", discs())
     done = run("segment", folder, *DISCS)
     assert done.returncode == 0
-    assert "not to be relied upon: 1 of 7 pictures: strange" in done.stderr
+    assert "their counts are not reliable: 1 of 7 images: strange" in done.stderr
 
 
 def test_a_video_is_sampled_as_asked(tmp_path, monkeypatch):
@@ -84,7 +84,7 @@ def test_quadrats_altitudes_and_checks_by_files(folder, tmp_path):
     (tmp_path / "c.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n" + corners + "gone,1,1,9,1,9,9,1,9\n")
     done = run("segment", folder, *DISCS, "--quadrat", 0.5, "--corners", "c.csv", "--json")
     assert json.loads(done.stdout)["measures"]["per_m2"]["value"] == pytest.approx(4, rel=1e-3)
-    assert "c.csv: no picture is called gone" in done.stderr
+    assert "c.csv: no image is called gone" in done.stderr
     (tmp_path / "lens.yaml").write_text(
         "intrinsics: [100, 100, 79.5, 59.5]\nresolution: [160, 120]\ndistortion_coeffs: [0, 0, 0, 0]\n"
     )
@@ -114,7 +114,7 @@ def test_a_picture_without_corners_is_not_counted_and_told_of(folder, tmp_path):
     (tmp_path / "c.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n0,70,20,130,20,130,110,70,110\n")
     done = run("segment", folder, *DISCS, "--quadrat", 0.5, "--corners", "c.csv")
     assert done.returncode == 1
-    assert "1: c.csv has no corners of it, and so it is not counted" in done.stderr
+    assert "1: c.csv has no corners for it, so it was not counted" in done.stderr
     with open("Fotos ü-oysters/pictures.csv", newline="", encoding="utf-8") as file:
         assert [bool(row["failure"]) for row in csv.DictReader(file)] == [False] + [True] * 5
 
@@ -127,7 +127,7 @@ def test_a_picture_without_corners_is_not_counted_and_told_of(folder, tmp_path):
         (("--altitude", "1"), "--altitude: expected --calibration FILE as well"),
         (("--calibration", "c.yaml"), "--calibration: expected --altitude M as well"),
         (("--camera", "cam0"), "--camera: expected --calibration FILE as well"),
-        (("--mm-per-px", "1", "--quadrat", "1", "--corners", "c"), "expected one scale at most"),
+        (("--mm-per-px", "1", "--quadrat", "1", "--corners", "c"), "expected at most one scale"),
     ],
 )
 def test_options_of_a_scale_that_do_not_belong_together_are_refused(folder, options, said):

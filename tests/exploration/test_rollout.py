@@ -153,7 +153,7 @@ class Wrong(Ahead):
         ),
         (lambda view: Steering(view.name, yaw_probability=np.ones(6), pitch=1), r"yaw_probability: expected 7 numbers"),
         (lambda view: Steering(view.name, yaw_probability=-np.ones(7), pitch=1), r"none below 0"),
-        ("greedy", r"took a view before a command at 000000"),
+        ("greedy", r"requested another view before giving a command at 000000"),
         ("crash", r"'ahead' failed, mini-01: rollout: KeyError"),
         ("stop", r"expected 2 commands, got 0"),
     ],

@@ -119,7 +119,7 @@ def test_errors_are_one_line_with_their_code(place, tmp_path):
     assert "no such key" in line(1, "publish", place.recipe, tmp_path / "x", "--key", tmp_path / "no.pem")
     assert "oysterbench render" in line(1, "publish", place.recipe, tmp_path / "x", "--key", place.folder / "key.pem")
     assert "index.json is absent" in line(1, "serve", tmp_path)
-    assert "nothing of it is here" in line(1, "verify", "slam-max")
+    assert "no data of it is here" in line(1, "verify", "slam-max")
     place.run("publish", place.recipe, tmp_path, "--key", place.folder / "key.pem", "--hidden", code=2)
 
 
@@ -179,7 +179,7 @@ def test_a_hidden_recipe_is_never_published_with_its_truth(place, tmp_path):
     recipe = tmp_path / "tiny.toml"
     recipe.write_text("hidden = true\n" + place.recipe.read_text())
     arguments = ("publish", recipe, tmp_path / "hub", "--key", place.folder / "key.pem", "--data", place.data)
-    assert "everybody would have its truth" in place.run(*arguments, code=1).stderr
+    assert "would reveal its ground truth" in place.run(*arguments, code=1).stderr
     assert not (tmp_path / "hub").exists()
     failed = place.run("download", recipe, code=1, home=tmp_path / "home")
-    assert "cannot be rendered by who has not its salt" in failed.stderr
+    assert "cannot be rendered without its salt" in failed.stderr

@@ -94,10 +94,10 @@ def test_splits_and_models_share_a_tree_but_no_name(tmp_path):
         (publish_split(tmp_path / "tree", files, key), (tmp_path / "tree" / "index.json").read_bytes())[1]
     )
     assert "models" not in without["signed"]  # the index of a hub without models is what it always was
-    with pytest.raises(HubError, match="fake-val: a split has this name"):
+    with pytest.raises(HubError, match="a split in"):
         release(tmp_path / "tree", weights, key, name=FACTS["split"])
     release(tmp_path / "tree", weights, key)
-    with pytest.raises(HubError, match="unet: a model has this name"):
+    with pytest.raises(HubError, match="a model in"):
         publish_split(tmp_path / "tree", files, key, split="unet")
     hub = Hub.at([str(tmp_path / "tree")], public)
     assert hub.manifest("fake-val").version == hub.model("unet").version == "1.0"
@@ -293,7 +293,7 @@ def test_weights_of_ones_own_are_replaced_only_where_it_is_asked_for(released, t
     hub, path = released.hub(), write_weights(tmp_path / "unet.pt", 9)
     if card:
         path.with_suffix(".json").write_bytes(released.cards["1.0"].data)
-    with pytest.raises(HubError, match=r"left as they are: --again replaces them by unet 1\.1, --out"):
+    with pytest.raises(HubError, match=r"left unchanged: --again replaces them with unet 1\.1, --out"):
         fetch_weights(hub, hub.model("unet"), path)
     assert path.read_bytes() == write_weights(tmp_path / "same.pt", 9).read_bytes()
     assert weights_here(path).model is None

@@ -125,7 +125,7 @@ def test_ctrl_c_is_one_line_with_130_and_the_download_goes_on(big, tmp_path):
         _, errors = process.communicate(timeout=20)
         interrupted.set()
     assert process.returncode == 130
-    assert errors.splitlines()[-1].startswith("oysterbench: interrupted; what was fetched is kept, and")
+    assert errors.splitlines()[-1].startswith("oysterbench: interrupted; downloaded data is kept, and")
     assert "Traceback" not in errors
     with serving(Honest, big.files) as site:
         done = subprocess.run([*command, "--from", site.url], capture_output=True, text=True, check=True)

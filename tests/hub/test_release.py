@@ -56,7 +56,7 @@ def test_parts_made_with_different_versions_make_no_release(files, tmp_path):
 
 
 def test_a_file_that_lacks_a_topic_of_its_rig_is_not_released(files, tmp_path):
-    with pytest.raises(HubError, match="got none of /sonar_front/image; it was not taken"):
+    with pytest.raises(HubError, match="got none of /sonar_front/image; it was not accepted"):
         keep_read(tmp_path, "dive-01", files["dive-01"], (*TOPICS, "/sonar_front/image"))
     assert not_read(tmp_path, NAMES) == [*NAMES]
 

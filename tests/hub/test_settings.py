@@ -38,6 +38,6 @@ def test_a_private_key_is_its_owners_and_never_overwritten(tmp_path):
     make_key(tmp_path / "key.pem")
     assert os.stat(tmp_path / "key.pem").st_mode & 0o777 == 0o600
     before = (tmp_path / "key.pem").read_bytes()
-    with pytest.raises(HubError, match="it was left as it is"):
+    with pytest.raises(HubError, match="it was left unchanged"):
         make_key(tmp_path / "key.pem")
     assert (tmp_path / "key.pem").read_bytes() == before

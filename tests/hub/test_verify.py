@@ -59,8 +59,8 @@ def brighter(by, share=1.0):
 def test_pictures_within_a_grey_level_are_alike_and_said_to_be(doctored, entry):
     check = check_file(doctored(brighter(1)), entry)
     assert (check.state, check.good) == (ALIKE, True)
-    assert "/cam_left/image is within a grey level on 100 % of the pixels looked at" in check.detail
-    assert "/cam_right/image is within a grey level on 100 % of the pixels looked at" in check.detail
+    assert "/cam_left/image is within a grey level on 100 % of the pixels checked" in check.detail
+    assert "/cam_right/image is within a grey level on 100 % of the pixels checked" in check.detail
     assert "/imu" not in check.detail
 
 
@@ -74,7 +74,7 @@ def test_few_pixels_further_off_are_forgiven_and_more_are_not(doctored, entry):
 def test_a_label_that_is_off_by_one_is_another_label(doctored, entry):
     check = check_file(doctored(layers=lambda layer, pixels: pixels + (layer == "instance")), entry)
     assert check.state == OTHER
-    assert check.detail == "/cam_left/instance is within a grey level on 0 % of the pixels looked at"
+    assert check.detail == "/cam_left/instance is within a grey level on 0 % of the pixels checked"
 
 
 def test_a_millimetre_of_depth_is_alike_and_a_centimetre_is_not(doctored, entry):

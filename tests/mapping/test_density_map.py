@@ -184,7 +184,7 @@ def test_no_depth_is_refused_with_what_there_is():
     bare = FlatReef(LANE, DISCS, layers=("class", "instance"))
     with pytest.raises(SequenceError, match="no layer depth"):
         map_of(bare)
-    with pytest.raises(SequenceError, match="no camera beside cam"):
+    with pytest.raises(SequenceError, match="no other camera overlaps with"):
         map_of(bare, depth="stereo")
     bare.dvl_calibration = None
     with pytest.raises(SequenceError, match="neither DVL nor altimeter"):

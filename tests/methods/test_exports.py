@@ -116,7 +116,7 @@ def test_nothing_is_kept_of_a_hidden_split_nor_where_nothing_shall_be(run, tmp_p
 
 def test_a_bound_that_is_no_number_is_named(monkeypatch):
     monkeypatch.setenv(exports.SETTING, "much")
-    with pytest.raises(MethodError, match=r"OYSTERBENCH_EXPORTS_GB: expected a number, .* got 'much'"):
+    with pytest.raises(MethodError, match=r"OYSTERBENCH_EXPORTS_GB: expected the maximum size .* got 'much'"):
         exports.most_gigabytes()
 
 

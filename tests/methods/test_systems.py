@@ -94,7 +94,7 @@ def test_a_changed_configuration_or_recipe_is_another_run(toy, dive_file, tmp_pa
         file.write("# changed\n")
     changed = oysterbench_command(*words)
     assert changed.returncode == 1
-    assert "--again runs it anew" in changed.stderr
+    assert "rerun it with --again" in changed.stderr
     with open(toy / "CMakeLists.txt", "a") as file:
         file.write("# changed\n")
     assert "is not built here" in oysterbench_command(*words).stderr

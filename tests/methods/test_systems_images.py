@@ -136,7 +136,7 @@ def test_what_to_type_is_said_where_there_are_no_weights(toy, tmp_path):
 
 def test_a_method_is_of_its_own_track(toy):
     assert (track_of("toy_masks"), track_of("toy_oysters")) == ("segmentation", "detection")
-    with pytest.raises(MethodError, match="is of the track 'segmentation'; expected one of 'slam'"):
+    with pytest.raises(MethodError, match="is of the track 'segmentation'; expected a method of 'slam'"):
         SystemAdapter("toy_masks")
 
 

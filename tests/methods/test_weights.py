@@ -63,8 +63,8 @@ def test_every_method_that_runs_on_weights_is_known_to_them():
 def test_without_weights_and_hub_one_line_says_how_to_train_and_how_long_that_takes(bare):
     expected = (
         r"^unet: no trained weights at .*models/unet\.pt: `oysterbench train unet --data seg-train` trains them on "
-        r"your machine \(about .* on .*\), `oysterbench download unet` fetches them where a hub is set; others "
-        r"are named by unet\[checkpoint=PATH\] or by OYSTERBENCH_UNET$"
+        r"your machine \(about .* on .*\), `oysterbench download unet` downloads them if a hub is set; name others "
+        r"with unet\[checkpoint=PATH\] or OYSTERBENCH_UNET$"
     )
     for demand in (lambda path: have_weights({"unet": path}), lambda path: existing("unet", path)):
         with pytest.raises(MethodError, match=expected):
@@ -78,7 +78,7 @@ def test_absent_weights_are_fetched_from_the_hub_that_is_set(hub, bare):
     have_weights({"unet": weights_path("unet")}, said.append)
     digest = hashlib.sha256(hub.read_bytes()).hexdigest()
     assert said == [
-        f"unet: no trained weights here; fetching unet 1.0 from {hub.parent / 'tree'}, 0.1 MB, SHA-256 {digest}"
+        f"unet: no trained weights here; downloading unet 1.0 from {hub.parent / 'tree'}, 0.1 MB, SHA-256 {digest}"
     ]
     assert (bare / "models" / "unet.pt").read_bytes() == hub.read_bytes()
     assert weights_here(weights_path("unet")).brief == "1.0"

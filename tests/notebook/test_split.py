@@ -74,7 +74,7 @@ def test_every_split_is_listed():
         (lambda: oysterbench.split("slam-mini")["mini-02"], SequenceError, "no sequence 'mini-02'; it has mini-01"),
         (lambda: oysterbench.split("slam-mini")[1], IndexError, "slam-mini has 1 sequence, from 0 on; got number 1"),
         (lambda: oysterbench.split("slam-test")[0], HubError, "slam-test is a hidden split.*OYSTERBENCH_HUB"),
-        (lambda: oysterbench.split("slam-mini@0.1"), HubError, "makes slam-mini 1.0, and no hub is set"),
+        (lambda: oysterbench.split("slam-mini@0.1"), HubError, "renders slam-mini 1.0, and no hub is set"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_had_is_one_line_that_says_why(ask, error, pattern):
@@ -148,7 +148,7 @@ def test_a_folder_of_files_is_a_split(hub):
     assert [sequence.name for sequence in split] == ["dive-01", "dive-02"]
     assert split.summary().loc["dive-01", "cameras"] == 2
     hub["dive-02"].unlink()
-    with pytest.raises(SequenceError, match="no such file any more"):
+    with pytest.raises(SequenceError, match="no longer exists"):
         split["dive-02"]
 
 

@@ -45,7 +45,7 @@ def files(tmp_path_factory):
 
 @pytest.mark.parametrize("salt", [b"", b"short", b"a" * 40])
 def test_a_hidden_split_is_not_made_without_a_good_salt(tmp_path, salt):
-    with pytest.raises(RecipeError, match="split tiny is hidden: it is made with a secret salt only"):
+    with pytest.raises(RecipeError, match="split tiny is hidden: it needs a secret salt"):
         generate_split(make_split(HIDDEN), tmp_path, salt=salt)
     assert list(tmp_path.iterdir()) == []
 

@@ -43,12 +43,12 @@ def test_labels_are_the_same_wherever_they_are_made(sequence):
 
 
 def test_a_method_does_not_see_them(sequence):
-    with pytest.raises(MethodError, match="does not see the truth"):
+    with pytest.raises(MethodError, match="may not see the ground truth"):
         sequence[1].for_method().steering()
 
 
 def test_a_file_without_labels_says_so(tiny_file):
-    with pytest.raises(SequenceError, match=r"no truth about steering: no attachment truth/steering\.csv"):
+    with pytest.raises(SequenceError, match=r"no ground truth about steering: no attachment truth/steering\.csv"):
         oysterbench.open(tiny_file).steering()
 
 

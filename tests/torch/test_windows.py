@@ -77,7 +77,7 @@ def test_batches_are_made_by_the_default_collate_function_in_workers(windows):
 
 def test_sequences_that_keep_their_truth_back_have_windows_without_poses(dive_file, tmp_path):
     folder, _ = export_sequence(oysterbench.open(dive_file), "mcap", tmp_path / "blind", truth=False)
-    with pytest.raises(SequenceError, match=r"no true poses: its truth is kept back.*poses=False") as raised:
+    with pytest.raises(SequenceError, match=r"no ground-truth poses \(withheld.*poses=False") as raised:
         WindowDataset(folder, length=2)
     assert "\n" not in str(raised.value)
     windows = WindowDataset(folder, length=2, poses=False)

@@ -99,7 +99,7 @@ def test_straight_and_chance_are_the_floor(sequences, tmp_path):
 @pytest.mark.parametrize(
     ("policy", "message"),
     [
-        ("Ahead", "took a view before a command at one/cam_front"),
+        ("Ahead", "requested another view before giving a command at one/cam_front"),
         pytest.param("Wrong", "expected a Steering of the view one/cam_front", marks=pytest.mark.slow),
         pytest.param("Short", "expected 9 commands, one for each view, got 1", marks=pytest.mark.slow),
         ("Broken", "ValueError: no such weight"),

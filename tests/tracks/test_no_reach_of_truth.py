@@ -177,4 +177,4 @@ def test_a_link_to_the_truth_is_no_prediction(labelled, tmp_path, monkeypatch):
     (tmp_path / "code" / "links.py").write_text(LINKS)
     adapter = ExternalCommand(f"{sys.executable} {tmp_path}/code/links.py {{images}} {{out}}", "links", "segmentation")
     done = run(labelled, tmp_path, adapter)
-    assert "left no masks or COCO annotations at {out}" in done.failure
+    assert "wrote no masks or COCO annotations to {out}" in done.failure

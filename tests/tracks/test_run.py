@@ -211,9 +211,9 @@ def test_time_and_memory_of_children_count(run, answer, tmp_path):
         ("sleeps", "time limit of 1 s reached: killed; it last said: still here"),
         ("crashes", "killed by SIGSEGV"),
         pytest.param("refuses", "exit status 3; it last said: no vocabulary | giving up", marks=pytest.mark.slow),
-        ("silent", "ended well, but left no trajectory at {out}"),
-        ("garbage", "left what cannot be read as a trajectory: "),
-        pytest.param("empty", "left what cannot be read as a trajectory: ", marks=pytest.mark.slow),
+        ("silent", "exited normally, but wrote no trajectory to {out}"),
+        ("garbage", "wrote no readable trajectory: "),
+        pytest.param("empty", "wrote no readable trajectory: ", marks=pytest.mark.slow),
     ],
 )
 def test_a_program_that_fails_leaves_a_record_that_says_how(program, failure, run, answer, tmp_path):
@@ -272,7 +272,7 @@ def test_megabytes_of_output_do_no_harm(run, answer, tmp_path):
 def test_processes_that_outlive_their_program_are_killed_and_noted(run, answer, tmp_path):
     (done,) = run(ExternalCommand(command(tmp_path, "leaves", answer), "leaves"))
     assert done.scored.record.metrics["coverage"] == 1.0
-    assert "1 processes were still running when it had ended: they were killed" in done.scored.record.notes
+    assert "1 processes were still running after it ended and were killed" in done.scored.record.notes
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "answer.tum.pid").read_text()), 0)
 
@@ -280,13 +280,13 @@ def test_processes_that_outlive_their_program_are_killed_and_noted(run, answer, 
 @pytest.mark.parametrize(
     ("template", "message"),
     [
-        ("true {euroc}", "expected {out}, where the program leaves a trajectory, and one of {euroc}"),
+        ("true {euroc}", "expected {out}, where the program writes a trajectory, and one of {euroc}"),
         ("true {out}", "and one of {euroc}, {tum}, {kitti}, {rosbag}, {mcap}, what it reads, got {out}"),
         ("true {euroc} {mcap} {out}", "got {euroc}, {mcap}, {out}"),
         ("true {bag} {out}", "unknown placeholder {bag}; known: {euroc}"),
-        ("true {euroc} {out} 'awk {'", "write {{ and }} for braces of your own"),
+        ("true {euroc} {out} 'awk {'", "write {{ and }} for literal braces"),
         ("true '{euroc} {out}", "No closing quotation"),
-        ("no-such-program {euroc} {out}", "no program 'no-such-program' that can be run"),
+        ("no-such-program {euroc} {out}", "no program 'no-such-program' that can be executed"),
     ],
 )
 def test_a_command_line_of_another_shape_is_refused_before_anything_runs(template, message):
@@ -343,7 +343,7 @@ def test_what_failed_is_run_again_where_that_is_asked_for(run, answer, tmp_path)
 
 def test_results_of_another_command_are_not_taken_for_its_own(run, answer, tmp_path):
     run(ExternalCommand(command(tmp_path, "copies", answer), "mine"))
-    with pytest.raises(MethodError, match=r"holds run 1 of another mine .*--again runs it anew"):
+    with pytest.raises(MethodError, match=r"has run 1 of another mine .*rerun it with --again"):
         run(ExternalCommand(command(tmp_path, "counts", answer), "mine"))
 
 
@@ -363,6 +363,6 @@ def test_one_runner_works_in_a_folder_at_a_time(dive_file, answer, tmp_path):
     dive = SlamSequence(NAME, dive_file)
     running = TRACK.run([dive], [program], SlamSettings(), Request(tmp_path, runs=2, jobs=1))
     next(running)
-    with pytest.raises(MethodError, match="another run is working in it"):
+    with pytest.raises(MethodError, match="another run is using it"):
         finished_of(TRACK, [dive], [program], SlamSettings(), tmp_path)
     running.close()

@@ -107,7 +107,7 @@ def test_a_class_runs_in_a_process_of_its_own_with_the_seed_of_its_run(own_metho
     [
         ("Raises", "method 'raises' failed on hand-made: RuntimeError: out of ideas"),
         pytest.param("Exits", "method 'exits' on hand-made: exit status 9", marks=pytest.mark.slow),
-        ("Peeks", "a method does not see the truth: Sequence.truth() is for evaluators"),
+        ("Peeks", "methods may not see the ground truth: Sequence.truth() is for evaluators"),
     ],
 )
 def test_a_class_that_fails_leaves_a_record_that_says_how(name, failure, own_methods, run):
@@ -120,7 +120,7 @@ def test_a_class_that_fails_leaves_a_record_that_says_how(name, failure, own_met
     [
         ("own_methods:Absent", "own_methods.py has no 'Absent'"),
         ("own_methods:Empty", "expected an object with name, track and run"),
-        ("own_methods:Other", "is of the track 'steering'; expected one of 'slam'"),
+        ("own_methods:Other", "is of the track 'steering'; expected a method of 'slam'"),
         ("no_such_module:Slam", "cannot be loaded: No module named 'no_such_module'"),
         ("own_methods:", "expected module:Class, such as my_slam:MySlam"),
     ],
@@ -147,7 +147,7 @@ def test_further_paths_and_the_map_lie_beside_the_scored_path(own_methods, run, 
     (message,) = results_table([done.scored.record]).notes
     assert "nees_position" not in done.scored.record.metrics
     assert 0.0 < info["paths"]["alternatives"]["online"]["nees_position"] < 3.0
-    assert re.match(r"paths: scored is the optimised path; not scored: online \(ATE \S+ m, NEES of position ", message)
+    assert re.match(r"paths: the optimised path is scored; not scored: online \(ATE \S+ m, NEES of position ", message)
     # Of what is finished already, all of it is read again.
     (again,) = run(PythonMethod("own_methods:Paths"))
     assert again.scored.record.to_dict() == done.scored.record.to_dict()

@@ -89,7 +89,7 @@ class Interface(ABC):
     def options_of(self, form: str, poses_of: str = "") -> dict[str, str]:
         """What decides beside the form how a program's predictions are read. Raises MethodError for what does not."""
         if poses_of:
-            raise MethodError(f"--poses-of: of the track slam; here a program leaves {self.leaves}")
+            raise MethodError(f"--poses-of is for the track slam; here a program writes {self.leaves}")
         return {}
 
     @abstractmethod

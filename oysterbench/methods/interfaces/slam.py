@@ -39,7 +39,7 @@ FORMS = {
     "euroc": "an EuRoC folder: mav0/ with cam0, cam1, ..., imu0",
     "tum": "a TUM RGB-D folder: rgb/, rgb.txt, accelerometer.txt, calibration.txt",
     "kitti": "a KITTI odometry folder: sequences/00/ with undistorted grey images, calib.txt, times.txt",
-    "rosbag": "a folder with a ROS 1 bag, NAME.bag, as EuRoC's are: /cam0/image_raw, /imu0; and Kalibr's files",
+    "rosbag": "a folder with a ROS 1 bag, NAME.bag, like EuRoC's: /cam0/image_raw, /imu0; and Kalibr's files",
     "mcap": "a sequence file with everything that was measured",
 }
 """Placeholder of a command line -> what is put in its place."""
@@ -123,7 +123,7 @@ class SlamInterface(Interface):
         try:
             found = _read_path(folder / self.out, T_base_frame, times)
         except TrajectoryError as error:
-            raise MethodError(f"left what cannot be read as a trajectory: {error}") from None
+            raise MethodError(f"wrote no readable trajectory: {error}") from None
         estimate = Estimate(found)
         if (folder / ONLINE).exists():
             try:
@@ -139,7 +139,7 @@ def _read_path(file: Path, T_base_frame: Array, times: NDArray[np.int64] | None)
     """Poses of the body, of a file with those of a frame. times: (N,) ns, of KITTI's images. Raises TrajectoryError."""
     found = read_trajectory(file, T_body_estimate=T_base_frame, times=times)
     if times is not None and len(found) and found.stamps_ns[-1] < times[0]:
-        note = "its stamps count from the first image, as times.txt has them: the stamp of that was added"
+        note = "its timestamps count from the first image, as in times.txt: that image's timestamp was added"
         found = replace(found, stamps_ns=found.stamps_ns + times[0], notes=(*found.notes, note))
     return found
 
@@ -191,7 +191,7 @@ def _read_npz(path: Path) -> Trajectory:
     try:
         return read_trajectory(path)
     except TrajectoryError as error:
-        raise MethodError(f"left what cannot be read as a trajectory: {error}") from None
+        raise MethodError(f"wrote no readable trajectory: {error}") from None
 
 
 def write_input(path: Path, form: str, out: Path) -> None:

@@ -104,7 +104,7 @@ class SystemAdapter(MethodAdapter):
 
     def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
         if not (folder / self.interface.out).exists():
-            raise MethodError(f"ended well, but left no {self.interface.leaves.removeprefix('a ')}")
+            raise MethodError(f"exited normally, but wrote no {self.interface.leaves.removeprefix('a ')}")
         options = {"poses_of": self.method.poses_of} if self.method.track == "slam" else {}
         found = self.interface.take(sequence, given, folder, self.form, options)
         digests = {"log_sha256": file_digest(folder / STDOUT)}

@@ -199,7 +199,7 @@ def _compile(system: System, jobs: int | None, log: IO[bytes], announce: Announc
     count = jobs or len(os.sched_getaffinity(0))
     _call(system, ["cmake", "--build", str(folder), "--parallel", str(count)], log, announce)
     if not (folder / system.description.program).exists():
-        raise MethodError(f"{system.name}: its build left no {system.description.program}; {system.place / LOG}")
+        raise MethodError(f"{system.name}: its build produced no {system.description.program}; {system.place / LOG}")
 
 
 def _install(system: System, log: IO[bytes], announce: Announce) -> None:
@@ -228,7 +228,7 @@ def _call(system: System, command: Sequence[str], log: IO[bytes], announce: Anno
                 if announce is not None and (where := STEP.match(line)):
                     announce(f"building {system.name}: {where.group().strip('[] ')}")
     except FileNotFoundError:
-        raise MethodError(f"{system.name} needs {command[0]}, which is not here") from None
+        raise MethodError(f"{system.name} needs {command[0]}, which is not installed") from None
     log.flush()
     if step.returncode:
         raise MethodError(

@@ -143,7 +143,7 @@ def systems() -> Mapping[str, System]:
     for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name):
         spec = find_spec(point.value)
         if spec is None or spec.origin is None:
-            raise MethodError(f"system {point.name!r}: its entry point {point.value} is no package that is here")
+            raise MethodError(f"system {point.name!r}: its entry point {point.value} is not an installed package")
         found[point.name] = read_system(point.name, Path(spec.origin).parent, point.value)
     return found
 

@@ -43,7 +43,7 @@ class Checkup:
         from oysterbench.core.display import CardTable, card
 
         rows = [(one.section, one.name, one.state, one.detail, one.advice) for one in self.findings]
-        lead = f"{len(self.broken)} of what is set does not work" if self.broken else "nothing that is set is broken"
+        lead = f"{len(self.broken)} broken" if self.broken else "nothing is broken"
         return card("oysterbench doctor", lead, [CardTable(("", "what", "state", "", "to type or to do"), rows)])
 
 

@@ -125,7 +125,7 @@ def _exports() -> Iterator[Finding]:
         try:
             yield Finding("data", "exports", "ok", f"up to {max(0.0, float(text)):g} GB are kept ({EXPORTS})")
         except ValueError:
-            detail = f"{EXPORTS}: expected a number, GB that exports may take, got {text!r}"
+            detail = f"{EXPORTS}: expected the maximum size of exports in GB, got {text!r}"
             yield Finding("data", "exports", "broken", detail, f"{EXPORTS}=20")
 
 
