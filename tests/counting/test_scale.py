@@ -250,5 +250,5 @@ def test_a_picture_without_corners_or_altitude_is_not_counted(tmp_path, sources)
     with pytest.raises(LabelError, match=r"b/1: .*t\.csv has no corners for it"):
         scale(sources[1], "b/1")
     heights = table(tmp_path, "picture,altitude_m\na/1,2\n", sources, ALTITUDE)
-    with pytest.raises(LabelError, match=r"b/1: .*t\.csv has no altitude of it"):
+    with pytest.raises(LabelError, match=r"b/1: .*t\.csv has no altitude for it"):
         altitudes(Lens(640, 480, MATRIX, np.zeros(4)), heights)(sources[1], "b/1")
