@@ -7,14 +7,14 @@ from docs.generate.repository import ROOT
 
 PAGE = """# How to cite
 
-Cite the software with its version, and name split and evaluator with theirs, as results print them: "slam-val 1.0,
-evaluator slam 3".
+Cite the software with its version, and name the split and evaluator with their versions, as printed with results:
+"slam-val 1.0, evaluator slam 3".
 
 {bibtex}
-The same for machines: [CITATION.cff](../CITATION.cff).
+Machine-readable: [CITATION.cff](../CITATION.cff).
 
-Rendered data is under CC BY 4.0: name oysterbench and the split. The code is under the MIT licence. Published systems
-that are run are to be cited as their authors ask: [each page](../baselines/external/README.md) names the paper.
+Rendered data is under CC BY 4.0: name oysterbench and the split. The code is under the MIT licence. Cite published
+systems that you run as their authors ask: [each page](../baselines/external/README.md) names the paper.
 
 Who publishes results may send them to [the leaderboard](../leaderboard/README.md), or attach `results.json`: it holds
 versions, settings, machine and every metric.

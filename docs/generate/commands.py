@@ -15,8 +15,8 @@ WIDTH = 100  # characters, of what is laid out as in a terminal
 
 HEAD = """# Commands
 
-Every command takes `--help`, which says what stands here. Data goes to stdout, progress and messages to stderr;
-`--json` prints JSON on stdout and nothing else. An error is one line, and the exit status is then not 0.
+Every command takes `--help`, which prints the same text as here. Data goes to stdout, progress and messages to stderr;
+`--json` prints only JSON on stdout. An error is one line, with a non-zero exit status.
 
 """
 

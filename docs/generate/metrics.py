@@ -9,12 +9,11 @@ from oysterbench.evaluate.metric import Metric, TrackMetrics
 
 HEAD = """# Evaluators and metrics
 
-Each number that a result may hold: its key in `results.json` and in the tables of `--csv`, its unit, which direction
-is better, the values that it can have, and what it is. The first of a track is what ranks its methods. As functions
-they are in [`oysterbench.metrics`](api/metrics.md); versions of the evaluators: [current versions](evaluators.md).
+Every metric: its key in `results.json` and in the tables of `--csv`, its unit, which direction is better, its range,
+and its definition. The first metric of a track ranks its methods. As functions they are in [`oysterbench.metrics`](api/metrics.md); versions of the evaluators: [current versions](evaluators.md).
 
-Some keys have a relative of any other size: `rpe_1s_...` of another interval, `recall_...` within another distance.
-They are described where the first of their kind is.
+Some keys exist for other sizes too: `rpe_1s_...` for another interval, `recall_...` for another distance. They are
+described with the first of their kind.
 """
 
 

@@ -21,18 +21,18 @@ NOT_WRITTEN = {"source", "rig_source", "sensors"}
 
 RECIPE_HEAD = """# Recipe keys
 
-A split is a TOML file; these are its tables and their keys, with type, allowed values and default. A key that is
-needed has none. Each value is checked: a wrong one is refused with file, key, value and what is allowed.
+A split is a TOML file; these are its tables and their keys, with type, allowed values and default. A required key
+has no default. Each value is checked: an invalid one is refused with file, key, value and what is allowed.
 
-A table `[defaults]` holds what the sequences have in common; each `[[sequence]]` states only what differs, key by key.
-The rig is named by `rig = "NAME"`, a file of `datasets/rigs/` or, with `.toml`, a path beside the recipe
+A table `[defaults]` holds what the sequences share; each `[[sequence]]` states only what differs, key by key.
+`rig = "NAME"` names the rig: a file in `datasets/rigs/` or, with `.toml`, a path relative to the recipe
 ([its keys](rig.md)).
 """
 
 RIG_HEAD = """# Rig keys
 
-A rig is a TOML file: a vehicle and what it measures with. Each sensor is a table of its kind's block; several of a kind
-are written as `[[block]]`.
+A rig is a TOML file: a vehicle and its sensors. Each sensor is a table named after its kind; several of a kind are
+written as `[[block]]`.
 """
 
 

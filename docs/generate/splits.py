@@ -8,8 +8,8 @@ from docs.generate.markdown import code, table
 
 HEAD = """# Splits in numbers
 
-Each split that comes along, from its recipe: images of all its cameras, minutes of all its sequences, and the processor
-time that rendering takes, as `oysterbench splits SPLIT` estimates it. What each is for and what is in it:
+Every included split, from its recipe: images of all its cameras, minutes of all its sequences, and the CPU time of
+rendering, as estimated by `oysterbench splits SPLIT`. What each is for and what it contains:
 [the splits](../../datasets/README.md).
 
 """

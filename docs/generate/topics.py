@@ -10,8 +10,8 @@ from docs.generate.markdown import code, table
 
 HEAD = """# Topics
 
-A sequence is one MCAP file of ROS 2 messages. `NAME` is the name of a sensor on its rig, such as `cam_left`; what a rig
-does not carry is absent. What is marked as ground truth is given to no method.
+A sequence is one MCAP file of ROS 2 messages. `NAME` is the name of a sensor on its rig, such as `cam_left`; topics of
+sensors that the rig lacks are absent. Topics marked as ground truth are never given to methods.
 
 """
 

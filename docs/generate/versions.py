@@ -15,4 +15,6 @@ def versions_page() -> str:
     rows += [("evaluator", name, track.evaluator) for name, track in TRACKS.items()]
     rows += [("split", split.name, split.version) for split in map(load_split, split_names())]
     listed = table(("Of", "Name", "Version"), [(kind, code(name), code(version)) for kind, name, version in rows])
-    return f"# Current versions\n\nWhat each is and what changes it: [Versions](../versions.md).\n\n{listed}"
+    return (
+        f"# Current versions\n\nWhat each version covers and when it changes: [Versions](../versions.md).\n\n{listed}"
+    )
