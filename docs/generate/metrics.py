@@ -10,7 +10,8 @@ from oysterbench.evaluate.metric import Metric, TrackMetrics
 HEAD = """# Evaluators and metrics
 
 Every metric: its key in `results.json` and in the tables of `--csv`, its unit, which direction is better, its range,
-and its definition. The first metric of a track ranks its methods. As functions they are in [`oysterbench.metrics`](api/metrics.md); versions of the evaluators: [current versions](evaluators.md).
+and its definition. The first metric of a track ranks its methods. As functions they are in
+[`oysterbench.metrics`](api/metrics.md); versions of the evaluators: [current versions](evaluators.md).
 
 Some keys exist for other sizes too: `rpe_1s_...` for another interval, `recall_...` for another distance. They are
 described with the first of their kind.
