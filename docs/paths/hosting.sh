@@ -1,4 +1,4 @@
-# A board of one's own: from an empty folder to a submission that it has scored and shows.
+# Your own board: from an empty folder to a submission that it has scored and published.
 pip install "oysterbench[board,render]"
 oysterbench run dead_reckoning --split slam-mini --out runs
 oysterbench leaderboard team add "reef lab" --submissions private > token

@@ -1,4 +1,4 @@
-# A network of one's own: from an empty folder to its IoU on a reef that it has not seen, beside a rule of thumb.
+# Your own network: from an empty folder to its IoU on a reef it has not seen, beside that of a colour rule.
 pip install "oysterbench[render,learn]"
 python my_net.py
 oysterbench run my_net:MyNet colour --split seg-mini --sequence mini-02 --out mine
