@@ -247,5 +247,5 @@ def _failed(found: Survey) -> str:
     for name, why in list(failures.items())[:TOLD]:
         message(why if name in why else f"{name}: {why}")
     more = f", {len(failures) - TOLD} more are in pictures.csv" if len(failures) > TOLD else ""
-    rest = "; the rest was" if found.pictures else ""
+    rest = "; the rest was counted" if found.pictures else ""
     return f"{len(failures)} of {len(failures) + len(found.pictures)} could not be counted{more}{rest}"

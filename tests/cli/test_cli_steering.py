@@ -142,7 +142,7 @@ def test_all_can_fail(recipe, tmp_path):
     [
         (("--method", "unet"), "method 'unet' is of the track 'segmentation'; expected a method of 'steering'"),
         (("--method", "dead_reckoning"), "of the track 'slam'"),
-        (("--method", "expert"), "expected --closed-loop"),
+        (("--method", "expert"), "add --closed-loop"),
         (("--method", "nobody"), "unknown method 'nobody'"),
         (("--sequence", "nowhere"), "nowhere"),
         (("--closed-loop", "--sequence", "nowhere"), "nowhere"),

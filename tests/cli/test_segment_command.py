@@ -57,7 +57,7 @@ def test_what_is_no_picture_is_a_line_and_what_is_broken_an_exit_code(folder):
     (folder / "broken.jpg").write_bytes(b"\xff\xd8")
     done = run("segment", folder, *DISCS)
     assert done.returncode == 1
-    assert done.stderr.splitlines()[-1] == "oysterbench: 1 of 7 could not be counted; the rest was"
+    assert done.stderr.splitlines()[-1] == "oysterbench: 1 of 7 could not be counted; the rest was counted"
     assert "broken.jpg: the JPEG is damaged" in done.stderr
     assert "12 oysters in 6 pictures" in done.stdout
 

@@ -309,7 +309,7 @@ def test_methods_are_compared_by_their_names(site, digests):
         compare_page(site, "carp", "whale")
     with pytest.raises(PageError, match="got nothing"):
         compare_page(site, "carp", "")
-    with pytest.raises(PageError, match="got one twice"):
+    with pytest.raises(PageError, match="got the same one twice"):
         compare_page(site, digests["cod"], digests["cod"])
 
 

@@ -135,7 +135,7 @@ def test_a_failure_inside_is_not_shown(made):
     assert answer.headers["x-content-type-options"] == "nosniff"
     assert "secret" not in answer.text
     assert "Traceback" not in answer.text
-    assert "could not be made" in answer.text
+    assert "could not be generated" in answer.text
 
 
 def test_a_damaged_record_is_told_of_without_the_name_of_its_file(tmp_path, caplog):

@@ -365,7 +365,7 @@ def test_nothing_that_is_served_holds_the_truth(site, tmp_path):
 def needles(folder: Path) -> list[bytes]:
     """What would give the truth away: its positions and attitudes, the length of its path, where its files lie. Numbers
     with seven decimals, which no other number shares by chance."""
-    found = [str(folder / "splits").encode(), b"-truth", b".mcap"]
+    found = [str(folder / "splits").encode(), b"-truth.", b".mcap"]
     for k in range(len(NAMES)):
         true = path(k)
         for value in np.concatenate([true.positions[::7].ravel(), true.quaternions[::11].ravel(), [true.path_length]]):

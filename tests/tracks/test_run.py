@@ -281,7 +281,7 @@ def test_processes_that_outlive_their_program_are_killed_and_noted(run, answer, 
     ("template", "message"),
     [
         ("true {euroc}", "expected {out}, where the program writes a trajectory, and one of {euroc}"),
-        ("true {out}", "and one of {euroc}, {tum}, {kitti}, {rosbag}, {mcap}, what it reads, got {out}"),
+        ("true {out}", "and one of {euroc}, {tum}, {kitti}, {rosbag}, {mcap}, which it reads, got {out}"),
         ("true {euroc} {mcap} {out}", "got {euroc}, {mcap}, {out}"),
         ("true {bag} {out}", "unknown placeholder {bag}; known: {euroc}"),
         ("true {euroc} {out} 'awk {'", "write {{ and }} for literal braces"),
