@@ -138,7 +138,7 @@ def _described(facts: dict[str, Any]) -> str:
 
 
 def _before(found: dict[str, Any]) -> str:
-    return f", {found['queued_before']} wait longer" if found.get("queued_before") else ""
+    return f", {found['queued_before']} ahead in the queue" if found.get("queued_before") else ""
 
 
 def _show(sent: dict[str, Any], as_json: bool) -> None:

@@ -29,11 +29,11 @@ TEMPLATES = Path(__file__).with_name("templates")
 NEW = "/submit/new"
 FIELDS = ("split", "method", "url", "summary")
 STATES = {
-    "queued": "waits to be scored",
+    "queued": "is waiting to be scored",
     "running": "is being scored",
-    "done": "is scored",
+    "done": "has been scored",
     "failed": "could not be scored",
-    "withdrawn": "was withdrawn",
+    "withdrawn": "has been withdrawn",
 }
 """State -> in words."""
 

@@ -256,7 +256,7 @@ def test_the_form_takes_a_submission_from_its_sending_to_its_withdrawal(site, tm
     assert send(dict(reversed(files.items())))[1]["location"] == place, "in another order they are the same"
     site.server.wait(site.token, place.rpartition("/")[2])
     page = ask("GET", place, headers=cookie)[2]
-    assert b"is scored, and private" in page
+    assert b"has been scored, and is private" in page
     small = urlencode({"csrf": csrf_in(page)})
     assert ask("POST", f"{place}/publish", small, {**plain, **cookie})[0] == 303
     page = ask("GET", place, headers=cookie)[2]
@@ -299,7 +299,7 @@ def test_a_browser_without_scripts_walks_from_signing_in_to_the_record(site, tmp
         browser.go(f"{site.url}/submit/new")  # its page asks again by itself, which is no good moment to look
         site.server.wait(site.token, place.rpartition("/")[2])
         browser.go(f"{site.url}{place}")
-        assert "is scored, and private" in browser.value("document.querySelector('main').textContent")
+        assert "has been scored, and is private" in browser.value("document.querySelector('main').textContent")
         fits("submit-done")
         browser.follow("document.querySelector('form[action$=publish] button').click()")
         assert "and published" in browser.value("document.querySelector('main').textContent")
