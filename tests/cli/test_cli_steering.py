@@ -163,7 +163,7 @@ def test_a_split_of_another_track_is_refused(home, closed):
     result = run("--split", "slam-mini", *closed)
     assert result.exit_code == 1
     assert (
-        "slam-mini is of the track slam, and steering is run on splits of steering, such as steer-mini" in result.stderr
+        "slam-mini is of the track slam, but steering runs on splits of steering, such as steer-mini" in result.stderr
     )
 
 

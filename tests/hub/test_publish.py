@@ -257,7 +257,7 @@ def test_a_hidden_split_shows_measurements_only(hidden, secret_files):
         "/cam_right/image",
         "/cam_right/camera_info",
     }
-    with pytest.raises(SequenceError, match="no truth"):
+    with pytest.raises(SequenceError, match="no ground truth"):
         sequence.truth()
     assert set(read_attachments(public)) == {"calibration.json", "classes.json"}
     assert set(sequence.metadata) == {"sequence", "split", "split_version", "track", "rig", "generation"}

@@ -68,7 +68,7 @@ def test_an_export_is_made_once_for_all_runs_and_folders_of_results(run, tmp_pat
     done, made = run("one", runs=3, jobs=2, announce=said.append)
     assert [each.failure for each in done] == [None] * 3
     assert made == 1
-    assert said.count("writing hand-made as euroc, which is kept for other runs") == 1
+    assert said.count("writing hand-made as euroc, kept for other runs") == 1
     assert run("two")[1] == 0
     (place,) = kept(tmp_path)
     assert (place / "mav0" / "imu0" / "data.csv").is_file()

@@ -32,7 +32,7 @@ class SystemAdapter(MethodAdapter):
         self.method = self.system.description.methods[self.name.partition("[")[0]]
         if self.method.track not in tracks:
             raise MethodError(
-                f"method {reference!r} is of the track {self.method.track!r}; expected one of {tracks[0]!r}"
+                f"method {reference!r} is of the track {self.method.track!r}; expected a method of {tracks[0]!r}"
             )
         self.build = find_build(self.system)
         self._files = file_options(self.system, self.options)
