@@ -146,7 +146,7 @@ def test_a_set_of_one_picture_a_name_without_a_place_and_that_of_a_clip_are_refu
     assert "NAME=SPLIT" in refused.output
     refused = CliRunner().invoke(main, ["experiment", "realism", "--real", str(real), "--synthetic", f"one={real}"])
     assert refused.exit_code == 2
-    assert "a name but one, two" in refused.output
+    assert "with a name other than one, two" in refused.output
     one = pictures(tmp_path / "one", 1, 90, count=1)
     refused = CliRunner().invoke(main, ["experiment", "realism", "--real", str(real), "--synthetic", f"a={one}"])
     assert refused.exit_code == 2

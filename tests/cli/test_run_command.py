@@ -65,7 +65,7 @@ def test_a_failed_run_is_one_line_and_exit_code_1(dive_file, answer, tmp_path):
     done = run_here("run", "--command", template, "--on", dive_file, "--out", tmp_path / "out", "--json")
     assert done.returncode == 1
     last = done.stderr.splitlines()[-1]
-    assert "exit status 3; it last said: no vocabulary | giving up; all that it said: " in last
+    assert "exit status 3; last output: no vocabulary | giving up; full output: " in last
     assert (Path(last.rpartition(": ")[2]) / "stdout.txt").read_text() == "first\n"
     assert "Traceback" not in done.stderr
     (result,) = json.loads(done.stdout)["results"]

@@ -142,7 +142,7 @@ def test_what_a_program_is_given_holds_no_truth(form, dive_file, tmp_path, truth
         assert topics >= {"/imu", "/cam_left/image"}
         assert not topics & {*TRUTH_TYPES, "/cam_left/depth", "/cam_left/instance", "/fls/cloud"}
         assert set(content.attachments) == {"calibration.json"}
-        with pytest.raises(SequenceError, match="no truth"):
+        with pytest.raises(SequenceError, match="no ground truth"):
             content.truth()
 
 
@@ -208,9 +208,9 @@ def test_time_and_memory_of_children_count(run, answer, tmp_path):
 @pytest.mark.parametrize(
     ("program", "failure"),
     [
-        ("sleeps", "time limit of 1 s reached: killed; it last said: still here"),
+        ("sleeps", "time limit of 1 s reached: killed; last output: still here"),
         ("crashes", "killed by SIGSEGV"),
-        pytest.param("refuses", "exit status 3; it last said: no vocabulary | giving up", marks=pytest.mark.slow),
+        pytest.param("refuses", "exit status 3; last output: no vocabulary | giving up", marks=pytest.mark.slow),
         ("silent", "exited normally, but wrote no trajectory to {out}"),
         ("garbage", "wrote no readable trajectory: "),
         pytest.param("empty", "wrote no readable trajectory: ", marks=pytest.mark.slow),
@@ -228,7 +228,7 @@ def test_a_program_that_fails_leaves_a_record_that_says_how(program, failure, ru
 
 def test_the_last_words_of_a_program_are_its_last_ten_lines_whole(run, answer, tmp_path):
     (done,) = run(ExternalCommand(command(tmp_path, "explains", answer), "explains"))
-    said = done.failure.partition("it last said: ")[2].split(" | ")
+    said = done.failure.partition("last output: ")[2].split(" | ")
     assert [line[:9] for line in said] == [f"frame {k}:" for k in range(20, 30)]
 
 

@@ -232,8 +232,8 @@ def _call(system: System, command: Sequence[str], log: IO[bytes], announce: Anno
     log.flush()
     if step.returncode:
         raise MethodError(
-            f"{system.name}: {command[0]} ended with status {step.returncode}; it last said: {tail(Path(log.name))}; "
-            f"all of it: {log.name}"
+            f"{system.name}: {command[0]} exited with status {step.returncode}; last output: {tail(Path(log.name))}; "
+            f"full log: {log.name}"
         )
 
 
