@@ -97,8 +97,8 @@ def segment_command(
     N resamples N neighbours together. The intervals cover sampling only, not the method's overcounting or
     undercounting. For stereo pairs, or to count oysters in overlapping images once: `oysterbench map`.
 
-    Finished work is not repeated unless --again is given, or image, method, weights or settings have changed. Exits
-    with 1 if an image or video could not be counted; the rest is counted.
+    Finished work is kept: it is repeated only with --again, or if image, method, weights or settings have changed.
+    Exits with 1 if an image or video could not be counted; the rest is counted.
     """
     from oysterbench.cli.render import frames_bar
     from oysterbench.counting import Counting, Sampling, Settings, Store, find_sources, survey

@@ -49,7 +49,7 @@ def test_a_split_is_released_from_its_files_which_may_go_afterwards(recipe, tmp_
     (tmp_path / "data" / "tiny-01.mcap").unlink()
     run("release", recipe, *options)
     assert path.read_bytes() == first
-    assert "not there yet" in run("release", recipe, *options, "--again", code=1).stderr
+    assert "does not exist yet" in run("release", recipe, *options, "--again", code=1).stderr
 
 
 def test_a_hidden_split_is_not_released_so(tmp_path):

@@ -260,7 +260,7 @@ def test_the_form_takes_a_submission_from_its_sending_to_its_withdrawal(site, tm
     small = urlencode({"csrf": csrf_in(page)})
     assert ask("POST", f"{place}/publish", small, {**plain, **cookie})[0] == 303
     page = ask("GET", place, headers=cookie)[2]
-    assert b"and published" in page
+    assert b"and is published" in page
     why = urlencode({"csrf": csrf_in(page), "reason": "<i>wrong</i> camera"})
     assert ask("POST", f"{place}/withdraw", why, {**plain, **cookie})[0] == 303
     page = ask("GET", place, headers=cookie)[2]
@@ -302,7 +302,7 @@ def test_a_browser_without_scripts_walks_from_signing_in_to_the_record(site, tmp
         assert "has been scored, and is private" in browser.value("document.querySelector('main').textContent")
         fits("submit-done")
         browser.follow("document.querySelector('form[action$=publish] button').click()")
-        assert "and published" in browser.value("document.querySelector('main').textContent")
+        assert "and is published" in browser.value("document.querySelector('main').textContent")
         fits("submit-published")
         browser.follow("document.querySelector('a[href^=\"/records/\"]').click()")
         assert browser.value("document.querySelector('h1').textContent") == "by browser"
