@@ -31,8 +31,8 @@ side_option = click.option(
 @click.option(
     "--encoder",
     type=click.Choice(["lite0", "lite1", "lite2"]),
-    help="EfficientNet-Lite that has learnt on ImageNet, each a third more costly than the one before: lite0, or with "
-    "--begin that of the weights.",
+    help="EfficientNet-Lite pretrained on ImageNet, each a third more costly than the one before.  [default: lite0, or "
+    "with --begin that of the weights]",
 )
 @begin_option
 @side_option

@@ -225,7 +225,7 @@ class Sidescan(SensorKind[SidescanRecipe, SidescanCalibration, SidescanPing]):
     tables: ClassVar = {"ping": _row}
     exports: ClassVar = {
         "waterfall": Export(
-            "side-scan sonars as 16-bit PNG, a line a ping, and CSV with stamp and pose", write_waterfall
+            "side-scan sonars as 16-bit PNG, one line per ping, and CSV with timestamp and pose", write_waterfall
         )
     }
 

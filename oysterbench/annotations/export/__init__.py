@@ -13,8 +13,8 @@ from oysterbench.core.errors import LabelError
 from oysterbench.core.files import appearing_folder
 
 SET_FORMATS = {
-    "yolo": "YOLO: segment/ and detect/, each with data.yaml, images/ and labels/ of train and val; oysters",
-    "webdataset": "WebDataset: tar shards of pictures, classes, instances and JSON, with a card for Hugging Face",
+    "yolo": "YOLO: segment/ and detect/, each with data.yaml, images/ and labels/ for train and val; oysters",
+    "webdataset": "WebDataset: tar shards of images, classes, instances and JSON, with a card for Hugging Face",
     "parquet": "Hugging Face: a data-set card (README.md) and Parquet shards (needs oysterbench[parquet])",
 }
 """Formats of labelled pictures, and what they are: each is the module of its name, `write(parts, folder, step)`."""

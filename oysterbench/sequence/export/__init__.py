@@ -15,15 +15,15 @@ from oysterbench.sequence.export.steps import Progress, Steps
 from oysterbench.sequence.types import Sequence
 
 SHARED_FORMATS = {
-    "euroc": "EuRoC/ASL: mav0/ with PNG images, IMU, sensor.yaml files and the state; for visual-inertial SLAM",
+    "euroc": "EuRoC/ASL: mav0/ with PNG images, IMU, sensor.yaml files, ground-truth states; for visual-inertial SLAM",
     "tum": "TUM RGB-D: rgb/ and depth/ with lists, groundtruth.txt, accelerometer.txt",
     "kitti": "KITTI odometry: undistorted grey image_0/, image_1/ of a pair, calib.txt, times.txt, poses of image_0",
     "coco": "COCO instances: images and instances.json with polygons",
     "kalibr": "Kalibr calibration: camchain-imucam.yaml and imu.yaml",
     "rosbag": "ROS 1 bag with EuRoC's topics: /cam0/image_raw (mono8), /imu0; and Kalibr's files",
-    "mcap": "the sequence file itself, for ROS 2; with --no-truth what was measured alone",
-    "foxglove": "the same, and a layout that opens it in Foxglove or Lichtblick: cameras, sonars, path, plots",
-    "ply": "point clouds in map as binary PLY: of depth images through the poses, and of sonar clouds",
+    "mcap": "the sequence file itself, for ROS 2; with --no-truth, only the measurements",
+    "foxglove": "the same, plus a layout that opens it in Foxglove or Lichtblick: cameras, sonars, path, plots",
+    "ply": "point clouds in map as binary PLY: from depth images through the poses, and sonar clouds",
 }
 """Formats of several sensors, and what they are: each is the module of its name, `write(sequence, folder, truth)`."""
 
