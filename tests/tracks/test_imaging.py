@@ -120,7 +120,7 @@ ONE[10:22, 8:20] = 1
     ("scores", "given", "message"),
     [
         ([0.9], {"numbers": ONE[:2, :2]}, "expected an estimate of the picture's size, 64 x 48, got 2 x 2"),
-        ([0.9], {"numbers": np.dstack([ONE, ONE])}, r"integers \(H, W\) from 0, .* of shape \(48, 64, 2\)"),
+        ([0.9], {"numbers": np.dstack([ONE, ONE])}, r"integers \(H, W\) from 0 .* of shape \(48, 64, 2\)"),
         ([0.9], {"numbers": ONE - 2.5}, "integers .* got float64"),
         ([0.9], {"numbers": ONE.astype(np.int64) - (1 << 32)}, "integers .* got int64"),
         ([0.9], {"numbers": ONE * 2}, "expected a score for each of 2 oysters, got 1"),
@@ -162,7 +162,7 @@ def test_bytes_that_no_bool_has_are_taken_for_true_in_masks_of_single_oysters():
 def test_the_report_has_tables_curves_and_pictures(clips, tmp_path):
     runs, rows = evaluate("segmentation", clips, ["all", "colour"], tmp_path)
     page = html_report(runs, "oysterbench eval", data_set=rows)
-    for text in ("Over the data set", "IoU over the threshold of probability", "Pictures", "data:image/jpeg;base64"):
+    for text in ("Over the data set", "IoU over the threshold of probability", "Images", "data:image/jpeg;base64"):
         assert text in page
     assert page.count("<figure>") == 2 * (3 + 2)
     titles = [table.title for table in dataset_tables(rows)]

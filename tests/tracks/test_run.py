@@ -354,7 +354,7 @@ def test_a_program_that_was_changed_is_another_and_the_file_is_named(word, run, 
     mine = ExternalCommand(command(tmp_path, "copies", answer, "mcap", word.format(config)), "mine")
     run(mine)
     config.write_text("fast: 8")
-    with pytest.raises(MethodError, match=r"holds run 1 of another mine \(\S+/rig\.yaml changed\); it was left"):
+    with pytest.raises(MethodError, match=r"has run 1 of another mine \(\S+/rig\.yaml changed\); it was left"):
         run(mine)
 
 
