@@ -68,9 +68,7 @@ def serve_command(
     New records in the folder are shown within seconds. For public access, put a TLS proxy in front of the server and
     name it with --proxy. `oysterbench leaderboard team` creates teams and their tokens.
     """
-    import uvicorn
-
-    from oysterbench.hub.connections import server_settings
+    from oysterbench.hub.connections import listen, run
     from oysterbench_leaderboard.site.running import whole
 
     if truths and submissions is None:
@@ -81,13 +79,14 @@ def serve_command(
         raise click.UsageError("--workers and --scheduler cannot be combined: a cluster has its own workers")
     if root and (not root.startswith("/") or root.endswith("/")):
         raise click.UsageError(f"--root: expected a path like /board, got {root!r}")
+    listening = listen(host, port)
     app = whole(_place(context, folder, url).index(), submissions, truths, workers, root, scheduler, metrics)
     if submissions is not None:
         from oysterbench_leaderboard.submissions.sandbox import in_force
 
         message(f"uploads are read and scored in a sandbox: {in_force()}")
-    message(f"serving http://{host}:{port}{root}/ (stop with Ctrl-C)")
-    uvicorn.run(**server_settings(app, host, port, "on", proxies))
+    message(f"serving http://{host}:{listening.getsockname()[1]}{root}/ (stop with Ctrl-C)")
+    run(app, listening, "on", proxies)
 
 
 @click.command("build", short_help="Write the whole site as files, for any web host.")

@@ -54,6 +54,7 @@ class Client:
         self.url = url.rstrip("/")
         self.open = parts.scheme == "http" and parts.hostname not in ("localhost", "127.0.0.1", "::1")
         self._patience = patience or Patience()
+        self._met = False  # a server that has answered once is waited for while it restarts
         # What was sent is read and checked before it is answered.
         self._pool = open_pool(self.url, 1, replace(self._patience, idle_s=CHECKED_S, window_s=CHECKED_S))
         self._headers = {"User-Agent": f"oysterbench/{VERSION}", "Accept": "application/json"}
@@ -106,6 +107,7 @@ class Client:
             asked_s = 0.0
             try:
                 status, answer, asked_s = self._once(method, path, body, {**self._headers, **(headers or {})}, progress)
+                self._met = True
                 if 200 <= status < 300:
                     return answer
                 reason = str(answer.get("reason", f"status {status}"))
@@ -115,6 +117,11 @@ class Client:
                 if asked_s > self._patience.longest_wait_s:
                     break
             except (urllib3.exceptions.HTTPError, OSError) as error:
+                cause = getattr(error, "reason", error)
+                if isinstance(cause, urllib3.exceptions.NewConnectionError) and not self._met:
+                    raise NetworkError(
+                        f"{self.url}: nothing answers at this address: is it right, and is the leaderboard running?"
+                    ) from None
                 failure = in_one_line(error)
             if attempt < self._patience.attempts:
                 time.sleep(pause_s(attempt, asked_s, self._patience))

@@ -70,6 +70,8 @@ def command(
     """
     if publish and not wait:
         raise click.UsageError("--publish waits until the submission is scored: it cannot be combined with --no-wait")
+    if not place.exists():
+        raise ResultError(f"{place}: expected results or estimates, as `oysterbench run` leaves them; there is nothing")
     from oysterbench.cli.progress import bytes_bar
     from oysterbench_leaderboard.submissions.catalogue import why
     from oysterbench_leaderboard.submissions.client import Client

@@ -24,6 +24,11 @@ BORDER_PX = 16.0
 LEAST_QUADRAT_PX = 8.0
 """Side of the smallest square that a quadrat may cover in a picture: less is no quadrat but a slip."""
 
+LEAST_SEEN = 0.4
+"""Share of a quadrat that its picture shows at least: less, and the corners are of a picture of another size."""
+
+LARGEST_QUADRAT_M = 10.0
+"""More is a size in centimetres: no diver carries such a frame, and no picture under water shows it."""
 
 FLAT = 1000
 """Pixels along a side of a quadrat that is seen from straight above: a millimetre for one of a metre."""
@@ -33,7 +38,7 @@ class Scale(Protocol):
     """What tells metres in a picture."""
 
     def fitted(self, shape: tuple[int, int]) -> Scale:
-        """The same for a picture (H, W). Raises SequenceError where it does not fit one."""
+        """The same for a picture (H, W). Raises SequenceError or LabelError where it does not fit one."""
         ...
 
     def region(self, shape: tuple[int, int]) -> Array:
@@ -114,19 +119,31 @@ class QuadratScale:
     """A square of known size that lies on the bottom: a homography from its four corners, so that the picture may be
     oblique. Only what lies in it is counted.
 
-    corners: (4, 2) px, in any order. Raises LabelError, beginning with `where`, where they are no corners of a square
-    seen from above.
+    corners: (4, 2) px, in any order. Raises OptionError where the size is no length of a quadrat, and LabelError,
+    beginning with `where`, where they are no corners of a square seen from above.
     """
 
     def __init__(self, size_m: float, corners: Array, where: str = "quadrat") -> None:
         _above_zero("--quadrat", size_m, "metres")
+        if size_m > LARGEST_QUADRAT_M:
+            raise OptionError(
+                f"--quadrat: expected the side in metres, at most {LARGEST_QUADRAT_M:g}, got {size_m:g}: {size_m:g} cm "
+                f"are --quadrat {size_m / 100:g}"
+            )
+        self._where = where
         self.size_m = size_m
         self.corners = _going_round(np.asarray(corners, dtype=float), where)
         square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * size_m
         self._matrix = cv2.getPerspectiveTransform(self.corners.astype(np.float32), square.astype(np.float32))
 
     def fitted(self, shape: tuple[int, int]) -> QuadratScale:
-        """Its corners are of one picture, of any size."""
+        """Its corners are of one picture, of any size. Raises LabelError where that shows too little of the quadrat."""
+        seen = polygon_area(self.region(shape)) / polygon_area(self.corners)
+        if seen < LEAST_SEEN:
+            raise LabelError(
+                f"{self._where}: expected corners within the picture of {shape[1]} x {shape[0]} px, got "
+                f"{', '.join(f'({x:g}, {y:g})' for x, y in self.corners)}: are they of a copy of another size?"
+            )
         return self
 
     def region(self, shape: tuple[int, int]) -> Array:

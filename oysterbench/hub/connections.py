@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import os
 import resource
+import socket
 from collections.abc import Sequence
 from typing import Any
 
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from oysterbench.core.errors import HubError
 from oysterbench.hub.addresses import network
 
 LARGEST_HEADERS = 16 << 10
 MOST_HEADERS = 100
 CLIENTS = 512
 """Bytes and number of a request's headers, and clients at once, beyond which a request is refused."""
+
+BACKLOG = 2048
+"""Connections that wait to be accepted."""
 
 CLIENTS_OF_ADDRESS = 64
 """Connections that one address may hold: an eighth, so that nobody keeps all others out alone."""
@@ -107,3 +114,29 @@ def server_settings(
         "forwarded_allow_ips": list(proxies),
         "log_config": LOGGING,
     }
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Listen at an address before anything is started for it. Raises HubError where that is not possible, as where
+    another program listens there. Port 0 takes one that is free."""
+    try:
+        family, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        return socket.create_server((host, port), family=family, backlog=BACKLOG)
+    except (OSError, OverflowError) as error:
+        reason = str(getattr(error, "strerror", None) or error)
+        if isinstance(error, OSError) and (error.errno or 0) > 0:  # a name that is unknown has a number of its own kind
+            reason = os.strerror(error.errno)
+        raise HubError(f"cannot serve at {host}:{port}: {reason.lower()}; give another --port, or --host") from None
+
+
+def run(app: Any, listening: socket.socket, lifespan: str = "off", proxies: Sequence[str] = ()) -> None:
+    """Serve an application until interrupted; every request is logged on stderr. Raises HubError where it does
+    not start."""
+    import uvicorn
+
+    host, port, *_ = listening.getsockname()
+    server = uvicorn.Server(uvicorn.Config(**server_settings(app, host, port, lifespan, proxies)))
+    with contextlib.suppress(KeyboardInterrupt):  # which uvicorn raises again once all is closed
+        server.run(sockets=[listening])
+    if not server.started:
+        raise HubError(f"the server at {host}:{port} did not start; what it logged above says why")

@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from oysterbench.core.errors import HubError
 from oysterbench.hub.canonical import sha256
-from oysterbench.hub.connections import LARGEST_HEADERS, MOST_HEADERS, server_settings
+from oysterbench.hub.connections import LARGEST_HEADERS, MOST_HEADERS, listen, run
 from oysterbench.version import VERSION
 
 FOREVER = "public, max-age=31536000, immutable"
@@ -174,12 +174,11 @@ class BlobResponse(FileResponse):
 
 
 def serve(tree: Path, host: str, port: int, proxies: Sequence[str] = ()) -> None:
-    """Serve until interrupted; every request is logged on stderr. Raises HubError where there is no tree.
+    """Serve until interrupted; every request is logged on stderr. Raises HubError where there is no tree,
+    or the address is taken.
 
     proxies: addresses that are believed when they say whom they speak for
     """
-    import uvicorn
-
     if not (tree / "index.json").is_file():
         raise HubError(f"{tree}: expected a published tree (index.json is absent); `oysterbench publish` makes one")
-    uvicorn.run(**server_settings(application(tree), host, port, proxies=proxies))
+    run(application(tree), listen(host, port), proxies=proxies)

@@ -118,6 +118,19 @@ def test_a_scale_is_above_zero(value):
         QuadratScale(value, oblique(SQUARE))
 
 
+def test_a_quadrat_in_centimetres_is_refused():
+    with pytest.raises(OptionError, match=r"at most 10, got 50: 50 cm are --quadrat 0\.5"):
+        QuadratScale(50.0, oblique(SQUARE))
+
+
+def test_corners_of_a_larger_copy_of_the_picture_are_refused():
+    corners = np.array([[400, 300], [1200, 300], [1200, 1100], [400, 1100.0]])  # of one of twice its size
+    with pytest.raises(LabelError, match=r"reef\.csv: a: expected corners within the picture of 640 x 480 px, got \("):
+        QuadratScale(0.5, corners, "reef.csv: a").fitted((480, 640))
+    whole = QuadratScale(0.5, corners / 2)
+    assert whole.fitted((480, 640)) is whole
+
+
 KALIBR = """
 cam0:
   camera_model: pinhole

@@ -14,6 +14,7 @@ import urllib.parse
 
 import pytest
 
+from oysterbench.core.errors import HubError
 from oysterbench.hub import connections
 from oysterbench.hub.connections import CLIENTS_OF_ADDRESS, LARGEST_HEADERS
 from tests.helpers.trees import a_key, oysterbench_serve, publish_split, write_split
@@ -331,3 +332,13 @@ def test_clients_that_do_not_read_cost_little_memory(site, tmp_path):
         for connection in connections:
             connection.close()
         large.unlink()
+
+
+def test_an_address_that_is_taken_is_one_line_and_nothing_is_started():
+    with connections.listen("127.0.0.1", 0) as taken:
+        port = taken.getsockname()[1]
+        wrong = f"cannot serve at 127.0.0.1:{port}: address already in use; give another --port, or --host"
+        with pytest.raises(HubError, match=wrong):
+            connections.listen("127.0.0.1", port)
+    with pytest.raises(HubError, match=r"cannot serve at no\.such\.host\.invalid:1: "):
+        connections.listen("no.such.host.invalid", 1)

@@ -190,10 +190,26 @@ def test_a_token_is_read_from_a_file_and_shown_nowhere(site, estimates, tmp_path
 
 def test_a_server_that_is_not_there_is_a_network_failure(tmp_path):
     quick = Patience(attempts=2, first_wait_s=0.01)
-    with pytest.raises(NetworkError, match="no answer after 2 attempts"):
+    with pytest.raises(NetworkError, match="nothing answers at this address"):
         Client("http://127.0.0.1:9", "x", quick).splits()
     with pytest.raises(HubError, match="expected the address of a leaderboard"):
         Client("board.example")
+
+
+def test_a_server_that_has_answered_is_waited_for(site):
+    client = Client(site.url, site.token, Patience(attempts=2, first_wait_s=0.01))
+    client.splits()
+    client._pool = Client("http://127.0.0.1:9", "x")._pool
+    client.url = "http://127.0.0.1:9"
+    with pytest.raises(NetworkError, match="no answer after 2 attempts"):
+        client.splits()
+
+
+def test_nothing_is_asked_of_a_server_where_there_is_nothing_to_send(tmp_path, monkeypatch):
+    monkeypatch.setenv("OYSTERBENCH_TOKEN", "x")
+    args = ["submit", str(tmp_path / "absent"), "--to", "http://127.0.0.1:9", "--method", "x"]
+    sent = CliRunner().invoke(main, args)
+    assert (sent.exit_code, "absent: expected results or estimates" in sent.stderr) == (1, True)
 
 
 def test_a_refusal_is_no_reason_to_try_again(site):
