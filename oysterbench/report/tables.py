@@ -149,7 +149,7 @@ def standings_table(board: Board) -> Table:
         *name_columns("method"),
         metric,
         interval_column(metric),
-        interval_column(metric, "sequences", "Sequences", "from, to"),
+        replace(interval_column(metric, "sequences", "Sequences", "from, to"), wide=True),
         *beside,
         Column("failed", "Failed", "runs", "number", "failed"),
     )
@@ -210,7 +210,7 @@ def pairs_table(board: Board) -> Table:
         *name_columns("method", "against", "where"),
         difference,
         interval_column(difference),
-        Column("won_tied_lost", "Sequences", "won / tied / lost", "number", "sequences"),
+        Column("won_tied_lost", "Sequences", "won / tied / lost", "number", "sequences", wide=True),
         *name_columns("verdict"),
     )
     return Table(f"Pairs on {board.name}", columns, tuple(rows))

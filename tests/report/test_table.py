@@ -161,6 +161,15 @@ def test_a_narrow_terminal_leaves_out_the_wide_columns_the_last_first():
         assert shown == stream.getvalue().splitlines()[-2].strip()
 
 
+def test_a_name_is_not_broken_into_letters_by_the_numbers_beside_it():
+    numbers = [Column(key, key, kind="number") for key in "abcde"]
+    row = TableRow(("gtsam_vi", "a long name of a method", *[123456789012] * 5))
+    table = Table("", (Column("name", "name"), Column("other", "other"), *numbers), (row,))
+    stream = io.StringIO()
+    Console(file=stream, width=80).print(terminal_table(table, width=80))
+    assert re.search(r"^ gtsam_vi  a long name", stream.getvalue(), re.MULTILINE)
+
+
 class Cells(HTMLParser):
     """Gathers rows of a table; checks that tags nest."""
 

@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
 UNBOUNDED = 10_000
+SPACE = 2
+"""Characters between columns."""
+LEAST_NAME = 12
+"""Characters below which a name is not broken into lines."""
 STYLES = {"best": "bold green", "warn": "red"}
 """Kind of a cell -> how it looks in colour."""
 
@@ -42,11 +46,12 @@ def terminal_table(table: Table, colour: bool = True, titled: bool = True, width
         padding=(0, 1, 0, 0),
         pad_edge=False,
     )
-    for column in (table.columns[i] for i in shown):
+    for i in shown:
+        column = table.columns[i]
         if column.number:
             made.add_column(_heading(column), justify="right", no_wrap=True)
         else:
-            made.add_column(_heading(column), overflow="fold")
+            made.add_column(_heading(column), overflow="fold", min_width=min(LEAST_NAME, _width(table, i) - SPACE))
     means = [row.kind == "mean" for row in table.rows]
     ends = [not before and after for before, after in pairwise([*means, False])]
     for row, texts, end in zip(table.rows, table.texts, ends, strict=True):
@@ -60,7 +65,7 @@ def _width(table: Table, i: int) -> int:
     from rich.cells import cell_len
 
     lines = [*_heading(table.columns[i]).split("\n"), *(row[i] for row in table.texts)]
-    return max(map(cell_len, lines)) + 2
+    return max(map(cell_len, lines)) + SPACE
 
 
 def _heading(column: Column) -> str:
