@@ -220,13 +220,13 @@ def _model(
 ) -> tuple[Hub, Model] | None:
     """The trained weights of a name that is no split's, and the hub that has them; None where it may be a split's.
 
-    Raises MethodError, with what to type, where the name is that of weights, and no hub is set.
+    Raises HubError, with what to type, where the name is that of weights, and no hub is set.
     """
     from oysterbench.hub.download import Hub
     from oysterbench.hub.settings import hub_key
     from oysterbench.hub.sources import is_offline
     from oysterbench.hub.weights import weights_here
-    from oysterbench.methods.weights import no_weights, weights_names
+    from oysterbench.methods.weights import find_weights, weights_names
     from oysterbench.recipe import split_names
 
     if name in split_names():
@@ -241,7 +241,11 @@ def _model(
         if here is not None:
             raise HubError(f"{name}: {NO_HUB}; found here: {here.described}")
         if known:
-            raise no_weights(name, path)
+            weights = find_weights(name)
+            raise HubError(
+                f"{name}: {NO_HUB}; without a hub, `oysterbench train {weights.train}` trains them on your machine "
+                f"({weights.takes})"
+            )
         return None
     hub = Hub.at(hub_at, hub_key(key), message, connections=connections)
     return (hub, hub.model(name, version or None)) if known or hub.has_model(name) else None
