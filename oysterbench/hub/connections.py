@@ -123,9 +123,9 @@ def listen(host: str, port: int) -> socket.socket:
         family, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         return socket.create_server((host, port), family=family, backlog=BACKLOG)
     except (OSError, OverflowError) as error:
-        reason = str(getattr(error, "strerror", None) or error)
-        if isinstance(error, OSError) and (error.errno or 0) > 0:  # a name that is unknown has a number of its own kind
-            reason = os.strerror(error.errno)
+        number = getattr(error, "errno", None) or 0
+        # A name that is unknown has a number of its own kind, below 0.
+        reason = os.strerror(number) if number > 0 else str(getattr(error, "strerror", None) or error)
         raise HubError(f"cannot serve at {host}:{port}: {reason.lower()}; give another --port, or --host") from None
 
 
