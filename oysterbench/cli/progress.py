@@ -36,7 +36,7 @@ def runs_shown() -> Iterator[Told]:
     title = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
     rest = Column(no_wrap=True, overflow="ellipsis", ratio=1)
     said = TextColumn("{task.fields[said]}", markup=False, table_column=rest)
-    times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+    times = (TimeElapsedColumn(), TextColumn("so far,"), TimeRemainingColumn(), TextColumn("left"))
     columns = (title, BarColumn(BAR_WIDTH), said, *times)
     bars = Progress(*columns, console=console, redirect_stdout=False, transient=True, expand=True, refresh_per_second=2)
     tasks: dict[str, TaskID] = {}

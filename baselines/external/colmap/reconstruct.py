@@ -8,6 +8,7 @@ The poses, T_world_camera up to scale, are those of the largest of the models th
 from __future__ import annotations
 
 import json
+import math
 import sys
 import tempfile
 from pathlib import Path
@@ -42,6 +43,8 @@ def main(task_file: str, folder: str, out: str) -> None:
         options.random_seed = task["seed"]
         options.ba_refine_focal_length = False  # the camera is calibrated
         options.ba_refine_extra_params = False
+        # It discards cameras of coefficients above 1 as bogus, as those of a flat port under water are.
+        options.max_extra_param = math.inf
         options.mapper.abs_pose_refine_focal_length = False
         options.mapper.abs_pose_refine_extra_params = False
         options.mapper.init_min_tri_angle = task["init_min_tri_angle"]  # degrees
