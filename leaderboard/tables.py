@@ -102,11 +102,11 @@ def learnt_on(split: str) -> str:
 
 
 def rank_text(row: Row) -> str:
-    """The rank, with "=" where others have it; a place in brackets where no difference can be significant; the state
+    """The rank, after "=" where others have it; a place in brackets where no difference can be significant; the state
     where there is neither."""
     if row.place is None:
         return row.state if row.state != "current" else ABSENT
-    shown = f"{row.rank or row.place}{'=' if row.tied else ''}"
+    shown = f"{'=' if row.tied else ''}{row.rank or row.place}"
     return f"({shown})" if row.rank is None else shown
 
 
