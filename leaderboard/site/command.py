@@ -13,6 +13,16 @@ from oysterbench_leaderboard.options import Place, find_place
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
+BOARD = click.option(
+    "--board",
+    "folder",
+    type=FOLDER,
+    help="Folder of the records.  [default: OYSTERBENCH_BOARD, or the shipped records]",
+)
+INDEX = click.option(
+    "--index", "url", help="Index: a file (SQLite) or postgresql://...  [default: a file under the home folder]"
+)
+
 
 def _place(context: click.Context, folder: Path | None, url: str | None) -> Place:
     """As this command was given, or else its group."""
@@ -23,15 +33,8 @@ def _place(context: click.Context, folder: Path | None, url: str | None) -> Plac
 @click.command("serve", short_help="Serve the site, and accept submissions.")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; 0.0.0.0 for all.")
 @click.option("--port", default=8000, show_default=True, type=click.IntRange(0, 65535))
-@click.option(
-    "--board",
-    "folder",
-    type=FOLDER,
-    help="Folder of the records.  [default: OYSTERBENCH_BOARD, or the shipped records]",
-)
-@click.option(
-    "--index", "url", help="Index: a file (SQLite) or postgresql://...  [default: a file under the home folder]"
-)
+@BOARD
+@INDEX
 @click.option("--submissions", type=FOLDER, help="Accept submissions; private folder of tokens, queue and estimates.")
 @click.option("--truth", "truths", multiple=True, metavar="SPLIT=DIR", help="Ground truth of a split; repeatable.")
 @click.option(
@@ -91,15 +94,8 @@ def serve_command(
 
 @click.command("build", short_help="Write the whole site as files, for any web host.")
 @click.argument("target", metavar="DIR", type=FOLDER)
-@click.option(
-    "--board",
-    "folder",
-    type=FOLDER,
-    help="Folder of the records.  [default: OYSTERBENCH_BOARD, or the shipped records]",
-)
-@click.option(
-    "--index", "url", help="Index: a file (SQLite) or postgresql://...  [default: a file under the home folder]"
-)
+@BOARD
+@INDEX
 @click.pass_context
 def build_command(context: click.Context, target: Path, folder: Path | None, url: str | None) -> None:
     """Write the whole site as files: pages, their JSON, CSV and LaTeX, records, curves, OpenAPI.

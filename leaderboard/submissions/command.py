@@ -71,7 +71,7 @@ def command(
     if publish and not wait:
         raise click.UsageError("--publish waits until the submission is scored: it cannot be combined with --no-wait")
     if not place.exists():
-        raise ResultError(f"{place}: expected results or estimates, as `oysterbench run` leaves them; there is nothing")
+        raise ResultError(f"{place}: no such file or folder; expected results, or estimates as `run` writes them")
     from oysterbench.cli.progress import bytes_bar
     from oysterbench_leaderboard.submissions.catalogue import why
     from oysterbench_leaderboard.submissions.client import Client

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from tests.helpers.axe import violations
+import pytest
+
+from tests.helpers.axe import WHY_NOT, axe_file, violations
 from tests.helpers.browser import Browser
 
 TELEPHONE_PX = 390
@@ -31,3 +33,16 @@ def faults(browser: Browser, pages: Mapping[str, str], width: int, *, dark: bool
         if wrong := violations(browser):
             found[name] = wrong
     return found
+
+
+class LegiblePages:
+    """Tests of the pages of a module's fixture `pages`, name -> address."""
+
+    @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+    def test_no_page_is_wider_than_a_telephone(self, browser, pages, dark):
+        assert too_wide(browser, pages, dark=dark) == []
+
+    @pytest.mark.skipif(axe_file() is None, reason=WHY_NOT)
+    @pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
+    def test_axe_finds_nothing_wrong(self, browser, pages, width, dark):
+        assert faults(browser, pages, width, dark=dark) == {}

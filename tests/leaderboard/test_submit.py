@@ -209,7 +209,7 @@ def test_nothing_is_asked_of_a_server_where_there_is_nothing_to_send(tmp_path, m
     monkeypatch.setenv("OYSTERBENCH_TOKEN", "x")
     args = ["submit", str(tmp_path / "absent"), "--to", "http://127.0.0.1:9", "--method", "x"]
     sent = CliRunner().invoke(main, args)
-    assert (sent.exit_code, "absent: expected results or estimates" in sent.stderr) == (1, True)
+    assert (sent.exit_code, "absent: no such file or folder; expected results" in sent.stderr) == (1, True)
 
 
 def test_a_refusal_is_no_reason_to_try_again(site):

@@ -7,10 +7,9 @@ import pytest
 from oysterbench.mapping import MapSettings
 from oysterbench.report import html_report
 from oysterbench.report.density_files import map_page
-from tests.helpers.axe import WHY_NOT, axe_file
 from tests.helpers.browser import CHROMIUM
 from tests.helpers.flat_reef import LANE, FlatReef, scattered
-from tests.helpers.pages import faults, too_wide
+from tests.helpers.pages import LegiblePages
 from tests.mapping.test_density_map import map_of
 from tests.report.test_report import EVERYTHING, many
 
@@ -32,12 +31,5 @@ def pages(tmp_path_factory):
     return {name: (folder / f"{name}.html").as_uri() for name in texts}
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_no_page_is_wider_than_a_telephone(browser, pages, dark):
-    assert too_wide(browser, pages, dark=dark) == []
-
-
-@pytest.mark.skipif(axe_file() is None, reason=WHY_NOT)
-@pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
-def test_axe_finds_nothing_wrong(browser, pages, width, dark):
-    assert faults(browser, pages, width, dark=dark) == {}
+class TestReportsAndMaps(LegiblePages):
+    """By the addresses of `pages`."""
