@@ -28,7 +28,7 @@ def test_a_dense_reef_takes_longer_than_a_bare_one():
 
 def test_what_a_sequence_took_is_kept_beside_it(tiny_split, tmp_path):
     generate_split(tiny_split, tmp_path)
-    assert cost.measured(tmp_path)["tiny-01"] > 0.1
+    assert cost.measured(tmp_path)["tiny-01"] > 0
 
 
 def test_a_line_that_a_kill_cut_off_costs_no_other(tmp_path):
