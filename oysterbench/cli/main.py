@@ -12,16 +12,17 @@ import click
 from oysterbench.__main__ import INTERRUPTED
 from oysterbench.cli.compare import compare_command
 from oysterbench.cli.doctor import doctor
+from oysterbench.cli.download import COMMANDS as DOWNLOAD_COMMANDS
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.eval import eval_command
 from oysterbench.cli.export import export
 from oysterbench.cli.extras import extra_of
-from oysterbench.cli.hub import COMMANDS as HUB_COMMANDS
 from oysterbench.cli.interrupts import interruption
 from oysterbench.cli.learn import Installed, experiment, train, translate
 from oysterbench.cli.map import map_command
 from oysterbench.cli.models import COMMANDS as MODEL_COMMANDS
 from oysterbench.cli.outputs import print_rich
+from oysterbench.cli.publish import COMMANDS as PUBLISH_COMMANDS
 from oysterbench.cli.release import release
 from oysterbench.cli.render import frames_bar, render
 from oysterbench.cli.run import run_command
@@ -133,7 +134,8 @@ for _command in (
     splits,
     systems_command,
     tune_command,
-    *HUB_COMMANDS,
+    *PUBLISH_COMMANDS,
+    *DOWNLOAD_COMMANDS,
     *MODEL_COMMANDS,
     export,
     view,

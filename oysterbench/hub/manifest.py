@@ -77,6 +77,17 @@ class Manifest(msgspec.Struct, frozen=True, dict=True):
         """Bytes of all files."""
         return sum(entry.size for entry in self.files)
 
+    @property
+    def facts(self) -> dict[str, str | int | None]:
+        """What commands tell of it as JSON."""
+        return {
+            "split": self.split,
+            "version": self.version,
+            "manifest": self.sha256,
+            "commitment": self.commitment,
+            "size_bytes": self.size,
+        }
+
     @cached_property
     def data(self) -> bytes:
         """The manifest as canonical JSON; what is absent has no key."""

@@ -28,7 +28,7 @@ from oysterbench.core.streams import stream
 from oysterbench_leaderboard.submissions.database import Database, find, log, submissions
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.tokens import issue
-from tests.helpers import served
+from tests.helpers import pool, served
 
 READERS, TEAMS, ATTACKERS = 50, 5, 5
 PAUSE_S = 20.0
@@ -103,7 +103,7 @@ async def send(load: Load, k: int, token: str) -> None:
     address, number = f"127.0.2.{k + 1}", 0
     while load.on():
         method, number = f"team {k} number {number}", number + 1
-        body = served.answers(load.folder, case=k)  # the same again: its score has to be the same
+        body = pool.answers(load.folder, case=k)  # the same again: its score has to be the same
         query = urlencode({"method": method, "split": "pool-test"})
         status, content = await load.ask(address, "POST", f"/api/submissions?{query}", body, token)
         load.seen.answers["teams", status] += 1
@@ -162,7 +162,7 @@ async def heavy(load: Load, address: str, token: str) -> None:
     """A small archive of a long text, and one that unpacks to what nobody has room for."""
     lines = b"".join(b"%d.5 1 2 3 0 0 0 1\n" % k for k in range(1_500_000))
     for text in (lines, bytes(300_000_000)):
-        body = served.zipped({"pool-01.tum": text})
+        body = pool.zipped({"pool-01.tum": text})
         path = f"/api/submissions?{urlencode({'method': 'heavy', 'split': 'pool-test'})}"
         status, _ = await load.ask(address, "POST", path, body, token)
         load.seen.answers["heavy", status] += 1
@@ -173,12 +173,12 @@ async def forged(load: Load, address: str, token: str) -> None:
     """Masks with bytes that are no numbers of a class, and arrays that say more than they hold."""
     draw = stream(2, b"", "load", "forged", int(time.monotonic()))
     path = load.folder / "forged.npz"
-    names = [name for k in range(len(served.NAMES)) for name in served.image_names(k)]
+    names = [name for k in range(len(pool.NAMES)) for name in pool.image_names(k)]
     masks: dict[str, Any] = {name: draw.integers(0, 4, (48, 64)).astype(np.uint8).view(bool) for name in names}
     np.savez(path, **masks)
     query = urlencode({"method": "forged", "split": "pool-masks"})
     status, _ = await load.ask(
-        address, "POST", f"/api/submissions?{query}", served.zipped({"forged.npz": path.read_bytes()}), token
+        address, "POST", f"/api/submissions?{query}", pool.zipped({"forged.npz": path.read_bytes()}), token
     )
     load.seen.answers["forged", status] += 1
     await asyncio.sleep(5.0)

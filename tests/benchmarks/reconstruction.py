@@ -26,7 +26,7 @@ from oysterbench.evaluate.steering import Commands, Labels, score_pictures
 from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.hidden import discreet
-from tests.helpers.served import path
+from tests.helpers.pool import path
 
 SUBMISSIONS = 100
 SEQUENCES = 10

@@ -29,7 +29,7 @@ from oysterbench.version import VERSION
 from oysterbench_leaderboard.submissions import queue, sandbox
 from oysterbench_leaderboard.submissions.database import change, find, submissions
 from oysterbench_leaderboard.submissions.tokens import issue
-from tests.helpers import served
+from tests.helpers import pool, served
 from tests.helpers.clusters import two_workers
 from tests.helpers.postgres import running_postgres
 from tests.helpers.waiting import until
@@ -132,7 +132,7 @@ def main(sent: int = 200, scored: int = 16) -> None:
         served.lay(folder, **settings)
         service = stack.enter_context(contextlib.closing(served.make_service(folder)))
         token = issue(service.database, "bench")
-        bodies = [served.answers(folder, case) for case in range(sent)]
+        bodies = [pool.answers(folder, case) for case in range(sent)]
         for reading in (False, True):
             server = served.Server(folder)
             os.environ["READING"] = str(int(reading))

@@ -39,18 +39,8 @@ from oysterbench_leaderboard.submissions.service import Form
 from tests.fuzz.mutations import BY_SUFFIX, VALUES, WORDS, archive, one, raw, zipped
 from tests.fuzz.mutations import document as changed_document
 from tests.fuzz.watch import Wrong, tool
-from tests.helpers.served import (
-    IMAGES,
-    NAMES,
-    classes,
-    estimate,
-    image_names,
-    lay,
-    lay_split,
-    make_service,
-    steered,
-    tum,
-)
+from tests.helpers.pool import IMAGES, NAMES, classes, estimate, image_names, lay_split, steered, tum
+from tests.helpers.served import lay, make_service
 from tests.helpers.submissions_read import as_coco, as_png, masks, npz, opened
 
 CREATED = "2026-11-01T00:00:00Z"

@@ -22,7 +22,8 @@ from typing import Any
 from oysterbench.core.streams import stream
 from oysterbench_leaderboard.submissions import sandbox, sandbox_worker
 from oysterbench_leaderboard.submissions.database import Submission, find, log, submissions
-from tests.helpers.served import Server, answers, lay, make_service
+from tests.helpers.pool import answers
+from tests.helpers.served import Server, lay, make_service
 from tests.helpers.waiting import NEVER, run_for
 
 SENDERS = 2

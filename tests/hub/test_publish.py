@@ -1,4 +1,4 @@
-"""Publishing: what is in the tree, what is never half in it, and what a hidden split keeps back."""
+"""Publishing: what is in the tree, what is never half in it, and what others read of it."""
 
 from __future__ import annotations
 
@@ -9,12 +9,9 @@ import subprocess
 from html.parser import HTMLParser
 
 import msgspec
-import numpy as np
 import pytest
-from mcap.reader import make_reader
 
-import oysterbench
-from oysterbench.core.errors import HubError, SequenceError
+from oysterbench.core.errors import HubError
 from oysterbench.hub import publish as publishing
 from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.hub.index import read_index
@@ -22,47 +19,15 @@ from oysterbench.hub.manifest import read_manifest
 from oysterbench.hub.publish import check_made_by
 from oysterbench.hub.sign import public_hex
 from oysterbench.hub.verify import ABSENT, DAMAGED, RIGHT, checks
-from oysterbench.sequence.file import read_attachments, read_messages
 from tests.helpers.trees import (
     DIGEST,
     FACTS,
-    SECRET,
-    SEED,
     a_key,
     publish_secret,
     publish_split,
     tree_bytes,
-    write_sequence,
     write_split,
 )
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    return write_split(tmp_path_factory.mktemp("data"))
-
-
-@pytest.fixture(scope="module")
-def secret_files(tmp_path_factory):
-    return write_split(tmp_path_factory.mktemp("secret"), SECRET)
-
-
-@pytest.fixture(scope="module")
-def key_and_public(tmp_path_factory):
-    return a_key(tmp_path_factory.mktemp("key"))
-
-
-@pytest.fixture
-def key(key_and_public):
-    return key_and_public[0]
-
-
-@pytest.fixture(scope="module")
-def hidden(tmp_path_factory, secret_files, key_and_public):
-    """A hidden split: tree, truth package, manifest."""
-    folder = tmp_path_factory.mktemp("hidden")
-    manifest = publish_secret(folder / "tree", folder / "truth", secret_files, key_and_public[0])
-    return folder / "tree", folder / "truth" / "fake-val-1.0", manifest
 
 
 def test_the_tree_is_addressed_by_content(tmp_path, files, key_and_public):
@@ -230,103 +195,6 @@ def test_a_tree_can_be_verified_and_is_repaired_by_publishing_again(tmp_path, fi
     blob.unlink()
     publish_split(tmp_path, files, key)
     assert {check.state for check in checks(str(tmp_path))} == {RIGHT}
-
-
-# Hidden splits
-
-
-def test_a_hidden_split_shows_measurements_only(hidden, secret_files):
-    tree, _, manifest = hidden
-    public = tree / "blobs" / manifest.files[0].sha256
-    sequence = oysterbench.open(public)
-    shown = {topic for topic, _, n in sequence.contents()}
-    assert shown == {
-        "/tf_static",
-        "/imu",
-        "/pressure",
-        "/magnetometer",
-        "/dvl/velocity",
-        "/dvl/beams",
-        "/dvl/altitude",
-        "/alt/range",
-        "/msis/ping",
-        "/msis/head",
-        "/fls/image",
-        "/cam_left/image",
-        "/cam_left/camera_info",
-        "/cam_right/image",
-        "/cam_right/camera_info",
-    }
-    with pytest.raises(SequenceError, match="no ground truth"):
-        sequence.truth()
-    assert set(read_attachments(public)) == {"calibration.json", "classes.json"}
-    assert set(sequence.metadata) == {"sequence", "split", "split_version", "track", "rig", "generation"}
-    original = secret_files["dive-01"]
-    for topic in shown:
-        assert list(read_messages(public, [topic])) == list(read_messages(original, [topic]))
-
-
-def test_nothing_of_a_hidden_splits_tree_tells_recipe_or_digest(hidden, secret_files):
-    """Every byte of the tree is searched, chunks unpacked, for what would let somebody render or guess the truth."""
-    tree, truth, manifest = hidden
-    secrets = [SECRET, DIGEST, SEED, "truth/odometry", "split.toml", "rig.toml", "truth/oysters", "/tf\0"]
-    truths = [message.data for message in read_messages(secret_files["dive-01"], ["/truth/odometry"])]
-    for path, data in tree_bytes(tree).items():
-        unpacked = data
-        if path.startswith("blobs/"):
-            with open(tree / path, "rb") as file:
-                unpacked += b"".join(message.data for _, _, message in make_reader(file).iter_messages())
-        for secret in secrets:
-            assert secret.encode() not in unpacked, f"{path} tells {secret}"
-        assert not any(message in unpacked for message in truths)
-    assert manifest.recipe_digest is None
-    assert b"recipe_digest" not in manifest.data
-    assert sorted(path.name for path in truth.iterdir()) == ["dive-01.mcap", "dive-02.mcap", "manifest.json"]
-
-
-def test_the_commitment_is_the_hash_of_the_truth_package(hidden, secret_files):
-    _, truth, manifest = hidden
-    data = (truth / "manifest.json").read_bytes()
-    assert manifest.commitment == sha256(data)
-    for entry in read_manifest(data, "truth").files:
-        assert sha256((truth / entry.name).read_bytes()) == entry.sha256
-    kept = oysterbench.open(truth / "dive-01.mcap")
-    whole = oysterbench.open(secret_files["dive-01"])
-    np.testing.assert_array_equal(kept.truth().positions, whole.truth().positions)
-    assert len(kept.oysters()) == 2
-    assert kept.attachments["split.toml"] == SEED.encode()
-
-
-def test_public_part_and_truth_package_are_the_whole_sequence(hidden, secret_files):
-    tree, truth, manifest = hidden
-    parts = (tree / "blobs" / manifest.files[0].sha256, truth / "dive-01.mcap")
-    found = {topic: n for part in parts for topic, _, n in oysterbench.open(part).contents()}
-    assert found == {topic: n for topic, _, n in oysterbench.open(secret_files["dive-01"]).contents()}
-
-
-def test_publishing_a_hidden_split_twice_adds_nothing(hidden, secret_files, key, tmp_path):
-    tree, truth, manifest = hidden
-    shutil.copytree(tree, tmp_path / "tree")
-    before = tree_bytes(tmp_path / "tree")
-    assert publish_secret(tmp_path / "tree", tmp_path / "truth", secret_files, key) == manifest
-    assert tree_bytes(tmp_path / "tree") == before
-    assert tree_bytes(tmp_path / "truth" / "fake-val-1.0") == tree_bytes(truth)
-
-
-def test_another_truth_has_another_commitment(hidden, key, tmp_path):
-    other = {"dive-01": write_sequence(tmp_path / "dive-01.mcap", "dive-01", 0.8, SECRET)}
-    manifest = publish_secret(tmp_path / "tree", tmp_path / "truth", other, key)
-    assert manifest.commitment != hidden[2].commitment
-
-
-@pytest.mark.parametrize("place", ["tree", "tree/truth", "tree/blobs"])
-def test_the_truth_never_goes_into_the_tree(tmp_path, secret_files, key, place):
-    with pytest.raises(HubError, match="outside the tree"):
-        publish_secret(tmp_path / "tree", tmp_path / place, secret_files, key)
-    assert not list((tmp_path).rglob("*.mcap"))
-
-
-# What others read
 
 
 def test_the_croissant_file_describes_every_file(tmp_path, files, key):

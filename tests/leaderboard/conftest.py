@@ -1,7 +1,8 @@
-"""A store of records, the splits that submissions are for, and a PostgreSQL server."""
+"""A store of records, the splits that submissions are for, a service of them, and a PostgreSQL server."""
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,9 +10,13 @@ from pathlib import Path
 import pytest
 
 from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.submissions import sandbox, sandbox_worker
 from oysterbench_leaderboard.submissions.catalogue import serve_split
+from oysterbench_leaderboard.submissions.tokens import issue
+from tests.helpers.pool import lay_split
 from tests.helpers.postgres import running_postgres
-from tests.helpers.served import lay_split
+from tests.helpers.served import FAST, make_service
+from tests.helpers.serving import Clock
 
 
 @pytest.fixture
@@ -40,3 +45,33 @@ def postgres() -> Iterator[str]:
         pytest.skip("PostgreSQL is not installed")
     with running_postgres() as url:
         yield url
+
+
+@pytest.fixture(scope="module")
+def laid(tmp_path_factory):
+    """Splits alone, which every test copies."""
+    folder = tmp_path_factory.mktemp("laid")
+    lay_split(folder / "splits", "pool-test")
+    lay_split(folder / "splits", "pool-val", hidden=False)
+    return folder
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """What the limited process does, done in this one: its answers are the same, and quicker."""
+
+    def run(job, *args):
+        return sandbox.Ended(json.loads(json.dumps(sandbox_worker.do(job))), "", "")
+
+    monkeypatch.setattr(sandbox, "run", run)
+
+
+@pytest.fixture
+def service(laid, tmp_path, here):
+    shutil.copytree(laid / "splits", tmp_path / "splits")
+    made = make_service(tmp_path, **FAST)
+    made.clock = Clock()
+    issue(made.database, "reef lab")
+    issue(made.database, "others")
+    yield made
+    made.close()

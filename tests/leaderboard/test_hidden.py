@@ -20,8 +20,8 @@ from oysterbench_leaderboard.submissions.catalogue import SCORED
 from oysterbench_leaderboard.submissions.scoring import score_predictions
 from tests.benchmarks import reconstruction
 from tests.benchmarks.reconstruction import Steering, full
+from tests.helpers.pool import NAMES, answers, classes, image_names, zipped
 from tests.helpers.records_made import record_made
-from tests.helpers.served import NAMES, answers, classes, image_names, zipped
 from tests.helpers.submissions_read import npz, opened, wanted_of
 
 BY_SEQUENCE = {

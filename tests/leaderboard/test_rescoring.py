@@ -17,7 +17,7 @@ from oysterbench_leaderboard.publishing import Attribution, keep_estimates, reco
 from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.rescoring import score_again
 from oysterbench_leaderboard.store import RecordStore
-from tests.helpers.served import answers, lay_split
+from tests.helpers.pool import answers, lay_split
 from tests.leaderboard.test_curves import loop, moved, results_of
 
 

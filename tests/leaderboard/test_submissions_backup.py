@@ -20,7 +20,8 @@ from oysterbench_leaderboard.submissions.service import Form
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.tokens import issue, recognise
 from tests.helpers.command import assert_one_line, run
-from tests.helpers.served import answers, drain, lay_split, make_service
+from tests.helpers.pool import answers, lay_split
+from tests.helpers.served import drain, make_service
 
 
 @pytest.fixture(scope="module", autouse=True)

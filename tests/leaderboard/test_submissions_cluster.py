@@ -18,7 +18,8 @@ from oysterbench_leaderboard.submissions.service import Form
 from oysterbench_leaderboard.submissions.tokens import issue
 from tests.helpers.clusters import two_workers, workers_of
 from tests.helpers.kills import scored_again
-from tests.helpers.served import FAST, answers, free_port, lay_split, make_service
+from tests.helpers.pool import answers, lay_split
+from tests.helpers.served import FAST, free_port, make_service
 from tests.helpers.waiting import until
 
 

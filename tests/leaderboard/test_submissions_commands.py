@@ -7,13 +7,7 @@ import pytest
 
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.scoring import MISSING, evaluator, score_predictions
-from tests.helpers.served import (
-    IMAGES,
-    NAMES,
-    image_names,
-    steered,
-    zipped,
-)
+from tests.helpers.pool import IMAGES, NAMES, image_names, steered, zipped
 from tests.helpers.submissions_read import npz, opened, wanted_of
 
 

@@ -13,7 +13,8 @@ import pytest
 from oysterbench_leaderboard.submissions import namespaces, sandbox
 from oysterbench_leaderboard.submissions.fork_server import ForkServer
 from oysterbench_leaderboard.submissions.sandbox import Ended, never
-from tests.helpers.served import lay_split, make_service
+from tests.helpers.pool import lay_split
+from tests.helpers.served import make_service
 from tests.helpers.waiting import until
 from tests.leaderboard.test_submissions_sandbox import ALLOWED, FOREVER, PRELUDE, job
 

@@ -15,7 +15,8 @@ from oysterbench_leaderboard.submissions.estimates import upload_of
 from oysterbench_leaderboard.submissions.metrics import serve_metrics
 from oysterbench_leaderboard.submissions.refusals import FAILED
 from oysterbench_leaderboard.submissions.service import Form
-from tests.helpers.served import answers, free_port, lay_split, make_service
+from tests.helpers.pool import answers, lay_split
+from tests.helpers.served import free_port, make_service
 
 
 @pytest.fixture

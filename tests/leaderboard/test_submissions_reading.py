@@ -16,17 +16,7 @@ from oysterbench.results.records import ResultRecord, document, read_results, wr
 from oysterbench_leaderboard.submissions.catalogue import SCORED, Catalogue, serve_split
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.scoring import MISSING, evaluator, score_predictions
-from tests.helpers.served import (
-    IMAGES,
-    NAMES,
-    answers,
-    estimate,
-    image_names,
-    lay_split,
-    path,
-    tum,
-    zipped,
-)
+from tests.helpers.pool import IMAGES, NAMES, answers, estimate, image_names, lay_split, path, tum, zipped
 from tests.helpers.submissions_read import as_coco, as_png, masks, npz, opened, wanted_of
 
 # Paths:

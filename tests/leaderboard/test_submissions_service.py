@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import shutil
 from contextlib import AsyncExitStack
 from dataclasses import replace
@@ -12,69 +11,16 @@ import msgspec
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from oysterbench_leaderboard.submissions import queue, sandbox, sandbox_worker
+from oysterbench_leaderboard.submissions import queue, sandbox
 from oysterbench_leaderboard.submissions.auth import Auth
-from oysterbench_leaderboard.submissions.database import Database, find, log, submissions
+from oysterbench_leaderboard.submissions.database import Database, find, submissions
 from oysterbench_leaderboard.submissions.estimates import upload_of
 from oysterbench_leaderboard.submissions.rates import DailyReads
 from oysterbench_leaderboard.submissions.refusals import FAILED, Refusal
-from oysterbench_leaderboard.submissions.service import Form
 from oysterbench_leaderboard.submissions.tokens import issue
-from tests.helpers.served import FAST, answers, drain, lay_split, make_service
-
-FORM = Form("carp", "pool-test")
-
-
-@pytest.fixture(scope="module")
-def laid(tmp_path_factory):
-    """Splits alone, which every test copies."""
-    folder = tmp_path_factory.mktemp("laid")
-    lay_split(folder / "splits", "pool-test")
-    lay_split(folder / "splits", "pool-val", hidden=False)
-    return folder
-
-
-class Clock:
-    """Time that passes when it is told to."""
-
-    def __init__(self) -> None:
-        self.now = 1_800_000_000.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
-@pytest.fixture
-def here(monkeypatch):
-    """What the limited process does, done in this one: its answers are the same, and quicker."""
-
-    def run(job, *args):
-        return sandbox.Ended(json.loads(json.dumps(sandbox_worker.do(job))), "", "")
-
-    monkeypatch.setattr(sandbox, "run", run)
-
-
-@pytest.fixture
-def service(laid, tmp_path, here):
-    shutil.copytree(laid / "splits", tmp_path / "splits")
-    made = make_service(tmp_path, **FAST)
-    made.clock = Clock()
-    issue(made.database, "reef lab")
-    issue(made.database, "others")
-    yield made
-    made.close()
-
-
-def send(service, tmp_path, case=0, form=FORM, team="reef lab"):
-    file = service.incoming / f"x{case}"
-    file.write_bytes(answers(tmp_path, case))
-    return service.submit(team, form, upload_of(file))
-
-
-def events(service, what=""):
-    with service.database.reading() as connection:
-        return [event for event in log(connection, limit=10_000) if event["what"] == what or not what]
-
+from tests.helpers.pool import answers
+from tests.helpers.served import FAST, drain, make_service
+from tests.helpers.serving import FORM, events, send
 
 # Sending:
 
@@ -214,7 +160,7 @@ def test_what_failed_by_its_own_fault_stays_so(service, tmp_path, monkeypatch):
 
 
 def test_nothing_that_can_be_scored_is_a_failure(service, tmp_path):
-    from tests.helpers.served import NAMES, estimate, tum, zipped
+    from tests.helpers.pool import NAMES, estimate, tum, zipped
 
     late = {
         f"{name}.tum": tum(replace(e := estimate(k), stamps_ns=e.stamps_ns + 10**15), tmp_path)
@@ -227,99 +173,6 @@ def test_nothing_that_can_be_scored_is_a_failure(service, tmp_path):
     found = service.get("reef lab", made.id)
     assert found.state == "failed"
     assert found.reason.startswith("no sequence could be scored; pool-01: the path is refused: it has no pose at")
-
-
-# Publishing:
-
-
-def done(service, tmp_path, case=0, **form):
-    made, _ = send(service, tmp_path, case, replace(FORM, **form))
-    drain(service)
-    return made.id
-
-
-def test_a_record_comes_onto_the_board_when_its_team_says_so(service, tmp_path):
-    told = []
-    service.changed = lambda: told.append(1)
-    id = done(service, tmp_path)
-    with pytest.raises(Refusal, match="you have no such submission"):
-        service.publish("others", id)
-    found = service.publish("reef lab", id)
-    assert service.store.digests() == [found.published]
-    assert service.store.record(found.published).team == "reef lab"
-    assert service.publish("reef lab", id).published == found.published
-    assert len(told) == 1
-    assert len(events(service, "published")) == 1
-
-
-def test_only_what_is_done_is_published(service, tmp_path):
-    made, _ = send(service, tmp_path)
-    with pytest.raises(Refusal, match="this one is queued"):
-        service.publish("reef lab", made.id)
-
-
-def test_a_later_submission_takes_the_place_of_the_one_before(service, tmp_path):
-    ids = [done(service, tmp_path, case) for case in range(3)]
-    digests = [service.publish("reef lab", id).published for id in ids]
-    records = [service.store.record(digest) for digest in digests]
-    assert [record.supersedes for record in records] == ["", digests[0], digests[1]]
-    service.withdraw("reef lab", ids[2])
-    last = service.publish("reef lab", done(service, tmp_path, 3))
-    other = service.publish("reef lab", done(service, tmp_path, 4, method="pike"))
-    assert service.store.record(last.published).supersedes == digests[1]
-    assert service.store.record(other.published).supersedes == ""
-
-
-def test_paths_are_kept_with_records_of_public_splits_alone(service, tmp_path):
-    found = service.publish("reef lab", done(service, tmp_path, split="pool-val"))
-    record = service.store.record(found.published)
-    assert set(service.store.curves(record.curves)["sequences"]) == {"pool-01", "pool-02"}
-    assert "path_length_m" in record.results[0].metrics
-    hidden = service.publish("reef lab", done(service, tmp_path))
-    record = service.store.record(hidden.published)
-    assert record.curves == ""
-    assert "path_length_m" not in record.results[0].metrics
-
-
-def test_a_withdrawal_is_announced_and_logged(service, tmp_path):
-    found = service.publish("reef lab", done(service, tmp_path))
-    gone = service.withdraw("reef lab", found.id, "a mistake in the calibration")
-    assert (gone.state, gone.reason) == ("withdrawn", "a mistake in the calibration")
-    (notice,) = service.store.status_changes()
-    assert (notice.record, notice.action, notice.reason) == (found.published, "withdrawn", gone.reason)
-    assert events(service, "withdrawn")[0]["who"] == "reef lab"
-    assert service.withdraw("reef lab", found.id, "again") == gone
-    assert service.store.digests() == [found.published], "records stay"
-    with pytest.raises(Refusal, match="this one is withdrawn"):
-        service.publish("reef lab", found.id)
-
-
-def test_what_is_withdrawn_while_it_is_scored_stays_withdrawn(service, tmp_path, monkeypatch):
-    made, _ = send(service, tmp_path)
-
-    def withdrawn_meanwhile(job, *args):
-        service.withdraw("reef lab", made.id)
-        return sandbox.Ended(sandbox_worker.do(job), "", "")
-
-    monkeypatch.setattr(sandbox, "run", withdrawn_meanwhile)
-    drain(service)
-    assert service.get("reef lab", made.id).state == "withdrawn"
-    assert service.store.status_changes() == []
-
-
-def test_what_a_crash_left_between_database_and_board_is_done_at_the_next_start(service, tmp_path):
-    service._show = lambda record: None  # the server dies before
-    service._announce = lambda found: None
-    one = service.publish("reef lab", done(service, tmp_path, split="pool-val"))
-    two = service.publish("reef lab", done(service, tmp_path, 1))
-    service.withdraw("reef lab", two.id)
-    assert service.store.digests() == []
-    service.close()
-    again = make_service(tmp_path)
-    assert again.store.digests() == sorted([one.published, two.published])
-    assert again.store.record(one.published).curves
-    assert [notice.record for notice in again.store.status_changes()] == [two.published]
-    again.close()
 
 
 def test_a_file_without_a_submission_is_no_harm(service, tmp_path):

@@ -15,7 +15,8 @@ from oysterbench_leaderboard.submissions.service import Form
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.tokens import issue
 from oysterbench_leaderboard.submissions.web import open_service
-from tests.helpers.served import answers, drain, lay_split, make_service
+from tests.helpers.pool import answers, lay_split
+from tests.helpers.served import drain, make_service
 
 
 def test_settings_come_from_the_private_folder(tmp_path):

@@ -17,7 +17,8 @@ from oysterbench.core.errors import HubError, NetworkError
 from oysterbench.hub.sources import Patience
 from oysterbench_leaderboard.submissions.client import Client, Refused
 from tests.helpers.browser import CHROMIUM, browsing
-from tests.helpers.served import NAMES, Server, answers, estimate, image_names, lay, running, steered, tum, zipped
+from tests.helpers.pool import NAMES, answers, estimate, image_names, steered, tum, zipped
+from tests.helpers.served import Server, lay, running
 
 
 class Site:

@@ -1,51 +1,16 @@
-"""The hub's commands, as their users type them."""
+"""The commands of those who use a hub, as they are typed."""
 
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from oysterbench.cli.main import main
 from oysterbench.recipe import load_split
 from oysterbench.simulation.generate import digest
-from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
-from tests.helpers.trees import FACTS, SECRET, oysterbench_serve, write_sequence
-
-
-class Place:
-    """A home, a recipe whose files are made by hand, a key and a published tree."""
-
-    def __init__(self, folder):
-        self.folder, self.home, self.tree, self.data = (folder, folder / "home", folder / "hub", folder / "data")
-        (folder / "rig.toml").write_text(TINY_RIG)
-        self.recipe = folder / "tiny.toml"
-        self.recipe.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "rig.toml"'))
-        self.write(self.data, digest(load_split(str(self.recipe))))
-        self.public = self.run("keygen", folder / "key.pem").stdout.strip()
-        self.run("publish", self.recipe, self.tree, "--key", folder / "key.pem", "--data", self.data)
-        self.whole = (self.data / "tiny-01.mcap").read_bytes()
-
-    def write(self, folder, made_with):
-        known = dict(FACTS)
-        FACTS.update(split="tiny", version="1.0")
-        try:
-            write_sequence(folder / "tiny-01.mcap", "tiny-01", 0.5, made_with)
-        finally:
-            FACTS.update(known)
-
-    def run(self, *arguments, code=0, home=None, **environment):
-        clean = {key: None for key in os.environ if key.startswith("OYSTERBENCH")}
-        done = CliRunner().invoke(
-            main,
-            [str(argument) for argument in arguments],
-            env=clean | {"OYSTERBENCH_HOME": str(home or self.home)} | environment,
-        )
-        assert done.exit_code == code, done.stderr
-        return done
+from tests.helpers.hub_place import Place
+from tests.helpers.trees import oysterbench_serve
 
 
 @pytest.fixture(scope="module")
@@ -135,24 +100,6 @@ def test_without_a_hub_the_split_is_rendered_and_it_says_so(place, tmp_path):
     assert "rendered instead, which gives the same bytes" in done.stderr
 
 
-def test_a_hidden_split_from_publish_to_download(place, tmp_path):
-    place.write(tmp_path / "salted", SECRET)
-    published = place.run(
-        "publish",
-        place.recipe,
-        tmp_path / "hub",
-        *("--key", place.folder / "key.pem", "--data", tmp_path / "salted"),
-        *("--hidden", "--truth-out", tmp_path / "truth", "--json"),
-    )
-    facts = json.loads(published.stdout)
-    assert len(facts["commitment"]) == 64
-    done = place.run("download", "tiny", "--from", tmp_path / "hub", "--key", place.public, home=tmp_path / "home")
-    topics = json.loads(place.run("info", done.stdout.strip(), "--json").stdout)["topics"]
-    assert not any(row["topic"].startswith("/truth") for row in topics)
-    truth = json.loads(place.run("info", tmp_path / "truth" / "tiny-1.0" / "tiny-01.mcap", "--json").stdout)
-    assert truth["path_length_m"] > 0
-
-
 def test_splits_tells_what_is_here_and_what_the_hub_has(place, tmp_path, monkeypatch):
     monkeypatch.setattr("oysterbench.recipe.split_names", lambda: ["slam-mini"])  # one of its own beside the hub's
 
@@ -172,14 +119,3 @@ def test_splits_tells_what_is_here_and_what_the_hub_has(place, tmp_path, monkeyp
     Path(row["folder"], "tiny-01.mcap").unlink()
     assert rows()["tiny", "1.0"]["complete"] is False
     assert "no hub is set" in place.run("splits", "--hub", home=tmp_path, code=1).stderr
-
-
-def test_a_hidden_recipe_is_never_published_with_its_truth(place, tmp_path):
-    (tmp_path / "rig.toml").write_text(TINY_RIG)
-    recipe = tmp_path / "tiny.toml"
-    recipe.write_text("hidden = true\n" + place.recipe.read_text())
-    arguments = ("publish", recipe, tmp_path / "hub", "--key", place.folder / "key.pem", "--data", place.data)
-    assert "would reveal its ground truth" in place.run(*arguments, code=1).stderr
-    assert not (tmp_path / "hub").exists()
-    failed = place.run("download", recipe, code=1, home=tmp_path / "home")
-    assert "cannot be rendered without its salt" in failed.stderr

@@ -1,0 +1,45 @@
+"""The commands of those who run a hub, as they are typed."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.helpers.hub_place import Place
+from tests.helpers.tiny import TINY_RIG
+from tests.helpers.trees import SECRET
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    return Place(tmp_path_factory.mktemp("commands"))
+
+
+def test_a_hidden_split_from_publish_to_download(place, tmp_path):
+    place.write(tmp_path / "salted", SECRET)
+    published = place.run(
+        "publish",
+        place.recipe,
+        tmp_path / "hub",
+        *("--key", place.folder / "key.pem", "--data", tmp_path / "salted"),
+        *("--hidden", "--truth-out", tmp_path / "truth", "--json"),
+    )
+    facts = json.loads(published.stdout)
+    assert len(facts["commitment"]) == 64
+    done = place.run("download", "tiny", "--from", tmp_path / "hub", "--key", place.public, home=tmp_path / "home")
+    topics = json.loads(place.run("info", done.stdout.strip(), "--json").stdout)["topics"]
+    assert not any(row["topic"].startswith("/truth") for row in topics)
+    truth = json.loads(place.run("info", tmp_path / "truth" / "tiny-1.0" / "tiny-01.mcap", "--json").stdout)
+    assert truth["path_length_m"] > 0
+
+
+def test_a_hidden_recipe_is_never_published_with_its_truth(place, tmp_path):
+    (tmp_path / "rig.toml").write_text(TINY_RIG)
+    recipe = tmp_path / "tiny.toml"
+    recipe.write_text("hidden = true\n" + place.recipe.read_text())
+    arguments = ("publish", recipe, tmp_path / "hub", "--key", place.folder / "key.pem", "--data", place.data)
+    assert "would reveal its ground truth" in place.run(*arguments, code=1).stderr
+    assert not (tmp_path / "hub").exists()
+    failed = place.run("download", recipe, code=1, home=tmp_path / "home")
+    assert "cannot be rendered without its salt" in failed.stderr
