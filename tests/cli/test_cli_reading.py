@@ -111,7 +111,7 @@ def test_a_topic_of_an_mcap_file_is_scored(run):
 def test_poses_out_of_order_are_sorted_when_asked(run):
     lines = tum(TRUTH).splitlines()
     data = b"\n".join(lines[50:] + lines[:50])
-    assert "estimate:51: expected increasing stamps" in refused(run(data))
+    assert "estimate:51: expected increasing timestamps" in refused(run(data))
     assert scored(run(data, "--sort", "--json"))[0] < 1e-9
 
 

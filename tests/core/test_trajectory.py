@@ -84,12 +84,12 @@ def test_nanoseconds_with_spaces_are_read_as_orb_slam_writes_them(tmp_path):
 
 @pytest.mark.parametrize("stamp", ["1403636579763", "1403636579763555"])
 def test_milli_and_microseconds_are_refused(tmp_path, stamp):
-    assert "poses.txt:1: expected a stamp in seconds" in refusal(tmp_path, f"{stamp} {POSE}")
+    assert "poses.txt:1: expected a timestamp in seconds" in refusal(tmp_path, f"{stamp} {POSE}")
 
 
 def test_a_change_of_layout_within_a_file_is_refused(tmp_path):
     message = refusal(tmp_path, f"1 {POSE}\n1403636579763555584 {POSE}")
-    assert message.startswith("poses.txt:2: expected stamps in s as on the lines before, got nanoseconds")
+    assert message.startswith("poses.txt:2: expected timestamps in s as on the lines before, got nanoseconds")
     assert ":2: expected spaces between the numbers as on the lines before, got commas" in refusal(
         tmp_path, f"1 {POSE}\n1,1,2,3,1,0,0,0"
     )
@@ -121,7 +121,7 @@ def test_a_second_line_of_names_is_not_skipped(tmp_path):
 
 @pytest.mark.parametrize("text", ["", "\n\n", "# only a comment\n", "t x y z qx qy qz qw\n"])
 def test_an_empty_file_is_refused(tmp_path, text):
-    assert "holds no pose" in refusal(tmp_path, text)
+    assert "no pose; expected lines of" in refusal(tmp_path, text)
 
 
 @pytest.mark.parametrize("content", [bytes(range(256)), b"\0\1\2" * 50, f"1 {POSE}\n".encode("utf-16")])
@@ -193,8 +193,8 @@ def test_a_pose_written_twice_is_taken_once_and_said(tmp_path):
 def test_two_poses_at_one_stamp_are_refused_with_their_lines(tmp_path):
     message = refusal(tmp_path, f"# t x\n1 {POSE}\n2 {POSE}\n2 9 2 3 0 0 0.6 0.8\n")
     assert message == (
-        "poses.txt:4: expected one pose for each stamp, got another one at 2.000000000 s than on poses.txt:3, 8 m and "
-        "0 deg away; keep one of them (--duplicates first, last or mean; of the truth, --truth-duplicates)"
+        "poses.txt:4: expected one pose for each timestamp, got another one at 2.000000000 s than on poses.txt:3, 8 m "
+        "and 0 deg away; keep one of them (--duplicates first, last or mean; of the truth, --truth-duplicates)"
     )
 
 
@@ -208,8 +208,8 @@ def test_of_poses_at_one_stamp_that_differ_by_less_than_neighbours_the_first_is_
     assert trajectory.stamps_ns.tolist() == [k * 10**9 for k in range(1, 9)]
     assert trajectory.positions[3, 0] == 4.0
     assert trajectory.notes == (
-        "poses.txt: at 1 of 8 stamps there are several poses, up to 0.001 m and 0.115 deg apart: the first is taken "
-        "(--duplicates)",
+        "poses.txt: at 1 of 8 timestamps there are several poses, up to 0.001 m and 0.115 deg apart: the first is "
+        "taken (--duplicates)",
     )
 
 
@@ -226,7 +226,7 @@ def test_an_option_decides_which_of_several_poses_counts(tmp_path, choice, x):
 def test_poses_at_one_stamp_are_refused_where_that_was_chosen_or_where_they_are_far_apart(tmp_path):
     path = tmp_path / "poses.txt"
     path.write_text(WALK.replace("\n5 ", f"\n{NEAR}\n5 "))
-    with pytest.raises(TrajectoryError, match=r"poses\.txt:5: expected one pose for each stamp"):
+    with pytest.raises(TrajectoryError, match=r"poses\.txt:5: expected one pose for each timestamp"):
         read_trajectory(path, duplicates="refuse")
     turned = WALK.replace("\n5 ", "\n4 4 2 3 1 0 0 0\n5 ")
     for text in (WALK.replace("\n5 ", "\n4 7 2 3 0 0 0 1\n5 "), turned):
@@ -239,12 +239,12 @@ def test_poses_at_one_stamp_are_refused_where_that_was_chosen_or_where_they_are_
 def test_stamps_that_go_back_are_refused_with_line_and_option(tmp_path):
     message = refusal(tmp_path, f"1 {POSE}\n3 {POSE}\n\n2.5 {POSE}\n")
     assert message == (
-        "poses.txt:4: expected increasing stamps, got 2.500000000 s after 3.000000000 s; sort the poses by time "
+        "poses.txt:4: expected increasing timestamps, got 2.500000000 s after 3.000000000 s; sort the poses by time "
         "(--sort)"
     )
     trajectory = read_trajectory(tmp_path / "poses.txt", sort=True)
     assert trajectory.stamps_ns.tolist() == [10**9, 2_500_000_000, 3 * 10**9]
-    assert trajectory.notes == ("poses.txt: the poses were put in the order of their stamps",)
+    assert trajectory.notes == ("poses.txt: the poses were put in the order of their timestamps",)
 
 
 def test_a_quaternion_that_is_no_rotation_is_refused_with_its_line(tmp_path):
@@ -268,7 +268,7 @@ def test_nanoseconds_in_a_seconds_file_are_exact_and_said(tmp_path):
     # A float64 near 1.4e18 has a spacing of 256.
     trajectory = read(tmp_path, f"1403636579763555585 {POSE}\n1403636579763555586 {POSE}\n")
     assert trajectory.stamps_ns.tolist() == [1403636579763555585, 1403636579763555586]
-    assert trajectory.notes == ("poses.txt: the stamps can only be nanoseconds and are read as such",)
+    assert trajectory.notes == ("poses.txt: the timestamps can only be nanoseconds and are read as such",)
 
 
 def test_a_header_in_a_comment_tells_the_order_of_the_quaternion(tmp_path):
@@ -278,7 +278,7 @@ def test_a_header_in_a_comment_tells_the_order_of_the_quaternion(tmp_path):
 
 def test_numbers_that_only_python_reads_are_refused(tmp_path):
     assert "expected a number for x, got '1_0'" in refusal(tmp_path, "1 1_0 2 3 0 0 0 1")
-    assert "expected a stamp, got '١'" in refusal(tmp_path, "١ 1 2 3 0 0 0 1")
+    assert "expected a timestamp, got '١'" in refusal(tmp_path, "١ 1 2 3 0 0 0 1")
 
 
 def test_a_line_that_breaks_off_is_refused(tmp_path):

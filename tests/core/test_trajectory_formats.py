@@ -176,7 +176,7 @@ def test_covariances_of_zero_are_unknown(tmp_path):
 def test_messages_without_stamps_are_refused(tmp_path):
     still = Trajectory(np.zeros(12, dtype=np.int64), dive().positions, dive().quaternions)
     topics = {"/odom": [Messages(still).odometry(i) for i in range(12)]}
-    with pytest.raises(TrajectoryError, match="carry no stamps"):
+    with pytest.raises(TrajectoryError, match="carry no timestamps"):
         read_trajectory(written(tmp_path, files.mcap(dive(), topics)))
 
 
@@ -193,7 +193,7 @@ def test_kitti_poses_take_the_given_times_one_to_one(tmp_path):
     times = read_times(written(tmp_path, lines.encode(), "times.txt"))
     trajectory = read_trajectory(path, times=times)
     assert_same(trajectory, dive(), atol=1e-12)
-    assert trajectory.notes == ("poses.dat: its 12 poses carry no stamps and take the given times one to one",)
+    assert trajectory.notes == ("poses.dat: its 12 poses carry no timestamps and take the given times one to one",)
 
 
 def test_kitti_poses_without_times_are_refused_with_the_option(tmp_path):
@@ -327,7 +327,7 @@ def test_float_stamps_of_an_npz_are_said_to_be_rounded(tmp_path):
     )
     trajectory = read_trajectory(tmp_path / "a.npz")
     assert np.abs(trajectory.stamps_ns - t.stamps_ns).max() <= 120
-    assert trajectory.notes == ("a.npz: 't' is float64, which holds these stamps to 238 ns only",)
+    assert trajectory.notes == ("a.npz: 't' is float64, which holds these timestamps to 238 ns only",)
 
 
 def test_what_is_written_reads_back(tmp_path):
@@ -377,3 +377,21 @@ def test_a_covariance_that_is_none_is_refused(tmp_path):
     bad.covariances[3, 2, 2] = -1.0
     with pytest.raises(TrajectoryError, match="message 4: expected a finite, symmetric covariance"):
         read_trajectory(written(tmp_path, files.mcap(bad)))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t;x;y;z;qx;qy;qz;qw\n1,5;1,0;2,0;3,0;0,0;0,0;0,0;1,0\n",
+        "1,5 1,0 2,0 3,0 0 0 0 1\n",
+        "1,5;1,0;2,0;3,0;0;0;0;1\n",
+    ],
+)
+def test_decimal_commas_are_named_as_such(tmp_path, text):
+    with pytest.raises(TrajectoryError, match=r"expected numbers with decimal points, got decimal commas: '1,5"):
+        read_trajectory(written(tmp_path, text.encode()))
+
+
+def test_a_header_of_angles_is_refused_with_how_to_convert_them(tmp_path):
+    with pytest.raises(TrajectoryError, match="got t, x, y, z, roll, pitch, yaw; convert it"):
+        read_trajectory(written(tmp_path, b"t,x,y,z,roll,pitch,yaw\n1,0,0,0,0,0,1.2\n"))

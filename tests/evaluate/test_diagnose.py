@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import transform
 from oysterbench.core.streams import stream
-from oysterbench.core.trajectory import ReadOptions, Trajectory, write_npz, write_tum
-from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL
+from oysterbench.core.trajectory import ReadOptions, Trajectory, read_trajectory, write_npz, write_tum
+from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL, inverted
 from oysterbench.evaluate.slam.diagnose import diagnose
 from oysterbench.evaluate.slam.inputs import read_pair
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
@@ -148,6 +148,28 @@ def test_poses_of_any_frame_that_is_turned_are_refused_with_the_turn(tmp_path):
     np.testing.assert_allclose(read.positions, ESTIMATE.positions, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("camera", [False, True], ids=["body", "camera"])
+@pytest.mark.parametrize("truth", [TRUTH, level()], ids=["free", "level"])
+def test_poses_that_take_the_world_into_the_body_are_refused_with_the_option(tmp_path, truth, camera):
+    upright = noisy(truth)
+    seen = replace(upright, quaternions=(Rotation.from_quat(upright.quaternions) * OPTICAL).as_quat())
+    estimate = inverted(seen if camera else upright)
+    message = refusal(tmp_path, truth, estimate)
+    assert message.startswith("estimate.npz: its positions have the shape of the true path when")
+    assert message.endswith("; decide by --poses T_body_world, or --poses T_world_body to keep them")
+    frame = {"frame": "optical"} if camera else {}
+    _, read = pair(tmp_path, truth, estimate, poses="T_body_world", **frame)
+    np.testing.assert_allclose(read.matrices, upright.matrices, rtol=0, atol=1e-9)
+    assert not any("inverted" in note for note in read.notes)
+
+
+def test_covariances_of_inverted_poses_are_left_out_and_it_is_said(tmp_path):
+    write_npz(tmp_path / "estimate.npz", dive(12, covariances=True))
+    read = read_trajectory(tmp_path / "estimate.npz", poses="T_body_world")
+    assert read.covariances is None
+    assert "covariances are left out" in read.notes[-1]
+
+
 def test_millimetres_are_refused_with_the_option(tmp_path):
     millimetres = replace(ESTIMATE, positions=1010 * ESTIMATE.positions)
     message = refusal(tmp_path, TRUTH, millimetres)
@@ -198,10 +220,13 @@ def test_swapped_arguments_are_suspected(tmp_path):
     keyframes = ESTIMATE.select(slice(60, 240, 10))
     _, read = pair(tmp_path, keyframes, TRUTH)
     (note,) = read.notes
-    assert "the truth has 18 poses over 8.5 s, all within the 15.0 s of the estimate's 300: are they swapped?" in note
+    assert (
+        "the truth has 18 poses over 8.5 s, all within the 15.0 s of the estimate's 300: have the two been swapped?"
+        in note
+    )
     known = replace(TRUTH, covariances=np.tile(np.eye(6), (300, 1, 1)))
     _, read = pair(tmp_path, known, ESTIMATE)
-    assert "the truth carries covariances, the estimate none: are they swapped?" in read.notes[0]
+    assert "the ground truth carries covariances and the estimate does not: have the two been swapped?" in read.notes[0]
 
 
 def test_truth_at_a_low_rate_and_keyframes_are_not_suspected():

@@ -41,7 +41,7 @@ def test_a_clock_that_starts_at_zero_is_brought_to_the_truths():
     result = score(truth, estimate, SlamSettings(time_offset_s="estimate"))
     assert result.metrics["time_offset_s"] == pytest.approx(begun * 1e-9, abs=0.01)
     assert result.metrics["coverage"] > 0.99
-    assert any("were added to the estimate's stamps, found from the" in note for note in result.notes)
+    assert any("were added to the estimate's timestamps, found from the" in note for note in result.notes)
 
 
 def test_the_score_of_a_late_estimate_is_mended_by_its_offset_given_or_found():

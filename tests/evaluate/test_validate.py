@@ -108,7 +108,7 @@ def test_poses_of_a_camera_are_suspected():
     optical = Rotation.from_euler("ZYX", [-90, 0, -90], degrees=True)
     camera = replace(walk(), quaternions=(Rotation.from_quat(walk().quaternions) * optical).as_quat())
     (note,) = score(walk(), camera, SlamSettings(align="none")).notes
-    assert "one constant turn of 120.0 deg" in note
+    assert "a constant rotation of 120.0 deg" in note
 
 
 def test_attitudes_that_are_merely_bad_raise_no_suspicion():

@@ -169,7 +169,7 @@ def landmarks(**changes):
     ("alternatives", "message"),
     [
         ({"online": path(positions=np.full((3, 3), np.nan))}, "alternative 'online': pose 1: expected finite numbers"),
-        ({"online": path(STAMPS[::-1])}, "alternative 'online': pose 2: expected increasing stamps"),
+        ({"online": path(STAMPS[::-1])}, "alternative 'online': pose 2: expected increasing timestamps"),
         ({"online": path(STAMPS[:0])}, "alternative 'online': expected poses, got none"),
         ({"../online": path()}, "name of a path: expected letters, digits and _ -, got '../online'"),
         ({"optimised": path()}, "expected other names than that of the scored path, got 'optimised'"),
@@ -189,7 +189,7 @@ def test_a_further_path_that_is_none_is_named(alternatives, message):
         ({"colours": np.zeros((2, 3))}, "map: expected colours as uint8, got float64"),
         ({"observations": np.zeros(2)}, "map: expected observations as whole numbers, got float64"),
         ({"landmarks": np.array([[0.0, 0, 0], [0, np.inf, 0]])}, "map: expected finite landmarks, got"),
-        ({"keyframes": path(STAMPS[::-1])}, "map: key frame 2: expected increasing stamps"),
+        ({"keyframes": path(STAMPS[::-1])}, "map: key frame 2: expected increasing timestamps"),
     ],
 )
 def test_a_map_of_other_shapes_or_numbers_is_named(changes, message):

@@ -63,8 +63,8 @@ def test_every_method_that_runs_on_weights_is_known_to_them():
 def test_without_weights_and_hub_one_line_says_how_to_train_and_how_long_that_takes(bare):
     expected = (
         r"^unet: no trained weights at .*models/unet\.pt: `oysterbench train unet --data seg-train` trains them on "
-        r"your machine \(about .* on .*\), `oysterbench download unet --from HUB` downloads them from a hub; name "
-        r"others with unet\[checkpoint=PATH\] or OYSTERBENCH_UNET$"
+        r"your machine \(about .* on .*\), `oysterbench download unet --from URL --key KEY` downloads them from a hub; "
+        r"name others with unet\[checkpoint=PATH\] or OYSTERBENCH_UNET$"
     )
     for demand in (lambda path: have_weights({"unet": path}), lambda path: existing("unet", path)):
         with pytest.raises(MethodError, match=expected):

@@ -104,5 +104,5 @@ def _stamps(
     stamps_ns: NDArray[np.int64] = whole.astype(np.int64) * factor + np.rint((stamps - whole) * factor).astype(np.int64)
     step_ns = float(np.spacing(np.abs(stamps).max(initial=0.0))) * factor
     if step_ns > 1.0:
-        notes.append(f"{path.name}: {key!r} is {stamps.dtype}, which holds these stamps to {step_ns:.0f} ns only")
+        notes.append(f"{path.name}: {key!r} is {stamps.dtype}, which holds these timestamps to {step_ns:.0f} ns only")
     return stamps_ns

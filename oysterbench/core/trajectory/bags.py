@@ -87,7 +87,7 @@ def _read(path: Path, options: ReadOptions) -> Trajectory:
     if not rows:
         raise TrajectoryError(f"{path}: {topic} holds no pose; {_offer(bag)}")
     if not any(row[0] for row in rows):
-        raise TrajectoryError(f"{path}: the headers of {topic} carry no stamps; write the time of each pose into them")
+        raise TrajectoryError(f"{path}: the headers of {topic} carry no timestamps; write each pose's time into them")
     values = np.array([row[1] for row in rows], dtype=float)
     if options.quaternion == "wxyz":
         values = values[:, [0, 1, 2, 4, 5, 6, 3]]

@@ -49,7 +49,7 @@ def checked_poses(
     if options.sort and (np.diff(trajectory.stamps_ns) < 0).any():
         rows = np.argsort(trajectory.stamps_ns, kind="stable")
         trajectory = trajectory.select(rows)
-        notes.append(f"{name}: the poses were put in the order of their stamps")
+        notes.append(f"{name}: the poses were put in the order of their timestamps")
 
     def place(i: int) -> str:
         return where(int(rows[i]))
@@ -87,7 +87,7 @@ def _check_order(stamps: NDArray[np.int64], where: Callable[[int], str]) -> None
     if back.any():
         i = int(np.argmax(back)) + 1
         raise TrajectoryError(
-            f"{where(i)}: expected increasing stamps, got {ns_to_seconds(stamps[i])} s after "
+            f"{where(i)}: expected increasing timestamps, got {ns_to_seconds(stamps[i])} s after "
             f"{ns_to_seconds(stamps[i - 1])} s{others(back)}; sort the poses by time (--sort)"
         )
 

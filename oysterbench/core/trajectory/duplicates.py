@@ -44,7 +44,7 @@ def each_stamp_once(
             i = int(np.argmax(wrong))
             more = int(np.count_nonzero(wrong)) - 1
             raise TrajectoryError(
-                f"{where(i)}: expected one pose for each stamp, got another one at "
+                f"{where(i)}: expected one pose for each timestamp, got another one at "
                 f"{ns_to_seconds(trajectory.stamps_ns[i])} s than on {where(int(own[i])).rsplit('/', 1)[-1]}"
                 f"{f' and {more} more' if more else ''}, {off_m[i]:.3g} m and {np.rad2deg(off_rad[i]):.3g} deg away; "
                 "keep one of them (--duplicates first, last or mean; of the truth, --truth-duplicates)"
@@ -54,8 +54,9 @@ def each_stamp_once(
         return trajectory.select(first)
     taken = choice if choice in ("last", "mean") else "first"
     notes.append(
-        f"{name}: at {np.count_nonzero(np.bincount(member, ~same))} of {len(first)} stamps there are several poses, up "
-        f"to {off_m.max():.3g} m and {np.rad2deg(off_rad.max()):.3g} deg apart: the {taken} is taken (--duplicates)"
+        f"{name}: at {np.count_nonzero(np.bincount(member, ~same))} of {len(first)} timestamps there are several "
+        f"poses, up to {off_m.max():.3g} m and {np.rad2deg(off_rad.max()):.3g} deg apart: the "
+        f"{taken} is taken (--duplicates)"
     )
     if taken == "mean":
         return _means(trajectory, first, count)

@@ -62,6 +62,24 @@ def with_scale(trajectory: Trajectory, scale: float) -> Trajectory:
     return poses_of_body(poses_of_frame(trajectory, T), transform(T[:3, :3], T[:3, 3] / scale))
 
 
+def inverted(trajectory: Trajectory) -> Trajectory:
+    """Poses T_world_body from T_body_world, or the other way round: R^T, -R^T t.
+
+    Covariances are left out, and that is noted: they are about axes that no longer are the world's.
+    """
+    rotations = Rotation.from_quat(trajectory.quaternions).inv()
+    notes = trajectory.notes
+    if trajectory.covariances is not None:
+        notes = (*notes, "the covariances are left out: they are those of inverted poses")
+    return replace(
+        trajectory,
+        positions=-rotations.apply(trajectory.positions),
+        quaternions=rotations.as_quat(),
+        covariances=None,
+        notes=notes,
+    )
+
+
 def scaled(trajectory: Trajectory, factor: float) -> Trajectory:
     """The trajectory with positions and their covariances in a unit 1 / factor times as long."""
     covariances = trajectory.covariances

@@ -9,7 +9,7 @@ from typing import Any
 
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.trajectory.bags import BAG_MAGIC, MCAP_MAGIC, SQLITE_MAGIC, read_bag
-from oysterbench.core.trajectory.frames import METRES, T_BODY_OPTICAL, poses_of_body, scaled
+from oysterbench.core.trajectory.frames import METRES, T_BODY_OPTICAL, inverted, poses_of_body, scaled
 from oysterbench.core.trajectory.options import Format, ReadOptions
 from oysterbench.core.trajectory.poses import Trajectory
 from oysterbench.core.trajectory.text import read_text
@@ -46,6 +46,8 @@ def read_trajectory(path: str | os.PathLike[str], options: ReadOptions | None = 
     trajectory = _read(path, options)
     if options.unit is not None:
         trajectory = scaled(trajectory, METRES[options.unit])
+    if options.poses == "T_body_world":
+        trajectory = inverted(trajectory)
     if options.T_body_estimate is not None:
         return poses_of_body(trajectory, options.T_body_estimate)
     return poses_of_body(trajectory, T_BODY_OPTICAL) if options.frame == "optical" else trajectory

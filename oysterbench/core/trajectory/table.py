@@ -182,7 +182,7 @@ def _read_lines(text: str, begin: int, columns: Columns, path: str) -> NumberTab
         if columns.stamp is not None:
             stamp = fields[columns.stamp]
             if not NUMBER.fullmatch(stamp):
-                raise TrajectoryError(f"{where}: expected a stamp, got {stamp[:40]!r}")
+                raise TrajectoryError(f"{where}: expected a timestamp, got {stamp[:40]!r}")
             stamps.append(stamp)
         for k in wanted:
             _check_number(fields[k], k, columns, where, line)

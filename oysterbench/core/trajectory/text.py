@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from oysterbench.core.trajectory.table import NUMBER, NumberTable, is_comment, r
 
 MAX_SECONDS = 9e9
 """A stamp above this is not seconds: it would be 285 years after the epoch, and its nanoseconds leave an int64."""
+DECIMAL_COMMAS = re.compile(r"([+-]?\d+(,\d+)?[;\s]+){5,}[+-]?\d+(,\d+)?;?")
+"""A line of numbers between blanks or semicolons, as spreadsheets write it where the comma is the decimal sign."""
 MIN_NANOSECONDS = 1e17
 """A stamp above this is nanoseconds: as microseconds it would be 3000 years after the epoch."""
 
@@ -30,7 +33,13 @@ def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
     text = decoded(path, data)
     head = _Head.of(text)
     if head is None:
-        raise TrajectoryError(f"{path} holds no pose; expected lines of `t x y z qx qy qz qw`")
+        found = "a header and " if text.strip() and not all(map(is_comment, text.split("\n"))) else ""
+        raise TrajectoryError(f"{path} holds {found}no pose; expected lines of `t x y z qx qy qz qw`")
+    if DECIMAL_COMMAS.fullmatch(line := text.split("\n", head.begin + 1)[head.begin].strip()) and "," in line:
+        raise TrajectoryError(
+            f"{path}:{head.begin + 1}: expected numbers with decimal points, got decimal commas: {line[:60]!r}; "
+            "export them with points"
+        )
     columns = _columns(head, path, options)
     if options.quaternion is not None and columns.quaternion:
         first = min(columns.quaternion)
@@ -148,6 +157,13 @@ def _columns(head: _Head, path: Path, options: ReadOptions) -> Columns:
     if named:
         return replace(named, euroc=head.commas and named.stands_as_euroc)
     if options.format == "csv" or head.certain:
+        angles = {name.lower() for name in head.names} & {"roll", "pitch", "yaw"}
+        if angles:
+            raise TrajectoryError(
+                f"{path}: expected the attitude as a quaternion in columns qx, qy, qz, qw, got "
+                f"{', '.join(head.names)}; convert it (scipy: "
+                "Rotation.from_euler('ZYX', [yaw, pitch, roll]).as_quat() gives x y z w)"
+            )
         raise TrajectoryError(
             f"{path}: expected a header that names a column for each of t, x, y, z, qx, qy, qz, qw, got "
             f"{','.join(head.names)[:80] or 'none'!r} over {len(head.first)} columns; correct it, or name the format "
@@ -171,12 +187,12 @@ def _stamps(
         if huge.all():
             unit = "ns"
             if not columns.euroc:
-                notes.append(f"{path.name}: the stamps can only be nanoseconds and are read as such")
+                notes.append(f"{path.name}: the timestamps can only be nanoseconds and are read as such")
         elif huge.any():
             i = int(np.argmax(huge != huge[0]))
             kind = ("nanoseconds", "s") if huge[0] else ("s", "nanoseconds")
             raise TrajectoryError(
-                f"{table.where(i)}: expected stamps in {kind[0]} as on the lines before, got {kind[1]}: "
+                f"{table.where(i)}: expected timestamps in {kind[0]} as on the lines before, got {kind[1]}: "
                 f"{table.stamp(i)}"
             )
         elif columns.euroc and not (broken := _broken(table.stamps)).any():
@@ -184,8 +200,8 @@ def _stamps(
         elif columns.euroc and not columns.named:
             i = int(np.argmax(broken))
             raise TrajectoryError(
-                f"{table.where(i)}: expected a stamp in whole nanoseconds, since lines with commas are EuRoC, got "
-                f"{table.stamp(i)}; write `t x y z qx qy qz qw` with spaces for stamps in seconds, name the "
+                f"{table.where(i)}: expected a timestamp in whole nanoseconds, since lines with commas are EuRoC, got "
+                f"{table.stamp(i)}; write `t x y z qx qy qz qw` with spaces for timestamps in seconds, name the "
                 "columns in a header, or name the format (--format tum, --time-unit s)"
             )
         else:
@@ -195,7 +211,7 @@ def _stamps(
         if wrong.any():
             i = int(np.argmax(wrong))
             raise TrajectoryError(
-                f"{table.where(i)}: expected a stamp in seconds (or nanoseconds since 1970), got "
+                f"{table.where(i)}: expected a timestamp in seconds (or nanoseconds since 1970), got "
                 f"{table.stamp(i)}{others(wrong)}, which looks like milli-, micro- or nanoseconds; say which "
                 "(--time-unit ms, us or ns)"
             )
@@ -203,7 +219,7 @@ def _stamps(
         return scaled_integers(table.stamps, SHIFTS[unit])
     except (ValueError, OverflowError):
         i = next(i for i, text in enumerate(table.stamps.tolist()) if not _fits(text.decode(), SHIFTS[unit]))
-        raise TrajectoryError(f"{table.where(i)}: expected a stamp of at most 2^63 ns, got {table.stamp(i)}") from None
+        raise TrajectoryError(f"{table.where(i)}: expected at most 2^63 ns, got {table.stamp(i)}") from None
 
 
 def _broken(stamps: NDArray[np.bytes_]) -> NDArray[np.bool_]:
@@ -258,7 +274,7 @@ def _kitti(table: NumberTable, path: Path, options: ReadOptions) -> Trajectory:
             f"{off[i]:.2g}{others(wrong)}"
         )
     quaternions = Rotation.from_matrix(rotations).as_quat()
-    notes = (f"{path.name}: its {len(table)} poses carry no stamps and take the given times one to one",)
+    notes = (f"{path.name}: its {len(table)} poses carry no timestamps and take the given times one to one",)
     stamps_ns = np.asarray(options.times, dtype=np.int64)
     trajectory = Trajectory(stamps_ns, table.values[:, [3, 7, 11]].copy(), quaternions, notes=notes)
     return checked_poses(trajectory, path.name, table.where, options)

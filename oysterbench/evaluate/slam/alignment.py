@@ -114,8 +114,8 @@ def _weigh_rotation(truth: Array, estimate: Array, fit: Similarity, align: Align
     width_m, length_m = np.sqrt(max(variances[1] + variances[2], 0.0)), np.sqrt(variances[0])
     if width_m < NARROW * length_m and sigma > SURE_RAD:
         line = (
-            f"the truth is nearly on one line (it spreads {width_m:.3g} m across it, {length_m:.3g} m along it) and "
-            f"the estimate errs by {error_m:.3g} m across it"
+            f"the true path is nearly a straight line (it spreads {width_m:.3g} m across it, {length_m:.3g} m along "
+            f"it) and the estimate errs by {error_m:.3g} m across it"
         )
         if sigma > GUESS_RAD:
             raise ValueError(f"{line}: the rotation about the line is a guess")
@@ -144,7 +144,7 @@ def _weigh_yaw(truth: Array, estimate: Array, fit: Similarity) -> Alignment:
     notes: tuple[str, ...] = ()
     if level_m < NARROW * total_m and sigma > SURE_RAD:
         vertical = (
-            f"the truth moves nearly straight up or down (it spreads {level_m:.3g} m horizontally, {total_m:.3g} m in "
+            f"the true path is nearly vertical (it spreads {level_m:.3g} m horizontally, {total_m:.3g} m in "
             f"all) and the estimate errs by {error_m:.3g} m horizontally"
         )
         if sigma > GUESS_RAD:
@@ -159,8 +159,8 @@ def _guess(error_m: float, common_m: float, sigma_rad: float, turn: str) -> str:
     """What is said of a turn that errors as large as the motion leave open, whatever the shape of the path."""
     uncertain = f"{np.rad2deg(sigma_rad):.0f} deg" if sigma_rad < np.pi else "any angle"
     return (
-        f"over the poses that the alignment is fitted to, the estimate errs by {error_m:.3g} m and has "
-        f"{common_m:.3g} m of motion in common with the truth: its {turn} is a guess, uncertain by {uncertain}"
+        f"over the poses used for alignment, the estimate errs by {error_m:.3g} m and has "
+        f"{common_m:.3g} m of motion in common with the ground truth: its {turn} is a guess, uncertain by {uncertain}"
     )
 
 
@@ -169,8 +169,8 @@ def _scale_notes(truth: Array, estimate: Array, scale: float) -> tuple[str, ...]
     explained = (scale * spread(estimate) / spread(truth)) ** 2
     if explained < EXPLAINED:
         return (
-            f"scaled by {scale:.3g}, the estimate explains {max(explained, 0.0):.0%} of the truth's motion: it has "
-            "hardly any in common with it, and scaling shrinks such an estimate until it does little harm",
+            f"scaled by {scale:.3g}, the estimate explains {max(explained, 0.0):.0%} of the true motion: it has "
+            "hardly any motion in common with it; scaling merely shrinks such an estimate until it does little harm",
         )
     if not SCALES[0] <= scale <= SCALES[1]:
         return (f"the alignment scales the estimate by {scale:.3g}: is it in another unit than m, or stuck?",)

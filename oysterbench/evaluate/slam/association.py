@@ -15,6 +15,9 @@ from oysterbench.evaluate.slam.settings import MIN_MATCHED, SlamSettings
 
 Stamps = NDArray[np.int64]
 
+EDGE_NS = 1_000_000
+"""Beyond the estimate's ends within which its first and last poses answer: files round their timestamps."""
+
 SPARSE_S, SPARSE = 0.2, 5.0
 """A truth whose stamps are farther apart than this, and by this factor farther than the estimate's, is sparse."""
 
@@ -45,7 +48,7 @@ def associate(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -
         associated = np.flatnonzero(covered)
         _check_matched(len(associated), truth, estimate, settings)
         same = len(associated) == len(estimate) and np.array_equal(truth.stamps_ns[associated], estimate.stamps_ns)
-        matched = estimate if same else estimate.at(truth.stamps_ns[associated])
+        matched = estimate if same else _interpolated(estimate, truth.stamps_ns[associated])
         every = truth if len(associated) == len(truth) else truth.select(run_of(associated))
         return Association(covered, associated, every, matched, matched.positions)
     associated, taken = nearest_pairs(truth.stamps_ns, estimate.stamps_ns, settings.max_difference_s)
@@ -61,6 +64,12 @@ def associate(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -
     return Association(covered, associated, truth.select(associated), stamped, positions[covered])
 
 
+def _interpolated(estimate: Trajectory, stamps_ns: Stamps) -> Trajectory:
+    """Poses at covered stamps (N,); just beyond an end, the pose there."""
+    within_ns = np.clip(stamps_ns, estimate.stamps_ns[0], estimate.stamps_ns[-1])
+    return replace(estimate.at(within_ns), stamps_ns=stamps_ns)
+
+
 def _positions_at(estimate: Trajectory, stamps_ns: Stamps) -> Array:
     seconds = (stamps_ns - estimate.stamps_ns[0]) * 1e-9
     known = (estimate.stamps_ns - estimate.stamps_ns[0]) * 1e-9
@@ -70,14 +79,16 @@ def _positions_at(estimate: Trajectory, stamps_ns: Stamps) -> Array:
 def covered_stamps(stamps_ns: Stamps, estimate_ns: Stamps, max_gap_s: float) -> NDArray[np.bool_]:
     """Which stamps (N,) the estimate answers: on one of its poses, or between two that are at most max_gap_s apart.
 
-    Both are int64 ns, increasing; returns (N,).
+    So are those within EDGE_NS of its first pose and its last. Both are int64 ns, increasing; returns (N,).
     """
     after = np.searchsorted(estimate_ns, stamps_ns, side="left")
     inside = (after > 0) & (after < len(estimate_ns))
     high = np.minimum(after, len(estimate_ns) - 1)
     low = np.maximum(after - 1, 0)
     gap = estimate_ns[high] - estimate_ns[low]
-    return np.asarray((inside & (gap <= round(max_gap_s * 1e9))) | (estimate_ns[high] == stamps_ns))
+    close = inside & (gap <= round(max_gap_s * 1e9))
+    at_an_end = np.minimum(np.abs(stamps_ns - estimate_ns[0]), np.abs(stamps_ns - estimate_ns[-1])) <= EDGE_NS
+    return np.asarray(close | at_an_end | (estimate_ns[high] == stamps_ns))
 
 
 def nearest_pairs(stamps_ns: Stamps, estimate_ns: Stamps, max_difference_s: float) -> tuple[Index, Index]:
@@ -131,8 +142,8 @@ def rate_notes(truth: Trajectory, estimate: Trajectory) -> list[str]:
     if asked_s < SPARSE_S or asked_s < SPARSE * given_s:
         return []
     return [
-        f"the truth has {len(truth)} stamps, {asked_s:.3g} s apart, for the estimate's {len(estimate)} poses, "
-        f"{given_s:.3g} s apart: what it does between the truth's stamps is not scored"
+        f"the ground truth has {len(truth)} timestamps, {asked_s:.3g} s apart, for the estimate's "
+        f"{len(estimate)} poses, {given_s:.3g} s apart: its motion between those timestamps is not scored"
     ]
 
 
@@ -147,8 +158,8 @@ def check_overlap(truth: Trajectory, estimate: Trajectory, settings: SlamSetting
     raise TrajectoryError(
         f"truth and estimate do not overlap in time: the truth spans {ns_to_seconds(first)} to {ns_to_seconds(last)} "
         f"s, the estimate {ns_to_seconds(begin)} to {ns_to_seconds(end)} s and starts {offset} s "
-        f"{'after' if begin > first else 'before'} it; write the stamps of the sensor data into the estimate, or give "
-        "the offset of its clock (--time-offset)"
+        f"{'after' if begin > first else 'before'} it; write the timestamps of the sensor data into the estimate, "
+        "or give the offset of its clock (--time-offset)"
     )
 
 
@@ -160,12 +171,12 @@ def _check_matched(matched: int, truth: Trajectory, estimate: Trajectory, settin
     if settings.associate == "interpolate":
         why = (
             f"the estimate's {len(estimate)} poses are {step_s:.3g} s apart (median) and interpolated across gaps of "
-            f"up to max_gap_s = {settings.max_gap_s:g}"
+            f"up to {settings.max_gap_s:g} s (--max-gap)"
         )
     else:
         why = (
-            f"the estimate has {len(estimate)} poses and the nearest one may be max_difference_s = "
-            f"{settings.max_difference_s:g} away"
+            f"the estimate has {len(estimate)} poses and the nearest one may be {settings.max_difference_s:g} s away "
+            "(--max-difference)"
         )
     raise TrajectoryError(
         f"the estimate covers {matched} of {len(truth)} ground-truth timestamps, expected at least {MIN_MATCHED}: "

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import Array, align_umeyama, spread
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds
-from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL
+from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL, inverted
 from oysterbench.evaluate.slam.clock import estimate_offset
 from oysterbench.evaluate.slam.validate import check_trajectory
 
@@ -47,7 +47,15 @@ Stamps are read as seconds where nothing else is known, and as nanoseconds in Eu
 """
 
 Cause = Literal[
-    "time-unit", "no-overlap", "length-unit", "truth-length-unit", "quaternion-order", "frame", "turned", "swapped"
+    "time-unit",
+    "no-overlap",
+    "length-unit",
+    "truth-length-unit",
+    "inverted",
+    "quaternion-order",
+    "frame",
+    "turned",
+    "swapped",
 ]
 
 
@@ -94,8 +102,11 @@ def diagnose(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
         # Only the poses around the samples are needed, and few of a long truth.
         after = np.searchsorted(truth.stamps_ns, taken.stamps_ns)
         there = truth.select(np.unique([np.maximum(after - 1, 0), after])).at(taken.stamps_ns)
-        findings += _unit(there.positions, taken.positions)
-        findings += _attitude(there.quaternions, taken.quaternions)
+        # Attitudes of inverted poses are not worth a suspicion of their own.
+        findings += _inverted(there.positions, taken) or [
+            *_unit(there.positions, taken.positions),
+            *_attitude(there.quaternions, taken.quaternions),
+        ]
     return findings
 
 
@@ -113,7 +124,7 @@ def _time_unit(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
     return [
         Finding(
             "time-unit",
-            f"the stamps, {ns_to_seconds(begin)} to {ns_to_seconds(end)} s as they were read, meet the truth's "
+            f"the timestamps, {ns_to_seconds(begin)} to {ns_to_seconds(end)} s as they were read, meet the truth's "
             f"{ns_to_seconds(first)} to {ns_to_seconds(last)} s when taken as {unit}",
             f"--time-unit {unit}",
             {"time_unit": unit},
@@ -164,10 +175,39 @@ def _swapped(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
             f"the estimate's {len(estimate)}"
         )
     if truth.covariances is not None and estimate.covariances is None:
-        seen.append("the truth carries covariances, the estimate none")
+        seen.append("the ground truth carries covariances and the estimate does not")
     if not seen:
         return []
-    return [Finding("swapped", f"{'; '.join(seen)}: are they swapped?", "exchange --truth and --estimate if they are")]
+    return [
+        Finding("swapped", f"{'; '.join(seen)}: have the two been swapped?", "exchange --truth and --estimate if so")
+    ]
+
+
+def _inverted(truth: Array, estimate: Trajectory) -> list[Finding]:
+    """Whether matched poses have the shape of the true path (N, 3) when they are inverted, and not as they are."""
+    size = spread(truth)
+    as_is = _misfit(truth, estimate.positions)
+    turned_round = _misfit(truth, inverted(estimate).positions)
+    if turned_round >= SHAPE * size or turned_round >= as_is / GAIN:
+        return []
+    return [
+        Finding(
+            "inverted",
+            f"its positions have the shape of the true path when its poses are inverted (off by {turned_round:.3g} m "
+            f"after alignment, {as_is:.3g} m as they are): do they take points of the world into the body or camera?",
+            "--poses T_body_world, or --poses T_world_body to keep them",
+            {"poses": "T_body_world"},
+            "refuse",
+        )
+    ]
+
+
+def _misfit(truth: Array, estimate: Array) -> float:
+    """What is left, m (RMS), of the distance of matched paths (N, 3) after the alignment that does most."""
+    try:
+        return spread(align_umeyama(truth, estimate, with_scale=True).apply(estimate) - truth)
+    except ValueError:  # a line has too little shape to tell
+        return float("inf")
 
 
 def _unit(truth: Array, estimate: Array) -> list[Finding]:
@@ -215,7 +255,7 @@ def _attitude(truth: Array, estimate: Array) -> list[Finding]:
     reordered = _rms(_turns(estimate[:, [1, 2, 3, 0]], lag) - true_turns) / size
     optical = _rms(turns - true_turns @ ROTATION_BODY_OPTICAL) / size
     believed = min(FITS, as_is / GAIN)
-    seen = f"the turns between its poses err by {as_is:.0%} of the true ones"
+    seen = f"the rotations between its poses are off by {as_is:.0%}"
     if reordered < believed:
         return [
             Finding(
@@ -246,8 +286,8 @@ def _attitude(truth: Array, estimate: Array) -> list[Finding]:
     return [
         Finding(
             "turned",
-            f"{seen}, and by {left:.1%} if its poses are those of a frame that is turned by a constant "
-            f"{np.rad2deg(turn.magnitude()):.1f} deg against the body",
+            f"{seen}, and by {left:.1%} if its poses are those of a frame rotated by a constant "
+            f"{np.rad2deg(turn.magnitude()):.1f} deg with respect to the body",
             f"--T-body-estimate {place}, with the frame's place for the zeros, or --frame body to keep them",
             {"T_body_estimate": matrix},
             "refuse",

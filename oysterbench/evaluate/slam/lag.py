@@ -47,7 +47,7 @@ def lag_notes(
         return []
     side = "late" if offset.offset_s < 0 else "early"
     return [
-        f"the estimate's stamps seem to be {abs(offset.offset_s):.3f} s {side}: corrected, the ATE would be "
+        f"the estimate's timestamps seem to be {abs(offset.offset_s):.3f} s {side}: corrected, the ATE would be "
         f"{mended:.3g} m instead of {now:.3g} m; --time-offset estimate (time_offset_s='estimate') corrects it"
     ]
 

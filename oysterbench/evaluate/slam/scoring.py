@@ -126,8 +126,8 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
         measures["time_offset_sigma_s"] = offset.sigma_s
         measures["time_offset_correlation"] = offset.correlation
         notes.append(
-            f"{offset.offset_s:.4f} s were added to the estimate's stamps, found from the {offset.signal}: certain to "
-            f"{offset.sigma_s:.2g} s, with a correlation of {offset.correlation:.3f}"
+            f"{offset.offset_s:.4f} s were added to the estimate's timestamps, found from the {offset.signal}: "
+            f"certain to {offset.sigma_s:.2g} s, with a correlation of {offset.correlation:.3f}"
         )
     else:
         estimate = shift(estimate, settings.time_offset_s)

@@ -36,7 +36,7 @@ def check_trajectory(trajectory: Trajectory, name: str) -> Trajectory:
     if n < MIN_POSES:
         raise TrajectoryError(f"{name}: expected at least {MIN_POSES} poses, got {n}")
     if not np.issubdtype(trajectory.stamps_ns.dtype, np.integer):
-        raise TrajectoryError(f"{name}: expected stamps in int64 nanoseconds, got {trajectory.stamps_ns.dtype}")
+        raise TrajectoryError(f"{name}: expected timestamps in int64 nanoseconds, got {trajectory.stamps_ns.dtype}")
     _check_finite(trajectory, name)
     _check_order(trajectory.stamps_ns, name)
     norms = np.linalg.norm(trajectory.quaternions, axis=1)
@@ -79,7 +79,7 @@ def _check_finite(trajectory: Trajectory, name: str) -> None:
 def _check_order(stamps_ns: NDArray[np.int64], name: str) -> None:
     if int(stamps_ns.min()) < -MAX_STAMP_NS or int(stamps_ns.max()) > MAX_STAMP_NS:
         raise TrajectoryError(
-            f"{name}: expected stamps within 146 years of the epoch, got {ns_to_seconds(stamps_ns.min())} to "
+            f"{name}: expected timestamps within 146 years of the epoch, got {ns_to_seconds(stamps_ns.min())} to "
             f"{ns_to_seconds(stamps_ns.max())} s; write nanoseconds since 1970"
         )
     wrong = np.asarray(stamps_ns[1:] <= stamps_ns[:-1])
@@ -89,11 +89,11 @@ def _check_order(stamps_ns: NDArray[np.int64], name: str) -> None:
     before, here = ns_to_seconds(stamps_ns[i - 1]), ns_to_seconds(stamps_ns[i])
     if stamps_ns[i] == stamps_ns[i - 1]:
         raise TrajectoryError(
-            f"{name}: expected increasing stamps, got {here} s twice, at poses {i} and {i + 1}{_others(wrong)}; "
-            "keep one pose for each stamp"
+            f"{name}: expected increasing timestamps, got {here} s twice, at poses {i} and {i + 1}{_others(wrong)}; "
+            "keep one pose for each timestamp"
         )
     raise TrajectoryError(
-        f"{name}: expected increasing stamps, got {here} s after {before} s at pose {i + 1}{_others(wrong)}; "
+        f"{name}: expected increasing timestamps, got {here} s after {before} s at pose {i + 1}{_others(wrong)}; "
         "sort the poses by time"
     )
 
@@ -130,9 +130,9 @@ def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list
     tilt = np.arccos(np.clip(turn.as_matrix()[2, 2], -1.0, 1.0))
     if rest * SUSPICIOUS_GAIN < error and tilt > SUSPICIOUS_RAD:
         return [
-            f"the attitudes differ from the truth by one constant turn of {np.rad2deg(turn.magnitude()):.1f} deg "
-            f"(the rest errs by {np.rad2deg(rest):.1f} deg): are they of a camera or an IMU? Poses of base_link are "
-            "expected"
+            "the attitudes differ from the ground truth by a constant rotation of "
+            f"{np.rad2deg(turn.magnitude()):.1f} deg ({np.rad2deg(rest):.1f} deg remain): are these poses of "
+            "a camera or an IMU? Poses of base_link are expected"
         ]
     return []
 
@@ -160,8 +160,8 @@ def alignment_notes(truth: Array, estimate: Array, align: str, rmse_m: float) ->
         if left_m < min(rmse_m / SUSPICIOUS_GAIN, fit_m):
             scale = f" and scale {fit.scale:.3g}" if name == "sim3" else ""
             return [
-                f"aligned by {name}{scale} instead of {align} the ATE would be {left_m:.3g} m, not {rmse_m:.3g} m: is "
-                "the estimate in another world frame (z up is expected) or without scale?"
+                f"with alignment {name}{scale} instead of {align} the ATE would be {left_m:.3g} m, not {rmse_m:.3g} m: "
+                "is the estimate in another world frame (z up is expected) or without scale?"
             ]
     return []
 
