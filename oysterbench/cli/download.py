@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
-NO_HUB = "no hub is set (--from, OYSTERBENCH_HUB or hub.toml in the home folder)"
-
 
 @click.command(short_help="Download a split or trained weights from a hub; without a hub, render the split.")
 @click.argument("name", metavar="SPLIT|MODEL")
@@ -111,7 +109,7 @@ def _model(
     Raises HubError, with what to type, where the name is that of weights, and no hub is set.
     """
     from oysterbench.hub.download import Hub
-    from oysterbench.hub.settings import hub_key
+    from oysterbench.hub.settings import NAME_ONE, NO_HUB, hub_key
     from oysterbench.hub.sources import is_offline
     from oysterbench.hub.weights import weights_here
     from oysterbench.methods.weights import find_weights, weights_names
@@ -127,11 +125,11 @@ def _model(
     known = name in weights_names()
     if not hub_at:
         if here is not None:
-            raise HubError(f"{name}: {NO_HUB}; found here: {here.described}")
+            raise HubError(f"{name}: {NO_HUB}; {NAME_ONE}; found here: {here.described}")
         if known:
             weights = find_weights(name)
             raise HubError(
-                f"{name}: {NO_HUB}; without a hub, `oysterbench train {weights.train}` trains them on your machine "
+                f"{name}: {NO_HUB}; {NAME_ONE}; or `oysterbench train {weights.train}` trains them on your machine "
                 f"({weights.takes})"
             )
         return None
@@ -177,6 +175,7 @@ def _render_instead(
     """Without a hub the same bytes come out of the renderer."""
     from oysterbench.core.names import did_you_mean, nearest
     from oysterbench.hub.download import choose_names
+    from oysterbench.hub.settings import NAME_ONE, NO_HUB
     from oysterbench.methods.weights import weights_names
     from oysterbench.recipe.split import split_names
 
@@ -184,12 +183,14 @@ def _render_instead(
         meant = did_you_mean(nearest(name.partition("@")[0], [*split_names(), *weights_names()]))
         raise HubError(
             f"{name}: {NO_HUB}, and no split of this name and version can be rendered here; {meant}`oysterbench "
-            "splits` and `oysterbench models` list what there is"
+            f"splits` and `oysterbench models` list what there is without a hub; {NAME_ONE}"
         )
     if split.hidden:
-        raise HubError(f"{name}: {NO_HUB}, and a hidden split cannot be rendered without its salt")
+        raise HubError(f"{name}: {NO_HUB}, and a hidden split cannot be rendered without its salt; {NAME_ONE}")
     if topics:
-        raise HubError(f"{name}: {NO_HUB}, and --topics needs one; `oysterbench render {name}` makes all topics")
+        raise HubError(
+            f"{name}: {NO_HUB}, and --topics needs one; {NAME_ONE}; or `oysterbench render {name}` makes all topics"
+        )
     known = [sequence.name for sequence in split.sequence]
     names = choose_names(known, patterns, f"{split.name} {split.version}", f"oysterbench splits {name}")
     if dry_run:

@@ -170,11 +170,11 @@ def models(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | 
 
 def _hub(places: tuple[str, ...], key: str | None) -> Hub:
     from oysterbench.hub.download import Hub
-    from oysterbench.hub.settings import hub_key, hub_places
+    from oysterbench.hub.settings import NAME_ONE, NO_HUB, hub_key, hub_places
 
     hub_at = hub_places(places)
     if not hub_at:
-        raise HubError("no hub is set: give its address with --from, OYSTERBENCH_HUB or hub.toml in the home folder")
+        raise HubError(f"{NO_HUB}; {NAME_ONE}")
     return Hub.at(hub_at, hub_key(key), message)
 
 

@@ -171,11 +171,11 @@ def _with_hub(rows: list[SplitRow], places: tuple[str, ...], key: str | None) ->
 
     from oysterbench.core.errors import HubError
     from oysterbench.hub.download import Hub
-    from oysterbench.hub.settings import hub_key, hub_places
+    from oysterbench.hub.settings import NAME_ONE, NO_HUB, hub_key, hub_places
 
     hub_at = hub_places(places)
     if not hub_at:
-        raise HubError("no hub is set: give its address with --from, OYSTERBENCH_HUB or hub.toml in the home folder")
+        raise HubError(f"{NO_HUB}; {NAME_ONE}")
     index = Hub.at(hub_at, hub_key(key)).index()
     releases = {(name, version): release for name, known in index.splits.items() for version, release in known.items()}
     for row in rows:

@@ -62,9 +62,11 @@ class Hub:
     def index(self) -> Index:
         """The index, from the first mirror whose index is well signed and not older than one seen before."""
         if self.public is None:
+            hub = " and ".join(mirror.source.name for mirror in self.mirrors) or "the hub"
             raise HubError(
-                "no key of this hub is known: give its public key with --key, OYSTERBENCH_HUB_KEY or the key 'key' of "
-                f"{home() / 'hub.toml'}; the hub's owner has it from `oysterbench keygen`"
+                f"{hub}: its public key is not known here, and nothing that the hub says is used without it: add "
+                f"--key KEY (or OYSTERBENCH_HUB_KEY, or the key 'key' of {home() / 'hub.toml'}); `oysterbench keygen` "
+                "printed it to the hub's owner, and the hub's page shows it"
             )
         public = self.public
 

@@ -15,11 +15,15 @@ from oysterbench.hub.sign import check_public
 FILE = "hub.toml"
 """In the home folder, or beside the splits of oysterbench: `url` (an address or a list of mirrors) and `key`."""
 
+NO_HUB = "no hub is set (--from, OYSTERBENCH_HUB or hub.toml in the home folder)"
+
+NAME_ONE = "name one, with its public key: --from URL --key KEY"
+
 
 def hub_places(given: Sequence[str] = ()) -> list[str]:
     """Addresses or folders of the hub's mirrors; none where no hub is set."""
-    if given:
-        return list(given)
+    if named := [place for place in given if place.strip()]:  # an empty one, as of a variable that is not set, is none
+        return named
     if named := os.environ.get("OYSTERBENCH_HUB", "").split():
         return named
     url = _file().get("url", [])
@@ -31,9 +35,9 @@ def hub_places(given: Sequence[str] = ()) -> list[str]:
 
 def hub_key(given: str | None = None) -> str | None:
     """The pinned public key in hex, or None."""
-    if given:
+    if given and given.strip():
         return check_public(given, "--key")
-    if named := os.environ.get("OYSTERBENCH_HUB_KEY"):
+    if named := os.environ.get("OYSTERBENCH_HUB_KEY", "").strip():
         return check_public(named, "OYSTERBENCH_HUB_KEY")
     key = _file().get("key")
     return check_public(str(key), f"{FILE}: key 'key'") if key else None

@@ -230,6 +230,11 @@ def open_source(place: str, connections: int = 4, patience: Patience = Patience(
         raise HubError(
             f"{place}: no such folder; {meant}expected the address of a hub or a folder with a published tree"
         )
+    if not any((folder / name).exists() for name in ("index.json", "blobs")):
+        raise HubError(
+            f"{place}: this folder holds no published tree: expected index.json and blobs/ in it, as `oysterbench "
+            "publish` writes them"
+        )
     return Folder(folder)
 
 

@@ -109,8 +109,8 @@ def no_weights(name: str, path: Path) -> MethodError:
         return MethodError(f"{name}: no trained weights at {path}")
     return MethodError(
         f"{name}: no trained weights at {path}: `oysterbench train {known.train}` trains them on your machine "
-        f"({known.takes}), `oysterbench download {name} --from HUB` downloads them from a hub; name others with "
-        f"{known.option} or OYSTERBENCH_{name.upper()}"
+        f"({known.takes}), `oysterbench download {name} --from URL --key KEY` downloads them from a hub; name others "
+        f"with {known.option} or OYSTERBENCH_{name.upper()}"
     )
 
 

@@ -78,7 +78,10 @@ def test_errors_are_one_line_with_their_code(place, tmp_path):
     key = ("--key", place.public)
     assert "no answer" in line(4, "download", "tiny", "--from", "http://127.0.0.1:9/", *key)
     assert "not signed" in line(3, "download", "tiny", "--from", place.tree, "--key", "ab" * 32)
-    assert "no key of this hub" in line(1, "download", "tiny", "--from", place.tree)
+    no_key = line(1, "download", "tiny", "--from", place.tree)
+    assert no_key.startswith(f"oysterbench: {place.tree}: its public key is not known here")
+    assert "add --key KEY" in no_key
+    assert f"{tmp_path}: this folder holds no published tree" in line(1, "download", "tiny", "--from", tmp_path, *key)
     assert "no split or model 'slam-max'; it has tiny" in line(1, "download", "slam-max", "--from", place.tree, *key)
     assert "no hub is set" in line(1, "download", "slam-max")
     assert "no such key" in line(1, "publish", place.recipe, tmp_path / "x", "--key", tmp_path / "no.pem")
@@ -86,6 +89,15 @@ def test_errors_are_one_line_with_their_code(place, tmp_path):
     assert "index.json is absent" in line(1, "serve", tmp_path)
     assert "no data of it is here" in line(1, "verify", "slam-max")
     place.run("publish", place.recipe, tmp_path, "--key", place.folder / "key.pem", "--hidden", code=2)
+
+
+@pytest.mark.parametrize("command", [("download", "unet"), ("models", "--hub"), ("splits", "--hub")])
+def test_empty_variables_are_a_hub_that_is_not_set_and_the_line_says_what_to_type(place, command):
+    options = ("--from", "", "--key", "")
+    for more, variables in ((options, {}), ((), {"OYSTERBENCH_HUB": "", "OYSTERBENCH_HUB_KEY": ""})):
+        line = place.run(*command, *more, code=1, **variables).stderr
+        assert "no hub is set (--from, OYSTERBENCH_HUB or hub.toml in the home folder)" in line
+        assert "name one, with its public key: --from URL --key KEY" in line
 
 
 def test_without_a_hub_the_split_is_rendered_and_it_says_so(place, tmp_path):

@@ -229,7 +229,7 @@ def test_asking_for_weights_in_vain_is_one_line(place, published, tmp_path):
     assert "no version '9' of unet_small; it has 0.9, 1.0" in line(1, "download", "unet_small@9", *hub)
     assert "no split or model '../unet_small'" in line(1, "download", "../unet_small", *hub)
     assert "not signed with the key" in line(3, "download", "unet_small", "--from", place.tree, "--key", "ab" * 32)
-    assert "no key of this hub is known" in line(1, "download", "unet_small", "--from", place.tree)
+    assert "its public key is not known here" in line(1, "download", "unet_small", "--from", place.tree)
     refused = place.run("download", "unet_small", *hub, "--topics", "/imu", code=2, home=tmp_path)
     assert "apply to splits" in refused.stderr
     assert "unet_small: no trained weights at" in line(1, "models", "unet_small")

@@ -224,7 +224,7 @@ def test_two_indexes_of_one_number_are_refused(published, tmp_path):
 
 def test_without_a_key_no_index_is_believed(published):
     hub = Hub.at([str(published.tree)], None, patience=CALM)
-    with pytest.raises(HubError, match=r"--key, OYSTERBENCH_HUB_KEY"):
+    with pytest.raises(HubError, match=r"add --key KEY \(or OYSTERBENCH_HUB_KEY"):
         hub.manifest("fake-val", "1.0")
 
 

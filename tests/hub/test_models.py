@@ -241,7 +241,7 @@ def test_an_index_that_another_key_signed_is_refused(released, tmp_path):
 def test_a_model_without_a_known_key_is_not_looked_for(released):
     hub = Hub.at([str(released.tree)], None)
     assert not hub.has_model("unet")
-    with pytest.raises(HubError, match="no key of this hub is known"):
+    with pytest.raises(HubError, match="its public key is not known here"):
         hub.model("unet")
 
 

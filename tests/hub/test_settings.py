@@ -34,6 +34,18 @@ def test_settings_come_from_options_then_environment_then_file(home, monkeypatch
             hub_places()
 
 
+def test_what_is_empty_is_not_set(home, monkeypatch):
+    """As where a shell variable that is typed, or exported, has no value."""
+    home.mkdir()
+    (home / "hub.toml").write_text(f'url = "https://a.example"\nkey = "{"ab" * 32}"\n')
+    for empty in ("", " "):
+        monkeypatch.setenv("OYSTERBENCH_HUB", empty)
+        monkeypatch.setenv("OYSTERBENCH_HUB_KEY", empty)
+        assert hub_places([empty]) == ["https://a.example"]
+        assert hub_places(["https://d.example", empty]) == ["https://d.example"]
+        assert hub_key(empty) == "ab" * 32
+
+
 def test_a_private_key_is_its_owners_and_never_overwritten(tmp_path):
     make_key(tmp_path / "key.pem")
     assert os.stat(tmp_path / "key.pem").st_mode & 0o777 == 0o600
