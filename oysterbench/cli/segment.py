@@ -46,6 +46,18 @@ TOLD = 5
 @click.option("--camera", metavar="NAME", help="Which camera of the calibration.  [default: the first]")
 @click.option("--mm-per-px", type=float, help="A plain scale, for images taken straight down.")
 @click.option(
+    "--min-mm",
+    type=click.FloatRange(min=0),
+    metavar="MM",
+    help="Minimum length; needs a scale.  [default: 25 for connected parts of a mask, else 0]",
+)
+@click.option(
+    "--min-px",
+    type=click.FloatRange(min=0),
+    metavar="N",
+    help="Minimum area.  [default without a scale: 49 at 640 px for connected parts of a mask, else 0]",
+)
+@click.option(
     "--block", type=click.IntRange(min=1), metavar="N", help="Resample this many neighbouring images together."
 )
 @click.option(
@@ -61,6 +73,8 @@ def segment_command(
     threshold: float,
     rate: float | None,
     every: int | None,
+    min_mm: float | None,
+    min_px: float | None,
     block: int | None,
     checked: Path | None,
     coco: bool,
@@ -104,13 +118,14 @@ def segment_command(
     from oysterbench.counting import Counting, Sampling, Settings, Store, find_sources, survey
     from oysterbench.counting.accuracy import figures_of_counts, read_accuracy
     from oysterbench.counting.identity import method_identity
+    from oysterbench.counting.least import Least
     from oysterbench.methods.finding import find_variant
     from oysterbench.methods.weights import have_weights, weights_digests, weights_of
     from oysterbench.report.counting import Making, write_counts
 
     if rate is not None and every is not None:
         raise click.UsageError("--rate, --every: expected only one of them")
-    _check_scaling(scaling)
+    _check_scaling(scaling, min_mm)
     title = paths[0].absolute().name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
     out = out or Path(f"{paths[0].absolute().stem or 'pictures'}-oysters")
     found = find_sources(paths, leave_out=out)
@@ -122,19 +137,23 @@ def segment_command(
     weights = weights_of(chosen)
     have_weights(weights, message, frames_bar)
     accuracy = None if checked is None else read_accuracy(checked, chosen.name, weights_digests(weights))
-    settings = Settings(threshold, Sampling(rate or 1.0, every), scale)
+    least = Least(min_mm, min_px)
+    settings = Settings(threshold, Sampling(rate or 1.0, every), scale, least)
     identity = method_identity(method, chosen, options)
     store = Store(out, again)
-    with frames_bar("counting oysters", "pictures") as progress:
+    with frames_bar("counting oysters", "images") as progress:
         counted = Counting(found.sources, chosen, identity, store, settings, progress).run()
     figures = figures_of_counts(weights, chosen.name)
-    result = survey(title, chosen.name, counted.pictures, counted.failures, block, accuracy, figures)
+    kind = "" if about_scale is None else about_scale["kind"]
+    result = survey(title, chosen.name, counted.pictures, counted.failures, block, accuracy, figures, kind, least)
     videos = any(source.video for source in found.sources)
     said = {
         "threshold": threshold,
         "frames_per_s": (rate or 1.0) if videos and every is None else None,
         "every": every,
         "scale": about_scale,
+        "min_mm": min_mm,
+        "min_px": min_px,
         "block": block,
     }
     command = shlex.join(["oysterbench", *sys.argv[1:]])
@@ -148,12 +167,14 @@ def segment_command(
         raise LabelError(_failed(result))
 
 
-def _check_scaling(given: dict[str, Any]) -> None:
+def _check_scaling(given: dict[str, Any], min_mm: float | None) -> None:
     """Refuse options of scales that do not belong together."""
     names = {"quadrat": "--quadrat", "altitude": "--altitude", "mm_per_px": "--mm-per-px"}
     kinds = [option for key, option in names.items() if given[key] is not None]
     if len(kinds) > 1:
         raise click.UsageError(f"{', '.join(kinds)}: expected at most one scale")
+    if min_mm is not None and not kinds:
+        raise click.UsageError(f"--min-mm: expected a scale as well ({', '.join(names.values())}); else give --min-px")
     for key, needed, what in (
         ("quadrat", "corners", "--quadrat: expected --corners FILE as well, with picture,x1,y1,x2,y2,x3,y3,x4,y4"),
         ("corners", "quadrat", "--corners: expected --quadrat M as well, the side of the square in metres"),
@@ -205,14 +226,21 @@ def _tell_unused(path: Path, names: tuple[str, ...]) -> None:
 
 
 def _tell(found: Survey, page: Path, made: int, cpu_s: float) -> None:
-    """The page, and the numbers in a line each."""
+    """The page, and the numbers in a line each; nothing where nothing was counted, as the failures say why."""
+    from oysterbench.counting.survey import PARTS
     from oysterbench.report.table import Column
+
+    if not found.pictures:
+        return
 
     echo(page)
     each = f" ({made} counted now, {cpu_s / made:.2f} CPU-s each)" if made else ""
     each = " (all finished before)" if found.pictures and not made else each
-    noun = "picture" if len(found.pictures) == 1 else "pictures"
-    echo(f"{found.oysters} oysters in {len(found.pictures)} {noun}{each}")
+    noun = "image" if len(found.pictures) == 1 else "images"
+    what = f"{PARTS}," if found.parts else "oyster" if found.oysters == 1 else "oysters"
+    echo(f"{found.oysters} {what} in {len(found.pictures)} {noun}{each}")
+    if found.small:
+        echo(f"Not counted, smaller than {found.at_least}: {found.small}")
     for reason in dict.fromkeys(one.ratio.interval.reason for one in found.measures if not one.ratio.interval.known):
         echo(reason)
     for one in found.measures:
@@ -225,6 +253,8 @@ def _tell(found: Survey, page: Path, made: int, cpu_s: float) -> None:
 
 def _warn(found: Survey) -> None:
     """What is to be known before any number is believed."""
+    for doubt in found.doubts:
+        message(doubt)
     unlike = found.unlike
     if unlike:
         names = ", ".join(one.name for one in unlike[:3])
@@ -234,7 +264,7 @@ def _warn(found: Survey) -> None:
             f"{len(found.pictures)} images: {names}{more}"
         )
     if not math.isnan(found.alike):
-        what = "pictures" if found.block == "pictures" else "blocks"
+        what = "images" if found.block == "images" else "blocks"
         message(
             f"neighbouring {what} have similar counts (correlation {found.alike:.2f}), so intervals may be too narrow: "
             "--block N resamples N neighbours together"

@@ -13,7 +13,7 @@ from oysterbench.methods.finding import versions_of
 from oysterbench.methods.weights import weights_of
 from oysterbench.version import VERSION
 
-FORMAT = "oysterbench-count/1"
+FORMAT = "oysterbench-count/2"
 
 
 def file_digest(path: Path) -> str:

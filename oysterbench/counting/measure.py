@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
+from oysterbench.counting.least import EVERY_SIZE, Least
 from oysterbench.counting.oysters import Oyster, Oysters
 from oysterbench.counting.scale import QuadratScale, Scale, area_m2, border, length_and_width_mm, polygon_area
 
@@ -24,8 +25,8 @@ CUT_WEIGHT = 0.5
 class OysterRow:
     """One oyster, for a table; None where something is not known.
 
-    counted: whether its centre lies in what is counted; cut: by the edge of the picture, so that its sizes are those of
-    a part. Boxes and areas in px, sizes in mm.
+    counted: whether its centre lies in what is counted, and it is large enough; small: whether it is not; cut: by the
+    edge of the picture, so that its sizes are those of a part. Boxes and areas in px, sizes in mm.
     """
 
     number: int
@@ -38,6 +39,7 @@ class OysterRow:
     state: str
     length_mm: float | None = None
     width_mm: float | None = None
+    small: bool = False
 
 
 @dataclass(frozen=True)
@@ -46,13 +48,15 @@ class PictureCount:
 
     name, file:  of the picture; path of its file
     width, height: px; index, time_s: of a frame of a video
-    oysters:     with their centre in what is counted; cut: how many of these the edge of the picture cuts
+    oysters:     large enough, with their centre in what is counted; cut: how many of these the edge of the picture cuts
     live, dead:  of these; the method does not tell of the rest
     cover:       share of what is counted that oysters cover, on the ground in a quadrat, else of the pixels; None for
                  boxes alone
     area_m2:     of what is counted; None without a scale
     measured:    how many of them have sizes and are not cut; length_mm: the mean of theirs
     novelty:     as of a `Segmentation`
+    small:       how many more there would be if none were too small
+    parts:       whether they are connected parts of a mask (`oysters.Oysters`)
     """
 
     name: str
@@ -70,6 +74,8 @@ class PictureCount:
     length_mm: float | None = None
     index: int | None = None
     time_s: float | None = None
+    small: int = 0
+    parts: bool = False
 
     @property
     def unlike(self) -> bool:
@@ -93,12 +99,14 @@ class PictureCount:
 
 
 def measure(
-    found: Oysters, name: str, file: str, shape: tuple[int, int], scale: Scale | None
+    found: Oysters, name: str, file: str, shape: tuple[int, int], scale: Scale | None, least: Least = EVERY_SIZE
 ) -> tuple[PictureCount, list[OysterRow]]:
-    """Count and measure the oysters of a picture (H, W)."""
+    """Count and measure the oysters of a picture (H, W). What is too small covers nothing either."""
     region = border(shape) if scale is None else scale.region(shape)
-    rows = [_row(one, region, scale) for one in found.each]
+    smallest = least.for_image(shape, found.parts, scale is not None)
+    rows = [_row(one, region, scale, *smallest) for one in found.each]
     counted = [row for row in rows if row.counted]
+    small = [row.number for row in rows if row.small]
     lengths = [row.length_mm for row in counted if row.length_mm is not None and not row.cut]
     picture = PictureCount(
         name,
@@ -109,30 +117,43 @@ def measure(
         cut=sum(row.cut for row in counted),
         live=sum(row.state == "live" for row in counted),
         dead=sum(row.state == "dead" for row in counted),
-        cover=None if found.numbers is None else _cover(found.numbers > 0, scale, region),
+        cover=None if found.numbers is None else _cover(_without(found.numbers, small), scale, region),
         area_m2=None if scale is None else area_m2(scale, shape),
         novelty=_known(found.novelty),
         measured=len(lengths),
         length_mm=math.fsum(lengths) / len(lengths) if lengths else None,
+        small=len(small),
+        parts=found.parts,
     )
     return picture, rows
 
 
-def _row(one: Oyster, region: Array, scale: Scale | None) -> OysterRow:
-    counted = len(region) > 2 and polygon_holds(region, one.centre)
+def _row(one: Oyster, region: Array, scale: Scale | None, shortest_mm: float, fewest_px: float) -> OysterRow:
+    inside = len(region) > 2 and polygon_holds(region, one.centre)
     # Beyond the quadrat the homography may lie near the horizon.
-    sizes = (None, None) if scale is None or not counted else length_and_width_mm(scale, one.hull)
+    length_mm, width_mm = (None, None) if scale is None or not inside else length_and_width_mm(scale, one.hull)
+    area_px = one.box[2] * one.box[3] if math.isnan(one.area_px) else one.area_px
+    small = inside and (area_px < fewest_px or (length_mm is not None and length_mm < shortest_mm))
     return OysterRow(
         one.number,
-        counted,
+        inside and not small,
         one.cut,
         one.box,
         _known(one.area_px),
         _known(one.score),
         _known(one.live),
         one.state,
-        *sizes,
+        length_mm,
+        width_mm,
+        small,
     )
+
+
+def _without(numbers: NDArray[np.uint16], left_out: list[int]) -> NDArray[np.bool_]:
+    """(H, W) where there is an oyster whose number is not left out."""
+    kept = np.ones(int(numbers.max(initial=0)) + 1, dtype=bool)
+    kept[[0, *(number for number in left_out if number < len(kept))]] = False
+    return np.asarray(kept[numbers])
 
 
 def polygon_holds(region: Array, point: Array) -> bool:

@@ -59,21 +59,29 @@ class Oysters:
 
     numbers: (H, W) uint16, 0 for none, the surest on top where oysters overlap; None where there are boxes alone
     novelty: as of a `Segmentation`; NaN where the method does not say
+    parts:   whether they are the connected parts of a mask, so that those that touch are one
     """
 
     each: tuple[Oyster, ...]
     numbers: NDArray[np.uint16] | None
     novelty: float
+    parts: bool = False
+
+
+class TooManyError(MethodError):
+    """More than can be numbered are found in a picture, as in one of noise."""
 
 
 def oysters_of(prediction: Segmentation | Detections, method: str, shape: tuple[int, int], threshold: float) -> Oysters:
     """The oysters of a picture (H, W) whose score is at least `threshold`.
 
     Of masks and classes, and of probabilities from `threshold` on, what hangs together, by edges and corners, is one;
-    its score is its mean probability. A stranger's arrays are checked: raises MethodError or LabelError.
+    its score is its mean probability. A stranger's arrays are checked: raises MethodError or LabelError; TooManyError
+    for more oysters than `MOST`.
     """
     where = f"method {method!r} on {prediction.name}"
     novelty = _novelty(prediction.novelty, where)
+    parts = isinstance(prediction, Segmentation)
     if isinstance(prediction, Segmentation):
         found = _connected(prediction, where, shape, threshold)
     elif prediction.boxes is not None:
@@ -83,8 +91,9 @@ def oysters_of(prediction: Segmentation | Detections, method: str, shape: tuple[
     else:
         found = _numbered(prediction, where, shape, threshold)
     if len(found.scores) > MOST:
-        raise MethodError(f"{where}: expected at most {MOST} oysters in a picture, got {len(found.scores)}")
-    return Oysters(tuple(_measured(found, shape)), found.numbers.astype(np.uint16), novelty)
+        what = "connected parts of a mask" if parts else "oysters"
+        raise TooManyError(f"{where}: expected at most {MOST} oysters in an image, got {len(found.scores)} {what}")
+    return Oysters(tuple(_measured(found, shape)), found.numbers.astype(np.uint16), novelty, parts)
 
 
 @dataclass(frozen=True)

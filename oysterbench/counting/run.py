@@ -16,9 +16,10 @@ from oysterbench.core.errors import LabelError, MethodError, OysterbenchError, S
 from oysterbench.core.text import in_one_line
 from oysterbench.counting.film import film_rate, write_film
 from oysterbench.counting.identity import file_digest, key_of
+from oysterbench.counting.least import Least
 from oysterbench.counting.measure import PictureCount, measure
 from oysterbench.counting.overlay import jpeg, overlay
-from oysterbench.counting.oysters import oysters_of
+from oysterbench.counting.oysters import TooManyError, oysters_of
 from oysterbench.counting.reading import Sampling, Video, VideoFrame, decode
 from oysterbench.counting.scale import QuadratScale, Scale
 from oysterbench.counting.sources import Source
@@ -39,11 +40,13 @@ FAILURES = 3
 
 @dataclass(frozen=True)
 class Settings:
-    """threshold: score from which on an oyster counts; sampling: of videos; scale: of each picture."""
+    """threshold: score from which on an oyster counts; sampling: of videos; scale: of each picture; least: size from
+    which on an oyster counts."""
 
     threshold: float = 0.5
     sampling: Sampling = field(default_factory=Sampling)
     scale: ScaleOf = lambda source, name: None
+    least: Least = field(default_factory=Least)
 
 
 @dataclass
@@ -144,9 +147,13 @@ class Counting:
 
     def _finish(self, work: _Work, answer: Prediction) -> None:
         height, width = work.pixels.shape[:2]
-        found = oysters_of(answer, self.method.name, (height, width), self.settings.threshold)
+        try:
+            found = oysters_of(answer, self.method.name, (height, width), self.settings.threshold)
+        except TooManyError as error:
+            self._fail(work.name, str(error))
+            return
         file = str(self.sources[work.place].path)
-        picture, rows = measure(found, work.name, file, (height, width), work.scale)
+        picture, rows = measure(found, work.name, file, (height, width), work.scale, self.settings.least)
         picture = replace(picture, index=work.index, time_s=work.time_s)
         region = work.scale.region((height, width)) if isinstance(work.scale, QuadratScale) else None
         drawn = overlay(work.pixels, found.numbers, rows, picture, region)
@@ -237,6 +244,7 @@ class Counting:
         values = {
             "method": self.identity,
             "threshold": self.settings.threshold,
+            "least": self.settings.least.as_dict(),
             "scale": None if scale is None else scale.as_dict(),
             "picture": digest,
             "frame": index,

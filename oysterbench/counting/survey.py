@@ -10,10 +10,15 @@ from typing import Any
 import numpy as np
 
 from oysterbench.counting.accuracy import Accuracy
+from oysterbench.counting.doubts import doubts
 from oysterbench.counting.intervals import BLOCK_S, Ratio, block_labels, likeness, ratio_of
+from oysterbench.counting.least import EVERY_SIZE, Least
 from oysterbench.counting.measure import PictureCount
 from oysterbench.hub.model import Figure
 from oysterbench.results.records import plain
+
+PARTS = "connected parts of a mask, not separate oysters"
+"""What is counted where a method gives masks alone."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,8 @@ class Measure:
 class Survey:
     """title: what was counted; method: its name; measures: those of which something is known; neighbours: pictures that
     are a block, where that was given; alike: correlation of neighbouring blocks, NaN where they do not look alike;
-    accuracy, figures: how far the method counts off on pictures that somebody labelled, where that is known."""
+    accuracy, figures: how far the method counts off on pictures that somebody labelled, where that is known; doubts: in
+    all counts, a sentence each; at_least: size of what counts, in words, empty for any."""
 
     title: str
     method: str
@@ -43,6 +49,8 @@ class Survey:
     alike: float
     accuracy: Accuracy | None = None
     figures: tuple[Figure, ...] = ()
+    doubts: tuple[str, ...] = ()
+    at_least: str = ""
 
     @property
     def unlike(self) -> list[PictureCount]:
@@ -60,6 +68,16 @@ class Survey:
         return sum(one.oysters for one in self.pictures)
 
     @property
+    def small(self) -> int:
+        """Not counted, since they are too small."""
+        return sum(one.small for one in self.pictures)
+
+    @property
+    def parts(self) -> bool:
+        """Whether what is counted are connected parts of masks, and not separate oysters."""
+        return any(one.parts for one in self.pictures)
+
+    @property
     def area_m2(self) -> float:
         """Of what is counted, over all pictures; 0 without a scale."""
         return math.fsum(one.area_m2 or 0.0 for one in self.pictures)
@@ -70,8 +88,8 @@ class Survey:
         if self.neighbours is not None and self.neighbours > 1:
             return f"blocks of {self.neighbours} neighbours"
         if any(one.video for one in self.pictures) and self.neighbours is None:
-            return f"blocks of {BLOCK_S:g} s" + ("" if all(one.video for one in self.pictures) else ", and pictures")
-        return "pictures"
+            return f"blocks of {BLOCK_S:g} s" + ("" if all(one.video for one in self.pictures) else ", and images")
+        return "images"
 
     def as_plain(self) -> dict[str, Any]:
         """For JSON; null where there is no number."""
@@ -94,13 +112,18 @@ class Survey:
                 "pictures": len(self.pictures),
                 "failures": dict(self.failures),
                 "oysters": self.oysters,
+                "counted_as": PARTS if self.parts else "separate oysters",
+                "at_least": self.at_least or None,
+                "too_small": self.small,
                 "live": sum(one.live for one in self.pictures),
                 "dead": sum(one.dead for one in self.pictures),
                 "area_m2": self.area_m2 or None,
                 "measures": measures,
                 "resampled": self.block,
                 "neighbours_alike": self.alike,
+                "novelty_known": self.novelty_known,
                 "unlike": [one.name for one in self.unlike],
+                "warnings": list(self.doubts),
                 "count_error_on_labelled_percent": None if accuracy is None else accuracy.percent,
             }
         )
@@ -115,10 +138,13 @@ def survey(
     neighbours: int | None = None,
     accuracy: Accuracy | None = None,
     figures: Sequence[Figure] = (),
+    scale: str = "",
+    least: Least = EVERY_SIZE,
 ) -> Survey:
-    """Of pictures in the order of their names, and frames in that of their times."""
+    """Of pictures in the order of their names, and frames in that of their times. scale: its kind, empty for none;
+    least: what they were counted with."""
     labels = block_labels(pictures, neighbours)
-    noun = "picture" if len(labels) == len(np.unique(labels)) else "block"
+    noun = "image" if len(labels) == len(np.unique(labels)) else "block"
 
     def measure(
         key: str,
@@ -132,8 +158,8 @@ def survey(
         return Measure(key, heading, unit, digits, about, ratio_of(pictures, labels, above, below, noun))
 
     measures = [
-        measure("oysters", "Oysters per picture", "", 1, lambda one: one.oysters, about="that count in a picture"),
-        measure("cover", "Cover", "%", 1, _percent_covered, about="share of a picture, or quadrat, that is oyster"),
+        measure("oysters", "Oysters per image", "", 1, lambda one: one.oysters, about="that count in an image"),
+        measure("cover", "Cover", "%", 1, _percent_covered, about="share of an image, or quadrat, that is oyster"),
         measure(
             "live",
             "Alive",
@@ -150,7 +176,7 @@ def survey(
             1,
             lambda one: None if one.area_m2 is None else one.weighed,
             lambda one: one.area_m2 or 0.0,
-            "all oysters over all ground; those that the edge of a picture cuts count a half",
+            "all oysters over all ground; those that the edge of an image cuts count a half",
         ),
         measure(
             "length_mm",
@@ -159,12 +185,25 @@ def survey(
             0,
             lambda one: None if one.length_mm is None else one.length_mm * one.measured,
             lambda one: one.measured,
-            "of the oysters that no edge of a picture cuts: longer side of the smallest rectangle around each",
+            "of the oysters that no edge of an image cuts: longer side of the smallest rectangle around each",
         ),
     ]
     known = tuple(one for one in measures if not math.isnan(one.ratio.value))
     alike = likeness([one.oysters for one in pictures], labels)
-    return Survey(title, method, tuple(pictures), dict(failures), known, neighbours, alike, accuracy, tuple(figures))
+    length_mm = next((one.ratio.value for one in known if one.key == "length_mm"), math.nan)
+    return Survey(
+        title,
+        method,
+        tuple(pictures),
+        dict(failures),
+        known,
+        neighbours,
+        alike,
+        accuracy,
+        tuple(figures),
+        tuple(doubts(method, pictures, length_mm, scale)),
+        least.described(any(one.parts for one in pictures), bool(scale)),
+    )
 
 
 def _percent_covered(one: PictureCount) -> float | None:

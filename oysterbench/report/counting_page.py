@@ -19,7 +19,7 @@ from oysterbench.counting.film import film_rate
 from oysterbench.counting.measure import PictureCount
 from oysterbench.counting.overlay import COLOURS, jpeg
 from oysterbench.counting.store import Store
-from oysterbench.counting.survey import Survey
+from oysterbench.counting.survey import PARTS, Survey
 from oysterbench.evaluate.statistics import LEVEL
 from oysterbench.hub.card import reached
 from oysterbench.report.bars import histogram_plot
@@ -99,11 +99,13 @@ def _lead(found: Survey) -> str:
     videos = len({one.file for one in found.pictures if one.video})
     parts = []
     if pictures := len(found.pictures) - frames:
-        parts.append(f"{pictures} picture{'s' * (pictures != 1)}")
+        parts.append(f"{pictures} image{'s' * (pictures != 1)}")
     if frames:
         parts.append(f"{frames} frame{'s' * (frames != 1)} of {videos} video{'s' * (videos != 1)}")
-    what = " and ".join(parts) or "no picture"
-    return f"{found.oysters} oysters in {what}, by {found.method}."
+    if not parts:
+        return "Nothing could be counted."
+    what = f"{PARTS}," if found.parts else "oyster" if found.oysters == 1 else "oysters"
+    return f"{found.oysters} {what} in {' and '.join(parts)}, by {found.method}."
 
 
 def _measures(found: Survey) -> Table:
@@ -131,14 +133,14 @@ def _charts(found: Survey) -> list[Card]:
         return []
     title = "Images by number of oysters"
     charts = [
-        Card(title, histogram_plot([one.oysters for one in found.pictures], title, "oysters in an image", "pictures"))
+        Card(title, histogram_plot([one.oysters for one in found.pictures], title, "oysters in an image", "images"))
     ]
     pictures = [one.oysters for one in found.pictures if not one.video]
     if len(pictures) > 1:
         title = "Oysters in each image, in order of name"
         order = np.arange(1, len(pictures) + 1, dtype=float)
         curve = Curve("oysters", order, np.array(pictures, dtype=float), 1)
-        charts.append(Card(title, time_plot([curve], title, "picture", "oysters", (1.0, float(len(pictures))))))
+        charts.append(Card(title, time_plot([curve], title, "image", "oysters", (1.0, float(len(pictures))))))
     videos: dict[str, list[PictureCount]] = {}
     for one in found.pictures:
         if one.time_s is not None:
@@ -156,7 +158,7 @@ def _charts(found: Survey) -> list[Card]:
 
 def _unlike_table(unlike: Sequence[PictureCount]) -> Table:
     columns = (
-        Column("picture", "Picture"),
+        Column("picture", "Image"),
         Column("novelty", "Novelty", "above 1: unlike", kind="number", digits=2),
         Column("oysters", "Oysters", kind="number"),
     )
@@ -184,8 +186,10 @@ def _colours(found: Survey) -> list[tuple[str, str]]:
     """What outlines there are, with their colours."""
     told = any(one.live or one.dead for one in found.pictures)
     kinds = {"live": "live", "dead": "dead", "unknown": "not told"} if told else {"unknown": "oyster"}
-    if any(one.area_m2 is not None for one in found.pictures):
-        kinds["left out"] = "not counted: its centre is outside"
+    reasons = ["its centre is outside"] * any(one.area_m2 is not None for one in found.pictures)
+    reasons += ["it is too small"] * bool(found.small)
+    if reasons:
+        kinds["left out"] = f"not counted: {' or '.join(reasons)}"
     return [(f"rgb{COLOURS[kind]}", text) for kind, text in kinds.items()]
 
 

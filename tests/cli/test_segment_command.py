@@ -26,8 +26,8 @@ def test_a_folder_of_pictures_becomes_a_page_and_tables(folder, tmp_path):
     done = run("segment", folder, *DISCS, "--out", "out")
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("out/index.html\n")
-    assert "12 oysters in 6 pictures" in done.stdout
-    assert "Oysters per picture: 2.0 [2.0 to 2.0]" in done.stdout
+    assert "12 oysters in 6 images" in done.stdout
+    assert "Oysters per image: 2.0 [2.0 to 2.0]" in done.stdout
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         *("index.html", "pictures.csv", "oysters.csv", "summary.json", "masks", "overlays", "finished")
     }
@@ -59,7 +59,7 @@ def test_what_is_no_picture_is_a_line_and_what_is_broken_an_exit_code(folder):
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1] == "oysterbench: 1 of 7 could not be counted; the rest was counted"
     assert "broken.jpg: the JPEG is damaged" in done.stderr
-    assert "12 oysters in 6 pictures" in done.stdout
+    assert "12 oysters in 6 images" in done.stdout
 
 
 def test_unlike_pictures_are_warned_of_in_one_line(folder):
@@ -67,6 +67,46 @@ def test_unlike_pictures_are_warned_of_in_one_line(folder):
     done = run("segment", folder, *DISCS)
     assert done.returncode == 0
     assert "their counts are not reliable: 1 of 7 images: strange" in done.stderr
+
+
+LIGHT = ("--method", "tests.helpers.image_methods:Light")
+
+
+def test_of_a_mask_it_is_said_that_its_parts_are_no_separate_oysters_and_that_nothing_tells_strange_images(folder):
+    speck = discs((40, 40), (100, 60))
+    speck[5, 5:8] = 200
+    write(folder / "0.png", speck)
+    done = run("segment", folder, *LIGHT, "--out", "out")
+    assert "12 connected parts of a mask, not separate oysters, in 6 images" in done.stdout
+    assert "Not counted, smaller than 49 px in an image of 640 px, scaled with the image: 1" in done.stdout
+    assert "light has no test of whether images are unlike its training data" in done.stderr
+    summary = json.loads(run("segment", folder, *LIGHT, "--out", "out", "--json").stdout)
+    assert summary["counted_as"] == "connected parts of a mask, not separate oysters"
+    assert (summary["too_small"], summary["novelty_known"], len(summary["warnings"])) == (1, False, 1)
+    done = run("segment", folder, *LIGHT, "--out", "out", "--min-px", 0)
+    assert "13 connected parts" in done.stdout
+
+
+def test_a_method_that_knows_the_strange_has_no_doubt_of_its_own(folder):
+    done = run("segment", folder, *DISCS)
+    assert "has no test" not in done.stderr
+    assert "12 oysters in 6 images" in done.stdout
+
+
+@pytest.mark.parametrize("mm_per_px", [800, 0.0008])
+def test_a_scale_in_another_unit_is_warned_of(folder, mm_per_px):
+    said = "is the scale in another unit (--mm-per-px takes millimetres per pixel)"
+    for method in (DISCS, LIGHT):
+        done = run("segment", folder, *method, "--mm-per-px", mm_per_px)
+        assert said in done.stderr
+        assert said in (folder.parent / "Fotos ü-oysters" / "index.html").read_text(encoding="utf-8")
+    assert said not in run("segment", folder, *DISCS, "--mm-per-px", 4).stderr
+
+
+def test_oysters_that_are_too_short_do_not_count_where_asked(folder):
+    done = run("segment", folder, *DISCS, "--mm-per-px", 4, "--min-mm", 90)
+    assert "0 oysters in 6 images" in done.stdout
+    assert "Not counted, smaller than 90 mm long: 12" in done.stdout
 
 
 def test_a_video_is_sampled_as_asked(tmp_path, monkeypatch):
@@ -127,6 +167,7 @@ def test_a_picture_without_corners_is_not_counted_and_told_of(folder, tmp_path):
         (("--altitude", "1"), "--altitude: expected --calibration FILE as well"),
         (("--calibration", "c.yaml"), "--calibration: expected --altitude M as well"),
         (("--camera", "cam0"), "--camera: expected --calibration FILE as well"),
+        (("--min-mm", "25"), "--min-mm: expected a scale as well"),
         (("--mm-per-px", "1", "--quadrat", "1", "--corners", "c"), "expected at most one scale"),
     ],
 )

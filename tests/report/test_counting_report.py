@@ -118,7 +118,7 @@ def words(path):
 def test_the_page_says_what_its_numbers_are_worth(folder, tmp_path):
     counts(folder, tmp_path)
     page, said = (tmp_path / "index.html").read_text(), words(tmp_path / "index.html")
-    assert "18 oysters in 8 pictures and 2 frames of 1 video, by discs." in said
+    assert "18 oysters in 8 images and 2 frames of 1 video, by discs." in said
     assert "1 could not be counted" in said
     assert "1 of 10 images are unlike the training data of discs" in said
     assert "how to measure it" in said
@@ -149,7 +149,7 @@ def test_the_page_says_what_the_card_of_the_weights_says(folder, tmp_path):
 
 def test_the_page_of_a_method_that_does_not_know_the_strange_says_so(folder, tmp_path):
     counts(folder, tmp_path, Boxed())
-    assert "boxed does not report whether images are unlike" in words(tmp_path / "index.html")
+    assert "Boxed has no test of whether images are unlike" in words(tmp_path / "index.html")
 
 
 def test_a_page_of_nothing_but_failures_is_a_page(tmp_path):
@@ -157,7 +157,7 @@ def test_a_page_of_nothing_but_failures_is_a_page(tmp_path):
     (tmp_path / "in" / "broken.jpg").write_bytes(b"\xff\xd8 no more")
     found = counts(tmp_path / "in", tmp_path / "out", sampling=Sampling(1.0))
     assert found.pictures == ()
-    assert "0 oysters in no picture" in words(tmp_path / "out" / "index.html")
+    assert "Nothing could be counted." in words(tmp_path / "out" / "index.html")
 
 
 def test_a_page_shows_some_of_many_pictures_evenly(folder, tmp_path):

@@ -1,0 +1,39 @@
+"""What casts doubt on all counts of a set of images, in words: for the terminal, the page and the summary."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from oysterbench.counting.measure import PictureCount
+
+PLAUSIBLE_MM = (5.0, 400.0)
+"""Mean lengths of oysters, with room on both sides: 24.9 to 172 mm were measured in 1122 of Virginia. What is outside
+is no oyster, but a scale in another unit."""
+
+UNITS = {
+    "plain": "--mm-per-px takes millimetres per pixel",
+    "altitude": "--altitude takes metres",
+    "quadrat": "--quadrat takes metres, --corners pixels",
+}
+"""Kind of a scale -> its unit."""
+
+
+def doubts(method: str, pictures: Sequence[PictureCount], length_mm: float, scale: str) -> Iterator[str]:
+    """A sentence for each. length_mm: mean of all, NaN where it is not known; scale: its kind, empty for none."""
+    unit = f"is the scale in another unit ({UNITS.get(scale, '')})"
+    low, high = PLAUSIBLE_MM
+    if not math.isnan(length_mm) and not low <= length_mm <= high:
+        merged = length_mm > high and any(one.parts for one in pictures)
+        yield (
+            f"the mean length is {length_mm:.{0 if length_mm >= 10 else 3}f} mm, where {low:g} to {high:g} mm are "
+            f"expected of oysters: {unit}{', or do oysters touch, so that several are one part' if merged else ''}?"
+        )
+    small = sum(one.small for one in pictures)
+    if scale and small and not any(one.oysters for one in pictures):
+        yield f"all {small} oysters are too small to count: {unit}?"
+    if pictures and all(one.novelty is None for one in pictures):
+        yield (
+            f"{method} has no test of whether images are unlike its training data: it finds oysters in images of "
+            "anything; look at the outlines before you trust the counts"
+        )

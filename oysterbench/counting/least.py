@@ -1,0 +1,59 @@
+"""The smallest oyster that counts: what a method calls oyster and is smaller is a speck."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+SHORTEST_MM = 25.0
+"""Shell height of the smallest of 1122 oysters measured in Virginia (24.9 mm), as rendered reefs have it too."""
+
+NARROWNESS = 2 / 3
+"""Of a shell's length to its height (Galtsoff 1964, ch. 2)."""
+
+WIDEST_MM = 1650.0
+"""Of the bottom that an image shows across where its scale is not known: from 1.2 m above, as high as surveys go, by a
+lens of 69 degrees under water."""
+
+
+@dataclass(frozen=True)
+class Least:
+    """length_mm: longer side of the smallest rectangle around an oyster; area_px: of its mask, or its box. Nothing is
+    too small for 0; None is the default, to which only connected parts of a mask are held: a method that tells oysters
+    apart tells specks apart as well."""
+
+    length_mm: float | None = None
+    area_px: float | None = None
+
+    def for_image(self, shape: tuple[int, int], parts: bool, scaled: bool) -> tuple[float, float]:
+        """mm and px that an oyster has at least in an image (H, W); parts: whether they are those of a mask; scaled:
+        whether lengths are known there.
+
+        >>> Least().for_image((480, 640), parts=True, scaled=True)
+        (25.0, 0.0)
+        >>> [round(value, 1) for value in Least().for_image((480, 640), parts=True, scaled=False)]
+        [0.0, 49.2]
+        """
+        if self.length_mm is not None or self.area_px is not None or not parts:
+            return self.length_mm or 0.0, self.area_px or 0.0
+        return (SHORTEST_MM, 0.0) if scaled else (0.0, speck_px(shape))
+
+    def as_dict(self) -> dict[str, float | None]:
+        """For records."""
+        return {"length_mm": self.length_mm, "area_px": self.area_px}
+
+    def described(self, parts: bool, scaled: bool) -> str:
+        """In words; empty where nothing is too small."""
+        length_mm, area_px = self.for_image((0, 640), parts, scaled)
+        by_size = " in an image of 640 px, scaled with the image" if self.area_px is None else ""
+        said = [f"{length_mm:g} mm long"] * (length_mm > 0) + [f"{area_px:.0f} px{by_size}"] * (area_px > 0)
+        return " and ".join(said)
+
+
+EVERY_SIZE = Least(0.0, 0.0)
+
+
+def speck_px(shape: tuple[int, int]) -> float:
+    """Area in px of the smallest oyster in an image (H, W) that shows `WIDEST_MM` along its longer side."""
+    area_mm2 = math.pi / 4 * SHORTEST_MM * (NARROWNESS * SHORTEST_MM)
+    return area_mm2 * (max(shape) / WIDEST_MM) ** 2
