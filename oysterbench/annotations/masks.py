@@ -10,7 +10,7 @@ NAME is the image's name, which may hold folders.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
@@ -43,8 +43,15 @@ class MaskFiles:
     and others are probabilities are refused: then the form must be said.
     """
 
-    def __init__(self, place: Path, readers: dict[str, Callable[[], NDArray[Any]]], form: Form) -> None:
+    def __init__(
+        self,
+        place: Path,
+        readers: dict[str, Callable[[], NDArray[Any]]],
+        form: Form,
+        files: Mapping[str, Path] | None = None,
+    ) -> None:
         self.place = place
+        self._files = files or {}
         self.form = form
         self._readers = readers
         self._zero_one = ""
@@ -57,7 +64,7 @@ class MaskFiles:
 
     def get(self, name: str) -> EstimateImage:
         """The prediction of an image. Raises LabelError naming its file."""
-        values, where = self.plane(name), f"{self.place}: {name}"
+        values, where = self.plane(name), self.where(name)
         if values.dtype == bool:
             return EstimateImage(name, oyster=values)
         if self.form == "classes":
@@ -68,10 +75,14 @@ class MaskFiles:
             return EstimateImage(name, probability=values)
         return self._integers(name, values, where)
 
+    def where(self, name: str) -> str:
+        """The file of an image's prediction; of an .npz of all, with the array's name."""
+        return str(self._files[name]) if name in self._files else f"{self.place}: {name}"
+
     def plane(self, name: str) -> NDArray[Any]:
         """(H, W) bool, integer or float, as it is kept for an image. Raises LabelError naming its file."""
         values = np.asarray(self._readers[name]())
-        where = f"{self.place}: {name}"
+        where = self.where(name)
         if values.ndim == 3 and 1 in (values.shape[0], values.shape[-1]):
             values = values.squeeze()
         if values.ndim != 2:
@@ -129,15 +140,15 @@ def open_predictions(place: Path, form: Form = "auto") -> MaskFiles:
             f"{place}: expected a folder with a .png, .npy or .npz per image, an .npz of all, or COCO annotations "
             f"(.json), got {'another kind of file' if place.exists() else 'nothing of that name'}"
         )
-    readers: dict[str, Callable[[], NDArray[Any]]] = {}
+    files: dict[str, Path] = {}
     for path in sorted(path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES):
         name = path.relative_to(place).with_suffix("").as_posix()
-        if name in readers:
+        if name in files:
             raise LabelError(f"{place}: two files predict {name}; expected one of {', '.join(SUFFIXES)}")
-        readers[name] = _reader(path)
-    if not readers:
+        files[name] = path
+    if not files:
         raise LabelError(f"{place}: expected a .png, .npy or .npz per image, got none")
-    return MaskFiles(place, readers, form)
+    return MaskFiles(place, {name: _reader(path) for name, path in files.items()}, form, files)
 
 
 def _reader(path: Path) -> Callable[[], NDArray[Any]]:

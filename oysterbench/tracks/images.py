@@ -17,7 +17,7 @@ from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError, MethodError
 from oysterbench.evaluate.detection import ImageInstances
 from oysterbench.evaluate.detection.instances import Instance, from_mask, from_planes, instance_numbers
-from oysterbench.evaluate.segmentation import EstimateImage
+from oysterbench.evaluate.segmentation import EstimateImage, check_size
 from oysterbench.methods.images import Detections, Picture, Segmentation
 from oysterbench.methods.interfaces import RunSequence
 from oysterbench.methods.interfaces.images import (
@@ -185,6 +185,7 @@ class ImageTrack(Track):
 
             def get(name: str, shape: tuple[int, int]) -> Any:
                 found = files.get(name)
+                check_size(found, shape, files.where(name))
                 prediction = Segmentation(name, found.oyster, found.probability, found.classes)
                 return self.of_prediction(prediction, str(place), shape, settings)
 

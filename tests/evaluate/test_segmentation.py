@@ -18,7 +18,7 @@ from oysterbench.evaluate.segmentation import SEGMENTATION, ClipScorer, Estimate
 from oysterbench.evaluate.segmentation.boundary import boundary_depth, inner_boundary
 from oysterbench.evaluate.segmentation.clip import join
 from oysterbench.evaluate.segmentation.dataset import over_dataset
-from oysterbench.evaluate.segmentation.images import OYSTER
+from oysterbench.evaluate.segmentation.images import OYSTER, check_size
 from oysterbench.evaluate.segmentation.settings import class_names
 from oysterbench.evaluate.segmentation.thresholds import STEPS
 from oysterbench.recipe import CLASSES
@@ -220,6 +220,20 @@ def test_scoring_in_parts_and_at_once_are_the_same():
 def test_estimates_of_other_images_and_sizes_are_refused(truth, estimate, message):
     with pytest.raises(LabelError, match=message):
         ClipScorer().add(truth, estimate)
+
+
+@pytest.mark.parametrize(
+    ("given_as", "advice"),
+    [
+        ({"oyster": np.zeros((2, 3), bool)}, "resize masks to it by nearest neighbour"),
+        ({"classes": np.zeros((2, 3), np.uint8)}, "resize classes to it by nearest neighbour"),
+        ({"probability": np.array([[0, 1, 1], [0, 0, 1]], np.float32)}, "resize masks to it by nearest neighbour"),
+        ({"probability": np.full((2, 3), 0.3, np.float32)}, r"resize probabilities to it \(bilinear\)"),
+    ],
+)
+def test_an_estimate_of_another_size_is_told_how_to_resize_what_it_is(given_as, advice):
+    with pytest.raises(LabelError, match=f"^mine/a.png: expected .* got 3 x 2; {advice}"):
+        check_size(EstimateImage("a", **given_as), (4, 4), "mine/a.png")
 
 
 @pytest.mark.parametrize(

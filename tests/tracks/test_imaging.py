@@ -230,3 +230,12 @@ def test_a_missing_pair_is_named(folders):
     done = command("--track", "segmentation", "--truth", folders / "truth", "--estimate", folders / "estimate")
     assert done.exit_code == 1
     assert "no prediction for two/a" in done.output
+
+
+def test_a_mask_of_another_size_is_named_by_its_file_and_advised_of_as_a_mask(folders):
+    file = folders / "estimate" / "two" / "a.png"
+    assert cv2.imwrite(str(file), np.full((10, 15), 255, np.uint8))
+    done = command("--track", "segmentation", "--truth", folders / "truth", "--estimate", folders / "estimate")
+    assert done.exit_code == 1
+    assert f"{file}: expected an estimate of the truth's size, 30 x 20, got 15 x 10; resize masks" in done.output
+    assert "bilinear" not in done.output

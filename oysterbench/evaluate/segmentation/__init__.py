@@ -21,7 +21,7 @@ background. Images are scored one by one and then forgotten (`ClipScorer`), so m
 """
 
 from oysterbench.evaluate.segmentation.clip import ClipResult, ClipScorer, ImageScore
-from oysterbench.evaluate.segmentation.images import EstimateImage, TruthImage
+from oysterbench.evaluate.segmentation.images import EstimateImage, TruthImage, check_size
 from oysterbench.evaluate.segmentation.metrics import SEGMENTATION
 from oysterbench.evaluate.segmentation.settings import EVALUATOR, SegmentationSettings
 
@@ -34,4 +34,5 @@ __all__ = [
     "ImageScore",
     "SegmentationSettings",
     "TruthImage",
+    "check_size",
 ]

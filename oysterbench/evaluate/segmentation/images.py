@@ -122,9 +122,22 @@ def check_pair(truth: TruthImage, estimate: EstimateImage) -> None:
     """Refuse an estimate of another image, or of another size."""
     if truth.name != estimate.name:
         raise LabelError(f"expected the estimate of image {truth.name}, got that of {estimate.name}")
-    if truth.classes.shape != estimate.shape:
-        (h, w), (eh, ew) = truth.classes.shape, estimate.shape
+    check_size(estimate, truth.classes.shape, truth.name)
+
+
+def check_size(estimate: EstimateImage, shape: tuple[int, ...], where: str) -> None:
+    """Refuse an estimate of another size than that of the truth (H, W). Raises LabelError that begins with `where`, as
+    the file's path, and says how to resize what was given."""
+    if estimate.shape != shape:
+        (h, w), (eh, ew) = shape, estimate.shape
         raise LabelError(
-            f"{truth.name}: expected an estimate of the truth's size, {w} x {h}, got {ew} x {eh}; resize probabilities "
-            "to it (bilinear) before thresholding"
+            f"{where}: expected an estimate of the truth's size, {w} x {h}, got {ew} x {eh}; {_resizing(estimate)}"
         )
+
+
+def _resizing(estimate: EstimateImage) -> str:
+    values = estimate.probability
+    if values is not None and ((values > 0) & (values < 1)).any():
+        return "resize probabilities to it (bilinear) before thresholding"
+    what = "classes" if estimate.classes is not None else "masks"
+    return f"resize {what} to it by nearest neighbour, which makes no values in between, or predict at that size"
