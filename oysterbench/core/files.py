@@ -8,7 +8,7 @@ import fcntl
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO
 
@@ -90,17 +90,23 @@ def appearing_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def locked(path: str | os.PathLike[str], wait: bool = True) -> Iterator[bool]:
+def locked(
+    path: str | os.PathLike[str], wait: bool = True, before_waiting: Callable[[], None] | None = None
+) -> Iterator[bool]:
     """Hold a lock file while the block runs; whether it is held: another holder is waited for, or prevents it. The
-    system frees it when a process dies."""
+    system frees it when a process dies. before_waiting: called where another holder is waited for."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "w") as file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            yield False
-            return
+            if not wait:
+                yield False
+                return
+            if before_waiting is not None:
+                before_waiting()
+            fcntl.flock(file, fcntl.LOCK_EX)
         yield True
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,7 +45,14 @@ def render_files(
     if scheduler is None and device == "cpu" and not quiet:
         _announce(split, missing, workers)
     with nullcontext() if quiet else frames_bar(f"rendering {split.name}") as progress:
-        return generate_split(split, folder, workers, progress, salt, device, scheduler, names)
+        return generate_split(
+            split, folder, workers, progress, salt, device, scheduler, names, None if quiet else partial(_wait, folder)
+        )
+
+
+def _wait(folder: Path) -> None:
+    """Say what is waited for: one process at a time renders into a folder, with as many workers as it is given."""
+    say(f"{folder}: waiting for another process that renders into this folder")
 
 
 def check_renderer(wanted: str) -> None:

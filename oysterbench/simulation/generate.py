@@ -86,11 +86,12 @@ def generate_split(
     device: str = "cpu",
     scheduler: str | None = None,
     names: Collection[str] = (),
+    before_waiting: Callable[[], None] | None = None,
 ) -> dict[str, Path]:
     """Make the sequence files of a split (or those of these names) that are not there yet, and return all of them.
 
     workers: processes of this machine, unless the address of a Dask `scheduler` is given. device: of Warp, on the
-    machines that render.
+    machines that render. before_waiting: called where another process renders into the folder and is waited for.
 
     Raises RecipeError where the recipe cannot be built or a hidden split is given no salt that keeps it hidden, and
     SequenceError where the folder holds a damaged file or one of another recipe; nothing that is there is overwritten.
@@ -108,7 +109,7 @@ def generate_split(
         for path in files.values():
             _check_made_by(path, split, made_by)
         return files
-    with locked(folder / ".lock"):
+    with locked(folder / ".lock", before_waiting=before_waiting):
         for name, path in files.items():
             if path.exists():
                 _check_made_by(path, split, made_by)
