@@ -28,7 +28,10 @@ def plain(mm_per_px: float) -> ScaleOf:
 
 
 def quadrats(size_m: float, corners: PictureTable) -> ScaleOf:
-    """Of quadrats of one size, whose corners are in a table."""
+    """Of quadrats of one size, whose corners are in a table. Raises LabelError where all are in another unit."""
+    if corners.rows and all(0 <= min(row) <= max(row) <= 1 for row in corners.rows.values()):
+        name, row = next(iter(corners.rows.items()))
+        QuadratScale(size_m, np.reshape(row, (4, 2)), f"{corners.path}: {name}")
 
     def scale(source: Source, name: str) -> Scale:
         return QuadratScale(

@@ -100,7 +100,7 @@ class Video:
         with _quiet():
             self._capture = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
-            raise LabelError(f"{path}: cannot be opened as a video ({path.stat().st_size} bytes): is it complete?")
+            raise LabelError(f"{path}: the video cannot be read, none of its frames were: {_why_unreadable(path)}")
         rate = self._capture.get(cv2.CAP_PROP_FPS)
         self.rate_hz = float(rate) if 0 < rate < 10_000 else 0.0
         self.claimed = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
@@ -125,9 +125,14 @@ class Video:
             index += 1
         self._capture.release()
         if index == 0:
-            raise LabelError(f"{self.path}: has no frame that can be decoded")
+            raise LabelError(
+                f"{self.path}: the video cannot be read, none of its frames were: {_why_unreadable(self.path)}"
+            )
         if index < COMPLETE * self.claimed:
-            raise LabelError(f"{self.path}: ends after {index} of {self.claimed} frames; these are counted")
+            raise LabelError(
+                f"{self.path}: the video cannot be read to its end: {index} of {self.claimed} frames were; these are "
+                "counted; copy it again from the camera"
+            )
 
     def _time_s(self, index: int) -> float:
         """Of the frame that was grabbed last; by the rate, where the file has no stamps."""
@@ -139,3 +144,33 @@ class Video:
         if not read:
             raise LabelError(f"{self.path}: a frame could not be decoded")
         return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def _why_unreadable(path: Path) -> str:
+    size = path.stat().st_size
+    if size == 0:
+        return "empty file"
+    kinds = _boxes(path, size)
+    if "ftyp" in kinds and "moov" not in kinds:
+        return (
+            f"it ends before its index (moov) after {size} bytes, as a recording or copy that was cut short: copy it "
+            "again from the camera, or have a repair program rebuild the index"
+        )
+    return f"{size} bytes of no known video format, or of one that is damaged: copy it again from the camera"
+
+
+def _boxes(path: Path, size: int) -> list[str]:
+    """Kinds of the whole outermost boxes of an MP4 or MOV (ISO 14496-12, 4.2); those of another file mean nothing."""
+    kinds, at = [], 0
+    with open(path, "rb") as file:
+        while at + 8 <= size:
+            file.seek(at)
+            head = file.read(16)
+            length = int.from_bytes(head[:4], "big")
+            length = int.from_bytes(head[8:], "big") if length == 1 else length
+            length = length or size - at  # 0: to the end of the file
+            if length < 8 or at + length > size:
+                break
+            kinds.append(head[4:8].decode("latin-1"))
+            at += length
+    return kinds

@@ -141,8 +141,8 @@ class QuadratScale:
         seen = polygon_area(self.region(shape)) / polygon_area(self.corners)
         if seen < LEAST_SEEN:
             raise LabelError(
-                f"{self._where}: expected corners within the picture of {shape[1]} x {shape[0]} px, got "
-                f"{', '.join(f'({x:g}, {y:g})' for x, y in self.corners)}: are they of a copy of another size?"
+                f"{self._where}: expected corners within the image of {shape[1]} x {shape[0]} px, got "
+                f"{_listed(self.corners)}: are they of a copy of another size?"
             )
         return self
 
@@ -210,13 +210,19 @@ def _going_round(corners: Array, where: str) -> Array:
     up to where it begins and its sense, which neither areas nor lengths depend on."""
     if corners.shape != (4, 2) or not np.isfinite(corners).all():
         raise LabelError(f"{where}: expected four corners x, y in px, got {corners.tolist()}")
+    if corners.min() >= 0 and corners.max() <= 1:
+        raise LabelError(
+            f"{where}: expected corners in px of the upright image, got fractions of its size, "
+            f"{_listed(corners)}: multiply x by its width and y by its height"
+        )
     outline = cv2.convexHull(corners.astype(np.float32)).reshape(-1, 2).astype(float)
     if len(outline) < 4 or polygon_area(outline) < LEAST_QUADRAT_PX**2:
-        raise LabelError(
-            f"{where}: expected the four corners of a convex quadrat, got "
-            f"{', '.join(f'({x:g}, {y:g})' for x, y in corners)}"
-        )
+        raise LabelError(f"{where}: expected the four corners of a convex quadrat, got {_listed(corners)}")
     return outline
+
+
+def _listed(corners: Array) -> str:
+    return ", ".join(f"({x:g}, {y:g})" for x, y in corners)
 
 
 def _above_zero(option: str, value: float, unit: str) -> None:

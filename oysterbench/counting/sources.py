@@ -11,7 +11,7 @@ from pathlib import Path
 from oysterbench.core.errors import LabelError
 
 PICTURES = (".jpg", ".jpeg", ".jpe", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm")
-VIDEOS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".wmv")
+VIDEOS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".wmv", ".gif")
 CONVERT = (".heic", ".heif", ".dng", ".gpr", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2")
 """Pictures that OpenCV cannot decode: said apart from what is no picture, so that nobody misses them."""
 

@@ -119,6 +119,16 @@ def test_a_video_is_sampled_as_asked(tmp_path, monkeypatch):
     assert run("segment", "dive 1.avi", *DISCS, "--rate", 2, "--every", 10).returncode == 2
 
 
+def test_of_a_video_that_cannot_be_read_nothing_is_said_but_why(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    whole = write_video(tmp_path / "dive.mp4", [discs((60, 60))] * 30, codec="mp4v").read_bytes()
+    (tmp_path / "dive.mp4").write_bytes(whole[:-500])
+    done = run("segment", "dive.mp4", *DISCS)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "dive.mp4: the video cannot be read, none of its frames were" in done.stderr
+    assert done.stderr.splitlines()[-1] == "oysterbench: 1 of 1 could not be counted"
+
+
 def test_quadrats_altitudes_and_checks_by_files(folder, tmp_path):
     corners = "".join(f"{k}.png,70,20,130,20,130,110,70,110\n" for k in range(6))
     (tmp_path / "c.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n" + corners + "gone,1,1,9,1,9,9,1,9\n")
@@ -138,6 +148,13 @@ def test_quadrats_altitudes_and_checks_by_files(folder, tmp_path):
     assert json.loads(done.stdout)["count_error_on_labelled_percent"] == pytest.approx(-10)
     write_results(tmp_path / "check" / "results.json", [result("other")])
     assert_one_line(run("segment", folder, *DISCS, "--checked", "check"), "expected results of discs .* got other")
+
+
+def test_corners_as_fractions_are_refused_at_once(folder, tmp_path):
+    rows = "".join(f"{k},0.1,0.1,0.9,0.1,0.9,0.9,0.1,0.9\n" for k in range(6))
+    (tmp_path / "c.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n" + rows)
+    done = run("segment", folder, *DISCS, "--quadrat", 0.5, "--corners", "c.csv")
+    assert_one_line(done, "c.csv: 0: expected corners in px of the upright image, got fractions of its size")
 
 
 def result(method):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import struct
+
 import cv2
 import numpy as np
 import pytest
 
 from oysterbench.core.errors import LabelError
 from oysterbench.counting.reading import Sampling, Video, decode
-from tests.helpers.people_pictures import SHAPE, discs, turned, write_video
+from oysterbench.counting.sources import find_sources
+from tests.helpers.people_pictures import SHAPE, boxed, discs, turned, write_video
 
 
 def encoded(suffix, pixels):
@@ -103,10 +106,12 @@ def test_frames_that_are_done_are_not_decoded(video):
 
 def test_a_video_that_is_none_or_empty_is_refused(tmp_path, capfd):
     (tmp_path / "bad.mp4").write_bytes(bytes(3000))
-    with pytest.raises(LabelError, match=r"bad\.mp4: cannot be opened as a video"):
+    with pytest.raises(
+        LabelError, match=r"bad\.mp4: the video cannot be read, none of its frames were: 3000 bytes of no known"
+    ):
         Video(tmp_path / "bad.mp4")
     empty = write_video(tmp_path / "empty.avi", [])
-    with pytest.raises(LabelError, match=r"empty\.avi: (has no frame|cannot be opened)"):
+    with pytest.raises(LabelError, match=r"empty\.avi: the video cannot be read, none of its frames were"):
         list(Video(empty).frames(Sampling()))
     assert capfd.readouterr().err == ""
 
@@ -117,6 +122,41 @@ def test_a_video_that_breaks_off_gives_what_it_has_and_then_says_so(video, tmp_p
     cut.write_bytes(data[: len(data) // 2])
     seen = []
     frames = (seen.append(frame.index) for frame in Video(cut).frames(Sampling(every=1)))
-    with pytest.raises(LabelError, match=r"ends after \d+ of 100 frames"):
+    with pytest.raises(LabelError, match=r"cannot be read to its end: \d+ of 100 frames were"):
         list(frames)
     assert 20 < len(seen) < 80
+
+
+@pytest.fixture(scope="module")
+def phone_video(tmp_path_factory):
+    """Six seconds at 10 Hz, as MP4."""
+    frames = [np.full((*SHAPE, 3), 3 * k + 20, np.uint8) for k in range(60)]
+    return write_video(tmp_path_factory.mktemp("phone") / "dive.mp4", frames, codec="mp4v")
+
+
+def test_a_video_without_its_index_is_said_to_be_cut_short_with_no_frame_read(phone_video, tmp_path):
+    cut = tmp_path / "cut.mp4"
+    cut.write_bytes(phone_video.read_bytes()[:-1000])
+    with pytest.raises(LabelError, match=r"cut\.mp4: .*none of its frames were: it ends before its index \(moov\)"):
+        Video(cut)
+
+
+def test_frames_of_a_variable_rate_are_taken_by_their_own_times(phone_video, tmp_path):
+    data = phone_video.read_bytes().replace(b"edts", b"free")  # an edit list would cut what is longer
+    step = struct.unpack(">I", data[data.find(b"stts") + 16 :][:4])[0]
+    times = struct.pack(">8I", 0, 3, 20, step, 20, 5 * step, 20, step)
+    varied = tmp_path / "varied.mp4"
+    varied.write_bytes(boxed(data, b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts", content=times))
+    found = list(Video(varied).frames(Sampling(1.0)))
+    assert [frame.time_s for frame in found] == pytest.approx(range(14), abs=1e-3)
+    assert [frame.index for frame in found] == [0, 10, 20, 22, 24, 26, 28, 30, 32, 34, 36, 38, 40, 50]
+
+
+def test_a_moving_gif_is_a_video(tmp_path):
+    path = tmp_path / "ten.gif"
+    pillow = pytest.importorskip("PIL.Image")
+    first, *others = [pillow.fromarray(np.full((*SHAPE, 3), 20 + 20 * k, np.uint8)) for k in range(10)]
+    first.save(path, save_all=True, append_images=others, duration=200)
+    assert [source.video for source in find_sources([path]).sources] == [True]
+    found = list(Video(path).frames(Sampling(1.0)))
+    assert [(frame.index, round(frame.pixels.mean())) for frame in found] == [(0, 20), (5, 120)]

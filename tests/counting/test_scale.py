@@ -66,6 +66,13 @@ def test_four_points_that_are_no_quadrat_are_refused(corners):
         QuadratScale(0.5, np.array(corners, dtype=float), "c.csv: a")
 
 
+def test_corners_as_fractions_of_the_picture_are_recognised():
+    with pytest.raises(
+        LabelError, match=r"^c\.csv: a: expected corners in px .* got fractions .* multiply x by its width"
+    ):
+        QuadratScale(0.5, np.array([[0.1, 0.2], [0.9, 0.2], [0.9, 1.0], [0.0, 0.7]]), "c.csv: a")
+
+
 @pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])
 def test_from_an_altitude_a_distorted_picture_has_the_area_and_lengths_of_the_bottom(model):
     distortion = np.array([-0.2, 0.05, 0.001, -0.002] if model == "plumb_bob" else [0.02, -0.01, 0.003, 0.0])
@@ -125,7 +132,7 @@ def test_a_quadrat_in_centimetres_is_refused():
 
 def test_corners_of_a_larger_copy_of_the_picture_are_refused():
     corners = np.array([[400, 300], [1200, 300], [1200, 1100], [400, 1100.0]])  # of one of twice its size
-    with pytest.raises(LabelError, match=r"reef\.csv: a: expected corners within the picture of 640 x 480 px, got \("):
+    with pytest.raises(LabelError, match=r"reef\.csv: a: expected corners within the image of 640 x 480 px, got \("):
         QuadratScale(0.5, corners, "reef.csv: a").fitted((480, 640))
     whole = QuadratScale(0.5, corners / 2)
     assert whole.fitted((480, 640)) is whole

@@ -49,6 +49,19 @@ def write_video(path: Path, frames, rate_hz=10.0, codec="MJPG"):
     return path
 
 
+def boxed(data: bytes, *kinds: bytes, content: bytes) -> bytes:
+    """The bytes of an MP4 whose box at the end of a path of kinds has another content."""
+    made, at = b"", 0
+    while at < len(data):
+        length, kind = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
+        body = data[at + 8 : at + length]
+        if kind == kinds[0]:
+            body = boxed(body, *kinds[1:], content=content) if kinds[1:] else content
+        made += (len(body) + 8).to_bytes(4, "big") + kind + body
+        at += length
+    return made
+
+
 class Discs(Light):
     """Finds discs one by one; those of even number live; `asked` counts the pictures that it was given."""
 
