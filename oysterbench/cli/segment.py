@@ -15,9 +15,9 @@ from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import LabelError, MethodError
 
 if TYPE_CHECKING:
-    from oysterbench.counting import Survey
     from oysterbench.counting.run import ScaleOf
     from oysterbench.counting.sources import Found, Source
+    from oysterbench.counting.survey import Survey
 
 METHOD = "unet_instances"
 TRACKS = ("detection", "segmentation")
@@ -114,14 +114,7 @@ def segment_command(
     Finished work is kept: it is repeated only with --again, or if image, method, weights or settings have changed.
     Exits with 1 if an image or video could not be counted; the rest is counted.
     """
-    from oysterbench.cli.render import frames_bar
-    from oysterbench.counting import Counting, Sampling, Settings, Store, find_sources, survey
-    from oysterbench.counting.accuracy import figures_of_counts, read_accuracy
-    from oysterbench.counting.identity import method_identity
-    from oysterbench.counting.least import Least
-    from oysterbench.methods.finding import find_variant
-    from oysterbench.methods.weights import have_weights, weights_digests, weights_of
-    from oysterbench.report.counting import Making, write_counts
+    from oysterbench.counting.sources import find_sources
 
     if rate is not None and every is not None:
         raise click.UsageError("--rate, --every: expected only one of them")
@@ -130,10 +123,26 @@ def segment_command(
     out = out or Path(f"{paths[0].absolute().stem or 'pictures'}-oysters")
     found = find_sources(paths, leave_out=out)
     _tell_others(found)
-    scale, about_scale = _scale(scaling, found.sources)
+
+    from oysterbench.methods.finding import find_variant
+
     chosen, options = find_variant(method)
     if chosen.track not in TRACKS:
         raise MethodError(f"{method}: expected a method of {' or '.join(TRACKS)}, got one of {chosen.track}")
+
+    # What follows takes longer to load than what was refused so far.
+    from oysterbench.cli.render import frames_bar
+    from oysterbench.counting.accuracy import figures_of_counts, read_accuracy
+    from oysterbench.counting.identity import method_identity
+    from oysterbench.counting.least import Least
+    from oysterbench.counting.reading import Sampling
+    from oysterbench.counting.run import Counting, Settings
+    from oysterbench.counting.store import Store
+    from oysterbench.counting.survey import survey
+    from oysterbench.methods.weights import have_weights, weights_digests, weights_of
+    from oysterbench.report.counting import Making, write_counts
+
+    scale, about_scale = _scale(scaling, found.sources)
     weights = weights_of(chosen)
     have_weights(weights, message, frames_bar)
     accuracy = None if checked is None else read_accuracy(checked, chosen.name, weights_digests(weights))

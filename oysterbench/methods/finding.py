@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import MethodError
@@ -79,7 +82,23 @@ def _load_class(reference: str) -> Any:
         raise MethodError(f"method {reference!r}: expected module:Class, such as my_slam:MySlam")
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
+    _check_mentioned(reference, module, name)
     found = import_module(module)
     if not hasattr(found, name):
         raise MethodError(f"method {reference!r}: {found.__file__} has no {name!r}")
     return getattr(found, name)
+
+
+def _check_mentioned(reference: str, module: str, name: str) -> None:
+    """Refuse a class that is nowhere in the source of its module, before that is imported: what it imports, such as
+    PyTorch, takes seconds. Left to the import is a module whose names come from elsewhere."""
+    spec = None if module in sys.modules else find_spec(module)
+    if spec is None or not (spec.origin or "").endswith(".py"):
+        return
+    source = Path(spec.origin or "").read_text(encoding="utf-8", errors="replace")
+    if not re.search(rf"\b{re.escape(name)}\b|import \*|__getattr__|globals\(|setattr\(|exec\(", source):
+        classes = re.findall(r"^class (\w+)", source, re.MULTILINE)
+        meant = did_you_mean(nearest(name, classes))
+        raise MethodError(
+            f"method {reference!r}: {spec.origin} has no {name!r}; {meant}its classes: {', '.join(classes) or 'none'}"
+        )

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from oysterbench.core.streams import stream
-from oysterbench.counting import survey
 from oysterbench.counting.intervals import block_labels, likeness, ratio
 from oysterbench.counting.measure import PictureCount
+from oysterbench.counting.survey import survey
 
 
 def picture(name, oysters=1, time_s=None, **further):

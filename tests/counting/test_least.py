@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from oysterbench.counting import Counting, Settings, Store, find_sources
 from oysterbench.counting.least import Least
 from oysterbench.counting.measure import measure
 from oysterbench.counting.oysters import oysters_of
+from oysterbench.counting.run import Counting, Settings
 from oysterbench.counting.scale import PlainScale, QuadratScale
+from oysterbench.counting.sources import find_sources
+from oysterbench.counting.store import Store
 from oysterbench.methods.images import Detections, Segmentation
 from tests.helpers.image_methods import Light
 from tests.helpers.people_pictures import discs, write

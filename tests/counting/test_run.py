@@ -11,12 +11,14 @@ import pytest
 
 from oysterbench.annotations.image import read_plane
 from oysterbench.core.errors import MethodError
-from oysterbench.counting import Counting, Sampling, Settings, Store, find_sources
 from oysterbench.counting.film import film_rate
 from oysterbench.counting.identity import method_identity
 from oysterbench.counting.overlay import COLOURS, overlay, overlay_factor
 from oysterbench.counting.per_picture import plain
-from oysterbench.counting.reading import decode
+from oysterbench.counting.reading import Sampling, decode
+from oysterbench.counting.run import Counting, Settings
+from oysterbench.counting.sources import find_sources
+from oysterbench.counting.store import Store
 from tests.helpers.image_methods import Another, Lazy, Raises, Small
 from tests.helpers.people_pictures import Discs, FailsOnDark, discs, write, write_video
 

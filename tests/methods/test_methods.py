@@ -58,6 +58,25 @@ def test_an_unknown_method_is_named_with_what_is_installed():
         find_method("orb_slam")
 
 
+def test_a_class_that_a_module_does_not_mention_is_refused_without_importing_what_that_needs(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "slow_net.py").write_text("raise SystemError('imported')\n\nclass MyNet:\n    pass\n")
+    with pytest.raises(MethodError, match=r"slow_net\.py has no 'MyNett'; did you mean MyNet\? its classes: MyNet"):
+        find_method("slow_net:MyNett")
+    with pytest.raises(MethodError, match="SystemError: imported"):
+        find_method("slow_net:MyNet")
+
+
+def test_a_class_that_a_module_has_from_elsewhere_is_found(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "made.py").write_text(
+        "from oysterbench_baselines.threshold.method import All\n\ndef __getattr__(name):\n    return All\n"
+    )
+    assert find_method("made:Anything").name == "all"
+    with pytest.raises(MethodError, match=r"cannot be loaded: No module named 'nowhere_at_all'"):
+        find_method("nowhere_at_all:Net")
+
+
 def test_a_run_is_measured(tiny_file):
     run = run_method(Still(), oysterbench.open(tiny_file))
     assert len(run.estimate.trajectory) == 25

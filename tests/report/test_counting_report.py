@@ -11,9 +11,13 @@ import pytest
 from msgspec.structs import replace
 
 from oysterbench.annotations.coco import coco_set
-from oysterbench.counting import Counting, Sampling, Settings, Store, find_sources, survey
 from oysterbench.counting.accuracy import Accuracy
 from oysterbench.counting.per_picture import plain
+from oysterbench.counting.reading import Sampling
+from oysterbench.counting.run import Counting, Settings
+from oysterbench.counting.sources import find_sources
+from oysterbench.counting.store import Store
+from oysterbench.counting.survey import survey
 from oysterbench.report.bars import count_bins, histogram_plot
 from oysterbench.report.counting import Making, write_counts
 from oysterbench.report.counting_page import drawn, evenly
