@@ -16,7 +16,7 @@ from starlette.responses import PlainTextResponse, Response
 from oysterbench.hub.addresses import network
 from oysterbench_leaderboard.submissions.database import Submission
 from oysterbench_leaderboard.submissions.refusals import Refusal
-from oysterbench_leaderboard.submissions.service import Form, Service
+from oysterbench_leaderboard.submissions.service import Service
 from oysterbench_leaderboard.submissions.tokens import Guesses, Holder, recognise
 from oysterbench_leaderboard.submissions.uploads import (
     check_headers,
@@ -26,6 +26,7 @@ from oysterbench_leaderboard.submissions.uploads import (
     receive_form,
     texts_of,
 )
+from oysterbench_leaderboard.submissions.words import Form
 
 HEADERS = {
     "Cache-Control": "no-store",

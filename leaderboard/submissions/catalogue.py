@@ -9,15 +9,19 @@ import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
 from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.core.files import write_atomically
+from oysterbench.core.ros import EPOCH_NS
 from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench_leaderboard.submissions.refusals import Refusal
+
+if TYPE_CHECKING:
+    from oysterbench.recipe import SplitRecipe
 
 TRACKS_OF = {"slam": ("slam",), "segmentation": ("segmentation", "detection"), "steering": ("steering",)}
 """Track of a split's recipe -> tracks that are scored on it."""
@@ -54,6 +58,7 @@ class Wanted:
     images: that predictions or commands are wanted of; empty where they are not known, as on a client that has not
             downloaded them
     task:   of the track steering, the table [steering] of the recipe
+    spans:  sequence -> begin and end of its recording, ns: what every message of it tells
     """
 
     track: str
@@ -64,6 +69,7 @@ class Wanted:
     conditions: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict)
     images: Images = field(default_factory=dict)
     task: SteeringRecipe | None = None
+    spans: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     @property
     def kind(self) -> Kind:
@@ -121,6 +127,7 @@ class Catalogue:
                 "sequences": list(one.any.sequences),
                 "images": {sequence: len(named) for sequence, named in one.any.images.items()},
                 "task": msgspec.to_builtins(one.any.task),
+                "spans": one.any.spans,
             }
             for name, one in self.splits.items()
         ]
@@ -162,10 +169,17 @@ def serve_split(name_or_path: str, truth: Path | None = None, cache: Path | None
     names = tuple(sequence.name for sequence in split.sequence)
     images = {name: _images_of(path, split.track, cache) for name, path in files.items() if split.track in NAMED}
     wanted = {
-        track: Wanted(track, split.name, digest(split), split.hidden, names, found, images, split.steering)
+        track: Wanted(
+            track, split.name, digest(split), split.hidden, names, found, images, split.steering, spans_of(split)
+        )
         for track in TRACKS_OF[split.track]
     }
     return Served(wanted, files)
+
+
+def spans_of(split: SplitRecipe) -> dict[str, tuple[int, int]]:
+    """Sequence -> begin and end of its recording, ns."""
+    return {one.name: (EPOCH_NS, EPOCH_NS + round(1e9 * one.duration_s)) for one in split.sequence}
 
 
 def _check(split: Any, name: str, path: Path) -> None:
@@ -233,7 +247,7 @@ def local_wanted(split_name: str, track: str) -> Wanted:
         except (OysterbenchError, KeyError):
             pass
     names = tuple(sequence.name for sequence in split.sequence)
-    return Wanted(track, split.name, digest(split), split.hidden, names, task=split.steering)
+    return Wanted(track, split.name, digest(split), split.hidden, names, task=split.steering, spans=spans_of(split))
 
 
 def served_splits(truths: Iterable[str], cache: Path | None = None) -> Catalogue:

@@ -62,7 +62,7 @@ class Client:
             self._headers["Authorization"] = f"Bearer {token}"
 
     def splits(self) -> dict[str, Any]:
-        """What the server takes, and its limits."""
+        """What the server takes, and its limits. Raises Refused where it does not know the token."""
         return self._ask("GET", "/api/submissions/splits")
 
     def send(self, package: Package, method: str, url: str, summary: str, progress: Progress) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.core.names import listed
 
 TOKEN = "OYSTERBENCH_TOKEN"
 
@@ -76,8 +77,10 @@ def command(
     from oysterbench_leaderboard.submissions.catalogue import why
     from oysterbench_leaderboard.submissions.client import Client
     from oysterbench_leaderboard.submissions.package import find_package, packed, split_in, wanted_of
+    from oysterbench_leaderboard.submissions.words import Form
 
     client = Client(url, _token(team_token_file))
+    Form(method, split or "", track or "", about, summary).check()
     if client.open:
         message(f"{url}: without https, others can read the token and the upload")
     offered = client.splits()
@@ -92,9 +95,13 @@ def command(
     results = results or "estimates" not in chosen["takes"]
     found = find_package(place, chosen["sequences"], of, run, results)
     with packed(found, wanted_of(chosen["split"], of_track, chosen), offered["limits"]) as package:
+        for note in package.facts["notes"]:
+            message(note)
         message(f"checked: {_described(package.facts)}; {package.size / 1e6:.3g} MB to send")
         if absent := [name for name in chosen["sequences"] if name not in package.facts["sequences"]]:
             message(f"no estimate is sent for {', '.join(absent)}: counted as failed there")
+        if found.others:
+            message(f"not sent, as named for no sequence of {chosen['split']}: {listed(found.others)}")
         with bytes_bar("sending") as progress:
             sent = client.send(package, method, about, summary, progress)
     message(f"submission {sent['id']}: {url.rstrip('/')}{sent['page']}")
@@ -109,8 +116,13 @@ def _token(file: Path | None) -> str:
     if file is not None:
         try:
             token = file.read_text(encoding="utf-8").strip()
-        except (OSError, UnicodeDecodeError) as error:
-            raise ResultError(f"--team-token-file: {file}: cannot be read: {error}") from None
+            shared = file.stat().st_mode & 0o077
+        except OSError as error:
+            raise ResultError(f"--team-token-file: {file}: {error.strerror}") from None
+        except UnicodeDecodeError:
+            raise ResultError(f"--team-token-file: {file}: not text: expected a team's token, oyb_...") from None
+        if shared:
+            message(f"{file}: others on this machine may read this token; `chmod 600 {file}` keeps them out")
     else:
         token = os.environ.get(TOKEN, "").strip()
     if not token or not token.isascii() or not token.isprintable():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
@@ -39,14 +39,41 @@ def team() -> None:
 @team.command("add", short_help="Create a token for a team; it is shown only once.")
 @click.argument("name")
 @FOLDER
+@click.option("--replace", is_flag=True, help="Revoke the tokens that the team has.")
+@click.option("--another", is_flag=True, help="Keep the tokens that the team has, and add one.")
+@click.option(
+    "--token-file",
+    "file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="New file for the token, readable by its owner only, instead of printing it.",
+)
 @AS_JSON
-def add(name: str, folder: Path, as_json: bool) -> None:
-    """Print a new token for a team; a new team is created. Only its hash is stored, so the token is shown only once."""
+def add(name: str, folder: Path, replace: bool, another: bool, file: Path | None, as_json: bool) -> None:
+    """Print a new token for a team; a new team is created. Only its hash is stored, so the token is shown only once.
+
+    \b
+    Examples:
+      oysterbench leaderboard team add "reef lab" --submissions /srv/oysters
+      oysterbench leaderboard team add "reef lab" --submissions /srv/oysters --token-file reef-lab.token
+      oysterbench leaderboard team add "reef lab" --submissions /srv/oysters --replace    it was lost, or seen by others
+    """
+    from oysterbench.core.files import appearing
     from oysterbench_leaderboard.submissions.tokens import issue
 
-    token = issue(_database(folder), name)
-    echo(json.dumps({"team": name, "token": token}) if as_json else token)
-    message("this token is not shown again; pass it to `submit` with OYSTERBENCH_TOKEN or --team-token-file")
+    if replace and another:
+        raise click.UsageError("--replace and --another: expected one of them")
+    if file is not None and file.exists():
+        raise ResultError(f"--token-file {file}: already exists and was left unchanged; name another file")
+    held: Literal["refuse", "revoke", "keep"] = "revoke" if replace else "keep" if another else "refuse"
+    use = f"--team-token-file {file or 'FILE'}"
+    if file is not None:
+        with appearing(file, mode=0o600) as private:  # first of all, so that no token is made that nobody gets
+            private.write(f"{issue(_database(folder), name, held)}\n".encode())
+        echo(json.dumps({"team": name, "file": str(file)}) if as_json else file)
+    else:
+        token = issue(_database(folder), name, held)
+        echo(json.dumps({"team": name, "token": token}) if as_json else token)
+    message(f"this token is not shown again; pass it to `submit` with {use} (chmod 600) or OYSTERBENCH_TOKEN")
 
 
 @team.command("list", short_help="List all teams and tokens.")

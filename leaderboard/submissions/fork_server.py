@@ -51,6 +51,7 @@ LOADED = (
     "oysterbench.methods.interfaces.steering",
     "oysterbench.tracks.images",
     "oysterbench_leaderboard.submissions.reported",
+    "oysterbench_leaderboard.submissions.times",
 )
 """What readers import where they need it."""
 

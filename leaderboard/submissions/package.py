@@ -14,6 +14,7 @@ import msgspec
 
 from oysterbench.core.documents import read_json
 from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.core.names import did_you_mean, listed, nearest
 from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench_leaderboard.submissions.archive import Limits, pack
 from oysterbench_leaderboard.submissions.catalogue import Wanted, local_wanted
@@ -26,6 +27,9 @@ KINDS |= {".csv": "text/csv", ".npz": "application/octet-stream"}
 
 SUFFIXES = tuple(dict.fromkeys(suffix for openers in OPENERS.values() for suffix in openers if suffix != IMAGE))
 """Of files named by a sequence."""
+
+OF_A_SEQUENCE = (".tum", ".txt", ".csv")
+"""Suffixes of files that are of one sequence each."""
 
 NO_RATIO = 1e9  # what is sent is one's own
 
@@ -44,10 +48,12 @@ class Package:
 
 @dataclass(frozen=True)
 class Found:
-    """What there is to be sent: one file, or several by their names in an archive."""
+    """What there is to be sent: one file, or several by their names in an archive. others: names of files beside them
+    that are of no sequence, and stay here."""
 
     file: Path | None
     files: dict[str, Path]
+    others: tuple[str, ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -63,6 +69,12 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
             raise ResultError(f"{place}: expected a file that ends in {', '.join(KINDS)}, got {place.suffix or 'none'}")
         if place.suffix in OPENERS["poses"] and place.stem in sequences and len(sequences) > 1:
             return Found(None, {place.name: place})
+        if place.suffix in OF_A_SEQUENCE and len(sequences) > 1:
+            meant = did_you_mean(nearest(place.stem, sequences)).strip()
+            raise ResultError(
+                f"{place}: its name is of no sequence of the split: expected SEQUENCE{place.suffix}, the sequences "
+                f"being {listed(sequences)}" + (f"; {meant}" if meant else "")
+            )
         return Found(place, {})
     if not place.is_dir():
         raise ResultError(f"{place}: no such file or folder; expected results.json, or estimates")
@@ -89,9 +101,13 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
         first = sequences[0] if sequences else "SEQUENCE"
         raise ResultError(
             f"{place}: expected a file for each sequence, e.g. {first}.tum or {first}.csv, masks "
-            f"{first}/CAMERA/STAMP.png, or what `oysterbench run` leaves"
+            f"{first}/CAMERA/STAMP.png, or what `oysterbench run` leaves; found "
+            f"{listed(sorted(path.name for path in place.iterdir())).replace('none', 'an empty folder')}"
         )
-    return Found(None, files)
+    of_run = (place / RESULTS).is_file()
+    sent = {path.name for path in files.values()}
+    others = [path.name for path in place.iterdir() if path.suffix in SUFFIXES and path.name not in sent]
+    return Found(None, files, () if of_run else tuple(sorted(others)))
 
 
 def _of_run(place: Path, sequences: Sequence[str], method: str, run: int) -> dict[str, Path]:
@@ -135,11 +151,12 @@ def _first_result(path: Path) -> dict[str, Any]:
 
 def wanted_of(split: str, track: str, known: dict[str, Any]) -> Wanted:
     """What the split asks for: as this installation knows it, or else as the server says."""
+    spans = {name: (int(begin), int(end)) for name, (begin, end) in known.get("spans", {}).items()}
     try:
-        return local_wanted(split, track)
+        return replace(local_wanted(split, track), spans=spans)
     except OysterbenchError:
         task = msgspec.convert(known.get("task"), SteeringRecipe | None)
-        return Wanted(track, split, "", bool(known["hidden"]), tuple(known["sequences"]), task=task)
+        return Wanted(track, split, "", bool(known["hidden"]), tuple(known["sequences"]), task=task, spans=spans)
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from oysterbench_leaderboard.submissions.archive import (
     shown,
 )
 from oysterbench_leaderboard.submissions.catalogue import Kind, Wanted
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.refusals import Refusal, without_options
 
 # A reader of uploads is started for each submission: what only some kinds need is imported where it is needed.
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def refusing(label: str, path: Path | None = None, prefix: bool = False) -> Iter
     except Refusal:
         raise
     except OysterbenchError as error:
-        text = " ".join(str(error).split())
+        text = without_options(" ".join(str(error).split()))
         if path is not None:
             text = text.replace(str(path), label)
         raise Refusal("format", f"{label}: {text}" if prefix else text) from None
@@ -180,11 +180,14 @@ def _path(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, 
         from oysterbench.core.trajectory.archive import read_npz
         from oysterbench.core.trajectory.text import read_text
         from oysterbench.evaluate.slam.validate import check_trajectory
+        from oysterbench_leaderboard.submissions.times import check_times
 
         with refusing(label):
             found = (read_npz if arrays else read_text)(Path(label), data, ReadOptions(**options))
         with refusing(label, prefix=True):
             check_trajectory(found, "estimate")
+        if sequence in wanted.spans:
+            check_times(found, label, sequence, wanted.spans[sequence])
         return found
 
     return {sequence: trajectory}
@@ -333,7 +336,7 @@ SENT: dict[Kind, str] = {
 
 def check_predictions(predictions: Predictions, wanted: Wanted) -> dict[str, Any]:
     """Read all of it. Raises Refusal where something cannot be read, or a sequence has predictions for a part of its
-    images; what it holds, in numbers."""
+    images; what it holds, in numbers, and what its sender may want to know."""
     sequences = predictions.sequences(wanted)
     for sequence in sequences if predictions.kind == "predictions" and wanted.images else ():
         if missing := [name for name in wanted.images[sequence] if name not in predictions.readers]:
@@ -343,10 +346,14 @@ def check_predictions(predictions: Predictions, wanted: Wanted) -> dict[str, Any
                 f"being {missing[0]}; expected all of a sequence, or none",
             )
     poses = images = 0
-    for _, read in sorted(predictions.readers.items()):
+    notes = []
+    for name, read in sorted(predictions.readers.items()):
         found = read()
         if predictions.kind == "poses":
+            from oysterbench_leaderboard.submissions.times import outside_notes
+
             poses += len(found)
+            notes += outside_notes(found, name, wanted.spans.get(name))
         else:
             images += 1 if predictions.kind == "predictions" else len(found)
-    return {"kind": predictions.kind, "sequences": sequences, "poses": poses, "images": images}
+    return {"kind": predictions.kind, "sequences": sequences, "poses": poses, "images": images, "notes": notes}

@@ -18,6 +18,7 @@ from sqlalchemy import Connection, select
 
 from oysterbench.core.cluster import AHEAD, connect, find_withdrawn
 from oysterbench.core.errors import OysterbenchError
+from oysterbench.core.names import listed
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.submissions import sandbox
 from oysterbench_leaderboard.submissions.database import Submission, change, find, log_event, submissions
@@ -155,7 +156,10 @@ def outcome_of(service: Service, mine: Submission, ended: Ended) -> dict[str, st
         return {"state": "failed", "reason": FAILED["crash"]}
     failures = {result.sequence: result.failure for result in record.results if result.failure is not None}
     if len(failures) == len(record.results) and not reported:
-        why = "; ".join(f"{sequence}: {failure}" for sequence, failure in list(failures.items())[:3])
+        of: dict[str, list[str]] = {}
+        for sequence, failure in failures.items():
+            of.setdefault(failure, []).append(sequence)
+        why = "; ".join(f"{listed(sequences)}: {failure}" for failure, sequences in list(of.items())[:3])
         return {"state": "failed", "reason": FAILED["none"] + why}
     return {"state": "done", "record": service.scored.add(record)}
 

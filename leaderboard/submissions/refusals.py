@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+import re
+
 from oysterbench.core.errors import OysterbenchError
+
+OPTIONS = re.compile(
+    r",? or [^;()]*\([^()]*--[a-z][^()]*\)[^;]*"  # ", or name the format (--format tum)"
+    r"| \([^()]*--[a-z][^()]*\)"  # " (--sort)"
+    r"|; [^;]*--estimate-kind[^;]*"
+)
+"""Advice to set an option of `oysterbench eval`."""
 
 STATUS = {
     "token": 401,
@@ -58,3 +67,14 @@ FAILED = {
 
 SERVER_FAULTS = tuple(FAILED[cause] for cause in ("crash", "refused", "absent"))
 """Those that a server which was mended may not give again."""
+
+
+def without_options(text: str) -> str:
+    """The text of an error of `eval` without its advice to set an option: a submission is read without any.
+
+    >>> without_options("poses.tum:3: expected increasing timestamps; sort the poses by time (--sort)")
+    'poses.tum:3: expected increasing timestamps; sort the poses by time'
+    >>> without_options("a.csv: expected a header; correct it, or name the format (--format tum or euroc)")
+    'a.csv: expected a header; correct it'
+    """
+    return OPTIONS.sub("", text)

@@ -10,7 +10,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.hub.addresses import network
 from oysterbench.hub.canonical import parse
 from oysterbench.results.records import ResultRecord
-from oysterbench_leaderboard.record import MOST_TEXT, Record, check_text
+from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.store import RecordStore, StatusChange
 from oysterbench_leaderboard.submissions import namespaces, sandbox
 from oysterbench_leaderboard.submissions.catalogue import Catalogue, Wanted
@@ -38,20 +38,10 @@ from oysterbench_leaderboard.submissions.estimates import Estimates, Upload
 from oysterbench_leaderboard.submissions.rates import DAY_S, DailyReads, Sampler
 from oysterbench_leaderboard.submissions.refusals import SERVER_FAULTS, Refusal
 from oysterbench_leaderboard.submissions.settings import FILE, SubmissionSettings
+from oysterbench_leaderboard.submissions.words import Form, check_words
 
 AGAIN_S = 3600.0
 LATER = "a later submission of the same method by the same team"
-
-
-@dataclass(frozen=True)
-class Form:
-    """What a sender says of a submission; track may be empty where the split has one."""
-
-    method: str
-    split: str
-    track: str = ""
-    url: str = ""
-    summary: str = ""
 
 
 class Service:
@@ -124,12 +114,7 @@ class Service:
 
     def check_form(self, form: Form) -> tuple[Form, Wanted]:
         """The form with its track, and what it has to be answered by. Raises Refusal naming the field."""
-        for key in ("method", "url", "summary"):
-            _check_text(key, getattr(form, key))
-        if not form.method.strip():
-            raise Refusal("text", "expected the name of the method, got an empty one")
-        if form.url and not form.url.startswith(("https://", "http://")):
-            raise Refusal("text", f"key 'url': expected https://... or nothing, got {form.url!r:.60}")
+        form.check()
         _, wanted = self.catalogue.find(form.split, form.track)
         stripped = {key: getattr(form, key).strip() for key in ("method", "url", "summary")}
         return replace(form, track=wanted.track, **stripped), wanted
@@ -282,7 +267,7 @@ class Service:
 
     def withdraw(self, team: str, id: str, reason: str = "") -> Submission:
         """Take a submission back, whatever its state; a published record stays where it is, marked as withdrawn."""
-        _check_text("reason", reason)
+        check_words("reason", reason)
         at = self.now()
         with self.database.writing() as connection:
             found = self._own(connection, team, id)
@@ -350,14 +335,6 @@ class Service:
             return Record.from_dict(parse(record.data, "record"))
         except (OysterbenchError, UnicodeEncodeError, ValueError) as error:
             raise ResultError(f"the record cannot be read again: {error}") from None
-
-
-def _check_text(key: str, text: str) -> None:
-    """Refuse what no page could show in a line."""
-    try:
-        check_text(key, text, MOST_TEXT[key])
-    except ResultError as error:
-        raise Refusal("text", str(error).removeprefix("record: ")) from None
 
 
 def _private_log(path: Path) -> logging.Logger:

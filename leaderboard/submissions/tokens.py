@@ -9,6 +9,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
+from typing import Literal
 
 from sqlalchemy import Connection, insert, select, update
 
@@ -36,8 +37,11 @@ class Holder:
     token: str
 
 
-def issue(database: Database, team: str) -> str:
-    """A new token of a team, which is made if it is new. It is nowhere kept: who loses it asks for another one."""
+def issue(database: Database, team: str, held: Literal["refuse", "revoke", "keep"] = "refuse") -> str:
+    """A new token of a team, which is made if it is new. It is nowhere kept: who loses it asks for another one.
+
+    held: what becomes of tokens that the team has. Raises ResultError where it has one, and nobody decided that.
+    """
     check_text("team", team, MOST_TEXT["team"])
     if not team.strip() or team != team.strip():
         raise ResultError(f"expected the name of a team, without spaces around it, got {team!r}")
@@ -46,6 +50,18 @@ def issue(database: Database, team: str) -> str:
     with database.writing() as connection:
         if connection.execute(select(teams.c.name).where(teams.c.name == team)).first() is None:
             connection.execute(insert(teams).values(name=team, created=at))
+        valid = (tokens.c.team == team) & (tokens.c.revoked == "")
+        before = connection.execute(select(tokens.c.id, tokens.c.created).where(valid).order_by(tokens.c.created)).all()
+        if before and held == "refuse":
+            known = ", ".join(f"{one.id} of {one.created[:10]}" for one in before)
+            raise ResultError(
+                f"team {team!r} has a token already ({known}): add --replace to revoke it and print a new one, or "
+                "--another for one more; nothing was changed"
+            )
+        if held == "revoke":
+            connection.execute(update(tokens).where(valid).values(revoked=at))
+            for one in before:
+                log_event(connection, at, "operator", "token revoked", why=one.id)
         connection.execute(insert(tokens).values(id=id, team=team, hash=_hash(secret), created=at, revoked=""))
         log_event(connection, at, "operator", "token issued", why=f"{team}: {id}")
     return f"{PREFIX}_{id}_{secret}"

@@ -35,7 +35,7 @@ from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.sandbox import Job
 from oysterbench_leaderboard.submissions.sandbox_worker import do
 from oysterbench_leaderboard.submissions.scoring import score_predictions
-from oysterbench_leaderboard.submissions.service import Form
+from oysterbench_leaderboard.submissions.words import Form
 from tests.fuzz.mutations import BY_SUFFIX, VALUES, WORDS, archive, one, raw, zipped
 from tests.fuzz.mutations import document as changed_document
 from tests.fuzz.watch import Wrong, tool

@@ -194,6 +194,7 @@ class Site:
     def __init__(self, folder: Path, server: Server, tokens: dict[str, str]) -> None:
         self.folder, self.server, self.tokens = folder, server, tokens
         self.token = tokens["reef lab"]
+        self.url = f"http://127.0.0.1:{server.port}"
 
     def events(self) -> list[dict[str, Any]]:
         """The log."""
@@ -224,7 +225,7 @@ class Site:
         own = {
             "Content-Type": "application/x-www-form-urlencoded",
             "Cookie": cookie,
-            "Origin": f"http://127.0.0.1:{self.server.port}",
+            "Origin": self.url,
             **headers,
         }
         return self.server.ask("POST", path, urlencode(fields), {k: v for k, v in own.items() if v})

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from oysterbench_leaderboard.submissions.database import log
 from oysterbench_leaderboard.submissions.estimates import upload_of
-from oysterbench_leaderboard.submissions.service import Form
+from oysterbench_leaderboard.submissions.words import Form
 from tests.helpers.pool import answers
 from tests.helpers.served import drain
 

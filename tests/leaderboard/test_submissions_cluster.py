@@ -14,8 +14,8 @@ from oysterbench.version import VERSION
 from oysterbench_leaderboard.submissions import queue
 from oysterbench_leaderboard.submissions.database import log
 from oysterbench_leaderboard.submissions.estimates import Estimates, upload_of
-from oysterbench_leaderboard.submissions.service import Form
 from oysterbench_leaderboard.submissions.tokens import issue
+from oysterbench_leaderboard.submissions.words import Form
 from tests.helpers.clusters import two_workers, workers_of
 from tests.helpers.kills import scored_again
 from tests.helpers.pool import answers, lay_split

@@ -23,7 +23,7 @@ def test_commands_score_what_the_expert_would_have_gained(served, tmp_path):
     made = [[[1, 1]] * IMAGES, steered(1)[0].tolist()]
     data = zipped({f"{name}.csv": table(k, made[k]) for k, name in enumerate(NAMES)})
     predictions, facts = opened(tmp_path, data, wanted)
-    assert facts == {"kind": "commands", "sequences": list(NAMES), "poses": 0, "images": 2 * IMAGES}
+    assert facts == {"kind": "commands", "sequences": list(NAMES), "poses": 0, "images": 2 * IMAGES, "notes": []}
     scored = score_predictions(predictions, wanted, served["pool-dive"].truth, "eel", "2026-11-01T00:00:00Z")
     straight, expert = (record.metrics for record in scored.results)
     named, worth = steered(0)

@@ -33,7 +33,7 @@ def test_paths_are_read_in_every_format_and_score_the_same(served, tmp_path):
     arrays = npz(stamps_ns=one.stamps_ns, positions=one.positions, quaternions=one.quaternions)
     files = {"pool-01.npz": arrays, "pool-02.csv": (columns + "\n".join(rows)).encode()}
     predictions, facts = opened(tmp_path, zipped(files), wanted)
-    assert facts == {"kind": "poses", "sequences": list(NAMES), "poses": 400, "images": 0}
+    assert facts == {"kind": "poses", "sequences": list(NAMES), "poses": 400, "images": 0, "notes": []}
     text, _ = opened(tmp_path, zipped({"pool-01.txt": tum(one, tmp_path), "pool-02.tum": tum(two, tmp_path)}), wanted)
     for name, trajectory in zip(NAMES, (one, two), strict=True):
         assert np.allclose(predictions.readers[name]().positions, trajectory.positions, atol=1e-8)
@@ -76,7 +76,7 @@ def test_a_sequence_without_a_file_counts_as_failed(served, tmp_path):
     [
         (b"1 2 3 4 0 0 0 1\n2 2 3 4 0 0 0\n", r"pool-01\.tum:2: expected 8 numbers"),
         (b"1 2 3 4 0 0 0 1\n\n# x\n2 2 3 inf 0 0 0 1\n", r"pool-01\.tum:4: expected finite numbers, got z = inf"),
-        (b"1 2 3 4 0 0 0 1\n1 2 3 5 0 0 0 1\n", r"pool-01\.tum:2: expected one pose for each stamp"),
+        (b"1 2 3 4 0 0 0 1\n1 2 3 5 0 0 0 1\n", r"pool-01\.tum:2: expected one pose for each timestamp"),
         (b"1 2 3 4 0 0 0 9\n", r"pool-01\.tum:1: expected a unit quaternion"),
         (b"\xff\xfe\x00", r"pool-01\.tum is not text"),
         (b"", r"pool-01\.tum holds no pose"),
@@ -106,7 +106,13 @@ def test_masks_arrays_and_annotations_score_the_same(served, tmp_path):
         found = {}
         for form, data in forms.items():
             predictions, facts = opened(tmp_path, data, wanted)
-            assert facts == {"kind": "predictions", "sequences": list(NAMES), "poses": 0, "images": 2 * IMAGES}
+            assert facts == {
+                "kind": "predictions",
+                "sequences": list(NAMES),
+                "poses": 0,
+                "images": 2 * IMAGES,
+                "notes": [],
+            }
             scored = score_predictions(predictions, wanted, truth, "net", "2026-11-01T00:00:00Z")
             found[form] = [record.metrics[key] for record in scored.results]
             assert scored.data_set["metrics"][key] > 0

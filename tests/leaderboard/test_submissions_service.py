@@ -18,7 +18,7 @@ from oysterbench_leaderboard.submissions.estimates import upload_of
 from oysterbench_leaderboard.submissions.rates import DailyReads
 from oysterbench_leaderboard.submissions.refusals import FAILED, Refusal
 from oysterbench_leaderboard.submissions.tokens import issue
-from tests.helpers.pool import answers
+from tests.helpers.pool import NAMES, answers, estimate, tum, zipped
 from tests.helpers.served import FAST, drain, make_service
 from tests.helpers.serving import FORM, events, send
 
@@ -159,20 +159,20 @@ def test_what_failed_by_its_own_fault_stays_so(service, tmp_path, monkeypatch):
     assert send(service, tmp_path) == (service.get("reef lab", made.id), False)
 
 
-def test_nothing_that_can_be_scored_is_a_failure(service, tmp_path):
-    from tests.helpers.pool import NAMES, estimate, tum, zipped
-
-    late = {
-        f"{name}.tum": tum(replace(e := estimate(k), stamps_ns=e.stamps_ns + 10**15), tmp_path)
+def test_nothing_that_can_be_scored_is_a_failure_and_a_reason_that_sequences_share_is_told_once(service, tmp_path):
+    large = {
+        f"{name}.tum": tum(replace(e := estimate(k), positions=1000 * e.positions), tmp_path)
         for k, name in enumerate(NAMES)
     }
-    file = service.incoming / "late"
-    file.write_bytes(zipped(late))
+    file = service.incoming / "large"
+    file.write_bytes(zipped(large))
     made, _ = service.submit("reef lab", FORM, upload_of(file))
     drain(service)
     found = service.get("reef lab", made.id)
     assert found.state == "failed"
-    assert found.reason.startswith("no sequence could be scored; pool-01: the path is refused: it has no pose at")
+    assert found.reason == (
+        "no sequence could be scored; pool-01, pool-02: the path is refused: its positions are not in metres"
+    )
 
 
 def test_a_file_without_a_submission_is_no_harm(service, tmp_path):

@@ -11,10 +11,10 @@ from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.store import RecordStore
 from oysterbench_leaderboard.submissions import namespaces
 from oysterbench_leaderboard.submissions.estimates import upload_of
-from oysterbench_leaderboard.submissions.service import Form
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.tokens import issue
 from oysterbench_leaderboard.submissions.web import open_service
+from oysterbench_leaderboard.submissions.words import Form
 from tests.helpers.pool import answers, lay_split
 from tests.helpers.served import drain, make_service
 

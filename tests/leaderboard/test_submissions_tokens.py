@@ -14,7 +14,7 @@ from oysterbench_leaderboard.submissions.tokens import Guesses, issue, listed, r
 
 def test_a_token_is_shown_once_and_only_its_hash_is_kept(tmp_path):
     database = Database(SubmissionSettings(folder=tmp_path / "private"))
-    one, two = issue(database, "reef lab"), issue(database, "reef lab")
+    one, two = issue(database, "reef lab"), issue(database, "reef lab", "keep")
     assert one != two
     with database.reading() as connection:
         assert recognise(connection, one).team == recognise(connection, two).team == "reef lab"
@@ -29,7 +29,7 @@ def test_a_token_is_shown_once_and_only_its_hash_is_kept(tmp_path):
 
 def test_tokens_are_revoked_one_by_one_or_with_their_team(tmp_path):
     database = Database(SubmissionSettings(folder=tmp_path))
-    one, two = issue(database, "reef lab"), issue(database, "reef lab")
+    one, two = issue(database, "reef lab"), issue(database, "reef lab", "keep")
     assert revoke(database, one.split("_")[1]) == [one.split("_")[1]]
     with database.reading() as connection:
         assert recognise(connection, one) is None
@@ -66,3 +66,19 @@ def test_guesses_are_counted_by_address_and_all_together(tmp_path):
         guesses.check("2001:db8::ffff")  # of the same network
     guesses.check("10.0.0.3")  # has never sent a wrong one
     assert network("::ffff:10.0.0.1") == "10.0.0.1"
+
+
+def test_a_second_token_is_made_only_where_it_is_said_what_becomes_of_the_first(tmp_path):
+    database = Database(SubmissionSettings(folder=tmp_path))
+    first = issue(database, "reef lab")
+    why = r"has a token already \([0-9a-f]{12} of 20.*--replace to revoke it .*--another for one more; nothing was"
+    with pytest.raises(ResultError, match=why):
+        issue(database, "reef lab")
+    assert len(listed(database)) == 1
+    second = issue(database, "reef lab", "revoke")
+    with database.reading() as connection:
+        assert recognise(connection, first) is None
+        assert recognise(connection, second) is not None
+    assert revoke(database, "reef lab") == [second.split("_")[1]]
+    assert issue(database, "reef lab"), "none is valid any more"
+    database.close()

@@ -1,12 +1,10 @@
-"""`oysterbench submit`, and the form in the browser, against a server in a process of its own."""
+"""`oysterbench submit`, against a server in a process of its own."""
 
 from __future__ import annotations
 
 import json
-import os
 import re
-from pathlib import Path
-from urllib.parse import urlencode
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,18 +14,8 @@ from oysterbench.cli.main import main
 from oysterbench.core.errors import HubError, NetworkError
 from oysterbench.hub.sources import Patience
 from oysterbench_leaderboard.submissions.client import Client, Refused
-from tests.helpers.browser import CHROMIUM, browsing
 from tests.helpers.pool import NAMES, answers, estimate, image_names, steered, tum, zipped
-from tests.helpers.served import Server, lay, running
-
-
-class Site:
-    """A server, with the tokens of its teams."""
-
-    def __init__(self, folder, server: Server, tokens: dict[str, str]) -> None:
-        self.folder, self.server, self.tokens = folder, server, tokens
-        self.url = f"http://127.0.0.1:{server.port}"
-        self.token = tokens["reef lab"]
+from tests.helpers.served import Site, lay, running
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +64,52 @@ def test_what_is_wrong_is_found_before_anything_is_sent(site, estimates):
     assert "oysterbench: pool-02.tum:2: expected 8 numbers" in sent.stderr
     assert sent.stderr.count("\n") == 1
     assert site.server.ask("GET", "/api/submissions", token=site.token)[2] == before
+
+
+def posts(site) -> int:
+    """Submissions that the server has been sent, taken or refused."""
+    return sum(event["what"] in ("queued", "refused") for event in site.events())
+
+
+def test_times_of_another_clock_are_found_before_anything_is_sent(site, estimates, tmp_path):
+    path = estimate(1)
+    relative = replace(path, stamps_ns=path.stamps_ns - path.stamps_ns[0])
+    (estimates / "pool-02.tum").write_bytes(tum(relative, tmp_path))
+    before = posts(site)
+    sent = submit(site, estimates, "--method", "pike", "--split", "pool-test")
+    assert (sent.exit_code, sent.stderr.count("\n"), posts(site)) == (1, 1, before)
+    assert "oysterbench: pool-02.tum: no pose is at a time of its sequence: they are at 0.000 to" in sent.stderr
+    late = replace(path, stamps_ns=path.stamps_ns + 10_000_000_000)
+    (estimates / "pool-02.tum").write_bytes(tum(late, tmp_path))
+    sent = submit(site, estimates, "--method", "late", "--split", "pool-test", "--no-wait")
+    assert sent.exit_code == 0
+    assert "pool-02: 98 of 200 poses are before its begin or after its end, and are not scored\n" in sent.stderr
+
+
+@pytest.mark.parametrize("wrong", ["token", "method"])
+def test_a_wrong_token_and_a_name_that_no_page_can_show_are_noticed_before_anything_is_sent(
+    site, estimates, monkeypatch, wrong
+):
+    monkeypatch.setattr(Client, "send", lambda *args: pytest.fail("it was sent"))
+    method, token = ("carp", f"{site.token[:-1]}~") if wrong == "token" else ("a\u202eb", site.token)
+    sent = submit(site, estimates, "--method", method, "--split", "pool-test", token=token)
+    assert (sent.exit_code, sent.stderr.count("\n")) == (1, 1)
+    expected = {"token": "the token is unknown or revoked", "method": "key 'method': expected plain text"}
+    assert expected[wrong] in sent.stderr
+
+
+def test_names_that_are_of_no_sequence_are_told_with_what_was_found(site, estimates):
+    (estimates / "pool-02.tum").rename(estimates / "pool-2.tum")
+    sent = submit(site, estimates, "--method", "named", "--split", "pool-test", "--no-wait")
+    assert "no estimate is sent for pool-02: counted as failed there" in sent.stderr
+    assert "not sent, as named for no sequence of pool-test: pool-2.tum" in sent.stderr
+    one = submit(site, estimates / "pool-2.tum", "--method", "named", "--split", "pool-test")
+    assert one.exit_code == 1
+    assert "expected SEQUENCE.tum, the sequences being pool-01, pool-02; did you mean pool-02" in one.stderr
+    (estimates / "pool-01.tum").rename(estimates / "one.tum")
+    none = submit(site, estimates, "--method", "named", "--split", "pool-test")
+    assert none.exit_code == 1
+    assert none.stderr.endswith("what `oysterbench run` leaves; found one.tum, pool-2.tum\n")
 
 
 @pytest.mark.slow
@@ -166,7 +200,7 @@ def test_masks_in_a_folder_are_sent_as_they_lie(site, tmp_path):
     [
         (["--method", "x", "--split", "slam-99"], None, "this leaderboard accepts submissions to pool-masks", 1),
         (["--method", "x"], None, "--split: expected the split that was predicted, one of", 2),
-        (["--method", "x" * 90, "--split", "pool-test"], None, "refused: key 'method': expected at most 80", 1),
+        (["--method", "x" * 90, "--split", "pool-test"], None, "oysterbench: key 'method': expected at most 80", 1),
         (["--method", "x", "--split", "pool-test"], "oyb_0_wrong", "refused: the token is unknown", 1),
         (["--method", "x", "--split", "pool-test", "--track", "detection"], None, "--track: pool-test has slam", 1),
         (["--method", "x", "--publish", "--no-wait"], None, "it cannot be combined with --no-wait", 2),
@@ -180,6 +214,7 @@ def test_what_cannot_be_is_said_in_one_line(site, estimates, args, token, messag
 
 def test_a_token_is_read_from_a_file_and_shown_nowhere(site, estimates, tmp_path, monkeypatch):
     monkeypatch.delenv("OYSTERBENCH_TOKEN", raising=False)
+    (tmp_path / "token").touch(0o600)
     (tmp_path / "token").write_text(f"{site.token}\n")
     args = ["submit", str(estimates), "--to", site.url, "--method", "filed", "--split", "pool-test", "--no-wait"]
     none = CliRunner().invoke(main, args)
@@ -187,6 +222,12 @@ def test_a_token_is_read_from_a_file_and_shown_nowhere(site, estimates, tmp_path
     sent = CliRunner().invoke(main, [*args, "--team-token-file", str(tmp_path / "token")])
     assert sent.exit_code == 0, sent.output
     assert site.token not in sent.output
+    assert "chmod" not in sent.stderr
+    (tmp_path / "token").chmod(0o644)
+    shared = CliRunner().invoke(main, [*args, "--team-token-file", str(tmp_path / "token")])
+    assert f"{tmp_path / 'token'}: others on this machine may read this token; `chmod 600" in shared.stderr
+    absent = CliRunner().invoke(main, [*args, "--team-token-file", str(tmp_path / "none")])
+    assert absent.stderr == f"oysterbench: --team-token-file: {tmp_path / 'none'}: No such file or directory\n"
 
 
 def test_a_server_that_is_not_there_is_a_network_failure(tmp_path):
@@ -219,112 +260,6 @@ def test_a_refusal_is_no_reason_to_try_again(site):
         client.get("0" * 16)
 
 
-# The form:
-
-
-def csrf_in(page: bytes) -> str:
-    found = re.search(rb'name="csrf" value="([0-9a-f]{64})"', page)
-    assert found
-    return found[1].decode()
-
-
-def test_the_form_takes_a_submission_from_its_sending_to_its_withdrawal(site, tmp_path):
-    ask = site.server.ask
-    origin = {"Origin": site.url}
-    _, headers, page = ask("GET", "/submit/new")
-    assert b"Sign in" in page
-    cookie = {"Cookie": headers["set-cookie"].split(";")[0]}
-    plain = {**origin, "Content-Type": "application/x-www-form-urlencoded"}
-
-    wrong = urlencode({"csrf": csrf_in(page), "token": "oyb_1_2"})
-    status, _, again = ask("POST", "/submit/sign-in", wrong, {**plain, **cookie})
-    assert status == 401
-    assert b"the token is unknown" in again
-
-    right = urlencode({"csrf": csrf_in(page), "token": site.token})
-    status, headers, _ = ask("POST", "/submit/sign-in", right, {**plain, **cookie})
-    assert (status, headers["location"]) == (303, "/submit/new")
-    cookie = {"Cookie": headers["set-cookie"].split(";")[0]}
-    page = ask("GET", "/submit/new", headers=cookie)[2]
-    assert b"Signed in as <b>reef lab</b>" in page
-
-    def send(files):
-        parts = {"csrf": csrf_in(page), "split": "pool-test slam", "method": "by hand", "url": "", "summary": "a <b> c"}
-        body = b"".join(
-            f'--b\r\nContent-Disposition: form-data; name="{k}"\r\n\r\n{v}\r\n'.encode() for k, v in parts.items()
-        )
-        for name, data in files.items():
-            body += f'--b\r\nContent-Disposition: form-data; name="file"; filename="{name}"\r\n\r\n'.encode() + data
-            body += b"\r\n"
-        kind = {"Content-Type": "multipart/form-data; boundary=b"}
-        return ask("POST", "/submit/new", body + b"--b--\r\n", {**origin, **cookie, **kind})
-
-    status, _, refused = send({"pool-01.tum": b"1 2 3\n"})
-    assert status == 422
-    assert b'role="alert"' in refused
-    assert b'value="by hand"' in refused, "what was typed is still there"
-    status, _, refused = send({"pool-01.tum": b"1 2 3 4 5\n", "pool-02.tum": b"x"})
-    assert (status, b"pool-01.tum:1: expected 8 numbers" in refused) == (422, True)
-
-    files = {f"{name}.tum": tum(estimate(k, case=3), tmp_path) for k, name in enumerate(NAMES)}
-    status, headers, _ = send(files)
-    assert status == 303
-    place = headers["location"]
-    assert send(dict(reversed(files.items())))[1]["location"] == place, "in another order they are the same"
-    site.server.wait(site.token, place.rpartition("/")[2])
-    page = ask("GET", place, headers=cookie)[2]
-    assert b"has been scored, and is private" in page
-    small = urlencode({"csrf": csrf_in(page)})
-    assert ask("POST", f"{place}/publish", small, {**plain, **cookie})[0] == 303
-    page = ask("GET", place, headers=cookie)[2]
-    assert b"and is published" in page
-    why = urlencode({"csrf": csrf_in(page), "reason": "<i>wrong</i> camera"})
-    assert ask("POST", f"{place}/withdraw", why, {**plain, **cookie})[0] == 303
-    page = ask("GET", place, headers=cookie)[2]
-    assert b"&lt;i&gt;wrong&lt;/i&gt; camera" in page
-    out = urlencode({"csrf": csrf_in(ask("GET", "/submit/new", headers=cookie)[2])})
-    assert ask("POST", "/submit/sign-out", out, {**plain, **cookie})[0] == 303
-    assert ask("GET", place, headers=cookie)[0] == 401
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
-def test_a_browser_without_scripts_walks_from_signing_in_to_the_record(site, tmp_path):
-    """On a phone. With OYSTERBENCH_PICTURES naming a folder, pictures of the pages are left there."""
-    file = tmp_path / "answers.zip"
-    file.write_bytes(answers(tmp_path, case=21))
-
-    def fits(name):
-        if pictures := os.environ.get("OYSTERBENCH_PICTURES"):
-            (Path(pictures) / f"{name}.png").write_bytes(browser.picture())
-        assert browser.value("document.documentElement.scrollWidth <= innerWidth"), name
-
-    with browsing() as browser:
-        browser.look(390, dark=True, script=False)
-        browser.go(f"{site.url}/submit/new")
-        fits("submit-sign-in")
-        browser.value(f"document.querySelector('#token').value = {site.token!r}")
-        browser.follow("document.querySelector('main form button').click()")
-        assert "Signed in as reef lab" in browser.value("document.querySelector('main').textContent")
-        assert "oysterbench_session" not in browser.value("document.cookie"), "no script can read it"
-        fits("submit-new")
-        browser.value("document.querySelector('#split').value = 'pool-test slam'")
-        browser.value("document.querySelector('#method').value = 'by browser'")
-        chosen = browser.call("Runtime.evaluate", expression="document.querySelector('#file')")["result"]["objectId"]
-        browser.call("DOM.setFileInputFiles", files=[str(file)], objectId=chosen)
-        browser.follow("document.querySelector('form[enctype] button').click()")
-        place = browser.value("location.pathname")
-        browser.go(f"{site.url}/submit/new")  # its page asks again by itself, which is no good moment to look
-        site.server.wait(site.token, place.rpartition("/")[2])
-        browser.go(f"{site.url}{place}")
-        assert "has been scored, and is private" in browser.value("document.querySelector('main').textContent")
-        fits("submit-done")
-        browser.follow("document.querySelector('form[action$=publish] button').click()")
-        assert "and is published" in browser.value("document.querySelector('main').textContent")
-        fits("submit-published")
-        browser.follow("document.querySelector('a[href^=\"/records/\"]').click()")
-        assert browser.value("document.querySelector('h1').textContent") == "by browser"
-
-
 def test_a_zip_archive_without_the_command(site, tmp_path):
     """As `curl --data-binary` sends it."""
     status, made = site.server.send(site.token, answers(tmp_path, case=9), method="curl")
@@ -345,9 +280,17 @@ def test_operators_make_teams_read_the_log_and_try_again(tmp_path):
     assert made.exit_code == 0, made.output
     token = made.stdout.strip()
     assert re.fullmatch(r"oyb_[0-9a-f]{12}_[\w-]{43}", token)
+    twice = run("team", "add", "reef lab")
+    assert (twice.exit_code, twice.stdout, twice.stderr.count("\n")) == (1, "", 1)
+    assert "add --replace to revoke it and print a new one, or --another for one more" in twice.stderr
+    file = tmp_path / "token"
+    assert run("team", "add", "reef lab", "--another", "--token-file", str(file)).stdout == f"{file}\n"
+    assert (file.stat().st_mode & 0o777, file.read_text()[:4]) == (0o600, "oyb_")
+    assert "left unchanged" in run("team", "add", "reef lab", "--another", "--token-file", str(file)).stderr
     assert "reef lab" in run("team", "list").stdout
     assert token not in run("team", "list").stdout
-    assert json.loads(run("team", "list", "--json").stdout)[0]["id"] == token.split("_")[1]
+    rows = json.loads(run("team", "list", "--json").stdout)
+    assert {row["id"] for row in rows} == {token.split("_")[1], file.read_text().split("_")[1]}
     assert run("team", "revoke", token.split("_")[1]).stdout.startswith("revoked: ")
     assert "token revoked" in run("submissions", "log").stdout
     assert run("submissions", "list").stdout == ""

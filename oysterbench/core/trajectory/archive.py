@@ -95,8 +95,8 @@ def _stamps(
     limit = 2**62 // factor
     if not np.isfinite(stamps).all() or (len(stamps) and (stamps.min() < -limit or stamps.max() > limit)):
         raise TrajectoryError(
-            f"{path}: expected {key!r} in {unit}, finite and within 146 years of the epoch; give their unit "
-            "(--time-unit s, ms, us or ns)"
+            f"{path}: expected {key!r} in {unit}, finite and within 146 years of the epoch; correct them, or give "
+            "their unit (--time-unit s, ms, us or ns)"
         )
     if stamps.dtype.kind in "iu":
         return np.asarray(stamps.astype(np.int64) * factor)

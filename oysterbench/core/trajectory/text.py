@@ -212,8 +212,8 @@ def _stamps(
             i = int(np.argmax(wrong))
             raise TrajectoryError(
                 f"{table.where(i)}: expected a timestamp in seconds (or nanoseconds since 1970), got "
-                f"{table.stamp(i)}{others(wrong)}, which looks like milli-, micro- or nanoseconds; say which "
-                "(--time-unit ms, us or ns)"
+                f"{table.stamp(i)}{others(wrong)}, which looks like milli-, micro- or nanoseconds; write "
+                "seconds, or say which they are (--time-unit ms, us or ns)"
             )
     try:
         return scaled_integers(table.stamps, SHIFTS[unit])
@@ -253,8 +253,8 @@ def _kitti(table: NumberTable, path: Path, options: ReadOptions) -> Trajectory:
     """Poses from the top three rows of their matrices; stamps from `options.times`."""
     if options.times is None:
         raise NoStampsError(
-            f"{path}: KITTI poses have no timestamps; give a file with one time per line (--times FILE), or ground "
-            f"truth with as many poses ({len(table)})",
+            f"{path}: KITTI poses have no timestamps; write lines of TUM, or give a file with one time per line "
+            f"(--times FILE), or ground truth with as many poses ({len(table)})",
             len(table),
         )
     if len(options.times) != len(table):

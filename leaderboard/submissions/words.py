@@ -1,0 +1,37 @@
+"""What a sender says of a submission, in words: checked by the client before it sends, and by the server."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from oysterbench.core.errors import ResultError
+from oysterbench_leaderboard.record import MOST_TEXT, check_text
+from oysterbench_leaderboard.submissions.refusals import Refusal
+
+
+@dataclass(frozen=True)
+class Form:
+    """What a sender says of a submission; track may be empty where the split has one."""
+
+    method: str
+    split: str
+    track: str = ""
+    url: str = ""
+    summary: str = ""
+
+    def check(self) -> None:
+        """Raises Refusal naming the field that no page could show."""
+        for key in ("method", "url", "summary"):
+            check_words(key, getattr(self, key))
+        if not self.method.strip():
+            raise Refusal("text", "expected the name of the method, got an empty one")
+        if self.url and not self.url.startswith(("https://", "http://")):
+            raise Refusal("text", f"key 'url': expected https://... or nothing, got {self.url!r:.60}")
+
+
+def check_words(key: str, text: str) -> None:
+    """Refuse what no page could show in a line. key: of `MOST_TEXT`."""
+    try:
+        check_text(key, text, MOST_TEXT[key])
+    except ResultError as error:
+        raise Refusal("text", str(error).removeprefix("record: ")) from None
