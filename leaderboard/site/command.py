@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from oysterbench.cli.echo import message
-from oysterbench.cli.hub import PROXY
+from oysterbench.cli.publish import PROXY
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.options import Place, find_place
 
