@@ -28,7 +28,9 @@ class BoardInfo:
     sequences: of the split, by name: those that any ranked record has. A record that lacks one failed there
     entries:   current records
     updated:   creation of the newest of them
-    newest:    whether no board of the same track, split and recipe has a later evaluator; the others are history
+    newest:    whether it is not former, and no board of the same track, split and recipe has a later evaluator; the
+               others are history
+    former:    whether the split has records of a later recipe: what was run on then is not what is there now
     """
 
     id: str
@@ -43,6 +45,7 @@ class BoardInfo:
     entries: int
     updated: str
     newest: bool
+    former: bool = False
 
     @property
     def scored_by(self) -> str:
@@ -65,8 +68,11 @@ class Row:
     data_set:  the ranking metric over all sequences at once, where the record knows it, such as COCO's AP: it is shown,
                and does not rank, as a paired comparison needs a value on each sequence
     coverage:  mean over sequences, for tracks that have such a thing
-    metrics:   means of the columns, coverage among them where it is one; None where there is none
+    metrics:   means of the columns, coverage among them where it is one; of errors the medians over the sequences that
+               are not lost; None where there is none
     failures:  runs that failed, and sequences that were not answered
+    lost:      sequences of the board that are lost (`oysterbench.results.lost`), the unanswered among them; None where
+               the track has no such thing
     sensors, mode: what the method says that it uses, and "online" or "offline"; code, paper: where its program is, and
                what it is described in; each empty where it says nothing
     """
@@ -93,6 +99,7 @@ class Row:
     sequences: int
     runs: int
     failures: int
+    lost: int | None = None
     sensors: str = ""
     mode: str = ""
     code: str = ""
@@ -103,8 +110,8 @@ class Row:
 class Query:
     """What is asked of a board.
 
-    sort:     "rank", "method", "team", "created", "score", "data_set", "coverage", or a column's key; descending: the
-              other way round. Records without the value are last either way
+    sort:     "rank", "method", "team", "created", "score", "data_set", "coverage", "lost", or a column's key;
+              descending: the other way round. Records without the value are last either way
     text:     in method or team, whatever the case; tiers: none for all
     states:   which records; superseded and withdrawn ones have no place
     page:     from 1; size: rows of a page

@@ -43,7 +43,7 @@ CONTENTS = Table("oysterbench_contents", METADATA, Column("data", TEXT))
 """`index_writer.Contents` as JSON, in one row: all that is small."""
 
 _KINDS: dict[str, Any] = {"position": Integer, "place": Integer, "rank": Integer, "sequences": Integer, "runs": Integer}
-_KINDS |= {"failures": Integer, "tied": Boolean, "metrics": JSON}
+_KINDS |= {"failures": Integer, "lost": Integer, "tied": Boolean, "metrics": JSON}
 _KINDS |= dict.fromkeys(("score", "low", "high", "data_set", "coverage"), Float(53))
 
 ROWS = Table(

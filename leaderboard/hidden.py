@@ -26,7 +26,7 @@ LEAST = -1.0
 """Least score that is told: a skill below it is as bad as that."""
 
 DIGITS = {"sequence": 2, "split": 3}
-"""Significant digits of what is no share of a sequence; of means over the split."""
+"""Significant digits of what is no share of a sequence, and of medians; of means over the split."""
 
 COSTS = ("wall_s", "cpu_s", "cpu_s_per_s", "realtime_factor", "peak_memory_mb", "images_per_s", "pictures_per_s")
 """Metrics of the run and not of its estimate: they stay as they were measured, and say nothing of the truth."""
@@ -59,7 +59,11 @@ def discreet(
     return [_coarse(result) for result in results], {
         "method": results[0].method,
         "metrics": whole,
-        "means": {key: None if mean is None else significant(mean, DIGITS["split"]) for key, mean in means.items()},
+        "means": {
+            # A median is what one sequence has.
+            key: None if mean is None else significant(mean, DIGITS["sequence" if key in track.errors else "split"])
+            for key, mean in means.items()
+        },
     }
 
 

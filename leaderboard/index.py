@@ -203,7 +203,7 @@ def _sorting(board: BoardInfo, query: Query) -> Iterable[Any]:
     """What a page is ordered by: records without the value come last, whichever way round; equal ones by rank."""
     columns: dict[str, Any] = {"rank": ROWS.c.position, "method": ROWS.c.words, board.metric: ROWS.c.score}
     columns |= {key: ROWS.c.metrics[key].as_float() for key in board.columns}
-    columns |= {key: ROWS.c[key] for key in ("team", "created", "score", "data_set", "coverage")}
+    columns |= {key: ROWS.c[key] for key in ("team", "created", "score", "data_set", "coverage", "lost")}
     column = columns.get(query.sort)
     if column is None:
         raise ResultError(f"sort: expected one of {', '.join(columns)}, got {query.sort!r:.40}")

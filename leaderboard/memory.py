@@ -140,7 +140,7 @@ def _sorted(rows: Iterable[dict[str, Any]], board: BoardInfo, query: Query) -> l
         "method": itemgetter("words"),
         board.metric: itemgetter("score"),
         **{key: partial(_metric, key) for key in board.columns},
-        **{key: itemgetter(key) for key in ("team", "created", "score", "data_set", "coverage")},
+        **{key: itemgetter(key) for key in ("team", "created", "score", "data_set", "coverage", "lost")},
     }
     if query.sort not in values:
         raise ResultError(f"sort: expected one of {', '.join(values)}, got {query.sort!r:.40}")

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from string import digits
 from typing import Any
 
-from oysterbench.evaluate.metrics import FAILED
+from oysterbench.evaluate.metrics import FAILED, TRACKS
 from oysterbench.results.records import comparable_key
 from oysterbench.results.standings import PRIMARY, ScoreTable, direction
 from oysterbench_leaderboard.board import BoardInfo, State
@@ -127,6 +127,8 @@ def rank(board: BoardInfo, found: Sequence[Ranked]) -> tuple[BoardInfo, list[dic
     new = [k for k in range(len(found)) if k not in intervals]
     intervals |= dict(zip(new, table.take(new).intervals().tolist(), strict=True))
     better = direction(board.metric)
+    least = TRACKS[board.track].lost_below
+    lost = None if least is None else (table.values < least).sum(axis=1).tolist()
     standings = dict(zip(ranked, table.take(ranked).standings(better), strict=True)) if ranked else {}
     shared = Counter(standing.rank or standing.place for standing in standings.values())
     rows: list[dict[str, Any]] = []
@@ -137,6 +139,7 @@ def rank(board: BoardInfo, found: Sequence[Ranked]) -> tuple[BoardInfo, list[dic
         coverage = _coverage(one.summary, sequences, board.track)
         failures = one.summary.failed + len(set(sequences) - set(one.summary.sequences))
         values = {"score": _number(means[k]), "low": low, "high": high, "coverage": coverage, "failures": failures}
+        values["lost"] = None if lost is None else lost[k]
         tied = place is not None and shared[given or place] > 1
         rows.append({"key": one.digest, "place": place, "rank": given, "tied": tied, **values})
     sign = 1 if better == "lower" else -1
@@ -158,8 +161,10 @@ def _coverage(summary: RecordSummary, sequences: Iterable[str], track: str) -> f
 
 
 def in_order(boards: Iterable[BoardInfo]) -> list[BoardInfo]:
-    """Tracks in order, of a split the newest evaluator first; each with whether it is the newest of its recipe."""
+    """Tracks in order, of a split the newest evaluator first; each with whether it is the newest of its split: by the
+    recipe of the split's last record, on whichever track, and by the newest evaluator of that."""
     found, tracks = list(boards), list(PRIMARY)
+    recipes = {board.split: board.split_digest for board in sorted(found, key=lambda b: (b.updated, b.split_digest))}
     latest: dict[tuple[str, ...], str] = {}
     for board in found:
         recipe = (board.track, board.split, board.split_digest)
@@ -167,8 +172,16 @@ def in_order(boards: Iterable[BoardInfo]) -> list[BoardInfo]:
     found.sort(key=lambda b: (-b.entries, b.id))
     found.sort(key=lambda b: (evaluator_order(b.evaluator_version), b.entries > 0), reverse=True)
     found.sort(key=lambda b: (tracks.index(b.track), b.split))
-    newest = [latest[b.track, b.split, b.split_digest] == b.evaluator_version for b in found]
-    return [replace(board, newest=new) for board, new in zip(found, newest, strict=True)]
+    found.sort(key=lambda b: (tracks.index(b.track), b.split, b.split_digest != recipes[b.split]))
+    return [
+        replace(
+            board,
+            former=board.split_digest != recipes[board.split],
+            newest=board.split_digest == recipes[board.split]
+            and latest[board.track, board.split, board.split_digest] == board.evaluator_version,
+        )
+        for board in found
+    ]
 
 
 def evaluator_order(version: str) -> tuple[tuple[int, int, str], ...]:

@@ -10,11 +10,12 @@ import msgspec
 
 from oysterbench.core.errors import ResultError
 from oysterbench.core.text import unseen
-from oysterbench.evaluate.metrics import FAILED, find_metric
+from oysterbench.evaluate.metrics import FAILED, TRACKS, find_metric
 from oysterbench.evaluate.statistics import Sample, mean_over_sequences, sequence_means, sequence_weights, weighed_means
 from oysterbench.hub.canonical import sha256
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
-from oysterbench.results.records import ResultRecord, samples
+from oysterbench.results.lost import kept_median
+from oysterbench.results.records import ResultRecord, lost_of, samples
 from oysterbench.results.standings import PRIMARY, UNPREDICTED_WEIGHT, SequenceScores
 from oysterbench_leaderboard.record import Record
 
@@ -86,8 +87,7 @@ def summarise_record(record: Record) -> RecordSummary:
 
 
 def column_means(record: Record) -> dict[str, float | None]:
-    """Means of `COLUMNS` over the record's own sequences; None where there is none. Records on hidden splits know the
-    means alone."""
+    """`means_over_sequences` of `COLUMNS`; None where there is none. Records on hidden splits know these alone."""
     known: Any = (record.data_set or {}).get("means")
     if isinstance(known, dict):
         return {key: known.get(key) for key in COLUMNS[record.track]}
@@ -95,8 +95,15 @@ def column_means(record: Record) -> dict[str, float | None]:
 
 
 def means_over_sequences(results: Sequence[ResultRecord], keys: Iterable[str]) -> dict[str, float | None]:
-    """Means of metrics over the sequences that have them, weighed where the metric is; None where there is none."""
-    means = {key: mean_over_sequences(*_weighed_sample(results, key)) for key in keys}
+    """Means of metrics over the sequences that have them, weighed where the metric is, and of errors the medians over
+    those that are not lost; None where there is none."""
+    errors, lost = TRACKS[results[0].track].errors, lost_of(results) or ()
+    means = {
+        key: kept_median(samples(results, key), lost)
+        if key in errors
+        else mean_over_sequences(*_weighed_sample(results, key))
+        for key in keys
+    }
     return {key: None if math.isnan(mean) else mean for key, mean in means.items()}
 
 

@@ -8,14 +8,22 @@ from dataclasses import asdict, replace
 from functools import cache
 from typing import Any
 
-from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.evaluate.statistics import Interval
 from oysterbench.recipe import split_names
-from oysterbench.report.columns import STANDING_OF_TRACK, metric_column, metric_columns, name_columns
+from oysterbench.report.columns import (
+    STANDING_OF_TRACK,
+    lost_column,
+    lost_note,
+    metric_column,
+    metric_columns,
+    name_columns,
+)
 from oysterbench.report.renderers import csv_text
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow, interval_column
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Literature, Row
 from oysterbench_leaderboard.record import RANKED
+from oysterbench_leaderboard.vehicle import lacks
 
 SHORT = 8
 """Digits of a digest that is shown."""
@@ -47,7 +55,7 @@ def board_table(page: BoardPage) -> Table:
                 interval_of(row),
                 *([row.data_set] if whole else []),
                 *(row.metrics.get(column.key) for column in beside),
-                row.failures or "",
+                row.failures or "" if row.lost is None else row.lost,
                 row.tier,
                 row.created[:10],
                 row.digest[:SHORT],
@@ -57,15 +65,24 @@ def board_table(page: BoardPage) -> Table:
     ]
     columns = (
         Column("rank", "Rank", kind="number", short="rank"),
-        *name_columns("method", "team"),
+        *name_columns("method"),
+        replace(name_columns("team")[0], wide=True),
         metric,
         interval_column(metric),
         *([data_set_column(metric)] if whole else []),
         *beside,
-        Column("failed", "Failed", kind="number", short="failed"),
-        *name_columns("tier", "date", "record"),
+        lost_or_failed(board),
+        *(replace(column, wide=column.key != "record") for column in name_columns("tier", "date", "record")),
     )
     return Table(board_name(board), columns, tuple(table_rows), tuple(_notes(page, rows)))
+
+
+def lost_or_failed(board: BoardInfo) -> Column:
+    """How many sequences are lost, where the track has such a thing; else how many runs failed."""
+    if TRACKS[board.track].lost_below is not None:
+        return lost_column(board.track, len(board.sequences), sort="lost")
+    about = "Failed runs, and sequences without an estimate."
+    return Column("failed", "Failed", "runs", "number", "failed", about=about)
 
 
 def data_set_column(metric: Column) -> Column:
@@ -126,14 +143,20 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
     if any(row.place is not None and row.rank is None for row in rows):
         notes.append(f"{count}: too few for a significant difference; places in brackets are the order of these means.")
     elif rows:
-        notes.append(f"Over {count}; one that is lacking or failed counts as nothing, and is among 'failed'.")
+        notes.append(f"Over {count}; one that is lacking or failed scores 0.")
+    if rows and (lost := lost_note(board.track)):
+        notes.append(lost)
+    if rows and (lacking := lacks(board.split, board.track)):
+        notes.append(lacking)
     if any(row.state == "current" and row.tier not in RANKED for row in rows):
         notes.append(NOT_RANKED)
     if has_data_set(board, rows):
         notes.append(DATA_SET.format(metric_column(board.metric).heading))
     if warning := learnt_on(board.split):
         notes.append(warning)
-    if not board.newest:
+    if board.former:
+        notes.append(f"{board.split} has another recipe since: this board is history.")
+    elif not board.newest:
         notes.append("A later evaluator has taken over: this board is history.")
     return notes
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oysterbench.cli.echo import echo, message
-from oysterbench.cli.outputs import print_rich
+from oysterbench.cli.outputs import print_table
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.options import Place, find_place
 
@@ -37,7 +37,7 @@ def show_boards(
     md_file: Path | None,
 ) -> None:
     """Print boards, or write them: what `oysterbench leaderboard` does without a command."""
-    from oysterbench.report.renderers import latex_text, markdown_table, terminal_table
+    from oysterbench.report.renderers import latex_text, markdown_table
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.board import Query
     from oysterbench_leaderboard.tables import board_table, boards_csv, page_plain
@@ -64,7 +64,7 @@ def show_boards(
         if not tables:
             message(f"no board is in {place.path} yet; `oysterbench leaderboard add` puts results on one")
         for table in tables:
-            print_rich(terminal_table(table))
+            print_table(table)
     for file, why in index.problems().items():
         message(f"left out: {file[:12]}: {why}")
 
@@ -119,7 +119,6 @@ def show_command(context: click.Context, digest: str, as_json: bool) -> None:
     row = index.row(digest)
 
     from oysterbench.evaluate.metrics import TRACKS  # once there is such a record
-    from oysterbench.report import terminal_table
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.tables import record_table
 
@@ -135,7 +134,7 @@ def show_command(context: click.Context, digest: str, as_json: bool) -> None:
     for change in reasons:
         echo(f"{change.action:<12}{change.created[:10]}: {change.reason}")
     means = index.sequence_means(row.digest)
-    print_rich(terminal_table(record_table(row, means, TRACKS[board.track].table)))
+    print_table(record_table(row, means, TRACKS[board.track].table))
     for result in record.results:
         if result.failure is not None:
             echo(f"{result.sequence}, run {result.run + 1} failed: {result.failure}")
@@ -180,7 +179,6 @@ def history_command(context: click.Context, method: str, team: str | None, as_js
       oysterbench leaderboard history gtsam_vi
       oysterbench leaderboard history gtsam_vi --team "reef lab" --json
     """
-    from oysterbench.report import terminal_table
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.tables import history_table
 
@@ -192,7 +190,7 @@ def history_command(context: click.Context, method: str, team: str | None, as_js
     if as_json:
         echo(dump([asdict(row) for row in rows]))
         return
-    print_rich(terminal_table(history_table(rows, {board.id: board for board in index.boards()})))
+    print_table(history_table(rows, {board.id: board for board in index.boards()}))
 
 
 @click.command("literature", short_help="Show results reported by others on other data.")
@@ -206,7 +204,6 @@ def literature_command(track: str | None, as_json: bool) -> None:
       oysterbench leaderboard literature
       oysterbench leaderboard literature --track slam --json
     """
-    from oysterbench.report import terminal_table
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.literature import REPORTED, literature
     from oysterbench_leaderboard.tables import literature_tables
@@ -219,4 +216,4 @@ def literature_command(track: str | None, as_json: bool) -> None:
         return
     echo(REPORTED)
     for table in literature_tables(rows):
-        print_rich(terminal_table(table))
+        print_table(table)

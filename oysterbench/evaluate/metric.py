@@ -108,6 +108,9 @@ class TrackMetrics:
     failed:   the values of a run without a scored estimate: it answers nothing, and its errors do not exist
     costs:    those of what a run cost, behind `table` where any run has them
     wide:     those of both that a terminal leaves out where it is too narrow: the others fit into 80 characters
+    errors:   those of both without a bound, which one lost sequence would decide alone: over sequences, the median over
+              those that are not lost (`oysterbench.results.lost`) stands for them
+    lost_below: of the one that ranks: a sequence that scores less is lost. None where a track has no such thing
     """
 
     title: str
@@ -118,6 +121,8 @@ class TrackMetrics:
     failed: Mapping[str, float]
     costs: tuple[str, ...] = ("cpu_s", "peak_memory_mb")
     wide: tuple[str, ...] = ("cpu_s", "peak_memory_mb")
+    errors: tuple[str, ...] = ()
+    lost_below: float | None = None
 
     @property
     def ranking(self) -> str:

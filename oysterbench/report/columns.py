@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from oysterbench.evaluate.metric import Metric
 from oysterbench.evaluate.metrics import TRACKS, find_metric
@@ -38,6 +39,32 @@ def metric_columns(keys: Iterable[str], track: str = "") -> tuple[Column, ...]:
     return tuple(metric_column(key, track=track) for key in keys)
 
 
+def standing_column(key: str, track: str, sort: bool = False) -> Column:
+    """The column of what a metric is over sequences: its mean, or of an error its median, as the heading then says."""
+    column = metric_column(key, sort, track)
+    if key not in TRACKS[track].errors:
+        return column
+    unit, about = (
+        f"{column.unit}, median".removeprefix(", "),
+        f"{column.about} Median over the sequences that are not lost.",
+    )
+    return replace(column, unit=unit, about=about)
+
+
+def lost_column(track: str, sequences: int, sort: str = "") -> Column:
+    """How many of so many sequences a method lost."""
+    about = f"Sequences with a score below {TRACKS[track].lost_below:g}: no estimate, or one that went astray."
+    return Column("lost", "Lost", f"of {sequences}", "number", "lost", better="lower", about=about, sort=sort)
+
+
+def lost_note(track: str) -> str:
+    """What must be said of a table with such columns; empty where the track has no such thing."""
+    least = TRACKS[track].lost_below if track in TRACKS else None
+    if least is None:
+        return ""
+    return f"A sequence with a score below {least:g} is lost; errors are medians over the others."
+
+
 def name_columns(*keys: str) -> tuple[Column, ...]:
     """Columns of text, each headed by its key."""
     return tuple(Column(key, key.replace("_", " ").capitalize(), short=key.replace("_", " ")) for key in keys)
@@ -49,5 +76,7 @@ OF_TRACK = {name: metric_columns(track.table, name) for name, track in TRACKS.it
 COSTS_OF_TRACK = {name: metric_columns(track.costs, name) for name, track in TRACKS.items()}
 """Track -> columns of what its runs cost."""
 
-STANDING_OF_TRACK = {name: metric_columns(track.standing, name) for name, track in TRACKS.items()}
+STANDING_OF_TRACK = {
+    name: tuple(standing_column(key, name) for key in track.standing) for name, track in TRACKS.items()
+}
 """Track -> columns of its standings, beside the metric that ranks."""

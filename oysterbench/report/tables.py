@@ -11,7 +11,15 @@ import numpy as np
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.evaluate.statistics import LEVEL, Interval
-from oysterbench.report.columns import COSTS_OF_TRACK, OF_TRACK, STANDING_OF_TRACK, metric_column, name_columns
+from oysterbench.report.columns import (
+    COSTS_OF_TRACK,
+    OF_TRACK,
+    STANDING_OF_TRACK,
+    lost_column,
+    lost_note,
+    metric_column,
+    name_columns,
+)
 from oysterbench.report.table import Cell, Column, Estimate, Table, TableRow, Value, interval_column
 from oysterbench.results.comparison import Board, SequenceRuns, boards
 from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key
@@ -44,10 +52,13 @@ def results_table(records: Sequence[ResultRecord]) -> Table:
         values = [Cell(of[c.key], kind="best" if of[c.key] == best.get((sequence, c.key)) else "") for c in columns]
         method = Cell(name, kind="warn", mark="failed") if lost else name
         rows.append(TableRow((sequence, method, *values), "failed" if lost else ""))
-    for mean in aggregate(records) if len(order) > 1 else ():
+    means = aggregate(records) if len(order) > 1 else []
+    for mean in means:
         name = f"mean of {mean['sequences']}" + (f", {mean['failures']} failed" if mean["failures"] else "")
+        if mean["lost"] is not None:
+            name = f"over {mean['sequences']}" + (f", {len(mean['lost'])} lost" if mean["lost"] else "")
         rows.append(TableRow((name, mean["method"], *(mean["metrics"].get(c.key) for c in columns)), "mean"))
-    notes = tuple(failures_and_notes(records))
+    notes = tuple(filter(None, (lost_note(records[0].track) if means else "", *failures_and_notes(records))))
     return Table("Results", (*name_columns("sequence", "method"), *columns), tuple(rows), notes)
 
 
@@ -130,7 +141,7 @@ def standings_table(board: Board) -> Table:
     for i, row in enumerate(board.standings):
         found = row.summaries.get(board.metric)
         spread = Interval(found.low, found.high) if found is not None and not found.reason else None
-        means = [summary.mean if (summary := row.summaries.get(column.key)) else None for column in beside]
+        lost = Cell(row.lost, kind="warn" if row.lost else "", about=f"{row.failures} of {row.runs} runs failed")
         rows.append(
             TableRow(
                 (
@@ -139,11 +150,12 @@ def standings_table(board: Board) -> Table:
                     found.mean if found is not None else None,
                     found.interval if found is not None else None,
                     spread,
-                    *means,
-                    Cell(row.failures, f"{row.failures} of {row.runs}"),
+                    *(row.over.get(column.key) for column in beside),
+                    Cell(row.failures, f"{row.failures} of {row.runs}") if row.lost is None else lost,
                 )
             )
         )
+    failed = Column("failed", "Failed", "runs", "number", "failed")
     columns = (
         Column("rank", "Rank", kind="number", short="rank"),
         *name_columns("method"),
@@ -151,7 +163,7 @@ def standings_table(board: Board) -> Table:
         interval_column(metric),
         replace(interval_column(metric, "sequences", "Sequences", "from, to"), wide=True),
         *beside,
-        Column("failed", "Failed", "runs", "number", "failed"),
+        failed if TRACKS[board.track].lost_below is None else lost_column(board.track, len(board.sequences)),
     )
     return Table(f"Standings on {board.name}", columns, tuple(rows), tuple(_reading(board)))
 
@@ -176,6 +188,8 @@ def _reading(board: Board) -> list[str]:
         f"Means over {count}, each the mean of its runs; a failed run scores 0, and errors cover the runs that have "
         f"one: read them together with {beside}failures."
     ]
+    if lost := lost_note(board.track):
+        notes = [f"Means over {count}, each the mean of its runs; a failed run scores 0. {lost}"]
     if metric is not None and metric.weight:
         notes = [f"{metric.heading} is computed over all pixels of {count}; a failed run finds nothing."]
     if any(row.standing.rank is not None for row in board.standings):

@@ -14,6 +14,7 @@ import numpy as np
 
 from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
+from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.evaluate.statistics import (
     Comparison,
     Sample,
@@ -23,7 +24,16 @@ from oysterbench.evaluate.statistics import (
     summarise,
     weighed_means,
 )
-from oysterbench.results.records import ResultRecord, comparable_key, method_key, plain, samples, weights_of
+from oysterbench.results.lost import kept_median
+from oysterbench.results.records import (
+    ResultRecord,
+    comparable_key,
+    lost_of,
+    method_key,
+    plain,
+    samples,
+    weights_of,
+)
 from oysterbench.results.standings import PRIMARY, ScoreTable, SequenceScores, Standing, direction
 
 MOST_LISTED = 4
@@ -57,6 +67,13 @@ class MethodRuns:
         names = list(sequences)
         return summarise(self.sample(key, names), self.weights(key, names))
 
+    def over(self, key: str, sequences: Iterable[str]) -> float:
+        """What a metric is over some sequences: its mean, or of an error the median over those that are not lost."""
+        names = list(sequences)
+        if key in TRACKS[self.records[0].track].errors:
+            return kept_median(self.sample(key, names), lost_of(self.records) or ())
+        return self.summary(key, names).mean
+
     def scores(self, key: str, sequences: Iterable[str]) -> SequenceScores:
         """What ranks it by a metric on some sequences."""
         names = list(sequences)
@@ -74,13 +91,19 @@ class MethodRuns:
 
 @dataclass(frozen=True)
 class RankedMethod:
-    """A line of the standings; coverage stands beside every error."""
+    """A line of the standings; coverage stands beside every error.
+
+    over: each metric over all sequences (`MethodRuns.over`); lost: how many of these are lost, None where the track has
+    no such thing
+    """
 
     label: str
     standing: Standing
     summaries: Mapping[str, Summary]
+    over: Mapping[str, float]
     runs: int
     failures: int
+    lost: int | None
 
 
 @dataclass(frozen=True)
@@ -154,7 +177,10 @@ class Board:
             chosen = [record for record in entry.records if record.sequence in self.sequences]
             summaries = {key: entry.summary(key, self.sequences) for key in self.keys}
             failures = sum(record.failure is not None for record in chosen)
-            found.append(RankedMethod(entry.label, standing, summaries, len(chosen), failures))
+            over = {key: entry.over(key, self.sequences) for key in self.keys}
+            lost = lost_of(chosen)
+            count = None if lost is None else len(lost)
+            found.append(RankedMethod(entry.label, standing, summaries, over, len(chosen), failures, count))
         return sorted(found, key=lambda row: row.standing.place or math.inf)
 
     @cached_property
@@ -346,6 +372,8 @@ def as_plain(board: Board) -> dict[str, Any]:
                     **asdict(row.standing),
                     "runs": row.runs,
                     "failures": row.failures,
+                    "lost": row.lost,
+                    "metrics": row.over,
                     "statistics": {key: asdict(summary) for key, summary in row.summaries.items()},
                 }
                 for row in board.standings

@@ -19,8 +19,9 @@ import msgspec
 from oysterbench.core.documents import read_json
 from oysterbench.core.errors import ResultError
 from oysterbench.core.files import write_atomically
-from oysterbench.evaluate.metrics import FAILED, SPEEDS, find_metric
+from oysterbench.evaluate.metrics import FAILED, SPEEDS, TRACKS, find_metric
 from oysterbench.evaluate.statistics import summarise
+from oysterbench.results.lost import kept_median, lost_sequences
 from oysterbench.version import VERSION
 
 FORMAT = "oysterbench-result/2"
@@ -241,12 +242,19 @@ def weights_of(records: Sequence[ResultRecord], key: str) -> dict[str, list[floa
     return weights
 
 
-def aggregate(records: Iterable[ResultRecord]) -> list[dict[str, Any]]:
-    """For each track, split and method the mean of each metric over sequences, with its statistics.
+def lost_of(results: Sequence[ResultRecord]) -> tuple[str, ...] | None:
+    """Names of the sequences that a method lost, of its results; None where its track has no such thing."""
+    track = TRACKS.get(results[0].track) if results else None
+    return None if track is None else lost_sequences(samples(results, track.ranking), results[0].track)
 
-    Several runs on one sequence are averaged first, so that every sequence has one vote. A failed run counts with
-    score and coverage 0 and has no errors; a metric without any value is None, with the reason. Records of another
-    recipe, evaluator or setting are never averaged together: they make rows of their own.
+
+def aggregate(records: Iterable[ResultRecord]) -> list[dict[str, Any]]:
+    """For each track, split and method what each metric is over sequences, with its statistics.
+
+    That is the mean; of a track's `errors` it is the median over the sequences that are not `lost`. Several runs on one
+    sequence are averaged first, so that every sequence has one vote. A failed run counts with score and coverage 0 and
+    has no errors; a metric without any value is None, with the reason. Records of another recipe, evaluator or setting
+    are never averaged together: they make rows of their own.
     """
     groups: dict[tuple[str, ...], list[ResultRecord]] = {}
     for record in records:
@@ -264,6 +272,13 @@ def _aggregate_group(group: list[ResultRecord]) -> dict[str, Any]:
     for key, summary in summaries.items():
         if summary.reason:
             reasons[key] = "; ".join(dict.fromkeys(r.reasons[key] for r in group if key in r.reasons))
+    lost = lost_of(group)
+    errors = TRACKS[first.track].errors if lost is not None else ()
+    over = {key: summary.mean for key, summary in summaries.items()}
+    over |= {key: kept_median(samples(group, key), lost or ()) for key in errors if key in over}
+    reasons |= {
+        key: "every sequence is lost" for key in errors if math.isnan(over.get(key, 0.0)) and key not in reasons
+    }
     failures = [record for record in group if record.failure is not None]
     if len(failures) == len(group):
         reasons["*"] = f"no run of {first.method} on {first.split or 'these sequences'} could be scored"
@@ -273,13 +288,14 @@ def _aggregate_group(group: list[ResultRecord]) -> dict[str, Any]:
         "split_digest": first.split_digest,
         "method": first.method,
         "method_settings": plain(first.method_settings),
-        "metrics": {key: plain(summary.mean) for key, summary in summaries.items()},
+        "metrics": {key: plain(value) for key, value in over.items()},
         "counts": {key: summary.sequences for key, summary in summaries.items()},
         "statistics": {key: plain(asdict(summary)) for key, summary in summaries.items()},
         "reasons": reasons,
         "sequences": len({record.sequence for record in group}),
         "runs": len(group),
         "failures": len(failures),
+        "lost": plain(lost),
         "evaluator_version": first.evaluator_version,
         "settings": plain(first.settings),
     }

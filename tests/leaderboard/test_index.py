@@ -9,6 +9,7 @@ import pytest
 from sqlalchemy import text
 
 from oysterbench.core.errors import ResultError
+from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.evaluate.statistics import summarise
 from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.results.records import samples, weights_of
@@ -32,13 +33,14 @@ def state_of(index: BoardIndex, digest: str) -> str:
     return index.row(digest).state
 
 
-def test_rows_hold_the_means_of_the_statistics(store):
+def test_rows_hold_the_means_of_the_statistics_and_the_medians_of_errors(store):
     digests = fill(store)
     index = opened(store)
     for name in ("carp2", "unet"):
         record, row = store.record(digests[name]), index.row(digests[name])
         for key, value in row.metrics.items():
-            expected = summarise(samples(record.results, key), weights_of(record.results, key)).mean
+            of = summarise(samples(record.results, key), weights_of(record.results, key))
+            expected = of.median if key in TRACKS[record.track].errors else of.mean
             assert value == pytest.approx(expected, rel=1e-14), key
         board = board_of(index, record.track, record.split)
         expected = summarise(samples(record.results, board.metric), weights_of(record.results, board.metric))

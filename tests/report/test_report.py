@@ -126,7 +126,7 @@ def test_a_failure_is_a_row_without_errors_and_a_sentence():
 def test_means_are_shown_for_more_than_one_sequence():
     runs = [run("a"), run("a", sequence="mini-02"), failed("b"), run("b", sequence="mini-02")]
     names = [texts[0] for texts in results_table([r.record for r in runs]).texts]
-    assert names == ["mini-01", "mini-01", "mini-02", "mini-02", "mean of 2", "mean of 2, 1 failed"]
+    assert names == ["mini-01", "mini-01", "mini-02", "mini-02", "over 2", "over 2, 1 lost"]
     assert "mean" not in printed([run("a")])
 
 
@@ -202,7 +202,7 @@ def test_report_is_well_formed_and_holds_everything():
         "mine on mini-01 failed: it <crashed> & burned",
         "1.00 s",
         "1700000001.000000000",
-        "mean of 2",
+        "over 2",
         "the errors cover only 20% of the sequence",
     ):
         assert part in tags.text, part

@@ -90,11 +90,11 @@ def test_several_runs_are_one_line_with_their_median():
 def test_standings_show_coverage_and_failures_beside_the_errors():
     standings = next(table for table in tables(EVERYTHING) if table.title.startswith("Standings"))
     headings = [column.heading for column in standings.columns]
-    assert {"Coverage", "ATE of path", "Failed", "95%"} <= set(headings)
+    assert {"Coverage", "ATE", "Lost", "95%"} <= set(headings)
     shown = {texts[1]: dict(zip(headings, texts, strict=True)) for texts in standings.texts}
     assert shown["good"]["Rank"].startswith("1")
     assert shown["bad"]["Rank"] == "3"
-    assert shown[AWKWARD]["Failed"] == "1 of 8"
+    assert (shown[AWKWARD]["Lost"], shown["good"]["Lost"]) == ("1", "0")
     assert re.fullmatch(r"0\.\d{3} to 0\.\d{3}", shown["good"]["95%"])
 
 

@@ -1,0 +1,41 @@
+"""What the vehicle of a split carries, in the words in which methods say what they use."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from oysterbench.recipe import load_split, split_names
+
+SENSORS = {
+    "imu": "imu",
+    "dvl": "dvl",
+    "sonar": "sonar",
+    "pressure": "pressure",
+    "magnetometer": "compass",
+    "altimeter": "altimeter",
+}
+"""Block of a rig -> the word for it."""
+
+
+@cache
+def carried(split: str) -> tuple[str, ...]:
+    """Sensors on board, in the order of `SENSORS` after the cameras; empty for a split that does not come with
+    oysterbench."""
+    if split not in split_names():
+        return ()
+    rig = load_split(split).rig
+    blocks = {sensor.block for sensor in rig.sensors}
+    cameras = ("mono", "stereo")[: len(rig.camera)]
+    return (*cameras, *(word for block, word in SENSORS.items() if block in blocks))
+
+
+def lacks(split: str, track: str) -> str:
+    """Said of a board whose vehicle has not all that methods may use: they ran without. Empty where it has, where that
+    is not known, and for tracks of pictures."""
+    there = carried(split)
+    lacking = [word for word in SENSORS.values() if word not in there]
+    if track not in ("slam", "density") or not there or not lacking:
+        return ""
+    *others, last = (word.upper() if word in ("imu", "dvl") else word for word in lacking)
+    none = f"{', '.join(others)} or {last}" if others else last
+    return f"The vehicle of {split} has no {none}: a method that uses such a sensor ran without it."
