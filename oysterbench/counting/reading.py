@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import LARGEST_IMAGE_PX, decode_picture
+from oysterbench.counting.faults import picture_fault, video_fault
 
 # What FFmpeg says of a broken file on its own goes between the lines of a progress bar; it is said in one line here.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -43,49 +44,40 @@ class VideoFrame:
 
 def decode(data: bytes, where: str) -> NDArray[np.uint8]:
     """(H, W, 3) uint8 RGB of an image file, turned as its EXIF orientation says; grey becomes RGB, alpha is left out,
-    16 bits are divided by 256. Raises LabelError, beginning with `where`, for what cannot be decoded as a whole."""
-    if not data:
-        raise LabelError(f"{where}: empty file")
-    if cut := _cut_short(data):
-        raise LabelError(f"{where}: {cut}: copy it again from the camera")
-    pixels = decode_picture(data, cv2.IMREAD_COLOR_RGB)
+    and of more than 8 bits the upper 8 that are used remain (`used_bits`). Raises LabelError, beginning with `where`,
+    for what cannot be decoded as a whole, and for several images in one file."""
+    if fault := picture_fault(data):
+        raise LabelError(f"{where}: {fault}")
+    with _quiet():  # not as RGB at once: of a TIFF with 16 bits OpenCV 5.0 then leaves the memory as it was
+        pixels = decode_picture(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if pixels is None:
         raise LabelError(
-            f"{where}: cannot be decoded as a picture ({len(data)} bytes), or has more than "
-            f"{LARGEST_IMAGE_PX // 1_000_000} megapixels: cut larger images into tiles"
+            f"{where}: cannot be decoded as an image ({len(data)} bytes): it is damaged, of another format than its "
+            f"name says, or has more than {LARGEST_IMAGE_PX // 1_000_000} megapixels (then cut it into tiles)"
         )
-    return np.asarray(pixels, dtype=np.uint8)
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise LabelError(f"{where}: expected an image of 8 or 16 bits, got {pixels.dtype}: save it as one of these")
+    if pixels.dtype == np.uint16:
+        pixels = (pixels >> (used_bits(pixels) - 8)).astype(np.uint8)
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
-def _cut_short(data: bytes) -> str:
-    """Why a JPEG or PNG is no whole file; decoders fill in the rest in grey, without a word."""
-    if data.startswith(b"\xff\xd8") and not _jpeg_ends(data):
-        return "the JPEG is damaged or ends before its end marker"
-    if data.startswith(b"\x89PNG") and b"IEND" not in data[-64:]:
-        return "the PNG ends before its end marker"
-    return ""
+def used_bits(pixels: NDArray[np.uint16]) -> int:
+    """Bits that the numbers of an image use: 8, or what cameras have, kept in 16: 10, 12, 14 or 16. Taken for 16, those
+    of 12 would be almost black.
 
-
-def _jpeg_ends(data: bytes) -> bool:
-    """Whether an end marker follows the first scan. Before it there may be that of a thumbnail, and behind it what
-    cameras append, so that it need not be the end of the file."""
-    at = 2
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        kind = data[at + 1]
-        if kind == 0xFF:  # fill
-            at += 1
-            continue
-        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-        if kind == 0xDA:
-            return data.find(b"\xff\xd9", at) >= 0
-    return False
+    >>> used_bits(np.array([0, 4095], np.uint16)), used_bits(np.array([0, 255], np.uint16))
+    (12, 8)
+    """
+    bits = int(pixels.max(initial=0)).bit_length()
+    return max(8, bits + bits % 2)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """OpenCV without its warnings on stderr."""
+    """OpenCV without what it writes on stderr."""
     before = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         yield
     finally:
@@ -100,7 +92,7 @@ class Video:
         with _quiet():
             self._capture = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
-            raise LabelError(f"{path}: the video cannot be read, none of its frames were: {_why_unreadable(path)}")
+            raise LabelError(f"{path}: the video cannot be read, none of its frames were: {video_fault(path)}")
         rate = self._capture.get(cv2.CAP_PROP_FPS)
         self.rate_hz = float(rate) if 0 < rate < 10_000 else 0.0
         self.claimed = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
@@ -126,7 +118,7 @@ class Video:
         self._capture.release()
         if index == 0:
             raise LabelError(
-                f"{self.path}: the video cannot be read, none of its frames were: {_why_unreadable(self.path)}"
+                f"{self.path}: the video cannot be read, none of its frames were: {video_fault(self.path)}"
             )
         if index < COMPLETE * self.claimed:
             raise LabelError(
@@ -144,33 +136,3 @@ class Video:
         if not read:
             raise LabelError(f"{self.path}: a frame could not be decoded")
         return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-
-
-def _why_unreadable(path: Path) -> str:
-    size = path.stat().st_size
-    if size == 0:
-        return "empty file"
-    kinds = _boxes(path, size)
-    if "ftyp" in kinds and "moov" not in kinds:
-        return (
-            f"it ends before its index (moov) after {size} bytes, as a recording or copy that was cut short: copy it "
-            "again from the camera, or have a repair program rebuild the index"
-        )
-    return f"{size} bytes of no known video format, or of one that is damaged: copy it again from the camera"
-
-
-def _boxes(path: Path, size: int) -> list[str]:
-    """Kinds of the whole outermost boxes of an MP4 or MOV (ISO 14496-12, 4.2); those of another file mean nothing."""
-    kinds, at = [], 0
-    with open(path, "rb") as file:
-        while at + 8 <= size:
-            file.seek(at)
-            head = file.read(16)
-            length = int.from_bytes(head[:4], "big")
-            length = int.from_bytes(head[8:], "big") if length == 1 else length
-            length = length or size - at  # 0: to the end of the file
-            if length < 8 or at + length > size:
-                break
-            kinds.append(head[4:8].decode("latin-1"))
-            at += length
-    return kinds

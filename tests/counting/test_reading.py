@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 
 import cv2
@@ -46,6 +47,13 @@ def test_grey_alpha_and_16_bits_become_three_channels_of_8_bits(colours):
         assert np.array_equal(found, np.dstack([grey] * 3))
 
 
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_of_more_than_8_bits_the_upper_ones_that_are_used_remain(colours, suffix, bits):
+    kept = colours[..., ::-1].astype(np.uint16) << (bits - 8)
+    assert np.array_equal(decode(encoded(suffix, kept), "a"), colours)
+
+
 def test_one_pixel_is_a_picture():
     assert decode(encoded(".png", np.full((1, 1, 3), 7, np.uint8)), "a").shape == (1, 1, 3)
 
@@ -69,6 +77,60 @@ def test_a_jpeg_is_not_taken_for_whole_by_the_end_of_its_thumbnail():
     thumbnail = b"\xff\xe1" + (len(data) + 2).to_bytes(2, "big") + data
     with pytest.raises(LabelError, match="ends before"):
         decode(data[:2] + thumbnail + data[2 : len(data) // 2], "a")
+
+
+def tiff(*pages, **options):
+    tifffile = pytest.importorskip("tifffile", reason="tifffile is not installed: pip install 'oysterbench[maps]'")
+    made = io.BytesIO()
+    with tifffile.TiffWriter(made, byteorder=options.pop("byteorder", "<"), bigtiff=options.pop("big", False)) as file:
+        for page, own in pages:
+            file.write(page, **({"photometric": "rgb"} | options | own))
+    return made.getvalue()
+
+
+@pytest.mark.parametrize("options", [{}, {"byteorder": ">"}, {"big": True}])
+def test_a_tiff_is_one_picture_and_smaller_copies_of_it(colours, options):
+    small = (colours[::4, ::4].copy(), {"subfiletype": 1})
+    assert np.array_equal(decode(tiff((colours, {}), small, **options), "a"), colours)
+    for pages, said in (
+        ([(colours, {})] * 3, "a TIFF of 3 pages"),
+        ([small, (colours, {})], "a TIFF that begins with a reduced copy"),
+    ):
+        with pytest.raises(LabelError, match=f"a: {said}"):
+            decode(tiff(*pages, **options), "a")
+
+
+@pytest.mark.parametrize(
+    ("turn", "options", "said"),
+    [
+        (lambda p: p.astype(np.uint16).transpose(2, 0, 1) * 257, {"planarconfig": "separate"}, "16 bits in separate"),
+        (lambda p: p[..., 0].astype(np.uint16) * 257, {"photometric": "miniswhite"}, "with white as 0"),
+        (lambda p: p.astype(np.float32), {}, "expected an image of 8 or 16 bits, got float32"),
+    ],
+)
+def test_a_tiff_that_is_decoded_wrongly_is_refused(colours, turn, options, said, capfd):
+    with pytest.raises(LabelError, match=said):
+        decode(tiff((turn(colours).copy(), options)), "a")
+    assert capfd.readouterr().err == ""
+
+
+def test_an_animation_is_not_taken_for_its_first_picture(colours):
+    pillow = pytest.importorskip("PIL.Image")
+    first, second = (pillow.fromarray(one) for one in (colours, colours[:, ::-1].copy()))
+    for kind in ("webp", "png"):
+        for others, refused in (([second], True), ([], False)):
+            made = io.BytesIO()
+            first.save(made, format=kind, save_all=True, append_images=others, lossless=True)
+            if refused:
+                with pytest.raises(LabelError, match="a: an animation"):
+                    decode(made.getvalue(), "a")
+            else:
+                assert np.array_equal(decode(made.getvalue(), "a"), colours)
+
+
+def test_a_format_that_cannot_be_read_is_named_whatever_its_file_is_called():
+    with pytest.raises(LabelError, match=r"IMG\.jpg: HEIC, whatever its name says"):
+        decode(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(300), "IMG.jpg")
 
 
 @pytest.mark.parametrize(("data", "said"), [(b"", "empty file"), (b"GIF, or so", "cannot be decoded")])

@@ -1,0 +1,128 @@
+"""What is wrong with a file of pixels, by its bytes: what decoders pass over in silence, or refuse without a reason."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+AGAIN = "copy it again from the camera"
+UNREADABLE = {b"hei": "HEIC", b"hev": "HEIC", b"mif": "HEIC", b"avi": "AVIF", b"crx": "a raw image"}
+"""Begin of the brand of an ISO 14496-12 file -> what it holds that OpenCV's wheels cannot decode."""
+KIND, BITS, PHOTOMETRIC, PLANES = 254, 258, 262, 284
+"""Tags of a TIFF (Adobe, TIFF 6.0): NewSubfileType, of which 1 is a smaller copy of another page; BitsPerSample;
+PhotometricInterpretation, of which 0 has white as 0; PlanarConfiguration, of which 2 has one plane after another."""
+
+FORMS = {1: "B", 3: "H", 4: "I"}
+"""Of a value of a TIFF, by its type: BYTE, SHORT, LONG."""
+
+
+def picture_fault(data: bytes) -> str:
+    """Why the bytes are no single whole image; empty where nothing is known to be wrong. Of a JPEG or PNG that ends too
+    early decoders fill in the rest in grey, and of several images they decode the first."""
+    if not data:
+        return "empty file"
+    if data.startswith(b"\xff\xd8") and not _jpeg_ends(data):
+        return f"the JPEG is damaged or ends before its end marker: {AGAIN}"
+    if data.startswith(b"\x89PNG") and b"IEND" not in data[-64:]:
+        return f"the PNG ends before its end marker: {AGAIN}"
+    if data[4:8] == b"ftyp" and (kind := UNREADABLE.get(data[8:11])):
+        return f"{kind}, whatever its name says, which cannot be read: save it as JPEG, PNG or TIFF"
+    if pages := _tiff_pages(data):
+        return _tiff_fault(pages)
+    if _moves(data):
+        return "an animation: expected one image in a file: save it as a GIF or video, or each image as a file"
+    return ""
+
+
+def video_fault(path: Path) -> str:
+    """Why a video has no frame that can be decoded, as far as its bytes tell."""
+    size = path.stat().st_size
+    if size == 0:
+        return "empty file"
+    kinds = _boxes(path, size)
+    if "ftyp" in kinds and "moov" not in kinds:
+        return (
+            f"it ends before its index (moov) after {size} bytes, as a recording or copy that was cut short: {AGAIN}, "
+            "or have a repair program rebuild the index"
+        )
+    return f"{size} bytes of no known video format, or of one that is damaged: {AGAIN}"
+
+
+def _jpeg_ends(data: bytes) -> bool:
+    """Whether an end marker follows the first scan. Before it there may be that of a thumbnail, and behind it what
+    cameras append, so that it need not be the end of the file."""
+    at = 2
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        kind = data[at + 1]
+        if kind == 0xFF:  # fill
+            at += 1
+            continue
+        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+        if kind == 0xDA:
+            return data.find(b"\xff\xd9", at) >= 0
+    return False
+
+
+def _tiff_fault(pages: list[dict[int, int]]) -> str:
+    whole = [page for page in pages if not page.get(KIND, 0) & 1]
+    if len(whole) > 1:
+        return f"a TIFF of {len(whole)} pages: expected one image in a file: save each page as one"
+    first = pages[0]
+    if not whole or first is not whole[0]:
+        return "a TIFF that begins with a reduced copy: expected one image in a file: save it as JPEG or PNG"
+    # OpenCV 5.0 reads these, and what it gives is wrong.
+    if first.get(BITS, 8) > 8 and (first.get(PLANES) == 2 or first.get(PHOTOMETRIC) == 0):
+        return "a TIFF of 16 bits in separate planes, or with white as 0, cannot be read: save it as PNG"
+    return ""
+
+
+def _tiff_pages(data: bytes) -> list[dict[int, int]]:
+    """The tags of each page of a TIFF or BigTIFF, with the first of their numbers; nothing of another format."""
+    kinds = {b"II*\0": ("<", False), b"MM\0*": (">", False), b"II+\0": ("<", True), b"MM\0+": (">", True)}
+    if data[:4] not in kinds:
+        return []
+    order, big = kinds[data[:4]]
+    offset, count, entry = (f"{order}Q", f"{order}Q", 20) if big else (f"{order}I", f"{order}H", 12)
+
+    def number(form: str, at: int) -> int:
+        return int(struct.unpack_from(form, data, at)[0]) if at + struct.calcsize(form) <= len(data) else 0
+
+    pages: list[dict[int, int]] = []
+    seen, at = set(), number(offset, 8 if big else 4)
+    while 0 < at < len(data) and at not in seen:
+        seen.add(at)
+        first, entries = at + struct.calcsize(count), number(count, at)
+        page = {}
+        for place in range(first, min(first + entry * entries, len(data)), entry):
+            held, form = place + entry - struct.calcsize(offset), FORMS.get(number(f"{order}H", place + 2))
+            if form is None:
+                continue
+            size = struct.calcsize(form) * number(offset, place + 4)
+            there = held if size <= struct.calcsize(offset) else number(offset, held)
+            page[number(f"{order}H", place)] = number(order + form, there)
+        pages.append(page)
+        at = number(offset, first + entry * entries)
+    return pages
+
+
+def _moves(data: bytes) -> bool:
+    """Whether it is an animated WebP or PNG."""
+    webp = data[:4] == b"RIFF" and data[8:16] == b"WEBPVP8X" and bool(data[20] & 2)
+    return webp or (data.startswith(b"\x89PNG") and b"acTL" in data[: max(0, data.find(b"IDAT"))])
+
+
+def _boxes(path: Path, size: int) -> list[str]:
+    """Kinds of the whole outermost boxes of an MP4 or MOV (ISO 14496-12, 4.2); those of another file mean nothing."""
+    kinds, at = [], 0
+    with open(path, "rb") as file:
+        while at + 8 <= size:
+            file.seek(at)
+            head = file.read(16)
+            length = int.from_bytes(head[:4], "big")
+            length = int.from_bytes(head[8:], "big") if length == 1 else length
+            length = length or size - at  # 0: to the end of the file
+            if length < 8 or at + length > size:
+                break
+            kinds.append(head[4:8].decode("latin-1"))
+            at += length
+    return kinds
