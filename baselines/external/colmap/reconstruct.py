@@ -16,6 +16,9 @@ from typing import Any
 
 import pycolmap
 
+MAX_COEFFICIENT = math.inf
+"""It discards cameras with distortion coefficients above 1 as bogus, as those of a flat port under water are."""
+
 
 def main(task_file: str, folder: str, out: str) -> None:
     """Reconstruct, and write the path."""
@@ -39,16 +42,7 @@ def main(task_file: str, folder: str, out: str) -> None:
         pairing = pycolmap.SequentialPairingOptions()
         pairing.overlap = task["overlap"]
         pycolmap.match_sequential(database, pairing_options=pairing)
-        options = pycolmap.IncrementalPipelineOptions()
-        options.random_seed = task["seed"]
-        options.ba_refine_focal_length = False  # the camera is calibrated
-        options.ba_refine_extra_params = False
-        # It discards cameras of coefficients above 1 as bogus, as those of a flat port under water are.
-        options.max_extra_param = math.inf
-        options.mapper.abs_pose_refine_focal_length = False
-        options.mapper.abs_pose_refine_extra_params = False
-        options.mapper.init_min_tri_angle = task["init_min_tri_angle"]  # degrees
-        models = pycolmap.incremental_mapping(database, pictures, scratch, options)
+        models = MAPPERS[task["mapper"]](task, database, pictures, scratch)
     if not models:
         sys.exit("COLMAP found no pair of pictures to begin with")
     largest = max(models.values(), key=lambda model: model.num_reg_images())
@@ -62,6 +56,35 @@ def main(task_file: str, folder: str, out: str) -> None:
     with open(out, "w", encoding="utf-8") as file:
         for stamp, pose in sorted(poses.items()):
             file.write(f"{stamp // 10**9}.{stamp % 10**9:09d} {' '.join(f'{value:.9g}' for value in pose)}\n")
+
+
+def incremental(task: dict[str, Any], database: Path, pictures: Path, scratch: str) -> dict[int, Any]:
+    """Models, each grown from a pair of pictures by one picture after another (Schönberger & Frahm 2016)."""
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed = task["seed"]
+    options.ba_refine_focal_length = False  # the camera is calibrated
+    options.ba_refine_extra_params = False
+    options.max_extra_param = MAX_COEFFICIENT
+    options.mapper.abs_pose_refine_focal_length = False
+    options.mapper.abs_pose_refine_extra_params = False
+    options.mapper.init_min_tri_angle = task["init_min_tri_angle"]  # degrees
+    models: dict[int, Any] = pycolmap.incremental_mapping(database, pictures, scratch, options)
+    return models
+
+
+def at_once(task: dict[str, Any], database: Path, pictures: Path, scratch: str) -> dict[int, Any]:
+    """Models of all pictures together: averaged rotations, then positions and points (Pan et al. 2024)."""
+    options = pycolmap.GlobalPipelineOptions()
+    options.random_seed = task["seed"]
+    options.mapper.random_seed = task["seed"]
+    options.mapper.bundle_adjustment.refine_focal_length = False  # the camera is calibrated
+    options.mapper.bundle_adjustment.refine_extra_params = False
+    options.mapper.retriangulation.max_extra_param = MAX_COEFFICIENT
+    models: dict[int, Any] = pycolmap.global_mapping(database, pictures, scratch, options)
+    return models
+
+
+MAPPERS = {"incremental": incremental, "global": at_once}
 
 
 if __name__ == "__main__":

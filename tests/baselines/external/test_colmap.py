@@ -34,3 +34,4 @@ def test_the_task_holds_the_camera_and_the_options(dive_file, tmp_path):
     assert (task["camera"], task["rate_hz"], task["seed"]) == (name, 2.0, 3)
     assert task["camera_params"][:2] == [camera.matrix[0, 0], camera.matrix[1, 1]]
     assert len(task["camera_params"]) == 8
+    assert task["mapper"] == "incremental"
