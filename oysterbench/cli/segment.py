@@ -226,6 +226,8 @@ def _tell_others(found: Found) -> None:
         message(f"left out because their format cannot be read (save them as JPEG or PNG): {listed(found.to_convert)}")
     if found.others:
         message(f"left out because they are neither image nor video: {listed(found.others)}")
+    if found.skipped:
+        message(f"left out because they hold labels, or results of another count: {listed(found.skipped)}")
 
 
 def _tell_unused(path: Path, names: tuple[str, ...]) -> None:

@@ -15,6 +15,11 @@ VIDEOS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpe
 CONVERT = (".heic", ".heif", ".dng", ".gpr", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2")
 """Pictures that OpenCV cannot decode: said apart from what is no picture, so that nobody misses them."""
 
+RESULTS = ("finished", "overlays")
+"""Folders in that of results (`store.Store`)."""
+LABELS = ("masks", "instances", "ignore")
+"""Folders beside images/ whose pictures are labels (`annotations.folders`)."""
+
 
 @dataclass(frozen=True)
 class Source:
@@ -32,27 +37,34 @@ class Source:
 @dataclass(frozen=True)
 class Found:
     """Sources in the order of their names; others: files that are neither picture nor video; to_convert: pictures in
-    formats that cannot be read."""
+    formats that cannot be read; skipped: folders of labels, or of results of another count."""
 
     sources: tuple[Source, ...]
     others: tuple[Path, ...] = ()
     to_convert: tuple[Path, ...] = ()
+    skipped: tuple[Path, ...] = ()
 
 
 def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
     """All pictures and videos at the paths: files, and folders with all that lies below them, by their suffix.
 
-    leave_out: a folder that is not looked into, as that of the results; nor are links to folders. Raises LabelError
-    where a path is not there, and where nothing is a picture or a video.
+    leave_out: a folder that is not looked into, as that of the results; nor are links to folders, folders of labels
+    beside images/, and of results of other counts, whose pictures would be counted as further ones. Raises LabelError
+    where a path is not there or one of results, and where nothing is a picture or a video.
     """
     files: dict[Path, None] = {}  # in order, each once
+    skipped: list[Path] = []
     roots = []
     for path in paths:
         if not path.exists():
             raise LabelError(f"{path}: no such file or folder; expected pictures, a folder of them, or a video")
         path = path.absolute()
+        if leave_out is not None and path == leave_out.absolute():
+            raise LabelError(f"{path}: expected another folder for the results than that of the images: give --out")
+        if _holds_results(path):
+            raise LabelError(f"{path}: expected images, got the results of a count: give the folder that was counted")
         roots.append(path if path.is_dir() else path.parent)
-        files.update(dict.fromkeys(_below(path, leave_out) if path.is_dir() else [path]))
+        files.update(dict.fromkeys(_below(path, leave_out, skipped) if path.is_dir() else [path]))
     kinds: dict[str, list[Path]] = {"pictures": [], "videos": [], "convert": [], "others": []}
     for file in files:
         kinds[_kind(file)].append(file)
@@ -61,16 +73,24 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
     root = Path(os.path.commonpath(roots))
     sources = [*_pictures(kinds["pictures"], root), *(Source(_name(p, root), p, True) for p in kinds["videos"])]
     sources.sort(key=lambda source: source.name)
-    return Found(tuple(sources), tuple(kinds["others"]), tuple(kinds["convert"]))
+    return Found(tuple(sources), tuple(kinds["others"]), tuple(kinds["convert"]), tuple(skipped))
 
 
-def _below(folder: Path, leave_out: Path | None) -> list[Path]:
+def _below(folder: Path, leave_out: Path | None, skipped: list[Path]) -> list[Path]:
     found: list[Path] = []
-    skipped = None if leave_out is None else leave_out.absolute()
+    results = None if leave_out is None else leave_out.absolute()
     for at, folders, names in os.walk(folder):
-        folders[:] = sorted(name for name in folders if Path(at, name) != skipped)
+        labels = LABELS if "images" in folders else ()
+        own = [Path(at, name) for name in sorted(folders) if Path(at, name) != results]
+        aside = [path for path in own if path.name in labels or _holds_results(path)]
+        skipped += aside
+        folders[:] = [path.name for path in own if path not in aside]
         found += [Path(at, name) for name in sorted(names)]
     return found
+
+
+def _holds_results(path: Path) -> bool:
+    return all((path / name).is_dir() for name in RESULTS)
 
 
 def _kind(path: Path) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,7 +43,7 @@ def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) ->
     except OSError as error:
         raise LabelError(f"{path}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
-        raise LabelError(f"{path}: expected a table as text in UTF-8 (CSV)") from None
+        raise LabelError(f"{path}: expected a CSV table in UTF-8: in a spreadsheet, save it as 'CSV UTF-8'") from None
     semicolons = ";" in text.partition("\n")[0]
     lines = list(csv.reader(io.StringIO(text, newline=""), delimiter=";" if semicolons else ","))
     wanted = [PICTURE, *columns]
@@ -50,6 +51,7 @@ def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) ->
     if missing := [key for key in wanted if key not in head]:
         raise LabelError(f"{path}:1: expected the columns {','.join(wanted)}, missing: {', '.join(missing)}")
     places = [head.index(key) for key in wanted]
+    names = _Names(sources)
     rows: dict[str, tuple[float, ...]] = {}
     unused = []
     for number, line in enumerate(lines[1:], start=2):
@@ -59,7 +61,7 @@ def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) ->
         if len(line) < len(head):
             raise LabelError(f"{where}: expected {len(head)} values, got {len(line)}")
         said, *values = (line[place].strip() for place in places)
-        name = _named(said, sources, where)
+        name = names.find(said, where)
         if name is None:
             unused.append(said)
             continue
@@ -69,18 +71,35 @@ def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) ->
     return PictureTable(path, rows, tuple(unused))
 
 
-def _named(said: str, sources: Sequence[Source], where: str) -> str | None:
-    """The name by which the table's picture is known here; None where there is none."""
-    frame_of = next((s for s in sources if s.video and said.startswith(f"{s.name}/")), None)
-    if frame_of is not None:
-        return said
-    suffixed = {source.name: source.name + ("" if source.video else source.path.suffix) for source in sources}
-    if exact := [name for name, whole in suffixed.items() if said in (name, whole)]:
-        return exact[0]
-    same = [source.name for source in sources if said in (source.path.name, source.path.stem)]
-    if len(same) > 1:
-        raise LabelError(f"{where}: {len(same)} pictures are called {said!r}: expected one of {', '.join(same[:4])}")
-    return same[0] if same else None
+class _Names:
+    """By what the images and videos may be called in a table. Letters with marks are the same whether they are one
+    character or several, as files from macOS have them."""
+
+    def __init__(self, sources: Sequence[Source]) -> None:
+        self._own = {_composed(one.name): one.name for one in sources}
+        self._videos = {_composed(one.name): one.name for one in sources if one.video}
+        self._whole = {_composed(one.name + one.path.suffix): one.name for one in sources if not one.video}
+        self._files: dict[str, list[str]] = {}
+        for one in sources:
+            for called in {_composed(one.path.name), _composed(one.path.stem)}:
+                self._files.setdefault(called, []).append(one.name)
+
+    def find(self, said: str, where: str) -> str | None:
+        """The name by which it is known here; None where there is none."""
+        said = _composed(said)
+        video, _, frame = said.rpartition("/")
+        if video in self._videos:
+            return f"{self._videos[video]}/{frame}"
+        if exact := self._own.get(said) or self._whole.get(said):
+            return exact
+        same = self._files.get(said, [])
+        if len(same) > 1:
+            raise LabelError(f"{where}: {len(same)} images are called {said!r}: expected one of {', '.join(same[:4])}")
+        return same[0] if same else None
+
+
+def _composed(text: str) -> str:
+    return unicodedata.normalize("NFC", text)
 
 
 def _number(text: str, where: str) -> float:

@@ -243,6 +243,19 @@ def test_a_table_names_pictures_by_name_or_file_and_frames_by_their_video(tmp_pa
     assert found.unused == ("zz",)
 
 
+def test_names_with_umlauts_are_the_same_however_they_are_composed(tmp_path):
+    names = ("Bo\u0308schung 1.jpg", "Mu\u0308ll.mp4", "Mu\u0308ll 2.png")
+    for name in names:
+        (tmp_path / name).write_bytes(b"x")
+    sources = find_sources([tmp_path]).sources
+    text = "picture,altitude_m\nB\u00f6schung 1,1\nM\u00fcll.mp4/000010,2\nM\u00fcll 2.png,3\n"
+    assert table(tmp_path, text, sources, ALTITUDE).rows == {
+        "Bo\u0308schung 1": (1.0,),
+        "Mu\u0308ll.mp4/000010": (2.0,),
+        "Mu\u0308ll 2": (3.0,),
+    }
+
+
 def test_a_table_of_a_spreadsheet_may_have_semicolons_and_decimal_commas(tmp_path, sources):
     assert table(tmp_path, "\ufeffpicture;altitude_m\na/1;1,25\n\n", sources, ALTITUDE).rows == {"a/1": (1.25,)}
 
@@ -255,7 +268,7 @@ def test_a_table_of_a_spreadsheet_may_have_semicolons_and_decimal_commas(tmp_pat
         ("picture,altitude_m\na/1,high\n", ":2: expected a number, got 'high'"),
         ("picture,altitude_m\na/1\n", ":2: expected 2 values, got 1"),
         ("picture,altitude_m\na/1,1\na/1.jpg,2\n", ":3: a/1.jpg is listed twice"),
-        ("picture,altitude_m\n1.jpg,1\n", ":2: 2 pictures are called '1.jpg': expected one of a/1, b/1"),
+        ("picture,altitude_m\n1.jpg,1\n", ":2: 2 images are called '1.jpg': expected one of a/1, b/1"),
     ],
 )
 def test_a_table_that_is_wrong_is_refused_by_its_line(tmp_path, sources, text, said):

@@ -48,6 +48,22 @@ def test_the_folder_of_results_is_not_looked_into(tmp_path):
     assert names_of(tmp_path, leave_out=tmp_path / "out") == ["a"]
 
 
+def test_labels_beside_images_and_results_of_other_counts_are_told_and_not_counted_as_images(tmp_path):
+    touch(tmp_path, "images/a.jpg", "masks/a.png", "instances/a.png", "deep/masks/b.jpg")
+    touch(tmp_path, "old/overlays/a.jpg", "old/masks/a.png", "old/finished/a.json")
+    found = find_sources([tmp_path])
+    assert [source.name for source in found.sources] == ["deep/masks/b", "images/a"]
+    assert [path.name for path in found.skipped] == ["instances", "masks", "old"]
+    with pytest.raises(LabelError, match="old: expected images, got the results of a count"):
+        find_sources([tmp_path / "old"])
+
+
+def test_results_do_not_go_into_the_folder_of_the_images_itself(tmp_path):
+    touch(tmp_path, "a.jpg")
+    with pytest.raises(LabelError, match="expected another folder for the results than that of the images"):
+        find_sources([tmp_path], leave_out=tmp_path)
+
+
 def test_what_is_neither_picture_nor_video_is_told_apart_from_formats_that_cannot_be_read(tmp_path):
     found = find_sources([touch(tmp_path, "a.jpg", "notes.txt", "._a.jpg", "IMG.HEIC")])
     assert sorted(path.name for path in found.others) == ["._a.jpg", "notes.txt"]
