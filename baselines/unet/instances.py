@@ -7,13 +7,13 @@ that touch part along the valley between them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench_baselines.learning.samples import Floats
+from oysterbench_baselines.learning.samples import Floats, depths
 
 SIDE = 320
 """px of a picture's longer side, in which lengths and areas of a `Division` are."""
@@ -29,13 +29,14 @@ Labels = NDArray[np.int32]
 class Division:
     """How oysters are told apart, lengths being those of a picture whose longer side has `SIDE` px. smooth: px, the
     deviation by which depth is smoothed; rise, least: of depth, 0 to 1, by which a marker stands out, and that it has;
-    area: px that an oyster has at least; sure: mean probability times height of its hill from which on an oyster is
-    counted."""
+    area: px that an oyster has at least; large: px, the root of the area from which on size speaks no more against an
+    oyster; sure: the score from which on an oyster is counted, before it is moved to 0.5."""
 
     smooth: float = 1.0
     rise: float = 0.1
     least: float = 0.3
     area: float = 12.0
+    large: float = 15.0
     sure: float = 0.5
 
 
@@ -51,8 +52,9 @@ def find_instances(oyster: Floats, depth: Floats, division: Division | None = No
     """Instances from two (H, W) probabilities, of which no two share a pixel: nothing is left to suppress.
 
     Each pixel of the mask (from 0.5 on) goes to the marker whose hill it lies on. A piece of the mask without a marker
-    is one of low score. The score is the mean probability over the instance times the height of its hill, moved so that
-    0.5 is where `division.sure` is.
+    is one of low score. The score is the mean probability over the instance, times the square of how well the depth
+    within it is that of its outline (1 less the mean difference), times the root of its size over `division.large`
+    where it is smaller; moved so that 0.5 is where `division.sure` is.
     """
     division = division or Division()
     height, width = oyster.shape
@@ -73,7 +75,7 @@ def find_instances(oyster: Floats, depth: Floats, division: Division | None = No
         labels = _flooded(mask & (levels >= level * 256 // LEVELS), labels)
     _, pieces = cv2.connectedComponents((mask & (labels == 0)).astype(np.uint8), connectivity=4)
     labels = np.where(pieces > 0, count - 1 + pieces, labels)
-    return _scored(labels, oyster, hills, division, division.area * unit**2)
+    return _scored(labels, oyster, depth, division, unit)
 
 
 def means(instances: Instances, values: Floats) -> NDArray[np.float64]:
@@ -116,17 +118,18 @@ def _flooded(mask: NDArray[np.bool_], markers: Labels) -> Labels:
         labels = grown
 
 
-def _scored(labels: Labels, oyster: Floats, hills: Floats, division: Division, least_area: float) -> Instances:
-    """Instances that are large enough, numbered anew, with their scores."""
+def _scored(labels: Labels, oyster: Floats, depth: Floats, division: Division, unit: float) -> Instances:
+    """Instances that are large enough, numbered anew, with their scores. unit: px of the picture per px of `SIDE`"""
     areas = np.bincount(labels.ravel())
-    sums = np.bincount(labels.ravel(), weights=oyster.ravel())
-    peaks = np.zeros(len(areas))
-    np.maximum.at(peaks, labels.ravel(), hills.ravel())
-    kept = np.nonzero(areas >= least_area)[0]
+    kept = np.nonzero(areas >= division.area * unit**2)[0]
     kept = kept[kept > 0]
     dense = np.zeros(len(areas), dtype=np.int32)
     dense[kept] = np.arange(1, len(kept) + 1)
-    return Instances(dense[labels], moved(peaks[kept] * sums[kept] / areas[kept], division.sure))
+    found = Instances(dense[labels], np.zeros(len(kept)))
+    misfit = np.abs(depths(found.labels.astype(np.uint16)) / np.float32(255) - depth)
+    sizes = np.minimum(np.sqrt(areas[kept]) / (division.large * unit), 1.0)
+    scores = means(found, oyster) * (1.0 - means(found, misfit)) ** 2 * np.sqrt(sizes)
+    return replace(found, scores=moved(scores, division.sure))
 
 
 def moved(scores: NDArray[np.float64], sure: float) -> NDArray[np.float64]:
