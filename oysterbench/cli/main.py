@@ -17,6 +17,7 @@ from oysterbench.cli.echo import echo, message
 from oysterbench.cli.eval import eval_command
 from oysterbench.cli.export import export
 from oysterbench.cli.extras import extra_of
+from oysterbench.cli.failures import told
 from oysterbench.cli.interrupts import interruption
 from oysterbench.cli.learn import Installed, experiment, train, translate
 from oysterbench.cli.map import map_command
@@ -74,9 +75,7 @@ class Commands(click.Group):
         except BrokenPipeError:
             raise
         except OSError as error:
-            file = error.filename2 or error.filename  # the one that is written, where one is read
-            place = f"{file}: " if file else ""
-            _fail(f"{place}{error.strerror or error}", 1)
+            _fail(told(error), 1)
 
 
 def _fail(why: str, code: int) -> None:

@@ -43,7 +43,9 @@ def appearing(path: str | os.PathLike[str], prefix: str | None = None, mode: int
     not. prefix: of the name that it has until then; mode: who may read it then."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=prefix or f".{path.name}.")
+    prefix = prefix or f".{path.name}."
+    with naming(path, path.parent / prefix):
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=prefix)
     try:
         with naming(path), os.fdopen(handle, "w+b") as file:
             yield file
@@ -69,7 +71,8 @@ def appearing_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     whole = folder.absolute()
     whole.parent.mkdir(parents=True, exist_ok=True)
     draft = whole.parent / f".{whole.name}.draft"
-    draft.mkdir(exist_ok=True)
+    with naming(folder, draft):
+        draft.mkdir(exist_ok=True)
     handle = os.open(draft, os.O_RDONLY)
     try:
         try:
@@ -79,7 +82,7 @@ def appearing_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         try:
             for left in draft.iterdir():
                 shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
-            with naming(folder):
+            with naming(folder, draft):
                 yield draft
             draft.replace(whole)
         except BaseException:
@@ -97,7 +100,9 @@ def locked(
     system frees it when a process dies. before_waiting: called where another holder is waited for."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with open(path, "w") as file:
+    with naming(path.parent, path):
+        file = open(path, "w")  # noqa: SIM115  closed below; what the block raises is none of its errors
+    with file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -111,13 +116,19 @@ def locked(
 
 
 @contextlib.contextmanager
-def naming(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Let an OSError of the block that names no file, as that of a full disk in `write`, name this one."""
+def naming(path: str | os.PathLike[str], stands_for_it: str | os.PathLike[str] | None = None) -> Iterator[None]:
+    """Let an OSError of the block that names no file, as that of a full disk in `write`, name this one.
+
+    stands_for_it: how the names begin that this file, or what is in this folder, has for a while, which no user knows
+    """
     try:
         yield
     except OSError as error:
-        if error.errno is not None and error.filename is None:
+        named = error.filename2 or error.filename
+        hidden = stands_for_it is not None and isinstance(named, str) and named.startswith(os.fspath(stands_for_it))
+        if error.errno is not None and (named is None or hidden):
             error.filename = os.fspath(path)
+            error.filename2 = None
         raise
 
 

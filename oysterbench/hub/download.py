@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from oysterbench.core.errors import HubError, IntegrityError
-from oysterbench.core.files import free_bytes, home, locked, write_atomically
+from oysterbench.core.files import free_bytes, home, locked, naming, write_atomically
 from oysterbench.core.names import instead
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.draft import remove_drafts
@@ -306,12 +306,13 @@ def _fetch(hub: Hub, step: Step, verify: bool, count: Callable[[int], None]) -> 
 
 def fetch_file(hub: Hub, entry: Pieced, path: Path, target: Path, count: Callable[[int], None]) -> None:
     """Fetch what is missing of a part, and give it its name, in the place of what had it before."""
-    part = Part(path, entry)
-    try:
-        Transfer(part, hub.mirrors, hub.connections, hub.patience, count).fetch(range(len(entry.pieces)))
-        part.install(target)
-    finally:
-        part.close()
+    with naming(target, path.with_suffix("")):
+        part = Part(path, entry)
+        try:
+            Transfer(part, hub.mirrors, hub.connections, hub.patience, count).fetch(range(len(entry.pieces)))
+            part.install(target)
+        finally:
+            part.close()
 
 
 def _is_good(hub: Hub, target: Path, entry: FileEntry, read: bool, part: Path) -> bool:

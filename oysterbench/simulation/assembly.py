@@ -40,7 +40,7 @@ def assemble(
     calibration = calibrate_rig(rig, recipe.site, recipe.calibration, split.streams_of(recipe, salt))
     jobs = plan(split, recipe)
     temporary = parts / "whole.mcap"  # beside the parts, so that what a kill leaves goes with them
-    with naming(temporary), open(temporary, "wb") as file:
+    with naming(path, parts), open(temporary, "wb") as file:
         writer = SequenceWriter(file, rig_topics(rig))
         writer.metadata(
             METADATA,

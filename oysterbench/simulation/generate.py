@@ -21,7 +21,7 @@ from pathlib import Path
 
 from oysterbench.core.cluster import Results, run_on_cluster
 from oysterbench.core.errors import MachineError, OysterbenchError, RecipeError, SequenceError
-from oysterbench.core.files import free_bytes, home, locked, write_atomically
+from oysterbench.core.files import free_bytes, home, locked, naming, write_atomically
 from oysterbench.recipe import SequenceRecipe, SplitRecipe
 from oysterbench.sequence.read import (
     FAULTS,
@@ -43,6 +43,9 @@ from oysterbench.version import GENERATION, VERSION
 
 WORKER_S = 10.0
 """Of rendering that a worker must find to be worth its start, which takes some 4 s of processor time."""
+
+PARTS = ".parts"
+"""Folder of what is not put together yet."""
 
 PROGRAM = f"oysterbench {VERSION}, generation {GENERATION}"
 """What decides the bytes besides the recipe: workers elsewhere must have the same."""
@@ -128,9 +131,10 @@ def generate_split(
                     return run_in_processes(task, jobs, workers, partial(_warm_up, device))
                 return run_here(task, jobs)
 
-            _render(split, missing, folder, made_by, salt, run, elsewhere, progress or (lambda done, total: None))
+            with naming(folder, folder / PARTS):
+                _render(split, missing, folder, made_by, salt, run, elsewhere, progress or (lambda done, total: None))
         with contextlib.suppress(OSError):  # absent, or with parts of other recipes in it
-            (folder / ".parts").rmdir()
+            (folder / PARTS).rmdir()
     return files
 
 
@@ -154,7 +158,7 @@ def _check_made_by(path: Path, split: SplitRecipe, made_by: str) -> None:
 
 
 def _parts(folder: Path, sequence: str, made_by: str) -> Path:
-    return folder / ".parts" / f"{sequence}-{made_by[:12]}"
+    return folder / PARTS / f"{sequence}-{made_by[:12]}"
 
 
 def _render(

@@ -1,4 +1,4 @@
-"""Folders that appear whole or not at all, whatever ends the process that fills them."""
+"""Files and folders that appear whole or not at all, whatever ends the process that fills them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from oysterbench.core.files import appearing_folder
+from oysterbench.core.files import appearing, appearing_folder, locked
 
 
 def test_a_folder_appears_when_it_is_whole(tmp_path):
@@ -47,7 +47,7 @@ def test_an_empty_folder_is_filled_and_another_is_left_as_it_is(tmp_path):
 
 HOLDER = """
 import sys, time
-from oysterbench.core.files import appearing_folder
+from oysterbench.core.files import appearing, appearing_folder, locked
 with appearing_folder(sys.argv[1]) as draft:
     (draft / "half").write_text("of it")
     print("there", flush=True)
@@ -74,3 +74,19 @@ def test_what_a_killed_process_left_is_cleared_and_one_that_runs_is_not_disturbe
         (draft / "whole").write_text("all of it")
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     assert time.monotonic() - began < 5
+
+
+def test_an_error_names_the_file_that_its_user_knows(tmp_path):
+    """And never the name that this one, or what is in it, has for a while."""
+    (tmp_path / "a.lock").mkdir()
+    long = tmp_path / ("x" * 250)  # with the characters of a temporary name it is too long for any disk
+    fills = {
+        long: lambda: appearing(long),
+        tmp_path / "out": lambda: appearing_folder(tmp_path / "out"),
+        tmp_path: lambda: locked(tmp_path / "a.lock"),
+    }
+    for known, fill in fills.items():
+        with pytest.raises(OSError, match=r".+") as raised, fill() as draft:
+            open(draft / "absent" / "x", "wb").close()
+        assert raised.value.filename == str(known)
+        assert raised.value.filename2 is None

@@ -10,12 +10,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from oysterbench.hub.canonical import sha256
+from oysterbench.hub.download import Hub
 from oysterbench.hub.index import Index, Release
 from oysterbench.hub.manifest import FileEntry, Manifest
 from oysterbench.hub.publish import publish
 from oysterbench.hub.sign import load_key, make_key
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
 from oysterbench.sequence.write import SequenceWriter
+from tests.helpers.blobs import CALM
 from tests.helpers.hand_made_dive import RIG, all_types, calibration, messages
 from tests.helpers.waiting import until
 
@@ -73,6 +75,33 @@ def publish_split(tree: Path, files: dict[str, Path], key, **facts: str):
 def publish_secret(tree: Path, truth: Path, files: dict[str, Path], key):
     """Publish as a hidden split."""
     return publish(tree, FACTS, files, key, truth=truth)
+
+
+class Published:
+    """A published split: tree, keys and files."""
+
+    def __init__(self, folder):
+        self.folder, self.tree = folder, folder / "tree"
+        self.key, self.public = a_key(folder)
+        self.files = write_split(folder / "data")
+        self.manifest = publish_split(self.tree, self.files, self.key)
+
+    @property
+    def site(self):
+        """What a web server would have."""
+        return tree_bytes(self.tree)
+
+
+def hub_at(published, *places, key=None):
+    """The client of a published split at these places, which waits for nothing."""
+    return Hub.at([str(place) for place in places], key or published.public, patience=CALM)
+
+
+def assert_same(files, published):
+    """The files that came are those that were published."""
+    assert {name: path.read_bytes() for name, path in files.items()} == {
+        name: path.read_bytes() for name, path in published.files.items()
+    }
 
 
 class Big:

@@ -1,10 +1,10 @@
-"""Files to publish, and a key to sign with."""
+"""Files to publish, a key to sign with, and a published split."""
 
 from __future__ import annotations
 
 import pytest
 
-from tests.helpers.trees import SECRET, a_key, write_split
+from tests.helpers.trees import SECRET, Published, a_key, write_split
 
 
 @pytest.fixture(scope="module")
@@ -25,3 +25,8 @@ def key_and_public(tmp_path_factory):
 @pytest.fixture
 def key(key_and_public):
     return key_and_public[0]
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory):
+    return Published(tmp_path_factory.mktemp("hub"))

@@ -11,6 +11,7 @@ from oysterbench.annotations.export.examples import Parts, parted
 from oysterbench.annotations.image import LabelledSet
 from oysterbench.core.errors import LabelError
 from oysterbench.core.files import appearing_folder
+from oysterbench.core.room import Room
 
 SET_FORMATS = {
     "yolo": "YOLO: segment/ and detect/, each with data.yaml, images/ and labels/ for train and val; oysters",
@@ -37,7 +38,7 @@ def export_set(
     Which part (train, val, test) an image is of: as its own set says; else by the set's name where that ends in -train,
     -val or -test; else train. The same sets give the same bytes. Returns the folder and what there is to say about it.
     Raises LabelError where `out` is there already, or two images have one name, and MissingExtraError where a format
-    needs what is not installed.
+    needs what is not installed, and MachineError where it will not fit on the disk.
     """
     if form not in SET_FORMATS:
         raise LabelError(f"unknown format {form!r}; formats: {', '.join(SET_FORMATS)}")
@@ -49,11 +50,14 @@ def export_set(
     total, done = sum(map(len, parts.values())), 0
     progress(done, total)
 
-    def step() -> None:
-        nonlocal done
-        done += 1
-        progress(done, total)
-
     with appearing_folder(folder) as draft:
+        room = Room(draft, folder)
+
+        def step() -> None:
+            nonlocal done
+            done += 1
+            progress(done, total)
+            room.check(done, total)
+
         notes = write("+".join(one.name for one in sets), parts, draft, step)
     return folder, notes

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.files import appearing_folder
+from oysterbench.core.room import Room
 from oysterbench.sensors.registry import export_formats
 from oysterbench.sequence.export.steps import Progress, Steps
 from oysterbench.sequence.types import Sequence
@@ -45,7 +46,8 @@ def export_sequence(
 
     truth: with poses, depth, classes and instances where the format has a place for them; without, only what a method
     may see. progress: told of each picture that is written. Returns the folder and what there is to say about it.
-    Raises SequenceError where `out` is there already, or the sequence lacks what the format needs.
+    Raises SequenceError where `out` is there already, or the sequence lacks what the format needs, and MachineError
+    where it will not fit on the disk.
     """
     if form not in FORMATS:
         raise SequenceError(f"unknown format {form!r}; formats: {', '.join(FORMATS)}")
@@ -54,7 +56,7 @@ def export_sequence(
         raise SequenceError(f"{folder} already exists and was left unchanged: delete it or choose another --out")
     write: Write = import_module(f"{__name__}.{form}").write if form in SHARED_FORMATS else partial(_write_kind, form)
     with appearing_folder(folder) as draft:
-        notes = write(sequence, draft, truth, Steps(progress))
+        notes = write(sequence, draft, truth, Steps(progress, Room(draft, folder)))
     return folder, notes
 
 

@@ -18,6 +18,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
         raise SequenceError(f"{sequence.name}: the format mcap needs a sequence file, and this is not one")
     out = folder / f"{sequence.name}.mcap"
     if truth:
+        steps.need(Path(source).stat().st_size)
         shutil.copyfile(source, out)
         return []
     with open(out, "wb") as file:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
+from oysterbench.core.room import Room
 from oysterbench.sequence.types import Sequence
 
 T = TypeVar("T")
@@ -14,10 +15,13 @@ Progress = Callable[[int, int], None]
 
 
 class Steps:
-    """Counts towards a total that a format says before it begins; what it counts are pictures, pings or rows."""
+    """Counts towards a total that a format says before it begins; what it counts are pictures, pings or rows.
 
-    def __init__(self, progress: Progress = lambda done, total: None) -> None:
-        self._progress, self._done, self._total = progress, 0, 0
+    room: looked at while it counts, where what will not fit is to end at once
+    """
+
+    def __init__(self, progress: Progress = lambda done, total: None, room: Room | None = None) -> None:
+        self._progress, self._room, self._done, self._total = progress, room, 0, 0
 
     def expect(self, count: int) -> None:
         """There are so many more to come."""
@@ -34,6 +38,13 @@ class Steps:
         """One more was dealt with."""
         self._done += 1
         self._progress(self._done, max(self._done, self._total))
+        if self._room is not None:
+            self._room.check(self._done, self._total)
+
+    def need(self, size: int) -> None:
+        """So many bytes will be written. Raises MachineError where they do not fit."""
+        if self._room is not None:
+            self._room.need(size)
 
 
 def frames(sequence: Sequence, cameras: Iterable[str], leaf: str = "image") -> int:

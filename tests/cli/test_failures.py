@@ -1,0 +1,86 @@
+"""What the system could not do is one line, with the file that its user knows and what to do next."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from oysterbench.cli.failures import told
+from oysterbench.cli.main import main
+from oysterbench.core import files, room
+
+
+@pytest.mark.parametrize(
+    ("number", "next_step"),
+    [
+        (errno.ENOSPC, "; make room there or choose another place, and run the same command again"),
+        (errno.EDQUOT, "; make room there or choose another place, and run the same command again"),
+        (errno.EROFS, "; choose another place that you may write to"),
+        (errno.EACCES, "; choose another place that you may write to"),
+        (errno.EISDIR, ""),
+    ],
+)
+def test_a_disk_that_takes_nothing_comes_with_a_next_step(number, next_step):
+    why = os.strerror(number)
+    assert told(OSError(number, why, "/mnt/out/a")) == f"/mnt/out/a: {why}{next_step}"
+    assert told(OSError(number, why)) == why + (next_step if "room" in next_step else "")
+
+
+def test_under_the_home_folder_it_is_the_variable_that_names_another(tmp_path, monkeypatch):
+    monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path))
+    full = OSError(errno.ENOSPC, "full", str(tmp_path / "splits" / "x"))
+    assert told(full).endswith("choose another home folder (OYSTERBENCH_HOME), and run the same command again")
+
+
+def test_a_file_that_may_not_be_read_is_not_one_to_write_elsewhere(tmp_path, monkeypatch):
+    file = tmp_path / "a.tum"
+    file.touch()
+    monkeypatch.setattr(os, "access", lambda path, mode: False)  # whoever runs this may be one who may read everything
+    assert (
+        told(PermissionError(errno.EACCES, "no", str(file))) == f"{file}: no; `chmod u+r {file}` lets its owner read it"
+    )
+
+
+def export(file, out, form):
+    return CliRunner().invoke(main, ["export", str(file), "--format", form, "--out", str(out)])
+
+
+def test_a_disk_that_fills_up_in_an_export_is_named_by_its_folder_and_nothing_is_left(dive_file, tmp_path, monkeypatch):
+    write = Path.write_text
+
+    def full(path, *args, **kwargs):
+        if ".draft" in str(path):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        return write(path, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "write_text", full)
+    done = export(dive_file, tmp_path / "out", "foxglove")
+    assert done.exit_code == 1
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith(f"oysterbench: {tmp_path / 'out'}: No space left on device; make room there or choose")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("form", ["mcap", "yolo"])
+def test_an_export_for_which_there_is_no_room_ends_at_once(dive_file, tmp_path, monkeypatch, form):
+    monkeypatch.setattr(room, "free_bytes", lambda folder: 10)
+    monkeypatch.setattr(room, "FIRST", 1)
+    done = export(dive_file, tmp_path / "out", form)
+    assert done.exit_code == 1
+    assert f"oysterbench: {tmp_path / 'out'}: not enough room: this needs some" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_place_that_cannot_be_written_to_is_named_and_not_what_was_to_be_in_it(tmp_path, monkeypatch):
+    def forbidden(dir, prefix):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), f"{dir}/{prefix}x7yq")
+
+    monkeypatch.setattr(files.tempfile, "mkstemp", forbidden)
+    done = CliRunner().invoke(main, ["oyster", "--out", str(tmp_path / "o.glb")])
+    assert done.stderr == (
+        f"oysterbench: {tmp_path / 'o.glb'}: Read-only file system; choose another place that you may write to\n"
+    )
