@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from oysterbench.methods.images import Picture, Segmentation
 
+WIDEST = 640
+"""px, as in most splits: blurring over a share of the width takes a time that grows with the cube of it or more."""
+
 
 class All:
     """Every pixel is an oyster's: what a reef's cover alone is worth."""
@@ -74,8 +77,14 @@ def probability(pixels: NDArray[np.uint8], settings: ColourSettings) -> NDArray[
 
 def colour_difference(pixels: NDArray[np.uint8], settings: ColourSettings) -> NDArray[np.float32]:
     """(H, W): distance in CIE L*a*b* (1976) of each pixel's colour from its surround's, smoothed, by the picture's
-    mean; 0 where the picture is of one colour."""
-    width = pixels.shape[1]
+    mean; 0 where the picture is of one colour. Pictures wider than `WIDEST` are reduced to it first."""
+    height, width = pixels.shape[:2]
+    if width > WIDEST:
+        size = (WIDEST, max(1, round(height * WIDEST / width)))
+        small = colour_difference(
+            np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8), settings
+        )
+        return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
     lab = cv2.cvtColor(pixels.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB)
     surround = cv2.GaussianBlur(lab, (0, 0), settings.surround * width)
     distance = cv2.GaussianBlur(np.linalg.norm(lab - surround, axis=2), (0, 0), settings.smooth * width)
