@@ -43,7 +43,8 @@ def board_table(page: BoardPage) -> Table:
     """Rows by rank: score with interval, coverage beside the errors, who vouches for them, and when."""
     board, rows = page.board, page.rows
     metric = metric_column(board.metric)
-    beside = STANDING_OF_TRACK[board.track]
+    first, second, *others = STANDING_OF_TRACK[board.track]
+    beside = (first, second, *(replace(column, wide=True) for column in others))
     whole = has_data_set(board, rows)
     table_rows = [
         TableRow(
@@ -134,6 +135,14 @@ def interval_of(row: Row) -> Interval:
     return Interval(row.low, row.high)
 
 
+def machines_note(rows: Sequence[Row]) -> str:
+    """What must be said where speeds are of several machines; else empty."""
+    machines = dict.fromkeys(row.machine for row in rows if row.machine)
+    if len(machines) < 2:
+        return ""
+    return f"Speeds are of different machines ({'; '.join(machines)}): they do not compare methods."
+
+
 def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
     board = page.board
     count = f"{len(board.sequences)} sequence{'' if len(board.sequences) == 1 else 's'}"
@@ -148,6 +157,7 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
         notes.append(lost)
     if rows and (lacking := lacks(board.split, board.track)):
         notes.append(lacking)
+    notes += [note for note in (machines_note(rows),) if note]
     if any(row.state == "current" and row.tier not in RANKED for row in rows):
         notes.append(NOT_RANKED)
     if has_data_set(board, rows):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from oysterbench.report.html import Runs
     from oysterbench.report.table import Table
     from oysterbench.tracks.track import Kept
+
+PIPE = 1000
+"""Characters of a line where nobody says how many there are."""
 
 TEXTS = {"csv": "every run, every digit", "tex": "tables with booktabs and graphicx", "md": "tables in Markdown"}
 """Forms of text, by their suffix."""
@@ -102,17 +106,25 @@ def print_table(table: Table) -> None:
     from oysterbench.report import terminal_table
 
     console = _console()
-    console.print(terminal_table(table, width=console.width))
+    _print(console, terminal_table(table, width=console.width))
 
 
 def print_rich(table: Any) -> None:
     """Print a table of rich on stdout."""
-    _console().print(table)
+    _print(_console(), table)
+
+
+def _print(console: Console, table: Any) -> None:
+    """Lines end with their last character: who reads a pipe wants no blanks up to its width."""
+    with console.capture() as captured:
+        console.print(table)
+    lines = captured.get().splitlines()
+    echo("\n".join(lines if console.is_terminal else map(str.rstrip, lines)))
 
 
 def _console() -> Console:
-    """Of stdout; a pipe has no width to wrap to."""
+    """Of stdout; a pipe has no width to wrap to but that of COLUMNS."""
     from rich.console import Console
 
     console = Console()
-    return console if console.is_terminal else Console(width=200)
+    return console if console.is_terminal or os.environ.get("COLUMNS", "").isdigit() else Console(width=PIPE)

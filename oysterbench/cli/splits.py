@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ from oysterbench.cli.echo import echo
 if TYPE_CHECKING:
     from oysterbench.hub.manifest import Manifest
     from oysterbench.recipe import SplitRecipe
+    from oysterbench.report.table import Table
 
 
 @dataclass(frozen=True)
@@ -85,17 +86,27 @@ def splits(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | 
     if as_json:
         echo(json.dumps({"splits": [asdict(row) for row in rows]}, indent=2))
         return
-    from rich.table import Table
+    from oysterbench.cli.outputs import print_table
 
-    from oysterbench.cli.outputs import print_rich
+    print_table(splits_table(rows))
 
-    table = Table(box=None, pad_edge=False)
-    for heading in ("split", "track", "sequences", "seconds", "here", "what"):
-        table.add_column(heading, justify="right" if heading in ("sequences", "seconds") else "left")
-    for row in rows:
-        seconds = "" if row.duration_s is None else f"{row.duration_s:.6g}"
-        table.add_row(f"{row.name} {row.version}", row.track, str(row.sequences), seconds, row.state, row.summary)
-    print_rich(table)
+
+def splits_table(rows: Iterable[SplitRow]) -> Table:
+    """The splits, a row each."""
+    from oysterbench.report.table import Column, Table, TableRow
+
+    columns = (
+        Column("split", "split"),
+        Column("track", "track", wide=True),
+        Column("sequences", "sequences", kind="number", wide=True),
+        Column("duration_s", "seconds", kind="number", wide=True),
+        Column("here", "here"),
+        Column("summary", "what"),
+    )
+    cells = (
+        (f"{row.name} {row.version}", row.track, row.sequences, row.duration_s, row.state, row.summary) for row in rows
+    )
+    return Table("", columns, tuple(map(TableRow, cells)))
 
 
 def _print_sequences(split: SplitRecipe, as_json: bool) -> None:

@@ -41,7 +41,7 @@ def test_what_is_missing_is_no_fault():
     assert done.returncode == 0, done.stderr
     assert "nothing is broken" in done.stderr
     for part in ("program", "extras", "machine", "data", "hub", "systems", "running"):
-        assert f"\n{part} " in f"\n{done.stdout}"
+        assert f"\n{part}\n" in f"\n{done.stdout}"
     assert found("splits") == Finding("data", "splits", "missing", "none here yet", "oysterbench render slam-mini")
     assert found("hub").state == "missing"
     assert found("weights unet").advice.startswith("oysterbench train unet")
@@ -84,6 +84,8 @@ def test_a_hub_file_that_is_no_toml_is_broken(home):
 
 def test_a_hub_with_its_key_is_there_and_without_it_poor(tmp_path, monkeypatch):
     monkeypatch.setenv("OYSTERBENCH_HUB", str(tmp_path))
+    assert "holds no published tree" in found("hub").detail
+    (tmp_path / "index.json").touch()
     assert found("hub").state == "ok"
     assert found("key").state == "poor"
     monkeypatch.setenv("OYSTERBENCH_HUB_KEY", "9f" * 32)

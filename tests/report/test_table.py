@@ -155,10 +155,31 @@ def test_the_terminal_shows_narrow_headings_and_all_cells():
 def test_a_narrow_terminal_leaves_out_the_wide_columns_the_last_first():
     columns = [Column(key, key, kind="number", wide=key != "a") for key in "abc"]
     table = Table("", tuple(columns), (TableRow((111, 222, 333)),))
-    for width, shown in ((15, "111  222  333"), (14, "111  222"), (9, "111"), (1, "111")):
+    for width, shown, left_out in (
+        (15, "111  222  333", ""),
+        (14, "111  222", "c"),
+        (9, "111", "b, c"),
+        (1, "111", "b, c"),
+    ):
         stream = io.StringIO()
         Console(file=stream, width=80).print(terminal_table(table, width=width))
-        assert shown == stream.getvalue().splitlines()[-2].strip()
+        above, _, below = stream.getvalue().partition("Left")
+        assert shown in map(str.strip, above.splitlines())
+        assert "".join(below.split()) == (f"outatthiswidth:{left_out}.".replace(" ", "") if left_out else "")
+
+
+def test_sentences_take_several_lines_before_columns_give_way():
+    columns = (Column("name", "name"), Column("n", "n", kind="number", wide=True), Column("what", "what"))
+    table = Table("", columns, (TableRow(("slam-mini", 12345, "a dive of twenty seconds " * 6)),))
+
+    def text(width):
+        stream = io.StringIO()
+        Console(file=stream, width=width).print(terminal_table(table, width=width))
+        return stream.getvalue()
+
+    assert "12345" in text(64)
+    assert "12345" not in text(50)
+    assert all("slam-mini" in text(width) for width in (50, 64)), "in one piece"
 
 
 def test_a_name_is_not_broken_into_letters_by_the_numbers_beside_it():

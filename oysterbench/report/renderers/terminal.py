@@ -16,17 +16,22 @@ SPACE = 2
 """Characters between columns."""
 LEAST_NAME = 12
 """Characters below which a name is not broken into lines."""
+PROSE = 40
+"""Characters of a column of sentences, which take several lines, with which they can be read."""
 STYLES = {"best": "bold green", "warn": "red"}
 """Kind of a cell -> how it looks in colour."""
 
 
 def terminal_table(table: Table, colour: bool = True, titled: bool = True, width: int = UNBOUNDED) -> RichTable:
     """A table of rich; what stands below the table stands below it in words. width: of the terminal, in characters;
-    where that is too little, the columns that are `wide` are left out, the last of them first."""
+    where that is too little, the columns that are `wide` are left out, the last of them first, and named below."""
     shown = [i for i, _ in table.shown]
+    left_out = []
     for i in reversed([i for i in shown if table.columns[i].wide]):
-        if sum(_width(table, k) for k in shown) > width:
+        if sum(min(_width(table, k), PROSE + SPACE) for k in shown) > width:
             shown.remove(i)
+            left_out.insert(0, " ".join(_heading(table.columns[i]).split()))
+    notes = [*table.notes, *([f"Left out at this width: {', '.join(left_out)}."] if left_out else [])]
     from rich.box import SIMPLE_HEAD
     from rich.table import Table as RichTable
     from rich.text import Text
@@ -39,7 +44,7 @@ def terminal_table(table: Table, colour: bool = True, titled: bool = True, width
         title_style="",
         title_justify="left",
         header_style="bold" if colour else "",
-        caption=styled("\n".join(table.notes), "yellow") if table.notes else None,
+        caption=styled("\n".join(notes), "yellow") if notes else None,
         caption_style="",
         caption_justify="left",
         box=SIMPLE_HEAD,

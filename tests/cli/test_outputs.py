@@ -1,0 +1,46 @@
+"""Tables on stdout: as wide as it is, with nothing at the ends of lines, and readable in 80 columns."""
+
+from __future__ import annotations
+
+import pytest
+from click.testing import CliRunner
+
+from oysterbench.cli.main import main
+
+COMMANDS = (("splits",), ("doctor",), ("models",), ("leaderboard", "--split", "slam-val"), ("splits", "slam-val"))
+
+
+@pytest.fixture(autouse=True)
+def _own_home(home):
+    """Nothing is there but what comes with the program."""
+
+
+def lines(*words, **environment):
+    done = CliRunner().invoke(main, words, env={"COLUMNS": None, **environment})
+    assert done.exit_code == 0, done.output
+    return done.stdout.splitlines()
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_a_pipe_heeds_the_columns_that_are_said_and_gets_no_blanks_at_the_ends_of_lines(words):
+    narrow, wide = lines(*words, COLUMNS="80"), lines(*words)
+    assert max(map(len, narrow)) <= 80
+    assert len(wide) <= len(narrow)
+    assert all(line == line.rstrip() for line in [*narrow, *wide])
+
+
+def test_splits_can_be_read_in_80_columns_and_say_what_was_left_out():
+    found = lines("splits", COLUMNS="80")
+    (row,) = [line for line in found if line.startswith(" slam-mini 1.0")]
+    assert "20 s over a patchy reef" in row
+    assert found[-1] == "Left out at this width: track, sequences, seconds."
+    assert len(found) < 3 * len(lines("splits")), "two or three lines a split, and not eight"
+
+
+def test_a_board_keeps_rank_score_and_record_whole_in_80_columns():
+    found = lines("leaderboard", "--split", "slam-val", COLUMNS="80")
+    wide = lines("leaderboard", "--split", "slam-val")
+    (whole,) = [line.split() for line in wide if " dead_reckoning " in line]
+    (row,) = [line.split() for line in found if " dead_reckoning " in line]
+    assert (row[0], row[2], row[-1]) == (whole[0], whole[3], whole[-1])
+    assert any(line.startswith("Left out at this width: team, ") for line in found)
