@@ -43,8 +43,7 @@ def board_table(page: BoardPage) -> Table:
     """Rows by rank: score with interval, coverage beside the errors, who vouches for them, and when."""
     board, rows = page.board, page.rows
     metric = metric_column(board.metric)
-    first, second, *others = STANDING_OF_TRACK[board.track]
-    beside = (first, second, *(replace(column, wide=True) for column in others))
+    beside = [replace(column, wide=i > 1) for i, column in enumerate(STANDING_OF_TRACK[board.track])]
     whole = has_data_set(board, rows)
     table_rows = [
         TableRow(

@@ -26,7 +26,7 @@ def terminal_table(table: Table, colour: bool = True, titled: bool = True, width
     """A table of rich; what stands below the table stands below it in words. width: of the terminal, in characters;
     where that is too little, the columns that are `wide` are left out, the last of them first, and named below."""
     shown = [i for i, _ in table.shown]
-    left_out = []
+    left_out: list[str] = []
     for i in reversed([i for i in shown if table.columns[i].wide]):
         if sum(min(_width(table, k), PROSE + SPACE) for k in shown) > width:
             shown.remove(i)
