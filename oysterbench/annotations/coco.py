@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -36,7 +37,8 @@ LONGEST_SIDE_PX = 1 << 16
 
 
 class CocoImage(NamedTuple):
-    """An image of a document. name: its file's, without suffix; clip, split: empty where the document does not say."""
+    """An image of a document. name: its file's, without suffix where that leaves it apart from the others; clip, split:
+    empty where the document does not say."""
 
     name: str
     height: int
@@ -192,6 +194,7 @@ def read_json(path: Path) -> Any:
 def _images(path: Path, images: list[Any]) -> dict[Any, CocoImage]:
     found: dict[Any, CocoImage] = {}
     names: set[str] = set()
+    bare = Counter(_bare(image.get("file_name")) for image in images if isinstance(image, dict))
     for k, image in enumerate(images):
         where = f"{path}: images[{k}]"
         for key in ("id", "file_name", "width", "height"):
@@ -199,7 +202,7 @@ def _images(path: Path, images: list[Any]) -> dict[Any, CocoImage]:
                 raise LabelError(f"{where}: key {key!r} is missing")
         _check_id(image["id"], where)
         file = str(image["file_name"])
-        name = PurePosixPath(file).with_suffix("").as_posix()
+        name = _bare(file) if bare[_bare(file)] == 1 else file
         if image["id"] in found or name in names:
             raise LabelError(f"{where}: id {image['id']!r} or file_name {file!r} is used twice")
         sides = [image[key] for key in ("width", "height")]
@@ -216,6 +219,10 @@ def _images(path: Path, images: list[Any]) -> dict[Any, CocoImage]:
     if not found:
         raise LabelError(f"{path}: has no image")
     return found
+
+
+def _bare(file: Any) -> str:
+    return PurePosixPath(str(file)).with_suffix("").as_posix() if PurePosixPath(str(file)).name else ""
 
 
 def _checked(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from oysterbench.annotations.image import read_plane
@@ -20,8 +20,7 @@ def coco_document(store: Store, pictures: Sequence[PictureCount]) -> dict[str, A
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for k, one in enumerate(pictures, start=1):
-        suffix = ".png" if one.video else Path(one.file).suffix
-        file = one.name if one.name.endswith(suffix) else one.name + suffix
+        file = f"{one.name}.png" if one.video else (PurePosixPath(one.name).parent / Path(one.file).name).as_posix()
         images.append({"id": k, "file_name": file, "width": one.width, "height": one.height})
         for annotation in _annotations(store, one):
             annotations.append({"id": len(annotations) + 1, "image_id": k, "category_id": 1, **annotation})

@@ -29,6 +29,13 @@ def doubts(method: str, pictures: Sequence[PictureCount], length_mm: float, scal
             f"the mean length is {length_mm:.{0 if length_mm >= 10 else 3}f} mm, where {low:g} to {high:g} mm are "
             f"expected of oysters: {unit}{', or do oysters touch, so that several are one part' if merged else ''}?"
         )
+    sizes = {tuple(sorted((one.width, one.height))) for one in pictures}
+    if scale == "plain" and len(sizes) > 1:
+        some = ", ".join(f"{long} x {short}" for short, long in sorted(sizes)[:3]) + ", ..." * (len(sizes) > 3)
+        yield (
+            f"one --mm-per-px was taken for images of {len(sizes)} sizes ({some} px): "
+            "is it the same in all of them? Else count each size by itself"
+        )
     small = sum(one.small for one in pictures)
     if scale and small and not any(one.oysters for one in pictures):
         yield f"all {small} oysters are too small to count: {unit}?"

@@ -191,6 +191,13 @@ def test_doubled_ids_and_lists_without_images_are_refused(tmp_path):
         read_coco(tmp_path / "r.json")
 
 
+def test_files_that_differ_by_suffix_alone_keep_it(tmp_path):
+    content = document()
+    for image, file in zip(content["images"], ("clip/a.jpg", "clip/a.png"), strict=True):
+        image["file_name"] = file
+    assert read_coco(wrote(tmp_path / "x.json", content)).names == ("clip/a.jpg", "clip/a.png")
+
+
 def test_clips_of_a_plain_folder_are_its_folders_or_what_the_manifest_says(tmp_path):
     for name in ("one/a", "one/b", "two/c"):
         write_png(tmp_path / f"{name}.png", MASK.astype(np.uint8) * 255)

@@ -12,8 +12,8 @@ from oysterbench.counting.measure import PictureCount
 
 
 def picture(novelty=None, **values):
-    known = {"oysters": 3, "cut": 0, "live": 0, "dead": 0, "cover": 0.1, "area_m2": None} | values
-    return PictureCount("a", "a.jpg", 640, 480, novelty=novelty, **known)
+    known = {"width": 640, "height": 480, "oysters": 3, "cut": 0, "live": 0, "dead": 0, "cover": 0.1, "area_m2": None}
+    return PictureCount("a", "a.jpg", novelty=novelty, **known | values)
 
 
 def said(length_mm=math.nan, scale="", **values):
@@ -56,3 +56,13 @@ def test_a_method_without_a_test_of_novelty_is_a_doubt():
     assert only.startswith("m has no test of whether images are unlike its training data")
     assert list(doubts("m", [], math.nan, "")) == []
     assert list(doubts("m", [picture(0.1), picture()], math.nan, "")) == []
+
+
+def test_one_scale_for_images_of_several_sizes_is_a_doubt():
+    upright = picture(0.1, width=480, height=640)
+    large = picture(0.1, width=3456, height=2304)
+    same = [picture(0.1), upright]
+    assert list(doubts("m", same, 80.0, "plain")) == []
+    (only,) = doubts("m", [*same, large], 80.0, "plain")
+    assert only.startswith("one --mm-per-px was taken for images of 2 sizes (640 x 480, 3456 x 2304 px)")
+    assert list(doubts("m", [*same, large], 80.0, "quadrat")) == []

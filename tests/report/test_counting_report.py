@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -102,6 +103,17 @@ def test_annotations_give_back_every_mask(tmp_path):
     assert image.instances.max() == 4
     first = json.loads((tmp_path / "out" / "instances.json").read_text())["annotations"][0]
     assert (first["score"], first["live"], first["iscrowd"]) == (0.9, 0.0, 0)
+
+
+def test_annotations_name_files_as_they_are_called(tmp_path):
+    names = ["a.jpg", "a.png", "b.png.png", "deep er/c.tif"]
+    for name in names:
+        write(tmp_path / "in" / name, discs(*PLACES))
+    counts(tmp_path / "in", tmp_path / "out")
+    written = json.loads((tmp_path / "out" / "instances.json").read_text())["images"]
+    assert sorted(one["file_name"] for one in written) == names
+    shutil.copy(tmp_path / "out" / "instances.json", tmp_path / "in")
+    assert len(coco_set(tmp_path / "in" / "instances.json")) == 4
 
 
 def test_annotations_of_boxes_have_no_masks(tmp_path):
