@@ -25,7 +25,8 @@ def told_fields(kind: type) -> list[Told]:
     texts: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         if dataclasses.is_dataclass(base):
-            texts |= _texts(base)
+            # A field that only narrows what it inherits keeps its text.
+            texts |= {name: text for name, text in _texts(base).items() if text or name not in texts}
     return [Told(field, texts.get(field.name, "")) for field in dataclasses.fields(kind)]
 
 

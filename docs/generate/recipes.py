@@ -74,7 +74,7 @@ def _section(kind: type, name: str, many: bool = False) -> str:
     hints = typing.get_type_hints(kind)
     rows = [_row(told, hints[told.field.name]) for told in told_fields(kind) if told.field.name not in NOT_WRITTEN]
     about = inspect.cleandoc(kind.__doc__ or "")
-    return f"\n## {heading} {{ #{anchor} }}\n\n{about}\n\n{table(('Key', 'Type', 'Allowed', 'Default', 'What'), rows)}"
+    return f"\n## {heading} {{ #{anchor} }}\n\n{about}\n\n{table(('Key', 'Type', 'Allowed', 'Default', 'Meaning'), rows)}"
 
 
 def _row(told: Told, hint: Any) -> tuple[str, ...]:
@@ -124,7 +124,7 @@ def _allowed(field: dataclasses.Field[Any]) -> str:
 
 def _default(field: dataclasses.Field[Any], hint: Any) -> str:
     if field.default is dataclasses.MISSING:
-        return "needed"
+        return "required"
     if field.default in (None, "") or _table_of(hint) is not None or isinstance(field.default, Table):
         return ""
     if isinstance(field.default, bool):

@@ -33,20 +33,21 @@ class LifeRecipe:
     young croaker and perch (10 to 25 cm).
     """
 
-    schools: int = number(0, 20, 0)  # groups of fish that keep together
-    school_size: int = number(2, 50, 20)  # fish in each
+    schools: int = number(0, 20, 0)  # number of schools of fish
+    school_size: int = number(2, 50, 20)  # fish in each school
     school_fish_cm: float = number(2, 25, 8.0)  # median length of a fish in a school
-    school_speed_m_s: float = number(0.05, 1.0, 0.25)
-    fish: int = number(0, 50, 0)  # that swim alone
-    fish_cm: float = number(2, 25, 16.0)  # median length of a fish alone
-    fish_speed_m_s: float = number(0.05, 1.0, 0.15)
-    crabs: int = number(0, 100, 0)  # blue crabs, 5 to 14 cm across, walking with rests at up to 0.2 m/s
-    debris: int = number(0, 200, 0)  # leaves, blades of grass and strips of film that drift with the current
-    tether: bool = False  # from the stern up to the surface, trailing behind with slack
-    tether_slack_m: float = number(0, 3, 1.0)  # how far its slack hangs out to the side of the vehicle
-    sway: float = number(0, 1, 0.0)  # share of the water's motion that blades' tips take; 1: limp (Luhar & Nepf 2016)
-    surge_m: float = number(0, 0.3, 0.0)  # of a far swell where the site states no waves: amplitude at the bottom
-    surge_period_s: float = number(3, 8, 5.0)  # of that swell
+    school_speed_m_s: float = number(0.05, 1.0, 0.25)  # speed at which a school swims
+    fish: int = number(0, 50, 0)  # number of solitary fish
+    fish_cm: float = number(2, 25, 16.0)  # median length of a solitary fish
+    fish_speed_m_s: float = number(0.05, 1.0, 0.15)  # speed at which a solitary fish swims
+    crabs: int = number(0, 100, 0)  # number of blue crabs, 5 to 14 cm across, walking at up to 0.2 m/s with rests
+    debris: int = number(0, 200, 0)  # number of leaves, blades of grass and strips of film drifting with the current
+    tether: bool = False  # a cable from the stern to the surface, trailing behind with slack
+    tether_slack_m: float = number(0, 3, 1.0)  # how far the slack hangs out to the side of the vehicle
+    sway: float = number(0, 1, 0.0)
+    """Share of the water's motion that the tips of blades follow; 1: limp (Luhar & Nepf 2016)."""
+    surge_m: float = number(0, 0.3, 0.0)  # amplitude at the bottom of a distant swell, where the site has no waves
+    surge_period_s: float = number(3, 8, 5.0)  # period of that swell
 
     @property
     def moves(self) -> bool:

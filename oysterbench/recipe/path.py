@@ -41,42 +41,46 @@ class PathRecipe:
     Directions from east, counter-clockwise. Keys that a kind does not read (KEYS_OF_KIND) are refused.
     """
 
-    kind: str = choice(PATH_KINDS)
-    speed_m_s: float = number(0.01, 5)  # along the path, once the ramp is over: less in tight turns and at close range
+    kind: str = choice(PATH_KINDS)  # shape of the path
+    speed_m_s: float = number(0.01, 5)  # cruising speed: lower in tight turns and at close range
     ramp_s: float = number(0.5, 60, 3.0)  # time from rest to full speed
-    rest_s: float = number(0, 60, 0.0)  # at its start before it sets off, as logs of dives begin
-    resting: str = choice(RESTS, "still")  # meanwhile: still, as on the bottom, or hovering with the sway of below
-    hand_flown: float = number(0, 2, 0.0)  # stops, drifts and corrections of a human at the sticks; 1: see disturbance
+    rest_s: float = number(0, 60, 0.0)  # time at rest before setting off, as most logs begin
+    resting: str = choice(RESTS, "still")
+    """During that time: still, as if on the bottom, or hovering with the sway below."""
+    hand_flown: float = number(0, 2, 0.0)  # stops, drifts and corrections of a human pilot; 1: typical
     altitude_m: float = number(0.2, 20)  # above the smoothed bottom
     sway_m: float = number(0, 0.5, 0.06)  # amplitude of surge, sway and heave about the nominal path
     tilt_deg: float = number(0, 30, 4.0)  # amplitude of roll, pitch and yaw about the nominal attitude
-    clearance_m: float = number(0, 10, 0.3)  # no oyster and no stone comes closer to the body's origin
-    lift: bool = False  # rise over what stands in the way, instead of refusing the path
-    excitation: float = number(0, 3, 0.0)  # opening manoeuvre that lets a filter initialise; 1: of 0.08 m and 6 degrees
-    lean: float = number(0, 3, 0.0)  # pitch and roll by drag and acceleration; 1: as a BlueROV2 that is pushed low
-    wave_following: float = number(0, 1, 1.0)  # share of the water's motion in waves that carries the vehicle
-    hold_s: float = number(0, 20, 1.0)  # the current's variation carries it for so long before it is held
+    clearance_m: float = number(0, 10, 0.3)  # least distance of oysters and stones from the body's origin
+    lift: bool = False  # rise over obstacles instead of refusing the path
+    excitation: float = number(0, 3, 0.0)  # opening manoeuvre by which a filter initialises; 1: 0.08 m and 6 degrees
+    lean: float = number(0, 3, 0.0)
+    """Pitch and roll caused by drag and acceleration; 1: as a BlueROV2 with low thrusters."""
+    wave_following: float = number(0, 1, 1.0)  # share of the wave motion of the water that carries the vehicle along
+    hold_s: float = number(0, 20, 1.0)
+    """Time for which changes of the current carry the vehicle before it holds its position."""
 
     turn_rate_deg_s: float = number(1, 180, 30.0)  # fastest turn of the nominal heading
-    radius_m: float | None = number(0.2, 100, None)  # loop: on average; orbit: of the (innermost) circle
-    centre_m: tuple[float, float] = number(-100, 100, (0.0, 0.0))  # of lawnmower, transect or orbit
-    heading_deg: float = number(-360, 360, 0.0)  # of the first lane, or of the transect
-    length_m: float | None = number(0.5, 200, None)  # of lanes or transect
-    width_m: float | None = number(0, 200, None)  # lawnmower: across the lanes, at most
-    spacing_m: float | None = number(0.05, 100, None)  # between lanes, or between the rings of an orbit
-    cross: bool = False  # lawnmower: then lanes across, which visit every lane again
-    repeat: bool = False  # transect, lawnmower: back and forth; waypoints: round and round; else hover at the end
-    look: str = choice(LOOKS, "along")  # orbit: along the path or inward, at the centre
-    rings: int = number(1, 100, 1)  # orbit: circles, each wider by spacing_m, a lap on each, outwards and back
-    spots: int = number(1, 100, 3)  # inspection: how many, chosen by seed from where most stands on the bottom
-    spots_m: tuple[Place, ...] = number(-100, 100, ())  # or these [x, y], in this order
-    stand_off_m: float = number(0.1, 10, 0.8)  # inspection: level distance to the spot that it looks at
+    radius_m: float | None = number(0.2, 100, None)  # loop: mean radius; orbit: that of the innermost circle
+    centre_m: tuple[float, float] = number(-100, 100, (0.0, 0.0))  # lawnmower, transect, orbit: centre
+    heading_deg: float = number(-360, 360, 0.0)  # direction of the first lane, or of the transect
+    length_m: float | None = number(0.5, 200, None)  # length of the lanes, or of the transect
+    width_m: float | None = number(0, 200, None)  # lawnmower: greatest extent across the lanes
+    spacing_m: float | None = number(0.05, 100, None)  # between lanes, or between the circles of an orbit
+    cross: bool = False  # lawnmower: then a second set of lanes across the first, which revisits every lane
+    repeat: bool = False
+    """Transect, lawnmower: back and forth; waypoints: round and round; otherwise it hovers at the end."""
+    look: str = choice(LOOKS, "along")  # orbit: along the path, or inward at the centre
+    rings: int = number(1, 100, 1)  # orbit: number of circles, spacing_m apart, one lap on each, outwards and back
+    spots: int = number(1, 100, 3)  # inspection: number of spots, drawn from where most stands on the bottom
+    spots_m: tuple[Place, ...] = number(-100, 100, ())  # inspection: or these places [x, y], in this order
+    stand_off_m: float = number(0.1, 10, 0.8)  # inspection: horizontal distance to the spot
     close_m: float = number(0.1, 20, 0.7)  # inspection: altitude at a spot
-    sides: int = number(1, 16, 3)  # inspection: directions that a spot is looked at from, evenly around it
-    hover_s: float = number(0, 600, 3.0)  # inspection: on each side
+    sides: int = number(1, 16, 3)  # inspection: number of directions, evenly spaced, from which a spot is viewed
+    hover_s: float = number(0, 600, 3.0)  # inspection: time on each side
     waypoints: tuple[Place, ...] = number(-360, 360, ())  # [x, y], [x, y, altitude] or [x, y, altitude, yaw_deg]
-    extent_m: float | None = number(0.5, 200, None)  # free: side of the square about the origin that it wanders in
-    revisit: float = number(0, 1, 0.5)  # free: share of the legs that lead to where it has been
+    extent_m: float | None = number(0.5, 200, None)  # free: side of the square about the origin within which it wanders
+    revisit: float = number(0, 1, 0.5)  # free: share of the legs that lead to places it has visited
 
 
 def check_path(path: PathRecipe, size_m: float, where: str) -> None:

@@ -49,60 +49,62 @@ class CameraRecipe(NamedSensorRecipe):
 
     block: ClassVar[str] = "camera"
 
-    width: int = number(16, 8192)
-    height: int = number(16, 8192)
-    hfov_deg: float = number(10, 160)  # in water; of the pinhole, for a lens of brown-conrady before its distortion
+    width: int = number(16, 8192)  # pixels
+    height: int = number(16, 8192)  # pixels
+    hfov_deg: float = number(10, 160)
+    """Horizontal field of view in water; for brown-conrady that of the pinhole, before distortion."""
     rate_hz: float = number(0.1, 200)
-    layer_rate_hz: float = number(0, 200, 0.0)  # of the layers; a divisor of rate_hz
-    layers: tuple[str, ...] = choice(LAYERS, ("depth", "class", "instance"))  # ground truth that goes into the file
-    image_format: str = choice(IMAGE_FORMATS, "jpeg")  # of its colour frames in the file; png keeps every bit
-    jpeg_quality: int = number(50, 100, 95)
-    # Of a video link that its frames pass before, coded as by H.264; 0: none. Tethers carry 5 to 15 Mbit/s of 1080p at
-    # 30 Hz, 0.08 to 0.24 bit a pixel: as much as 0.25 to 0.75 Mbit/s of 640 x 480 at 10 Hz.
+    layer_rate_hz: float = number(0, 200, 0.0)  # rate of the ground-truth layers; a divisor of rate_hz
+    layers: tuple[str, ...] = choice(LAYERS, ("depth", "class", "instance"))  # ground truth that is written to the file
+    image_format: str = choice(IMAGE_FORMATS, "jpeg")  # of the colour images; png is lossless
+    jpeg_quality: int = number(50, 100, 95)  # of the colour images, if jpeg
+    # Bit rate of a video link that the frames pass through first, coded as by H.264; 0: none. Tethers carry 5 to 15
+    # Mbit/s of 1080p at 30 Hz, 0.08 to 0.24 bit per pixel, equivalent to 0.25 to 0.75 Mbit/s of 640 x 480 at 10 Hz.
     video_mbit_s: float = number(0, 100, 0.0)
-    max_range_m: float = number(1, 100, 20.0)  # farther than this is water
-    lens: str = choice(
-        tuple(LENSES), "pinhole"
-    )  # brown-conrady: k1 k2 p1 p2 [k3]; fisheye (Kannala-Brandt): k1 k2 k3 k4
-    distortion: tuple[float, ...] = number(-10, 10, ())  # coefficients as OpenCV has them
-    port_mm: float | None = number(0, 200, None)  # from the pupil to a flat port; then the lens works in air behind it
-    vignetting: float = number(0, 1, 0.0)  # share of the natural fall of light with cos^4 of the angle off the axis
+    max_range_m: float = number(1, 100, 20.0)  # beyond this distance everything is water
+    lens: str = choice(tuple(LENSES), "pinhole")
+    """Distortion model; brown-conrady: k1 k2 p1 p2 [k3]; fisheye (Kannala-Brandt): k1 k2 k3 k4."""
+    distortion: tuple[float, ...] = number(-10, 10, ())  # its coefficients, as in OpenCV
+    port_mm: float | None = number(0, 200, None)
+    """Distance from the pupil to a flat port; the lens then works in air behind it."""
+    vignetting: float = number(0, 1, 0.0)  # share of the natural cos^4 fall-off that is applied
     exposure_stops: float = number(-6, 6, 0.0)  # brighter than metered
-    gain: float = number(1, 64, 1.0)  # amplification of fewer photons to the same brightness: more noise
-    shutter_ms: float = number(0, 200, 0.0)  # time that the shutter is open, for motion blur; 0: an instant
-    # Rolling shutter: rows are read readout_ms / height after each other; 15 to 33 ms of low-light USB cameras on small
-    # ROVs. The stamp is the middle of the exposure of the middle row. 0: all rows at once.
+    gain: float = number(1, 64, 1.0)  # amplifies fewer photons to the same brightness: more noise
+    shutter_ms: float = number(0, 200, 0.0)  # exposure time, for motion blur; 0: an instant
+    # Rolling shutter: rows are read readout_ms / height one after another; 15 to 33 ms for the low-light USB cameras of
+    # small ROVs. The timestamp is the middle of the exposure of the middle row. 0: all rows at once.
     readout_ms: float = number(0, 50, 0.0)
-    focus_m: float = number(0.05, 20, 1.0)  # distance at which marine snow is sharp, and all else by aperture_mm
-    # Diameter of the lens' opening, for the circle of confusion of what is not at focus_m; f / N of a lens of 3 to 8 mm
-    # at f/2 to f/2.8. 0: surfaces are sharp everywhere, and flakes have 1.2 mm.
+    focus_m: float = number(0.05, 20, 1.0)
+    """Distance at which marine snow is sharp and, with aperture_mm, everything else."""
+    # Diameter of the entrance pupil, for the circle of confusion of everything away from focus_m: f / N of a lens of 3
+    # to 8 mm at f/2 to f/2.8. 0: surfaces are sharp everywhere, and marine snow is blurred as by 1.2 mm.
     aperture_mm: float = number(0, 8, 0.0)
-    # Standard deviation of the point spread of all that makes a picture soft alike everywhere: lens, demosaicing, and
-    # the scaling of its video; 0.5 to 2 px of frames from small ROVs' videos.
+    # Standard deviation of a point spread that softens the whole image: lens, demosaicing, rescaling of video;
+    # 0.5 to 2 px in frames from the videos of small ROVs.
     softness_px: float = number(0, 6, 0.0)
-    # What a camera makes of its sensor's picture; 0, 0, 1 and 1: nothing. Noise reduction: differences in brightness
-    # below that many of 255 levels are smoothed away within 6 px, and faint texture with them; how much of an unsharp
-    # mask of 1.3 px is added to brightness; factors on levels about middle grey and on colours' distance from grey.
     denoising: float = number(0, 60, 0.0)
-    sharpening: float = number(0, 4, 0.0)
-    contrast: float = number(0.3, 3, 1.0)
-    saturation: float = number(0, 3, 1.0)
-    # Spots of algae and bubbles on the port, as divers and landers wipe off: number, and mean diameter.
+    """Noise reduction of the camera: smooths differences in brightness below this many of 255 levels within 6 px, and
+    faint texture with them."""
+    sharpening: float = number(0, 4, 0.0)  # amount of an unsharp mask of 1.3 px, on brightness
+    contrast: float = number(0.3, 3, 1.0)  # factor on levels about middle grey
+    saturation: float = number(0, 3, 1.0)  # factor on the distance of colours from grey
     port_spots: int = number(0, 100, 0)
-    port_spot_mm: float = number(0.1, 5, 1.0)
-    # Of a million; 10 to 1000 with uncooled CMOS sensors, the more the warmer and older (Chapman et al. 2013).
+    """Number of spots of algae and bubbles on the port, such as divers and landers wipe off."""
+    port_spot_mm: float = number(0.1, 5, 1.0)  # their mean diameter
     hot_pixels: float = number(0, 5000, 0.0)
-    repeats: float = number(0, 0.5, 0.0)  # share of frames that show the picture before again, under a new stamp
-    # A control loop over the dive sets exposure time, then gain, instead of shutter_ms and gain; it settles on a step
-    # to 5 % within 0.3 to 2 s. 33 ms is all that video of 30 Hz leaves; amplifiers have steps of 0.3 to 3 dB.
+    """Hot pixels per million: 10 to 1000 in uncooled CMOS sensors, more in warm and old ones (Chapman et al. 2013)."""
+    repeats: float = number(0, 0.5, 0.0)  # share of frames that repeat the previous image under a new timestamp
+    # A control loop sets the exposure time, then the gain, over the dive, instead of shutter_ms and gain; it settles on
+    # a step to 5 % within 0.3 to 2 s. Video at 30 Hz leaves 33 ms at most; amplifiers have steps of 0.3 to 3 dB.
     auto_exposure: bool = field(default=False)
-    exposure_settle_s: float = number(0.1, 5, 0.7)
-    longest_exposure_ms: float = number(0.1, 100, 25.0)
-    highest_gain: float = number(1, 64, 16.0)
-    gain_step_db: float = number(0.1, 6, 1.0)
-    # Beside it, white balance that follows the mean colour instead of being locked; slower, as it must not flicker.
+    exposure_settle_s: float = number(0.1, 5, 0.7)  # time within which exposure settles on a change of light
+    longest_exposure_ms: float = number(0.1, 100, 25.0)  # upper limit of the exposure time
+    highest_gain: float = number(1, 64, 16.0)  # upper limit of the gain
+    gain_step_db: float = number(0.1, 6, 1.0)  # steps of the amplifier
     auto_balance: bool = field(default=False)
-    balance_settle_s: float = number(0.2, 30, 3.0)
+    """White balance that follows the mean colour, with auto_exposure, instead of being locked; slow, so as not to
+    flicker."""
+    balance_settle_s: float = number(0.2, 30, 3.0)  # time within which white balance settles
 
     @property
     def sent_layers(self) -> tuple[str, ...]:
@@ -136,13 +138,13 @@ class CameraRecipe(NamedSensorRecipe):
 class LampRecipe:
     """A lamp on the rig. Pitch is positive below the horizon."""
 
-    intensity_cd: float = number(0, 1e6)  # along its axis
-    half_angle_deg: float = number(1, 89, 45.0)  # of the cone, to the middle of its edge
+    intensity_cd: float = number(0, 1e6)  # luminous intensity along its axis
+    half_angle_deg: float = number(1, 89, 45.0)  # of the cone, from its axis to the middle of its soft edge
     edge_deg: float = number(0.5, 60, 15.0)  # width of the soft edge
-    colour: tuple[float, float, float] = number(0, 2, (1.0, 1.0, 1.0))  # of its light over daylight's
-    position_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # in base_link
-    pitch_deg: float = number(-90, 90, 0.0)
-    yaw_deg: float = number(-180, 180, 0.0)
+    colour: tuple[float, float, float] = number(0, 2, (1.0, 1.0, 1.0))  # red, green and blue relative to daylight
+    position_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # of the lamp in base_link
+    pitch_deg: float = number(-90, 90, 0.0)  # of its axis, positive below the horizon
+    yaw_deg: float = number(-180, 180, 0.0)  # of its axis from the bow, positive to port
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,11 +154,11 @@ class RigRecipe:
     In its file each of the sensors is a table of its kind's block, `[dvl]` or `[[sonar]]`.
     """
 
-    name: str
-    summary: str
-    truth_rate_hz: float = number(1, 4000, 200.0)
-    camera: tuple[CameraRecipe, ...]
-    lamp: tuple[LampRecipe, ...] = ()
+    name: str  # of the rig
+    summary: str  # one line about it
+    truth_rate_hz: float = number(1, 4000, 200.0)  # poses of the ground truth per second
+    camera: tuple[CameraRecipe, ...]  # at least one
+    lamp: tuple[LampRecipe, ...] = ()  # none: daylight only
     sensors: tuple[SensorRecipe, ...]  # besides the cameras
     vehicle: str = choice(VEHICLES, "none")  # body that the cameras see and that casts a shadow
 

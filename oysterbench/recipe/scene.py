@@ -27,32 +27,35 @@ WATER_TYPES = (*JERLOV_TYPES, "chesapeake-clear", "chesapeake-mid", "chesapeake-
 class ReefRecipe:
     """The bottom and what lies on it, in a square centred on the origin of `map`."""
 
-    size_m: float = number(4, 200)
+    size_m: float = number(4, 200)  # side of the square
     depth_m: float = number(0.5, 60)  # mean depth of the bottom
-    relief_rms_m: float = number(0, 3)  # of the fractal seabed
-    oysters: int | None = number(0, 60_000, None)  # how many, or instead:
-    density_per_m2: float | None = number(0, 1_000, None)  # oysters on a square metre, dead ones included
+    relief_rms_m: float = number(0, 3)  # RMS height of the fractal seabed
+    oysters: int | None = number(0, 60_000, None)  # number of oysters, or give:
+    density_per_m2: float | None = number(0, 1_000, None)  # oysters per square metre, dead ones included
     oyster_size_mm: float = number(25, 170, 85.0)  # median shell height
-    clump_size: float = number(1, 30, 7.0)  # mean oysters in a clump
-    patchiness: float = number(0, 1, 0.5)  # of the clumps: 0 spreads them evenly, 1 leaves bare ground between patches
-    box_share: float = number(0, 1, 0.08)  # of the oysters: dead, both valves still on their hinge
-    valve_share: float = number(0, 1, 0.15)  # of the oysters: a single valve, loose on the bottom
-    shell_spread: float = number(0, 2, 0.0)  # of shells' proportions and colours beyond one reef's of one age
-    stones: int = number(0, 5_000, 0)
-    rocks: int = number(0, 500, 0)  # of 0.2 to 0.4 m
-    bottom: str = choice(BOTTOMS, "sand")
-    silt: float = number(0, 1, 0.5)  # sediment on what faces up
-    hash_per_m2: float = number(0, 500, 0.0)  # pieces of broken shell
-    plant_cover: float = number(0, 1, 0.0)  # share of the bottom that seagrass or algae grow on
-    sponges_per_m2: float = number(0, 50, 0.0)  # on shells and stones
-    drape: float = number(0, 1, 0.0)  # share that loose silt, smooth and fluffy, covers of what does not face down
-    infill_mm: float = number(0, 80, 0.0)  # depth of loose silt among oysters and stones: buries their feet
-    turf: float = number(0, 1, 0.0)  # share of what faces up that a fur of short algae covers, on shells
-    fouling: float = number(0, 1, 0.0)  # how much of shells' outsides barnacles, worms' tubes and spat have settled on
-    grit: float = number(0, 1, 0.0)  # white specks of shell on everything: at 1 about 2400 on a square metre
-    burrows: float = number(0, 1, 0.0)  # mouths of worms' and shrimps' burrows: at 1 about 2400 on a square metre
-    algae_per_m2: float = number(0, 500, 0.0)  # bunches of filamentous algae, green and brown, on shells and stones
-    litter_per_m2: float = number(0, 200, 0.0)  # dead blades of eelgrass, stalks and threads that lie on everything
+    clump_size: float = number(1, 30, 7.0)  # mean number of oysters in a clump
+    patchiness: float = number(0, 1, 0.5)  # 0 spreads the clumps evenly, 1 leaves bare ground between patches of them
+    box_share: float = number(0, 1, 0.08)  # share of oysters that are boxes: dead, with both valves on the hinge
+    valve_share: float = number(0, 1, 0.15)  # share of oysters that are single valves lying loose on the bottom
+    shell_spread: float = number(0, 2, 0.0)
+    """Extra variation of shell proportions and colours, beyond those of one reef of one age."""
+    stones: int = number(0, 5_000, 0)  # number of small stones
+    rocks: int = number(0, 500, 0)  # number of rocks of 0.2 to 0.4 m
+    bottom: str = choice(BOTTOMS, "sand")  # material of the seabed
+    silt: float = number(0, 1, 0.5)  # sediment on surfaces that face up
+    hash_per_m2: float = number(0, 500, 0.0)  # pieces of broken shell per square metre
+    plant_cover: float = number(0, 1, 0.0)  # share of the bottom on which seagrass or algae grow
+    sponges_per_m2: float = number(0, 50, 0.0)  # sponges per square metre, on shells and stones
+    drape: float = number(0, 1, 0.0)  # share of all surfaces not facing down that loose, fluffy silt covers
+    infill_mm: float = number(0, 80, 0.0)  # depth of loose silt between oysters and stones, which buries their feet
+    turf: float = number(0, 1, 0.0)  # share of upward-facing shell that a fur of short algae covers
+    fouling: float = number(0, 1, 0.0)  # how densely barnacles, worm tubes and spat cover the outside of shells
+    grit: float = number(0, 1, 0.0)  # white specks of shell on everything; 1: about 2400 per square metre
+    burrows: float = number(0, 1, 0.0)  # mouths of worm and shrimp burrows; 1: about 2400 per square metre
+    algae_per_m2: float = number(0, 500, 0.0)
+    """Bunches of filamentous algae, green and brown, per square metre, on shells and stones."""
+    litter_per_m2: float = number(0, 200, 0.0)
+    """Dead eelgrass blades, stalks and threads per square metre, lying on everything."""
 
     @property
     def oyster_count(self) -> int:
@@ -64,33 +67,36 @@ class ReefRecipe:
 class WaterRecipe:
     """The water's type, and what it holds more or less of. Absorption at 440 nm, scattering at 550 nm, both in 1/m."""
 
-    type: str | None = choice(WATER_TYPES, None)  # of Jerlov, of Chesapeake Bay, or pure water to add to; or instead:
-    jerlov: str | None = choice(JERLOV_TYPES, None)  # Jerlov's types alone; `type` goes before it
-    turbidity: float = number(0, 20, 1.0)  # factor on scattering and absorption of the type's particles
-    secchi_m: float | None = number(0.2, 12, None)  # makes all but the water itself so much that a disc vanishes there
-    cdom_440: float = number(0, 10, 0.0)  # added absorption of dissolved matter
-    nap_440: float = number(0, 20, 0.0)  # added absorption of mineral and dead particles
-    algae_440: float = number(0, 10, 0.0)  # added absorption of algae
-    scattering_550: float = number(0, 60, 0.0)  # added scattering of particles
-    snow_per_m3: float = number(0, 50_000, 0.0)  # marine snow: flakes of 0.4 mm and more
-    forward_blur: float = number(0, 1, 0.0)  # share of the light scattered forward that is drawn blurred, not sharp
-    layer: LayerRecipe = field(default=LayerRecipe())
-    patches: PatchesRecipe = field(default=PatchesRecipe())
-    plumes: PlumesRecipe = field(default=PlumesRecipe())
+    type: str | None = choice(WATER_TYPES, None)
+    """Jerlov's types, Chesapeake Bay, or pure water to which the keys below add; or give:."""
+    jerlov: str | None = choice(JERLOV_TYPES, None)  # Jerlov's types only; `type` takes precedence
+    turbidity: float = number(0, 20, 1.0)  # factor on scattering and absorption by the particles of the type
+    secchi_m: float | None = number(0.2, 12, None)  # scales everything but the water itself to give this Secchi depth
+    cdom_440: float = number(0, 10, 0.0)  # absorption by dissolved matter, added
+    nap_440: float = number(0, 20, 0.0)  # absorption by mineral and dead particles, added
+    algae_440: float = number(0, 10, 0.0)  # absorption by algae, added
+    scattering_550: float = number(0, 60, 0.0)  # scattering by particles, added
+    snow_per_m3: float = number(0, 50_000, 0.0)  # flakes of marine snow of 0.4 mm and more, per cubic metre
+    forward_blur: float = number(0, 1, 0.0)  # share of forward-scattered light that is blurred instead of staying sharp
+    layer: LayerRecipe = field(default=LayerRecipe())  # a turbid layer over the bottom
+    patches: PatchesRecipe = field(default=PatchesRecipe())  # clouds of clearer and more turbid water
+    plumes: PlumesRecipe = field(default=PlumesRecipe())  # silt stirred up from the bottom
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightRecipe:
     """Sun and sky above the surface."""
 
-    sun_elevation_deg: float = number(5, 90)
-    sun_azimuth_deg: float = number(-360, 360)  # direction towards the sun, from east, counter-clockwise
+    sun_elevation_deg: float = number(5, 90)  # above the horizon
+    sun_azimuth_deg: float = number(-360, 360)  # direction towards the sun, counter-clockwise from east
     sky_fraction: float = number(0, 1, 0.3)  # share of the downwelling irradiance that comes from the sky
-    daylight: float = number(0, 1, 1.0)  # share of full daylight (100 000 lx) that there is: less for dusk and night
-    wind_m_s: float = number(0, 15, 0.0)  # over the surface; its waves gather the sun into caustics, none in a calm
-    occlusion_m: float = number(0, 0.5, 0.0)  # reach of rays that find what hides the sky; 0: crevices by height alone
-    shade: float = number(0, 1, 0.0)  # share of daylight that soft shades of what floats and stands above take away
-    shade_m: float = number(0.05, 20, 0.5)  # how far apart shaded and lit places are
+    daylight: float = number(0, 1, 1.0)  # share of full daylight (100 000 lx): less at dusk and at night
+    wind_m_s: float = number(0, 15, 0.0)  # its waves focus sunlight into caustics; 0: calm, no caustics
+    occlusion_m: float = number(0, 0.5, 0.0)
+    """Length of the rays that test which part of the sky is hidden; 0: crevices darken by height only."""
+    shade: float = number(0, 1, 0.0)
+    """Share of daylight taken away by soft shadows of things floating or standing above."""
+    shade_m: float = number(0.05, 20, 0.5)  # distance between shaded and lit places
     lamps: float = number(0, 100, 1.0)  # factor on the intensity of the rig's lamps
 
 
@@ -98,31 +104,31 @@ class LightRecipe:
 class SiteRecipe:
     """The place and its day: what sound, pressure, compass and hull feel. Directions from east, counter-clockwise."""
 
-    temperature_c: float = number(-2, 40, 20.0)
-    salinity_ppt: float = number(0, 45, 15.0)
-    ph: float = number(7, 9, 7.8)
+    temperature_c: float = number(-2, 40, 20.0)  # of the water
+    salinity_ppt: float = number(0, 45, 15.0)  # with temperature and depth decides the speed of sound
+    ph: float = number(7, 9, 7.8)  # decides, with the two above, how sound is absorbed
     tide_m: float = number(0, 10, 0.0)  # amplitude of the tide about z = 0, as a pressure sensor feels it
-    tide_period_h: float = number(0.01, 30, 12.42)
-    wave_height_m: float = number(0, 10, 0.0)  # significant
-    wave_period_s: float = number(0.5, 30, 5.0)  # of the highest part of the spectrum
-    wave_to_deg: float = number(-360, 360, 0.0)  # where the waves go
-    current_m_s: float = number(0, 3, 0.0)  # mean
-    current_to_deg: float = number(-360, 360, 0.0)  # where the current goes
+    tide_period_h: float = number(0.01, 30, 12.42)  # 12.42: the lunar tide, twice a day
+    wave_height_m: float = number(0, 10, 0.0)  # significant wave height
+    wave_period_s: float = number(0.5, 30, 5.0)  # period at the peak of the spectrum
+    wave_to_deg: float = number(-360, 360, 0.0)  # direction in which the waves travel
+    current_m_s: float = number(0, 3, 0.0)  # mean speed of the current
+    current_to_deg: float = number(-360, 360, 0.0)  # direction in which the current flows
     field_ut: float = number(20, 70, 50.5)  # strength of the Earth's magnetic field
-    inclination_deg: float = number(-90, 90, 65.0)  # its dip below the horizon
-    iron: int = number(0, 500, 0)  # pieces of steel on or in the bottom: anchors, rebar, wreckage
+    inclination_deg: float = number(-90, 90, 65.0)  # dip of the field below the horizon
+    iron: int = number(0, 500, 0)  # number of pieces of steel on or in the bottom: anchors, rebar, wreckage
     iron_am2: float = number(0.01, 1000, 5.0)
-    """Their median magnetic moment, A m^2: 0.1 to 1 a kilogram (Breiner 1973, Applications Manual for Portable
-    Magnetometers)."""
-    declination_deg: float = number(-180, 180, -10.8)  # of magnetic from true north, east positive
+    """Median magnetic moment of a piece, in A m^2: 0.1 to 1 per kilogram (Breiner 1973, Applications Manual for
+    Portable Magnetometers)."""
+    declination_deg: float = number(-180, 180, -10.8)  # of magnetic north from true north, east positive
 
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnRecipe:
     """A value that is drawn from a range instead of being stated."""
 
-    key: str  # of a number that the sequence has, such as path.heading_deg
-    between: tuple[float, float]
+    key: str  # a numeric key of the sequence, such as path.heading_deg
+    between: tuple[float, float]  # lowest and highest value
 
 
 CALIBRATIONS = ("exact", "good", "poor")
@@ -139,18 +145,18 @@ class SequenceRecipe:
     all of its cameras.
     """
 
-    name: str
-    duration_s: float = number(1, 7200)
-    difficulty: int | None = number(1, 5, None)  # from calm and clear to all that the sea does, for tables
-    same_dive_as: str = ""
-    disturbance: str = ""
-    strength: int = number(0, 3, 0)
-    reef: ReefRecipe
-    water: WaterRecipe
-    light: LightRecipe
-    path: PathRecipe
-    site: SiteRecipe = field(default=SiteRecipe())
-    life: LifeRecipe = field(default=LifeRecipe())
-    rig: Table = field(default=Table())
-    calibration: str = choice(CALIBRATIONS, "exact")  # what methods are told of the rig
-    drawn: tuple[DrawnRecipe, ...] = ()
+    name: str  # of the file, and in every result
+    duration_s: float = number(1, 7200)  # length of the recording
+    difficulty: int | None = number(1, 5, None)  # 1: calm and clear, to 5: everything the sea does; shown in tables
+    same_dive_as: str = ""  # name of the sequence whose reef, path and noise this one shares
+    disturbance: str = ""  # name of what differs from that dive
+    strength: int = number(0, 3, 0)  # how strong that is; 0: the undisturbed dive
+    reef: ReefRecipe  # the bottom
+    water: WaterRecipe  # its optics
+    light: LightRecipe  # sun, sky and lamps
+    path: PathRecipe  # the motion
+    site: SiteRecipe = field(default=SiteRecipe())  # waves, current, sound, magnetism
+    life: LifeRecipe = field(default=LifeRecipe())  # what moves by itself
+    rig: Table = field(default=Table())  # what differs from the split's rig
+    calibration: str = choice(CALIBRATIONS, "exact")  # how well the calibration given to methods matches the rig
+    drawn: tuple[DrawnRecipe, ...] = ()  # values that are drawn at random

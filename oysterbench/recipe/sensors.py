@@ -20,12 +20,13 @@ class SensorRecipe:
     block: ClassVar[str] = ""
     single: ClassVar[bool] = True
 
-    rate_hz: float = number(0.01, 4000)
-    position_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # in base_link
-    clock_offset_ms: float = number(-1000, 1000, 0.0)  # of its stamps: positive when they are late
-    clock_jitter_ms: float = number(0, 10, 0.0)  # 1 sigma of a stamp, by USB 1 to 5; all of a kind share a trigger
-    dropout: float = number(0, 0.99, 0.0)  # share of its messages that are lost
-    dropout_burst: float = number(1, 1000, 1.0)  # messages lost in a row, on average
+    rate_hz: float = number(0.01, 4000)  # messages per second
+    position_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # of the sensor in base_link
+    clock_offset_ms: float = number(-1000, 1000, 0.0)  # of its timestamps; positive: late
+    clock_jitter_ms: float = number(0, 10, 0.0)
+    """1 sigma of a timestamp, 1 to 5 over USB; sensors of one kind share a trigger."""
+    dropout: float = number(0, 0.99, 0.0)  # share of messages that are lost
+    dropout_burst: float = number(1, 1000, 1.0)  # mean number of messages lost in a row
 
     def check(self, where: str) -> None:
         """Raise RecipeError on what no single key can say.
@@ -52,34 +53,39 @@ class NamedSensorRecipe(SensorRecipe):
 
     single: ClassVar[bool] = False
 
-    name: str
-    pitch_deg: float = number(-90, 90, 0.0)
-    yaw_deg: float = number(-180, 180, 0.0)
+    name: str  # unique among the sensors of its kind
+    pitch_deg: float = number(-90, 90, 0.0)  # of its axis, positive below the horizon
+    yaw_deg: float = number(-180, 180, 0.0)  # of its axis from the bow, positive to port
 
 
 @dataclass(frozen=True, kw_only=True)
 class AcousticRecipe(NamedSensorRecipe):
     """What sonars have in common."""
 
-    assumed_sound_speed_m_s: float | None = number(1300, 1700, None)  # that ranges are made with; None: the true one
+    assumed_sound_speed_m_s: float | None = number(1300, 1700, None)
+    """Speed of sound that ranges are computed with; default: the true one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BinnedSonarRecipe(AcousticRecipe):
     """What sonars have in common that keep the strength of the echoes in each bin of range."""
 
-    frequency_khz: float = number(50, 3000, 750.0)
-    bins: int = number(16, 4096, 500)
-    min_range_m: float = number(0.05, 20, 0.1)
-    max_range_m: float = number(0.5, 200, 10.0)
+    frequency_khz: float = number(50, 3000, 750.0)  # of the carrier
+    bins: int = number(16, 4096, 500)  # range bins
+    min_range_m: float = number(0.05, 20, 0.1)  # range of the first bin
+    max_range_m: float = number(0.5, 200, 10.0)  # range of the last bin
     bandwidth_khz: float = number(1, 1000, 200.0)  # resolves c / 2B in range
-    looks: float = number(0.5, 100, 1.0)  # of the speckle: intensity is Gamma with this shape; 1 is fully developed
-    noise_db: float = number(-200, 0, -105.0)  # noise over the echo of a perfect scatterer filling a beam at 1 m
-    tvg: bool = field(default=True)  # time-varying gain: undoes spreading and absorption
+    looks: float = number(0.5, 100, 1.0)
+    """Of the speckle: intensity follows a Gamma distribution with this shape; 1: fully developed."""
+    noise_db: float = number(-200, 0, -105.0)
+    """Noise relative to the echo of a perfect scatterer that fills a beam at 1 m."""
+    tvg: bool = field(default=True)  # time-varying gain: compensates spreading and absorption
     volume_db: float | None = number(-120, -30, None)
     """Reverberation of the water: its volume backscattering strength, dB re 1/m; -90 in clear water, -70 to -50 in
     coastal water with plankton, bubbles or silt at hundreds of kHz (Urick 1983, ch. 8); None: none."""
-    interference: float = number(0, 1, 0.0)  # share of pings that a pulse of another's device strikes
-    interference_db: float = number(-120, 0, -60.0)  # its level over the echo of a perfect scatterer at 1 m
-    interference_ms: float = number(0.05, 200, 10.0)  # its length: USBL and modems 5 to 20 ms, other sonars 0.05 to 1
-    interference_bearing_deg: float | None = number(-360, 360, None)  # in map, where the other is; None: drawn
+    interference: float = number(0, 1, 0.0)  # share of pings hit by a pulse of another device
+    interference_db: float = number(-120, 0, -60.0)
+    """Level of that pulse relative to the echo of a perfect scatterer at 1 m."""
+    interference_ms: float = number(0.05, 200, 10.0)
+    """Its length: USBL and modems 5 to 20 ms, other sonars 0.05 to 1 ms."""
+    interference_bearing_deg: float | None = number(-360, 360, None)  # direction of that device in map; default: drawn

@@ -36,15 +36,15 @@ class SplitRecipe:
     differs, key by key, at any depth; lists are taken whole.
     """
 
-    name: str
-    version: str
-    track: str = choice(TRACKS)
-    seed: int = number(0, 2**63 - 1)
-    summary: str
-    hidden: bool = False  # whether it is made with a secret salt only, so that nobody else can make its truth
-    sequence: tuple[SequenceRecipe, ...]
-    steering: SteeringRecipe | None = None  # of the track steering, and of no other
-    rig: RigRecipe
+    name: str  # letters, digits, '-' and '_'
+    version: str  # part of the folder that the files go to
+    track: str = choice(TRACKS)  # what the data is for, and so which truth is scored
+    seed: int = number(0, 2**63 - 1)  # of everything random: the same seed gives the same bytes
+    summary: str  # one line for `oysterbench splits`
+    hidden: bool = False  # rendered only with a secret salt, so that nobody else can reproduce the ground truth
+    sequence: tuple[SequenceRecipe, ...]  # at least one
+    steering: SteeringRecipe | None = None  # required for track steering, and refused for others
+    rig: RigRecipe  # name of a rig, or path of its file: see above
     rig_source: str = field(repr=False)  # text of the rig's file
     source: str = field(repr=False)  # text of the split's file
 

@@ -24,7 +24,7 @@ class SteeringRecipe:
     """Steepest climb and descent."""
     step_s: float = number(0.1, 10.0, 1.0)
     """From one command to the next."""
-    speed_m_s: float = number(0.01, 3.0, 0.5)
+    speed_m_s: float = number(0.01, 3.0, 0.5)  # Constant speed over the ground.
     altitude_m: tuple[float, float] = number(0.1, 20.0)
     """Over the bottom, lowest and highest: the band that a policy is asked to stay in."""
     view_range_m: float = number(0.2, 10.0, 2.0)

@@ -18,8 +18,8 @@ class LayerRecipe:
     That is the balance of settling and even turbulence (Rouse 1937 with a constant diffusivity).
     """
 
-    factor: float = number(1, 5, 1.0)  # on the particles at the bottom: 2 to 3 in the last 0.5 m is common
-    thickness_m: float = number(0.05, 20, 0.5)  # height over which the excess falls to 1 / e
+    factor: float = number(1, 5, 1.0)  # on the particles at the bottom; 2 to 3 is common in the lowest 0.5 m
+    thickness_m: float = number(0.05, 20, 0.5)  # height over which the excess falls to 1/e
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,20 +29,23 @@ class PatchesRecipe:
     In estuaries optical transects vary by 10 to 60 % over metres to tens of metres.
     """
 
-    contrast: float = number(0, 0.8, 0.0)  # largest share by which the particles are more or fewer
-    size_m: float = number(0.5, 50, 4.0)  # of a patch
+    contrast: float = number(0, 0.8, 0.0)  # greatest share by which the number of particles varies
+    size_m: float = number(0.5, 50, 4.0)  # typical size of a patch
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlumesRecipe:
     """Plumes of silt, raised by the vehicle's thrusters close to soft bottom, and in bursts by current and animals."""
 
-    attenuation: float = number(0, 20, 0.0)  # c added in the middle of a thick fresh plume, 1/m; those seen: 2 to 20
-    size_m: float = number(0.3, 1.5, 0.6)  # diameter of a fresh plume: 4 standard deviations
-    settling_mm_s: float = number(0.1, 1, 0.4)  # of silt (Stokes: grains of 10 to 35 um)
+    attenuation: float = number(0, 20, 0.0)
+    """Attenuation c added at the centre of a dense fresh plume, 1/m; 2 to 20 is observed."""
+    size_m: float = number(0.3, 1.5, 0.6)  # diameter of a fresh plume (4 standard deviations)
+    settling_mm_s: float = number(0.1, 1, 0.4)  # settling speed of silt (Stokes: grains of 10 to 35 um)
     diffusivity_m2_s: float = number(1e-5, 1e-2, 3e-4)  # Okubo 1971 at 1 to 3 m: 2e-4 to 7e-4
-    critical_pa: float = number(0.05, 2, 0.2)  # stress that erodes: fresh mud 0.05 to 0.2, consolidated to 2
-    bursts_per_100m2_min: float = number(0, 30, 0.0)  # raised by current, waves and animals
+    critical_pa: float = number(0.05, 2, 0.2)
+    """Stress at which the bottom erodes: fresh mud 0.05 to 0.2, consolidated up to 2."""
+    bursts_per_100m2_min: float = number(0, 30, 0.0)
+    """Bursts raised by current, waves and animals, per 100 m^2 and minute."""
 
 
 def check_plumes(

@@ -37,13 +37,13 @@ class AltimeterRecipe(AcousticRecipe):
     block: ClassVar[str] = "altimeter"
 
     pitch_deg: float = number(-90, 90, 90.0)
-    frequency_khz: float = number(10, 3000, 115.0)
-    beam_deg: float = number(1, 60, 28.0)
-    min_range_m: float = number(0.05, 20, 0.3)
-    max_range_m: float = number(0.5, 300, 100.0)
-    noise_m: float = number(0, 1, 0.005)  # 1 sigma
-    noise_share: float = number(0, 0.2, 0.002)  # of the range, 1 sigma
-    step_m: float = number(0, 1, 0.001)
+    frequency_khz: float = number(10, 3000, 115.0)  # of the carrier
+    beam_deg: float = number(1, 60, 28.0)  # full width of the cone at half power
+    min_range_m: float = number(0.05, 20, 0.3)  # closer echoes are missed
+    max_range_m: float = number(0.5, 300, 100.0)  # farther echoes are missed
+    noise_m: float = number(0, 1, 0.005)  # 1 sigma of the range
+    noise_share: float = number(0, 0.2, 0.002)  # 1 sigma of the range, as a share of it
+    step_m: float = number(0, 1, 0.001)  # resolution of the reading
 
 
 @dataclass(frozen=True)

@@ -70,24 +70,26 @@ class DvlRecipe(SensorRecipe):
 
     rate_hz: float = number(0.1, 50, 8.0)
     yaw_deg: float = number(-180, 180, 0.0)  # of the mount; beams lie at 45, 135, 225 and 315 deg from its x axis
-    janus_deg: float = number(5, 45, 22.5)  # beams off the vertical
-    min_range_m: float = number(0.01, 5, 0.05)
-    max_range_m: float = number(1, 300, 50.0)
-    beam_noise_m_s: float = number(0, 1, 0.004)  # 1 sigma of a beam's velocity
-    scale_error: float = number(0, 0.1, 0.001)  # 1 sigma of a constant share of the velocity
-    range_noise_share: float = number(0, 0.1, 0.001)  # of a beam's range, 1 sigma
-    misalignment_deg: float = number(0, 10, 0.0)  # of the mount against its calibration, 1 sigma
+    janus_deg: float = number(5, 45, 22.5)  # angle of the beams from the vertical
+    min_range_m: float = number(0.01, 5, 0.05)  # closer bottom gives no measurement
+    max_range_m: float = number(1, 300, 50.0)  # farther bottom gives no measurement
+    beam_noise_m_s: float = number(0, 1, 0.004)  # 1 sigma of the velocity of a beam
+    scale_error: float = number(0, 0.1, 0.001)  # 1 sigma of a constant scale error of the velocity
+    range_noise_share: float = number(0, 0.1, 0.001)  # 1 sigma of the range of a beam, as a share of it
+    misalignment_deg: float = number(0, 10, 0.0)  # 1 sigma of the mount against its calibration
     assumed_sound_speed_m_s: float | None = number(1300, 1700, None)
-    invalid: float = number(0, 0.2, 0.0)  # share of pings that lose their lock though the bottom is there: 1 to 10 %
-    invalid_risky: float | None = number(0, 1, None)  # the same over plants and lower than low_m; None: as elsewhere
-    outliers: float = number(0, 0.1, 0.0)  # share of pings with a beam that has a wrong velocity and is called valid
-    outliers_risky: float | None = number(0, 0.5, None)  # over plants and lower than low_m
-    outlier_m_s: float = number(0.01, 2, 0.5)  # 1 sigma of that error: of a plant in the surge, or of a side lobe
-    low_m: float = number(0, 2, 0.3)  # altitude below which pings are at risk: the echo comes while the sender rings
-    latency_ms: float = number(0, 300, 0.0)  # stamps are those of arrival, so much late on average: 50 to 200 ms
+    """Speed of sound that velocities are computed with; default: the true one."""
+    invalid: float = number(0, 0.2, 0.0)  # share of pings without bottom lock although the bottom is there: 1 to 10 %
+    invalid_risky: float | None = number(0, 1, None)  # the same over plants and below low_m; default: as elsewhere
+    outliers: float = number(0, 0.1, 0.0)  # share of pings in which a beam has a wrong velocity that is marked valid
+    outliers_risky: float | None = number(0, 0.5, None)  # the same over plants and below low_m
+    outlier_m_s: float = number(0.01, 2, 0.5)  # 1 sigma of that error: a plant in the surge, or a side lobe
+    low_m: float = number(0, 2, 0.3)
+    """Altitude below which pings are at risk, as the transducer still rings when the echo arrives."""
+    latency_ms: float = number(0, 300, 0.0)  # mean delay of the timestamps, which are those of arrival: 50 to 200 ms
     min_rate_hz: float | None = number(0.1, 50, None)
-    """Rate at max_range_m, to which the time between pings grows evenly with altitude (A50: 2 to 15 Hz); None: rate_hz
-    at any."""
+    """Rate at max_range_m; the time between pings grows linearly with altitude (A50: 2 to 15 Hz); default: rate_hz
+    throughout."""
 
     def check(self, where: str) -> None:
         super().check(where)

@@ -86,32 +86,33 @@ class ImuRecipe(SensorRecipe):
 
     rate_hz: float = number(10, 4000)
     grade: str | None = choice(tuple(IMU_GRADES), None)
-    gyro_noise_density: float = number(0, 1)  # rad/s/sqrt(Hz), angle random walk
-    gyro_random_walk: float = number(0, 1)  # rad/s^2/sqrt(Hz), of the bias, without end
-    gyro_turn_on: float = number(0, 1, 0.0)  # rad/s, 1 sigma
-    gyro_bias_instability: float = number(0, 1, 0.0)  # rad/s, stationary 1 sigma of a Gauss-Markov process
-    gyro_bias_tau_s: float = number(1, 1e5, 100.0)  # its correlation time
-    gyro_scale: float = number(0, 0.5, 0.0)  # error of scale, 1 sigma
-    gyro_misalignment_deg: float = number(0, 10, 0.0)  # of each axis towards the others, 1 sigma
-    gyro_range: float | None = number(0.01, 1e3, None)  # rad/s; readings stop there
-    gyro_step: float = number(0, 1, 0.0)  # rad/s, of the digital reading
-    accel_noise_density: float = number(0, 10)  # m/s^2/sqrt(Hz), velocity random walk
-    accel_random_walk: float = number(0, 10)  # m/s^3/sqrt(Hz), of the bias
-    accel_turn_on: float = number(0, 10, 0.0)  # m/s^2, 1 sigma
-    accel_bias_instability: float = number(0, 10, 0.0)  # m/s^2, stationary 1 sigma of a Gauss-Markov process
-    accel_bias_tau_s: float = number(1, 1e5, 100.0)
-    accel_scale: float = number(0, 0.5, 0.0)
-    accel_misalignment_deg: float = number(0, 10, 0.0)
-    accel_range: float | None = number(0.1, 1e4, None)  # m/s^2
-    accel_step: float = number(0, 10, 0.0)  # m/s^2
+    """Preset of the noise keys: low, mid and high cost, or a typical mems."""
+    gyro_noise_density: float = number(0, 1)  # rad/s/sqrt(Hz): angle random walk
+    gyro_random_walk: float = number(0, 1)  # rad/s^2/sqrt(Hz): unbounded random walk of the bias
+    gyro_turn_on: float = number(0, 1, 0.0)  # rad/s, 1 sigma of the bias at switch-on
+    gyro_bias_instability: float = number(0, 1, 0.0)  # rad/s, 1 sigma of a stationary Gauss-Markov process
+    gyro_bias_tau_s: float = number(1, 1e5, 100.0)  # correlation time of that process
+    gyro_scale: float = number(0, 0.5, 0.0)  # scale error, 1 sigma
+    gyro_misalignment_deg: float = number(0, 10, 0.0)  # of each axis towards the other two, 1 sigma
+    gyro_range: float | None = number(0.01, 1e3, None)  # rad/s; readings saturate there
+    gyro_step: float = number(0, 1, 0.0)  # rad/s, resolution of the digital reading
+    accel_noise_density: float = number(0, 10)  # m/s^2/sqrt(Hz): velocity random walk
+    accel_random_walk: float = number(0, 10)  # m/s^3/sqrt(Hz): random walk of the bias
+    accel_turn_on: float = number(0, 10, 0.0)  # m/s^2, 1 sigma of the bias at switch-on
+    accel_bias_instability: float = number(0, 10, 0.0)  # m/s^2, 1 sigma of a stationary Gauss-Markov process
+    accel_bias_tau_s: float = number(1, 1e5, 100.0)  # correlation time of that process
+    accel_scale: float = number(0, 0.5, 0.0)  # scale error, 1 sigma
+    accel_misalignment_deg: float = number(0, 10, 0.0)  # of each axis towards the other two, 1 sigma
+    accel_range: float | None = number(0.1, 1e4, None)  # m/s^2; readings saturate there
+    accel_step: float = number(0, 10, 0.0)  # m/s^2, resolution of the digital reading
     gyro_bias_per_k: float = number(0, 2e-3, 0.0)
     """rad/s per K, 1 sigma of an axis: 0.005 to 0.05 deg/s per K uncompensated; ICM-20602: 0.01 deg/s per K."""
     accel_bias_per_k: float = number(0, 0.05, 0.0)  # m/s^2 per K, 1 sigma of an axis; ICM-20602: 0.5 to 1 mg per K
-    warming_k: float = number(0, 60, 0.0)  # from switched on to warm; some 10 to 30 K in a closed hull
-    warming_tau_s: float = number(10, 7200, 300.0)  # minutes, by the hull's mass
-    warmed_s: float = number(0, 86_400, 60.0)  # switched on for so long before the sequence begins
-    vibration: tuple[VibrationRecipe, ...] = ()
-    rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # imu to base_link
+    warming_k: float = number(0, 60, 0.0)  # temperature rise from switch-on to warm: 10 to 30 K in a closed hull
+    warming_tau_s: float = number(10, 7200, 300.0)  # time constant: minutes, depending on the mass of the hull
+    warmed_s: float = number(0, 86_400, 60.0)  # time for which it has been on when the sequence begins
+    vibration: tuple[VibrationRecipe, ...] = ()  # of the frame, by thrusters
+    rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # roll, pitch, yaw: IMU to base_link
 
     def check(self, where: str) -> None:
         super().check(where)

@@ -41,15 +41,16 @@ class MagnetometerRecipe(SensorRecipe):
 
     rate_hz: float = number(0.1, 1000, 50.0)
     noise_ut: float = number(0, 10, 0.3)  # uT, 1 sigma of a sample
-    hard_iron_ut: tuple[float, float, float] = number(-1000, 1000, (0.0, 0.0, 0.0))  # in the sensor's frame
+    hard_iron_ut: tuple[float, float, float] = number(-1000, 1000, (0.0, 0.0, 0.0))
+    """Constant field of the vehicle, in the sensor's frame."""
     soft_iron: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]] = number(
         -10, 10, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     )  # takes the Earth's field to the one at the sensor, both in its frame
-    step_ut: float = number(0, 10, 0.0)
+    step_ut: float = number(0, 10, 0.0)  # resolution of the digital reading
     throttle_deg: float = number(0, 25, 0.0)
     """Turn of the heading at full throttle, where the field of the motors lies across the Earth's: 5 to 20 deg close to
     them (ArduPilot calls interference of 30 % of the field, 17 deg, acceptable, and of 60 % not)."""
-    rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # magnetometer to base_link
+    rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # roll, pitch, yaw: magnetometer to base_link
 
 
 @dataclass(frozen=True)

@@ -43,14 +43,14 @@ class PressureRecipe(SensorRecipe):
     block: ClassVar[str] = "pressure"
 
     rate_hz: float = number(0.1, 1000, 20.0)
-    offset_m: float = number(0, 5, 0.02)  # of depth, 1 sigma, constant
-    noise_m: float = number(0, 1, 0.002)  # of depth, 1 sigma
-    step_pa: float = number(0, 1e5, 20.0)  # of the digital reading
-    max_depth_m: float = number(1, 11_000, 300.0)  # readings stop there
+    offset_m: float = number(0, 5, 0.02)  # 1 sigma of a constant offset of depth
+    noise_m: float = number(0, 1, 0.002)  # 1 sigma of depth
+    step_pa: float = number(0, 1e5, 20.0)  # resolution of the digital reading
+    max_depth_m: float = number(1, 11_000, 300.0)  # readings saturate there
     drift_m: float = number(0, 0.5, 0.0)
     """Of depth, 1 sigma: by which its zero moves until the sensor has the water's temperature; 1 to 10 cm of the
     Bar30's class (practice)."""
-    drift_tau_s: float = number(10, 36_000, 600.0)  # time constant of that
+    drift_tau_s: float = number(10, 36_000, 600.0)  # time constant of that drift
 
 
 @dataclass(frozen=True)

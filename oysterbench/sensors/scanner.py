@@ -37,10 +37,10 @@ class ScannerRecipe(BinnedSonarRecipe):
 
     block: ClassVar[str] = "scanner"
 
-    beam_deg: float = number(0.1, 20, 2.0)  # across, at half power
-    vfov_deg: float = number(1, 90, 25.0)
-    step_deg: float = number(0.1, 30, 0.9)
-    sector_deg: float = number(1, 360, 360.0)  # scanned to and fro where less than 360
+    beam_deg: float = number(0.1, 20, 2.0)  # horizontal width of the beam at half power
+    vfov_deg: float = number(1, 90, 25.0)  # vertical width of the beam
+    step_deg: float = number(0.1, 30, 0.9)  # turn between pings
+    sector_deg: float = number(1, 360, 360.0)  # scanned back and forth if less than 360
     bins: int = number(16, 4096, 1200)
     min_range_m: float = number(0.05, 20, 0.75)
     bandwidth_khz: float = number(1, 1000, 50.0)

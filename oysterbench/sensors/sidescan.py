@@ -47,9 +47,9 @@ class SidescanRecipe(BinnedSonarRecipe):
     block: ClassVar[str] = "sidescan"
 
     frequency_khz: float = number(50, 3000, 450.0)
-    beam_deg: float = number(0.1, 10, 0.6)  # along the track, at half power
-    vfov_deg: float = number(5, 90, 50.0)  # across it
-    tilt_deg: float = number(0, 80, 30.0)  # of the fans' axes below the horizon
+    beam_deg: float = number(0.1, 10, 0.6)  # width of a fan along the track, at half power
+    vfov_deg: float = number(5, 90, 50.0)  # width of a fan across the track
+    tilt_deg: float = number(0, 80, 30.0)  # of the axes of the fans below the horizon
     bins: int = number(16, 4096, 600)  # of a side
     max_range_m: float = number(0.5, 200, 15.0)
     bandwidth_khz: float = number(1, 1000, 30.0)

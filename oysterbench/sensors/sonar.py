@@ -52,12 +52,12 @@ class SonarRecipe(BinnedSonarRecipe):
 
     block: ClassVar[str] = "sonar"
 
-    hfov_deg: float = number(5, 180, 130.0)
-    vfov_deg: float = number(1, 90, 20.0)
-    beams: int = number(8, 1024, 256)
+    hfov_deg: float = number(5, 180, 130.0)  # width of the fan
+    vfov_deg: float = number(1, 90, 20.0)  # thickness of the fan
+    beams: int = number(8, 1024, 256)  # number of beams in the fan
     beam_deg: float = number(0.1, 20, 1.0)  # width of a beam across, at half power
-    multipath: float = number(0, 1, 0.0)  # amplitude kept by sound that takes one more bounce off bottom or surface
-    cloud: bool = field(default=False)  # also a point cloud with class and instance of each return
+    multipath: float = number(0, 1, 0.0)  # amplitude kept by sound after one more bounce off bottom or surface
+    cloud: bool = field(default=False)  # also write a point cloud, with class and instance of each return
 
 
 @dataclass(frozen=True)

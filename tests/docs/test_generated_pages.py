@@ -80,8 +80,8 @@ def test_every_key_of_a_rig_is_in_the_table_of_its_block(pages):
 
 
 def test_a_key_is_told_with_its_range_default_and_comment(pages):
-    assert "| `depth_m` | number | 0.5 to 60 | needed | mean depth of the bottom |" in pages["reference/recipe.md"]
-    assert "| `repeats` | number | 0 to 0.5 | `0` | share of frames that show" in pages["reference/rig.md"]
+    assert "| `depth_m` | number | 0.5 to 60 | required | mean depth of the bottom |" in pages["reference/recipe.md"]
+    assert "| `repeats` | number | 0 to 0.5 | `0` | share of frames that repeat" in pages["reference/rig.md"]
     assert "| `max_pitch_deg` | number | 0 to 80 | `30` | Steepest climb and descent. |" in pages["reference/recipe.md"]
 
 
