@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
+from oysterbench.evaluate.detection import DetectionSettings
+from oysterbench.evaluate.segmentation import SegmentationSettings
 from oysterbench.evaluate.slam import SlamSettings
 from oysterbench.results.records import plain
 
@@ -13,6 +15,9 @@ if TYPE_CHECKING:
     from oysterbench_leaderboard.store import RecordStore
 
 State = Literal["current", "superseded", "withdrawn"]
+
+DEFAULTS = {"slam": SlamSettings(), "segmentation": SegmentationSettings(), "detection": DetectionSettings()}
+"""Track -> settings of its evaluator, where these can be chosen."""
 
 LEAST_DIGITS = 8
 """Of a record's digest that is given short."""
@@ -50,9 +55,15 @@ class BoardInfo:
     @property
     def scored_by(self) -> str:
         """The evaluator, with the settings that are not its defaults: what tells boards of one split apart."""
-        defaults = plain(asdict(SlamSettings())) if self.track == "slam" else self.settings
-        others = [f"{key} = {value}" for key, value in self.settings.items() if defaults.get(key) != value]
-        return ", ".join([self.evaluator_version, *others])
+        return ", ".join(
+            [self.evaluator_version, *(f"{key} = {value}" for key, value in self.changed_settings.items())]
+        )
+
+    @property
+    def changed_settings(self) -> dict[str, Any]:
+        """The settings that are not the evaluator's defaults; none where it is not known what these are."""
+        defaults = plain(asdict(DEFAULTS[self.track])) if self.track in DEFAULTS else self.settings
+        return {key: value for key, value in self.settings.items() if defaults.get(key) != value}
 
 
 @dataclass(frozen=True)
@@ -75,6 +86,7 @@ class Row:
                the track has no such thing
     sensors, mode: what the method says that it uses, and "online" or "offline"; code, paper: where its program is, and
                what it is described in; each empty where it says nothing
+    machine:  that its speeds were measured on; empty where it does not say, or had several
     """
 
     digest: str
@@ -104,6 +116,7 @@ class Row:
     mode: str = ""
     code: str = ""
     paper: str = ""
+    machine: str = ""
 
 
 @dataclass(frozen=True)

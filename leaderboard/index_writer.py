@@ -18,7 +18,7 @@ from oysterbench_leaderboard.ranking import Claim, Ranked, board_of, columns_of,
 from oysterbench_leaderboard.record_summary import COLUMNS, RecordSummary, read_record
 from oysterbench_leaderboard.store import RecordStore
 
-SCHEMA = f"12 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
+SCHEMA = f"13 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
 """Changes with every change of a table, or of what is put into it: an index of another is made anew."""
 
 CHUNK = 1000

@@ -15,6 +15,7 @@ from oysterbench.evaluate.statistics import Sample, mean_over_sequences, sequenc
 from oysterbench.hub.canonical import sha256
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
 from oysterbench.results.lost import kept_median
+from oysterbench.results.machines import machine_of
 from oysterbench.results.records import ResultRecord, lost_of, samples
 from oysterbench.results.standings import PRIMARY, UNPREDICTED_WEIGHT, SequenceScores
 from oysterbench_leaderboard.record import Record
@@ -30,6 +31,9 @@ SENSORS = {"mono", "stereo", "imu", "dvl", "sonar", "pressure", "compass", "alti
 
 MOST_SAID = {"code": 300, "paper": 500}
 """Characters of what it says besides."""
+
+MOST_MACHINE = 120
+"""Characters of a machine."""
 
 
 class RecordSummary(msgspec.Struct, frozen=True):
@@ -137,15 +141,18 @@ def _weight(key: str) -> str:
 
 def said_of_method(record: Record) -> dict[str, str]:
     """What a method says of itself, in the columns of `board.Row`: sensors, and "online" or "offline", in these words
-    alone; where its code is, and the paper on it, as plain text. Empty where its results say nothing of them."""
+    alone; where its code is, and the paper on it, as plain text. Empty where its results say nothing of them. And the
+    machine that it ran on."""
     said = record.results[0].info.get("method")
     said = said if isinstance(said, dict) else {}
+    machines = {machine_of(result.hardware) for result in record.results}
     sensors, online = said.get("sensors"), said.get("online")
     known = isinstance(sensors, list) and bool(sensors) and set(map(str, sensors)) <= SENSORS
     return {
         "sensors": ", ".join(sensors) if known and sensors else "",
         "mode": {True: "online", False: "offline"}.get(online, "") if isinstance(online, bool) else "",
         **{key: _plain(said.get(key), most) for key, most in MOST_SAID.items()},
+        "machine": _plain(machines.pop() if len(machines) == 1 else "", MOST_MACHINE),
     }
 
 

@@ -95,6 +95,22 @@ def conditions_of(site: Site, data_set: DataSet) -> dict[str, Conditions]:
     return {}
 
 
+@lru_cache(maxsize=1)
+def classes_note() -> str:
+    """What the words for water and density mean, which say nothing of its colour, and of how oysters lie together."""
+    try:
+        from oysterbench.simulation.conditions import DENSITY_CLASSES_PER_M2, SECCHI_CLASSES_M
+    except ImportError:  # without what rendering needs
+        return ""
+    (turbid_m, turbid), (murky_m, murky), (_, clear) = SECCHI_CLASSES_M
+    (bare_m2, bare), (sparse_m2, sparse), (_, dense) = DENSITY_CLASSES_PER_M2
+    return (
+        f"Water and density are classes. Water of any colour is {clear} from a Secchi depth of {murky_m:g} m on, "
+        f"{murky} from {turbid_m:g} m, else {turbid}. A reef is {dense} from {sparse_m2:g} oysters on a square metre "
+        f"on, counted over patches and gaps together, {sparse} from {bare_m2:g}, else {bare}."
+    )
+
+
 @lru_cache(maxsize=64)
 def _of_sequences(split: str) -> dict[str, Conditions]:
     try:

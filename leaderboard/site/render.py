@@ -60,7 +60,13 @@ def environment(*folders: str | os.PathLike[str]) -> Environment:
         "ARROWS": numbers.ARROWS,
         "REPRESENTATIONS": REPRESENTATIONS,
     }
-    made.filters |= {"px": px, "slug": slug, "capital": capital}
+    made.filters |= {
+        "px": px,
+        "slug": slug,
+        "capital": capital,
+        "counted": numbers.count,
+        "track_name": numbers.track_name,
+    }
     return made
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from urllib.parse import urlsplit
 
 from oysterbench.report.table import Cell
@@ -25,6 +26,14 @@ def paper_cell(paper: str) -> Cell:
     """First author and year, which lead to the paper. paper: a citation, such as "A. Author, B. Author: Title. Venue
     2020, doi:..."."""
     return Cell(paper or None, paper_name(paper) or None, about=paper, url=paper_address(paper))
+
+
+def work_cell(code: str, paper: str) -> Cell:
+    """Both in one cell: the program, and below it the paper; each alone where there is but one."""
+    named, cited = code_cell(code), paper_cell(paper)
+    if not code or not paper:
+        return named if code else cited
+    return replace(named, about=paper, small=cited.text or "", small_url=cited.url)
 
 
 def code_name(place: str) -> str:

@@ -23,7 +23,7 @@ from oysterbench.report.columns import metric_column
 from oysterbench.report.consistency import consistency_table
 from oysterbench.report.density import DensityRun, map_cards
 from oysterbench.report.images import LEGEND, DatasetRow, ImageRun, curves_group, dataset_tables, sample_pictures
-from oysterbench.report.making import flattened, making
+from oysterbench.report.making import flattened, making, scored_when
 from oysterbench.report.plots import Curve, point_swatch, scatter_plot, swatch
 from oysterbench.report.renderers.html import FOLDER
 from oysterbench.report.sequences import SequencePlots, SlamRun, sequence_plots
@@ -129,7 +129,7 @@ def html_report(
         "point_swatch": point_swatch,
         "title": title or f"{track.title} on {', '.join(splits or sequences)}",
         "records": records,
-        "methods": methods,
+        "scored": scored_when(records) if records else "",
         "sequence_names": sequences,
         "remarks": remarks(found),
         "first": [*first, *dataset_tables(data_set)],
@@ -177,7 +177,7 @@ def _board(board: Board, styles: Mapping[str, int], compared: bool) -> BoardPart
     strata, runs = strata_table(board), runs_table(board)
     return BoardPart(
         standings_table(board) if alone else None,
-        replace(pairs, rows=tuple(everywhere)) if everywhere else None,
+        replace(pairs, rows=tuple(everywhere), notes=() if within else pairs.notes) if everywhere else None,
         replace(pairs, rows=tuple(within)) if within else None,
         strata if strata.rows else None,
         stress_table(board),

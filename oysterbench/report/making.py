@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from oysterbench.results.machines import machine_of
 from oysterbench.results.records import ResultRecord
 
 LONGEST = 600
@@ -29,8 +30,23 @@ def making(records: Sequence[ResultRecord]) -> Groups:
         _add(found, f"{of_method}: settings", {} if record.seed is None else {"seed": record.seed})
         _add(found, f"{of_method}: what it reports", record.info)
         _add(found, "Versions and machine", {"oysterbench": record.oysterbench_version, **record.hardware})
-        _add(found, "Versions and machine", {"created": record.created})
+        _add(found, f"{of_method}: run", {"created": record.created, "machine": machine_of(record.hardware)})
     return {heading: {key: _few(values) for key, values in of.items()} for heading, of in found.items() if of}
+
+
+def scored_when(records: Sequence[ResultRecord]) -> str:
+    """Which methods, on how much, scored by which version when: the date of each method where they differ."""
+    dates: dict[str, list[str]] = {}
+    for record in records:
+        dates.setdefault(record.method, []).append(record.created[:10])
+    spans = {method: " to ".join(dict.fromkeys((min(of), max(of)))) for method, of in dates.items()}
+    alike = len(set(spans.values())) == 1
+    methods = ", ".join(method if alike else f"{method} ({span})" for method, span in spans.items())
+    sequences = len({record.sequence for record in records})
+    versions = ", ".join(dict.fromkeys(record.oysterbench_version for record in records))
+    span = next(iter(spans.values()))
+    when = "" if not alike else f" from {span}" if " to " in span else f" on {span}"
+    return f"{methods} on {sequences} sequence{'' if sequences == 1 else 's'}, scored by oysterbench {versions}{when}."
 
 
 def _add(found: Groups, heading: str, values: Mapping[str, Any]) -> None:

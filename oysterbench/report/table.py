@@ -65,7 +65,7 @@ class Cell:
     kind:  how it looks: "best", "warn", "soft"
     about: said where a pointer rests, as the reason why there is no value
     small: second line below the text; mark: a word in a frame behind it
-    path:  page of the same site that it leads to; url: another address
+    path:  page of the same site that it leads to; url: another address; small_url: that of the second line
     """
 
     value: Value = None
@@ -76,6 +76,7 @@ class Cell:
     mark: str = ""
     path: str = ""
     url: str = ""
+    small_url: str = ""
     bar: Bar | None = None
 
     @property

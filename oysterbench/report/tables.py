@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from oysterbench.core.html import capital
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import TRACKS, find_metric
-from oysterbench.evaluate.statistics import LEVEL, Interval
+from oysterbench.evaluate.statistics import LEAST_SEQUENCES, LEVEL, Interval
 from oysterbench.report.columns import (
     COSTS_OF_TRACK,
     OF_TRACK,
@@ -203,13 +204,15 @@ def _reading(board: Board) -> list[str]:
 
 
 def pairs_table(board: Board) -> Table:
-    """Is a better than b, where, and by how much."""
+    """Is a better than b, where, and by how much; of pairs with too few sequences to tell, only how many there are."""
     difference = difference_column(metric_column(board.metric))
-    rows = []
+    rows, untold = [], 0
     for pair in board.pairs:
         found = pair.comparison
+        if not found.interval.known and (pair.condition or len(board.standings) > 2):
+            untold += 1
+            continue
         where = f"{CONDITIONS[pair.condition].name}: {pair.value}" if pair.condition else "everywhere"
-        too_few = f"{found.interval.reason.partition(':')[0]}: too few to tell"
         values: tuple[Value | Cell, ...] = (
             pair.a,
             pair.b,
@@ -217,7 +220,7 @@ def pairs_table(board: Board) -> Table:
             found.difference,
             found.interval,
             Cell(text=f"{found.wins} / {found.ties} / {found.losses}"),
-            found.verdict if found.interval.known else too_few,
+            found.verdict if found.interval.known else "too few to tell",
         )
         rows.append(TableRow(values, "" if pair.condition else "mean"))
     columns = (
@@ -227,7 +230,11 @@ def pairs_table(board: Board) -> Table:
         Column("won_tied_lost", "Sequences", "won / tied / lost", "number", "sequences", wide=True),
         *name_columns("verdict"),
     )
-    return Table(f"Pairs on {board.name}", columns, tuple(rows))
+    count = "one pair is" if untold == 1 else f"{untold} pairs are"
+    notes = (
+        (f"{capital(count)} left out: fewer than {LEAST_SEQUENCES} sequences are too few to tell.",) if untold else ()
+    )
+    return Table(f"Pairs on {board.name}", columns, tuple(rows), notes)
 
 
 def difference_column(of: Column) -> Column:

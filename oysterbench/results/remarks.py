@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 
 from oysterbench.results.comparison import Board, few
+from oysterbench.results.machines import machines_note
 from oysterbench.results.records import plain
 
 
@@ -19,9 +20,10 @@ def remarks(found: Sequence[Board]) -> list[str]:
         if board.left_out:
             names = ", ".join(board.left_out)
             notes.append(
-                f"{where}standings are over the {len(board.sequences)} sequences that every method was run on, without "
-                f"{names}"
+                f"{where}standings are over the {_sequences(len(board.sequences))} that every method was run on, "
+                f"without {names}"
             )
+        notes += [f"{where}{note}" for note in (machines_note(board.records),) if note]
         reasons = dict.fromkeys(
             row.summaries[board.metric].interval.reason for row in board.standings if board.metric in row.summaries
         )
@@ -32,6 +34,10 @@ def remarks(found: Sequence[Board]) -> list[str]:
             if row.standing.place is None and board.sequences
         ]
     return notes
+
+
+def _sequences(count: int) -> str:
+    return "one sequence" if count == 1 else f"{count} sequences"
 
 
 def _differences(found: Sequence[Board]) -> str:

@@ -67,7 +67,9 @@ def test_a_board_says_what_a_method_reads_and_when_and_where_it_is_from(said, sh
     assert (row.sensors, row.mode, row.code, row.paper) == shown
     table = board_page(site, info.track, info.split).tables[0]
     columns = {column.key for _, column in table.shown}
-    assert [key in columns for key in ("sensors", "code", "paper")] == [bool(shown[0]), bool(shown[2]), bool(shown[3])]
+    assert [key in columns for key in ("sensors", "work")] == [bool(shown[0]), bool(shown[2] or shown[3])]
+    given = dict(zip([column.key for column in table.columns], table.rows[0].cells, strict=True))
+    assert (given["code"].value, given["paper"].value) == shown[2:]
 
 
 def test_a_record_names_its_code_and_paper_with_their_addresses(tmp_path):

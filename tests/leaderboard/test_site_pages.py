@@ -210,8 +210,8 @@ def test_steering_ranks_by_skill_and_draws_no_bar_of_what_is_below_zero(site, di
     assert keys[2] == "skill"
     assert "regret_oysters" in keys
     last = page.table.rows[1].cells
-    assert page.table.texts[1][4].startswith("\N{MINUS SIGN}0.")
-    assert last[3].bar is None
+    assert page.table.texts[1][3].startswith("\N{MINUS SIGN}0.")
+    assert last[2].bar is None
     assert "steer is better by Skill." in Reading(html(compare_page(site, "straight", "steer"))).text
     failed = standing.filled(standing.named(site.record(digests["steer"]), "steer")[1:], ("dive-01",), ())
     assert standing.means(failed, "skill")["dive-01"] == 0.0

@@ -106,3 +106,14 @@ def test_what_may_not_be_compared_stands_in_tables_of_its_own():
         "Results on slam-mini (align = se3)",
     ]
     assert [table.texts[0][2] for table in found] == ["0.900", "0.100"]
+
+
+def test_pairs_that_are_too_few_to_tell_are_no_rows():
+    found = tables([*runs("a", [0.9, 0.8]), *runs("b", [0.8, 0.6]), *runs("c", [0.1, 0.2])])
+    assert [table.title.split()[0] for table in found] == ["Results", "Standings"]
+    assert any("too few sequences for ranks" in note for note in found[1].notes)
+
+
+def test_the_one_pair_that_was_asked_for_is_shown_however_few_its_sequences():
+    found = next(table for table in tables([*runs("a", [0.9]), *runs("b", [0.8])]) if table.title.startswith("Pairs"))
+    assert [texts[-1] for texts in found.texts] == ["too few to tell"]

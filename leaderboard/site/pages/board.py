@@ -8,11 +8,11 @@ from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import Any, get_args
 
-from oysterbench.evaluate.metrics import find_metric
-from oysterbench.report.columns import STANDING_OF_TRACK, metric_column
+from oysterbench.evaluate.metrics import SPEEDS, TRACKS, find_metric
+from oysterbench.report.columns import STANDING_OF_TRACK, lost_column, lost_note, metric_column, standing_column
 from oysterbench.report.table import Cell, Column, Table, TableRow, interval_column
 from oysterbench.results.records import plain
-from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row, State
+from oysterbench_leaderboard.board import DEFAULTS, BoardInfo, BoardPage, Query, Row, State
 from oysterbench_leaderboard.record import RANKED
 from oysterbench_leaderboard.record import TIERS as ALL_TIERS
 from oysterbench_leaderboard.site import numbers
@@ -24,20 +24,36 @@ from oysterbench_leaderboard.site.pages.speed import speed_card
 from oysterbench_leaderboard.site.pages.stress import stress_drawing
 from oysterbench_leaderboard.site.paths import board_path, record_path, slug, split_path
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.site.works import code_cell, paper_cell
-from oysterbench_leaderboard.tables import DATA_SET, NOT_RANKED, has_data_set, learnt_on
+from oysterbench_leaderboard.site.works import work_cell
+from oysterbench_leaderboard.tables import DATA_SET, NOT_RANKED, has_data_set, learnt_on, machines_note
+from oysterbench_leaderboard.vehicle import carried, lacks
 
 MOST_ROWS = 1000
 LONGEST_TEXT = 100
 """Rows of a page and characters to look for, at most."""
 
-HIDDEN = ("place", "team", "tier", "mode", "sequences", "runs", "state", "record", "supersedes", "url")
+HIDDEN = (
+    "place",
+    "team",
+    "tier",
+    "mode",
+    "sequences",
+    "runs",
+    "state",
+    "record",
+    "code",
+    "paper",
+    "machine",
+    "supersedes",
+    "url",
+)
 """Columns in CSV and JSON alone."""
 
 MODE = "Online: each estimate uses only earlier data; offline: the whole sequence."
 
-CODE = "Address of the code, as given by the method."
-PAPER = "Paper that describes it, as given by the method."
+WORK = "The code and the paper that describes it, as given by the method."
+
+FAILED = "Failed runs, and sequences without an estimate."
 
 MOST_SHOWN = 5
 """Metrics beside the one that ranks, on the page; CSV and JSON have all of them."""
@@ -119,7 +135,8 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
     """
     query = query or Query()
     info = find_board(site, track, split, board)
-    sortable = (*NAMED, info.metric, *info.columns)
+    loses = TRACKS[info.track].lost_below is not None
+    sortable = (*NAMED, *(["lost"] if loses else []), info.metric, *info.columns)
     if query.sort not in sortable:
         raise PageError(f"sort: expected {', '.join(dict.fromkeys(sortable))}, got {query.sort!r:.60}", 400)
     path = board_path(info) if board else split_path(info.track, info.split)
@@ -144,12 +161,21 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
         "permalink": board_path(info),
         "heats": heats(site, info, found.rows),
         "speed": speed_card(info, found.rows),
+        "machines": machines_note(found.rows),
         "drawings": [drawing] if (drawing := stress_drawing(site, info, found.rows)) else [],
         "has_ranks": any(row.rank is not None for row in found.rows),
-        "settings": {key: value for key, value in info.settings.items() if value not in (None, [], ())},
+        "settings": {key: setting_text(value) for key, value in info.settings.items()},
+        "changed": info.changed_settings,
+        "has_defaults": info.track in DEFAULTS,
+        "carried": carried(info.split),
     }
     data = Later(lambda: _data(found))
     return Page(path, title, "board.html", context, (table,), data, asked_by(query))
+
+
+def setting_text(value: Any) -> str:
+    """A setting as pages show it."""
+    return "none" if value in (None, [], ()) else ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def heats(site: Site, info: BoardInfo, rows: Sequence[Row]) -> list[Table]:
@@ -198,6 +224,7 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     whole = has_data_set(info, rows)
     keys = [info.metric, *(key for key in info.columns if key != info.metric)]
     shown = {column.key for column in STANDING_OF_TRACK.get(info.track, ())[:MOST_SHOWN]}
+    loses = any(row.lost is not None for row in rows)
     metric = metric_column(info.metric, sort=True)
     axis = numbers.bars_axis([(row.low, row.high) for row in sorted(rows, key=lambda row: row.place or math.inf)])
     drawn = "" if axis is None else f"{metric.text(axis[0])} to {metric.text(axis[1])}"
@@ -205,7 +232,6 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     columns = (
         Column("rank", "Rank", kind="number", sort="rank", about=RANK),
         Column("method", "Method", sort="method"),
-        Column("sensors", "Sensors", "poses", hidden=not described, about=f"As stated by the method. {MODE}"),
         metric,
         interval_column(metric, "interval", "Interval", numbers.LEVEL if axis is None else f"{numbers.LEVEL}, {drawn}"),
         replace(
@@ -216,10 +242,11 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
             sort="data_set",
             hidden=not whole,
         ),
-        *(replace(metric_column(key, sort=True), hidden=key not in shown) for key in keys[1:]),
-        Column("failures", "Failed", "runs", "number", about="Failed runs, and sequences without an estimate."),
-        Column("code", "Code", hidden=not any(row.code for row in rows), about=CODE),
-        Column("paper", "Paper", hidden=not any(row.paper for row in rows), about=PAPER),
+        *(replace(standing_column(key, info.track, sort=True), hidden=key not in shown) for key in keys[1:]),
+        *([lost_column(info.track, len(info.sequences), sort="lost")] if loses else []),
+        Column("failures", "Failed", "runs", "number", hidden=loses, about=FAILED),
+        Column("sensors", "Sensors", "mode", hidden=not described, about=f"As stated by the method. {MODE}"),
+        Column("work", "Code", "paper", hidden=not any(row.code or row.paper for row in rows), about=WORK),
         Column(
             "created",
             "Date",
@@ -234,20 +261,24 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     )
     lines = []
     for row, rank in zip(rows, rank_cells(rows), strict=True):
-        interval = numbers.interval(row.low, row.high)
+        interval, failed = numbers.interval(row.low, row.high), f"{row.failures} of {row.runs}"
         lines.append(
             TableRow(
                 (
                     rank,
                     Cell(row.method, path=record_path(row.digest), small=row.team, mark=state_mark(row)),
-                    Cell(row.sensors or None, kind="few", small=row.mode),
                     row.score,
                     Cell(interval, bar=axis and numbers.bar(row.low, row.score, row.high, axis, drawn), kind="soft"),
                     row.data_set,
-                    *(row.metrics.get(key) for key in keys[1:]),
-                    Cell(row.failures, f"{row.failures} of {row.runs}", kind="warn" if row.failures else ""),
-                    code_cell(row.code),
-                    paper_cell(row.paper),
+                    *(_measured(row, key) for key in keys[1:]),
+                    *(
+                        [Cell(row.lost, kind="warn" if row.lost else "", about=f"{failed} runs failed")]
+                        if loses
+                        else []
+                    ),
+                    Cell(row.failures, failed, kind="warn" if row.failures else ""),
+                    Cell(row.sensors or None, kind="few", small=row.mode),
+                    work_cell(row.code, row.paper),
                     Cell(row.created, row.created[:10], about=TIERS.get(row.tier, ""), small=row.tier),
                     *(row.digest if key == "record" else getattr(row, key) for key in HIDDEN),
                 ),
@@ -263,6 +294,11 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     return Table(title, columns, tuple(lines), _notes(info, rows), f"{slug(info.track)}-{slug(info.split)}")
 
 
+def _measured(row: Row, key: str) -> Cell:
+    """A metric beside the one that ranks; of a speed, its machine is told where a pointer rests."""
+    return Cell(row.metrics.get(key), about=row.machine if key in SPEEDS else "")
+
+
 def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
     metric = find_metric(info.metric)
     mean = (
@@ -270,9 +306,11 @@ def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
         if metric is not None and metric.weight
         else f"Means over {numbers.count(len(info.sequences), 'sequence')}, each the mean of its runs"
     )
-    notes = [
-        f"{mean}; failures and missing estimates score 0. Errors cover only what was estimated: mind the coverage."
-    ]
+    rest = lost_note(info.track) or "Errors cover only what was estimated: mind the coverage."
+    notes = [f"{mean}; failures and missing estimates score 0. {rest}"]
+    if rows and (lacking := lacks(info.split, info.track)):
+        notes.append(lacking)
+    notes += [note for note in (machines_note(rows),) if note]
     if has_data_set(info, rows):
         notes.append(DATA_SET.format(metric_column(info.metric).heading))
     if any(row.state == "current" and row.tier not in RANKED for row in rows):

@@ -8,12 +8,13 @@ from dataclasses import asdict, dataclass, replace
 
 from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
+from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.evaluate.statistics import Comparison
-from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column
+from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, lost_note, metric_column
 from oysterbench.report.table import Cell, Column, Table, TableRow, Value
 from oysterbench.results.comparison import Board, MethodPair, as_plain
 from oysterbench.results.comparison import boards as boards_of
-from oysterbench.results.records import ResultRecord, plain
+from oysterbench.results.records import ResultRecord, lost_of, plain
 from oysterbench.results.remarks import remarks
 from oysterbench_leaderboard.board import BoardInfo, Row
 from oysterbench_leaderboard.record import Record
@@ -22,6 +23,7 @@ from oysterbench_leaderboard.site.charts import drawings
 from oysterbench_leaderboard.site.page import Page, PageError
 from oysterbench_leaderboard.site.paths import board_path, record_path
 from oysterbench_leaderboard.site.site import Site, curves_of
+from oysterbench_leaderboard.tables import machines_note
 
 PAIRED = 10
 """First records of each newest board of which every two stand head to head where pages are files."""
@@ -69,6 +71,7 @@ def compare_page(site: Site, a: str, b: str) -> Page:
         "metric": metric,
         "verdict": verdict(sides, whole, info.metric),
         "whole": whole,
+        "machines": machines_note(rows),
         "difference": signed.text(whole.difference),
         "interval": signed.text(whole.interval),
         "drawings": drawings({side.label: curves_of(site, side.record) for side in sides}),
@@ -137,9 +140,9 @@ def labels_of(rows: Sequence[Row]) -> list[str]:
 
 
 def means_of(board: Board, sides: Sequence[Side]) -> dict[str, dict[str, float]]:
-    """Label -> metric -> mean over the sequences of the board, for JSON."""
+    """Label -> metric -> what it is over the sequences of the board (`MethodRuns.over`), for JSON."""
     runs = {side.label: board.runs_of(side.label) for side in sides}
-    return {label: {key: of.summary(key, board.sequences).mean for key in board.keys} for label, of in runs.items()}
+    return {label: {key: of.over(key, board.sequences) for key in board.keys} for label, of in runs.items()}
 
 
 def whole_board(info: BoardInfo, sides: Sequence[Side]) -> Board:
@@ -213,14 +216,18 @@ def _sequences(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:
 
 
 def _metrics(board: Board, sides: Sequence[Side]) -> Table:
-    """Every metric of the track's tables that has a direction."""
+    """Every metric of the track's tables that has a direction; of errors the medians over what each has not lost, and
+    the difference over what neither has."""
+    track = TRACKS[board.track]
     a, b = (board.runs_of(side.label) for side in sides)
+    lost = {name for of in (a, b) for name in lost_of(of.records) or ()}
+    mean = "median of errors, else mean" if track.errors else "mean"
     keys = dict.fromkeys(column.key for column in (*OF_TRACK[board.track], *STANDING_OF_TRACK[board.track]))
     columns = (
         Column("metric", "Metric"),
         Column("unit", "Unit"),
-        Column("a", sides[0].label, "mean", "number"),
-        Column("b", sides[1].label, "mean", "number"),
+        Column("a", sides[0].label, mean, "number"),
+        Column("b", sides[1].label, mean, "number"),
         *_compared_columns(sides),
         Column("shared", "On", "sequences", "number", about="Sequences where both have a value."),
         Column("key", hidden=True),
@@ -230,8 +237,9 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
         metric = metric_column(key)
         if not metric.better or key not in board.keys:
             continue
-        comparison = a.compare(b, key, board.sequences)
-        means = [numbers.finite(entry.summary(key, board.sequences).mean) for entry in (a, b)]
+        error = key in track.errors
+        comparison = a.compare(b, key, [name for name in board.sequences if not error or name not in lost])
+        means = [numbers.finite(entry.over(key, board.sequences)) for entry in (a, b)]
         cells: tuple[Value | Cell, ...] = (
             Cell(metric.heading, about=metric.about),
             Cell(metric.unit, numbers.unit(metric)),
@@ -241,8 +249,10 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
             key,
         )
         lines.append(TableRow(cells))
-    notes = ("Errors are compared on the sequences where both have a value: read them together with coverage.",)
-    return Table(f"{sides[0].label} against {sides[1].label}", columns, tuple(lines), notes, "metrics")
+    notes = "Errors are compared on the sequences where both have a value: read them together with coverage."
+    if track.errors:
+        notes = f"{lost_note(board.track)} They are compared on the sequences that neither has lost."
+    return Table(f"{sides[0].label} against {sides[1].label}", columns, tuple(lines), (notes,), "metrics")
 
 
 def _strata(board: Board, sides: Sequence[Side], pairs: Sequence[MethodPair]) -> Table:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from oysterbench.core.page import STYLES
-from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column
+from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, lost_note, metric_column, standing_column
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow
 from oysterbench.results.comparison import Board, as_plain
 from oysterbench.results.records import plain
@@ -19,7 +19,7 @@ from oysterbench_leaderboard.site.pages.heat import classes_heat, scores_of, seq
 from oysterbench_leaderboard.site.pages.ranks import rank_cells
 from oysterbench_leaderboard.site.paths import board_path, record_path
 from oysterbench_leaderboard.site.site import Site, curves_of
-from oysterbench_leaderboard.tables import LEADING, role_of
+from oysterbench_leaderboard.tables import LEADING, machines_note, role_of
 
 MOST = 50
 """Records that one page sets against each other: every two of them."""
@@ -50,6 +50,7 @@ def several_page(site: Site, names: Sequence[str]) -> Page:
         "board": board_path(info),
         "metric": metric_column(info.metric),
         "count": len(sides),
+        "machines": machines_note(rows),
         "unshown": len(sides) - len(drawn),
         "drawings": drawings({side.label: curves_of(site, side.record) for side in drawn}),
     }
@@ -76,20 +77,26 @@ def _common(site: Site, names: Sequence[str]) -> tuple[BoardInfo, list[Row]]:
 
 
 def _metrics(board: Board, sides: Sequence[Side]) -> Table:
-    """A row per record: rank, and the mean of every metric of the track's tables that has a direction."""
+    """A row per record: rank, and every metric of the track's tables that has a direction, over all sequences."""
     keys = dict.fromkeys(
         column.key
         for column in (metric_column(board.metric), *STANDING_OF_TRACK[board.track], *OF_TRACK[board.track])
         if column.better and column.key in board.keys
     )
-    columns = (Column("rank", "Rank", kind="number"), Column("method", "Method"), *(metric_column(key) for key in keys))
+    columns = (
+        Column("rank", "Rank", kind="number"),
+        Column("method", "Method"),
+        *(standing_column(key, board.track) for key in keys),
+    )
     lines = []
     for side, rank in zip(sides, rank_cells([side.row for side in sides]), strict=True):
         of = board.runs_of(side.label)
-        means = (numbers.finite(of.summary(key, board.sequences).mean) for key in keys)
+        means = (numbers.finite(of.over(key, board.sequences)) for key in keys)
         lines.append(TableRow((rank, Cell(side.label, path=record_path(side.row.digest), small=side.row.team), *means)))
     notes = ("Errors cover only what was estimated: read them together with coverage.",) if "coverage" in keys else ()
-    return Table(f"Means over {numbers.count(len(board.sequences), 'sequence')}", columns, tuple(lines), notes)
+    if lost := lost_note(board.track):
+        notes = (lost,)
+    return Table(f"Over {numbers.count(len(board.sequences), 'sequence')}", columns, tuple(lines), notes)
 
 
 def _pairs(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:

@@ -10,7 +10,7 @@ from oysterbench.evaluate.conditions import CONDITIONS
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow
 from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo
-from oysterbench_leaderboard.site.datasets import Conditions, DataSet, all_data_sets, conditions_of
+from oysterbench_leaderboard.site.datasets import Conditions, DataSet, all_data_sets, classes_note, conditions_of
 from oysterbench_leaderboard.site.frames import file_name
 from oysterbench_leaderboard.site.page import Page, PageError
 from oysterbench_leaderboard.site.paths import board_path, data_path, slug, split_path
@@ -93,8 +93,8 @@ def _board(info: BoardInfo) -> dict[str, Any]:
 
 
 def conditions_table(found: DataSet, like: Mapping[str, Conditions]) -> Table:
-    """What each sequence is like."""
-    keys = [key for key in CONDITIONS if any(key in values for values in like.values())]
+    """What each sequence is like; conditions that no sequence has, such as waves, have no column."""
+    keys = [key for key in CONDITIONS if any(values.get(key) for values in like.values())]
     columns = (
         Column("sequence", "Sequence"),
         *(_column(key, like) for key in keys),
@@ -102,7 +102,7 @@ def conditions_table(found: DataSet, like: Mapping[str, Conditions]) -> Table:
     lines = []
     for name in found.sequences:
         lines.append(TableRow((name, *(like.get(name, {}).get(key) or None for key in keys))))
-    notes = () if keys else ("The conditions of the sequences are not known here.",)
+    notes = tuple(filter(None, (classes_note(),))) if keys else ("The conditions of the sequences are not known here.",)
     return Table(f"Sequences of {found.name}", columns, tuple(lines), notes, "sequences")
 
 

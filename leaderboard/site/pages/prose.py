@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.evaluate.statistics import LEAST_SEQUENCES, RESAMPLES
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column
 from oysterbench.report.renderers import json_rows
@@ -99,6 +99,9 @@ def about_page(site: Site) -> Page:
         "least": LEAST_SEQUENCES,
         "ranking": [(numbers.track_name(track), find_metric(key)) for track, key in PRIMARY.items()],
         "coverage": find_metric("coverage"),
+        "losing": [
+            (numbers.track_name(name), of.lost_below) for name, of in TRACKS.items() if of.lost_below is not None
+        ],
     }
     return Page(
         "/about", "What the numbers mean", "about.html", context, (table,), plain({"tiers": TIERS, "metrics": data})

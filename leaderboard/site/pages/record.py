@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
-from oysterbench.evaluate.metrics import find_metric
-from oysterbench.evaluate.statistics import Summary
-from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column
+from oysterbench.evaluate.metrics import TRACKS, find_metric
+from oysterbench.evaluate.statistics import Interval, Summary
+from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, lost_note, metric_column
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow, Value, interval_column
 from oysterbench.report.tables import failures_and_notes
 from oysterbench.results.comparison import MethodRuns
-from oysterbench.results.records import ResultRecord, plain
+from oysterbench.results.records import ResultRecord, lost_of, plain
 from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.board import BoardInfo, Query, Row
 from oysterbench_leaderboard.record import Record
@@ -30,6 +31,9 @@ from oysterbench_leaderboard.site.works import code_cell, paper_address
 from oysterbench_leaderboard.tables import DATA_SET, has_data_set
 
 HIDDEN = "The split is hidden: most metrics are shown only as a mean, and values by sequence only in steps, if at all."
+
+NO_INTERVAL = Interval(math.nan, math.nan, "only a mean has an interval")
+"""Of a median."""
 
 LEADERS = 3
 """First records of the board that every record may be compared with; its neighbours are offered, too."""
@@ -74,6 +78,7 @@ def record_page(site: Site, digest: str) -> Page:
         "bar": numbers.bar(row.low, row.score, row.high),
         "data_set": metric.text(row.data_set) if has_data_set(info, [row]) else "",
         "coverage": numbers.text("coverage", row.coverage),
+        "lost_below": TRACKS[info.track].lost_below,
         "tier_about": TIERS.get(row.tier, ""),
         "notes": notes,
         "rivals": rivals(site, info, row),
@@ -163,8 +168,8 @@ def sequences_table(results: Sequence[ResultRecord], sequences: Sequence[str], t
 
 
 def metrics_table(results: Sequence[ResultRecord], title: str, data_set: Mapping[str, Any] | None = None) -> Table:
-    """Mean, interval and spread of each metric of the track's tables; and what the record knows of all sequences at
-    once."""
+    """Mean, interval and spread of each metric of the track's tables, of errors the median and spread over what is not
+    lost; and what the record knows of all sequences at once."""
     track = results[0].track
     keys = dict.fromkeys(column.key for column in (*OF_TRACK[track], *STANDING_OF_TRACK[track]))
     known = data_set or {}
@@ -181,18 +186,24 @@ def metrics_table(results: Sequence[ResultRecord], title: str, data_set: Mapping
         Column("key", hidden=True),
     )
     of = MethodRuns(results[0].method, tuple(results))
+    lost = lost_of(results) or ()
     lines = []
     for key in keys:
         by_sequence, mean = any(key in result.metrics for result in results), _number(known.get("means"), key)
         if not by_sequence and mean is None:
             continue
-        summary = of.summary(key, [result.sequence for result in results])
+        names = [result.sequence for result in results]
+        summary = of.summary(key, names)
+        if error := key in TRACKS[track].errors:
+            kept = of.summary(key, [name for name in names if name not in lost])
+            summary = replace(kept, mean=kept.median, interval=NO_INTERVAL, of_sequences=summary.of_sequences)
         if mean is not None and not by_sequence:
             summary = replace(summary, mean=mean)
         at_once = _number(whole, key), _interval(known.get("intervals"), key)
-        lines.append(TableRow(_summary_cells(key, summary, *at_once)))
+        lines.append(TableRow(_summary_cells(key, summary, *at_once, small="median" if error else "")))
     notes = [DATA_SET.format("A record")] if whole and not _weighed(results) else []
     notes += [HIDDEN] if "means" in known else []
+    notes += [note for note in (lost_note(track),) if note]
     return Table(title, columns, tuple(lines), tuple(notes), "metrics")
 
 
@@ -214,7 +225,11 @@ def _interval(intervals: Any, key: str) -> tuple[float | None, float | None]:
 
 
 def _summary_cells(
-    key: str, summary: Summary, data_set: float | None, of_data_set: tuple[float | None, float | None]
+    key: str,
+    summary: Summary,
+    data_set: float | None,
+    of_data_set: tuple[float | None, float | None],
+    small: str = "",
 ) -> tuple[Cell, ...]:
     metric = metric_column(key)
 
@@ -224,7 +239,7 @@ def _summary_cells(
     return (
         Cell(metric.heading, about=metric.about),
         Cell(metric.unit, numbers.unit(metric) or ABSENT),
-        shown(numbers.finite(summary.mean)),
+        replace(shown(numbers.finite(summary.mean)), small=small),
         shown(summary.interval, "soft"),
         shown(numbers.interval(summary.low, summary.high), "soft"),
         Cell(summary.sequences, f"{summary.sequences} of {summary.of_sequences}"),

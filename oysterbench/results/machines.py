@@ -1,0 +1,41 @@
+"""The machines that results were measured on: speeds of different ones are no comparison of methods."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from oysterbench.evaluate.metrics import SPEEDS
+from oysterbench.results.records import ResultRecord
+
+
+def machine_of(hardware: Mapping[str, Any]) -> str:
+    """Processor and cores in a few words; empty where they are not known.
+
+    >>> machine_of({"cpu": "AMD EPYC", "cores": 2, "python": "3.11"})
+    'AMD EPYC, 2 cores'
+    """
+    cpu, cores = hardware.get("cpu"), hardware.get("cores")
+    if not cpu:
+        return ""
+    return f"{cpu}, {cores} core{'' if cores == 1 else 's'}" if cores else str(cpu)
+
+
+def machines_of(records: Iterable[ResultRecord]) -> dict[str, list[str]]:
+    """Machine -> methods that have a speed on it, both in the order of the records."""
+    found: dict[str, list[str]] = {}
+    for record in records:
+        machine = machine_of(record.hardware)
+        if machine and any(key in record.metrics for key in SPEEDS):
+            methods = found.setdefault(machine, [])
+            methods += [record.method] if record.method not in methods else []
+    return found
+
+
+def machines_note(records: Iterable[ResultRecord]) -> str:
+    """What must be said where speeds are of several machines; else empty."""
+    found = machines_of(records)
+    if len(found) < 2:
+        return ""
+    places = "; ".join(f"{', '.join(methods)} on {machine}" for machine, methods in found.items())
+    return f"speeds are of different machines and do not compare methods: {places}"

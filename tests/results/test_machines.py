@@ -1,0 +1,62 @@
+"""Speeds of several machines are told to be so, and each method has its date."""
+
+from __future__ import annotations
+
+import pytest
+
+from oysterbench.report.html import html_report
+from oysterbench.report.making import scored_when
+from oysterbench.report.sequences import SlamRun
+from oysterbench.results.comparison import boards
+from oysterbench.results.machines import machines_note
+from oysterbench.results.records import ResultRecord
+from oysterbench.results.remarks import remarks
+
+BIG, SMALL = {"cpu": "Big", "cores": 64}, {"cpu": "Small", "cores": 1}
+
+
+def result(method: str, hardware, day: str = "2026-11-24", sequence: str = "a", **metrics: float) -> ResultRecord:
+    return ResultRecord(
+        track="slam",
+        split="s",
+        sequence=sequence,
+        method=method,
+        metrics={"score": 0.9, "realtime_factor": 2.0, "coverage": 1.0, **metrics},
+        hardware=hardware,
+        oysterbench_version="1.0.0",
+        created=f"{day}T10:00:00Z",
+    )
+
+
+def test_speeds_of_several_machines_are_remarked_in_every_comparison():
+    found = boards([result("fast", BIG), result("slow", SMALL)])
+    note = "speeds are of different machines and do not compare methods: fast on Big, 64 cores; slow on Small, 1 core"
+    assert note in remarks(found)
+    assert note[1:] in html_report([SlamRun(result("fast", BIG)), SlamRun(result("slow", SMALL))], "x")
+
+
+@pytest.mark.parametrize("hardware", [BIG, {}])
+def test_one_machine_or_none_that_is_known_needs_no_remark(hardware):
+    assert machines_note([result("fast", BIG), result("slow", hardware)]) == ""
+
+
+def test_what_has_no_speed_is_no_matter():
+    still = ResultRecord(track="slam", split="s", sequence="a", method="m", metrics={"score": 0.5}, hardware=SMALL)
+    assert machines_note([result("fast", BIG), still]) == ""
+
+
+@pytest.mark.parametrize(
+    ("days", "told"),
+    [
+        (("24", "24", "24"), "one, two on 2 sequences, scored by oysterbench 1.0.0 on 2026-11-24."),
+        (
+            ("22", "24", "25"),
+            "one (2026-11-22 to 2026-11-24), two (2026-11-25) on 2 sequences, scored by oysterbench 1.0.0.",
+        ),
+    ],
+)
+def test_each_method_of_a_report_has_its_own_date(days, told):
+    names = (("one", "a"), ("one", "b"), ("two", "a"))
+    records = [result(m, BIG, f"2026-11-{day}", s) for (m, s), day in zip(names, days, strict=True)]
+    assert scored_when(records) == told
+    assert told in html_report([SlamRun(record) for record in records], "x")
