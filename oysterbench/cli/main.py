@@ -28,6 +28,7 @@ from oysterbench.cli.release import release
 from oysterbench.cli.render import frames_bar, render
 from oysterbench.cli.run import run_command
 from oysterbench.cli.segment import segment_command
+from oysterbench.cli.sequences import SequencePath
 from oysterbench.cli.splits import splits
 from oysterbench.cli.systems import systems_command
 from oysterbench.cli.tune import tune_command
@@ -144,7 +145,7 @@ for _command in (
 
 
 @main.command(short_help="Show what is in a sequence file.")
-@click.argument("sequence", type=click.Path(path_type=Path))
+@click.argument("sequence", type=SequencePath())
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def info(sequence: Path, as_json: bool) -> None:
     """Show what is in a sequence: an MCAP file or a folder in EuRoC layout.

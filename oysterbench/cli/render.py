@@ -62,12 +62,13 @@ def render(
     because others can see the command line; its preview shows the split without the salt.
     """
     from oysterbench.recipe import load_split, split_names
-    from oysterbench.simulation.generate import digest
-    from oysterbench.simulation.salt import salt_for
 
     if workers is not None and scheduler is not None:
         raise click.UsageError("--workers and --scheduler cannot be combined: a cluster has its own workers")
     split = load_split(split_name)
+    from oysterbench.simulation.generate import digest  # once the split is known: a wrong name is told at once
+    from oysterbench.simulation.salt import salt_for
+
     if as_preview:
         files = _preview(split, names, out or Path("."))
     else:

@@ -69,13 +69,14 @@ def splits(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | 
     Without --hub, no network is used.
     """
     from oysterbench.recipe import load_split, split_names
-    from oysterbench.simulation.generate import split_folder
 
     if name is not None:
         if ask_hub or places:
             raise click.UsageError("SPLIT and --hub cannot be combined: a hub lists splits, a recipe lists sequences")
         _print_sequences(load_split(name), as_json)
         return
+    from oysterbench.simulation.generate import split_folder
+
     known = {split_folder(split): split for split in map(load_split, split_names())}
     kept = list(_kept(known))
     # A split that was downloaded is told of once, also where this oysterbench would keep its own elsewhere.

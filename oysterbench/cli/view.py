@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from oysterbench.cli.echo import echo, message
+from oysterbench.cli.sequences import SequencePath
 
 if TYPE_CHECKING:
     from oysterbench.report.viewer.estimates import EstimatedPath
@@ -17,7 +18,7 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 @click.command(short_help="View a sequence: as a page, in Rerun, or with a layout for Foxglove.")
-@click.argument("sequence", type=click.Path(path_type=Path))
+@click.argument("sequence", type=SequencePath())
 @click.option("--start", "begin_s", type=click.FloatRange(min=0), default=0.0, metavar="S", help="Start time.")
 @click.option("--seconds", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Duration.  [default: all]")
 @click.option(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -84,3 +86,27 @@ def test_a_place_that_cannot_be_written_to_is_named_and_not_what_was_to_be_in_it
     assert done.stderr == (
         f"oysterbench: {tmp_path / 'o.glb'}: Read-only file system; choose another place that you may write to\n"
     )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("info", "nosuch"), ("view", "nosuch"), ("render", "nosuch"), ("splits", "nosuch"), ("download", "unet")],
+    ids=" ".join,
+)
+def test_a_refusal_loads_nothing_that_only_the_work_needs(words, tmp_path):
+    """So it is told in a few tenths of a second."""
+    code = "\n".join(
+        [
+            "import sys",
+            "from oysterbench.cli.main import main",
+            "try:",
+            f"    main({list(words)})",
+            "except SystemExit as end:",
+            "    assert end.code == 1, end.code",
+            "print(*{'cv2', 'scipy', 'pandas', 'matplotlib', 'torch', 'warp', 'rich'} & set(sys.modules))",
+        ]
+    )
+    environment = {**os.environ, "OYSTERBENCH_HOME": str(tmp_path), "OYSTERBENCH_HUB": ""}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
+    assert done.stderr.startswith("oysterbench: "), done.stderr
+    assert done.stdout == "\n"
