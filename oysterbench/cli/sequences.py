@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ class SequencePath(click.Path):
         super().__init__(path_type=Path)
 
     def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Path:
-        path = Path(super().convert(value, parameter, context))
+        path = Path(os.fsdecode(super().convert(value, parameter, context)))
         if not path.exists():
             raise SequenceError(f"{path}: no such file; expected a sequence (.mcap) or an EuRoC folder")
         return path
