@@ -152,6 +152,7 @@ def segment_command(
     store = Store(out, again)
     with frames_bar("counting oysters", "images") as progress:
         counted = Counting(found.sources, chosen, identity, store, settings, progress).run()
+    counted.failures.update(found.unreadable())
     figures = figures_of_counts(weights, chosen.name)
     kind = "" if about_scale is None else about_scale["kind"]
     result = survey(title, chosen.name, counted.pictures, counted.failures, block, accuracy, figures, kind, least)
@@ -222,8 +223,8 @@ def _scale(given: dict[str, Any], sources: tuple[Source, ...]) -> tuple[ScaleOf,
 def _tell_others(found: Found) -> None:
     from oysterbench.counting.sources import listed
 
-    if found.to_convert:
-        message(f"left out because their format cannot be read (save them as JPEG or PNG): {listed(found.to_convert)}")
+    if found.copies:
+        message(f"left out because an image of the same name is beside them: {listed(found.copies)}")
     if found.others:
         message(f"left out because they are neither image nor video: {listed(found.others)}")
     if found.skipped:

@@ -78,6 +78,12 @@ class PictureCount:
     parts: bool = False
 
     @property
+    def said(self) -> str:
+        """How many are counted, of what."""
+        noun = "part" if self.parts else "oyster"
+        return f"{self.oysters} {noun}{'' if self.oysters == 1 else 's'}"
+
+    @property
     def unlike(self) -> bool:
         """Whether it is unlike all that the method has learnt from."""
         return self.novelty is not None and self.novelty > UNLIKE

@@ -25,7 +25,7 @@ COLOURS = {"unknown": (240, 228, 66), "live": (86, 180, 233), "dead": (213, 94, 
 
 CASING = (0, 0, 0)
 QUADRAT = (255, 255, 255)
-WARNING = "unlike what was learnt from"
+WARNING = "unlike the training data"
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 FIXED = 4  # bits behind the point of the places of lines
 
@@ -95,7 +95,7 @@ def _lines(drawn: Pixels, outlines: list[Array], factor: float, colour: tuple[in
 
 
 def _said(picture: PictureCount) -> str:
-    text = f"{picture.oysters} oyster{'' if picture.oysters == 1 else 's'}"
+    text = picture.said
     if picture.live or picture.dead:
         text += f", {picture.live} live, {picture.dead} dead"
     if picture.per_m2 is not None:

@@ -36,13 +36,27 @@ class Source:
 
 @dataclass(frozen=True)
 class Found:
-    """Sources in the order of their names; others: files that are neither picture nor video; to_convert: pictures in
-    formats that cannot be read; skipped: folders of labels, or of results of another count."""
+    """What lies at some paths.
 
+    root:       the folder that all have in common
+    sources:    in the order of their names
+    others:     files that are neither picture nor video
+    to_convert: pictures in formats that cannot be read
+    skipped:    folders of labels, or of results of another count
+    copies:     such pictures beside a readable one of their name, as cameras keep raw ones
+    """
+
+    root: Path
     sources: tuple[Source, ...]
     others: tuple[Path, ...] = ()
     to_convert: tuple[Path, ...] = ()
     skipped: tuple[Path, ...] = ()
+    copies: tuple[Path, ...] = ()
+
+    def unreadable(self) -> dict[str, str]:
+        """Name of a picture to convert -> why it cannot be counted."""
+        why = "a format that cannot be read: save it as JPEG, PNG or TIFF"
+        return {_name(path, self.root): f"{path}: {why}" for path in self.to_convert}
 
 
 def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
@@ -71,9 +85,12 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
     if not kinds["pictures"] and not kinds["videos"]:
         raise LabelError(_nothing(paths, kinds["convert"], kinds["others"]))
     root = Path(os.path.commonpath(roots))
+    readable = {path.with_suffix("") for path in kinds["pictures"]}
+    copies = tuple(path for path in kinds["convert"] if path.with_suffix("") in readable)
+    to_convert = tuple(path for path in kinds["convert"] if path not in copies)
     sources = [*_pictures(kinds["pictures"], root), *(Source(_name(p, root), p, True) for p in kinds["videos"])]
     sources.sort(key=lambda source: source.name)
-    return Found(tuple(sources), tuple(kinds["others"]), tuple(kinds["convert"]), tuple(skipped))
+    return Found(root, tuple(sources), tuple(kinds["others"]), to_convert, tuple(skipped), copies)
 
 
 def _below(folder: Path, leave_out: Path | None, skipped: list[Path]) -> list[Path]:

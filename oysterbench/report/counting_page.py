@@ -168,7 +168,7 @@ def _unlike_table(unlike: Sequence[PictureCount]) -> Table:
 def _picture(store: Store, one: PictureCount) -> Picture:
     data = np.frombuffer(store.overlay(one.name).read_bytes(), np.uint8)
     pixels = np.asarray(cv2.cvtColor(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB), np.uint8)
-    small = f"{one.oysters} oysters" if one.oysters != 1 else "1 oyster"
+    small = one.said
     if one.cover is not None:
         small += f", {100 * one.cover:.0f} % covered"
     return Picture(jpeg(pixels, 80, THUMBNAIL_PX), one.name, small, f"{one.name} with outlines of {small}")

@@ -62,6 +62,16 @@ def test_what_is_no_picture_is_a_line_and_what_is_broken_an_exit_code(folder):
     assert "12 oysters in 6 images" in done.stdout
 
 
+def test_an_image_in_a_format_that_cannot_be_read_is_one_that_could_not_be_counted(folder, tmp_path):
+    for name in ("0.HEIC", "phone.HEIC"):
+        (folder / name).write_bytes(b"x")
+    done = run("segment", folder, *DISCS, "--out", "out")
+    assert done.returncode == 1
+    assert "left out because an image of the same name is beside them: 0.HEIC" in done.stderr
+    assert "phone.HEIC: a format that cannot be read: save it as JPEG, PNG or TIFF" in done.stderr
+    assert "phone.HEIC" in (tmp_path / "out" / "pictures.csv").read_text()
+
+
 def test_unlike_pictures_are_warned_of_in_one_line(folder):
     write(folder / "strange.png", discs())
     done = run("segment", folder, *DISCS)

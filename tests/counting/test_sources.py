@@ -48,6 +48,13 @@ def test_the_folder_of_results_is_not_looked_into(tmp_path):
     assert names_of(tmp_path, leave_out=tmp_path / "out") == ["a"]
 
 
+def test_raw_copies_of_pictures_are_told_apart_from_what_is_there_in_no_other_format(tmp_path):
+    found = find_sources([touch(tmp_path, "a.JPG", "a.DNG", "b.HEIC", "deep/a.heic")])
+    assert [path.name for path in found.copies] == ["a.DNG"]
+    assert [path.name for path in found.to_convert] == ["b.HEIC", "a.heic"]
+    assert set(found.unreadable()) == {"b.HEIC", "deep/a.heic"}
+
+
 def test_labels_beside_images_and_results_of_other_counts_are_told_and_not_counted_as_images(tmp_path):
     touch(tmp_path, "images/a.jpg", "masks/a.png", "instances/a.png", "deep/masks/b.jpg")
     touch(tmp_path, "old/overlays/a.jpg", "old/masks/a.png", "old/finished/a.json")
