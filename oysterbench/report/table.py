@@ -19,6 +19,9 @@ from oysterbench.evaluate.statistics import LEVEL, Interval
 ABSENT = "\N{EN DASH}"
 """Stands where there is no value."""
 
+ASTRAY = 10_000
+"""Shown numbers from which on decimals mean nothing: most are errors of what diverged."""
+
 MINUS = "\N{MINUS SIGN}"
 
 Direction: TypeAlias = Literal["lower", "higher", ""]
@@ -152,6 +155,8 @@ class Column:
         shown, sign = value if self.factor == 1.0 else value * self.factor, "+" if self.signed else ""
         if self.cut and digits is not None:
             shown = math.floor(shown * 10**digits + 1e-9) / 10**digits
+        if digits is not None and abs(shown) >= ASTRAY:
+            digits = 0
         text = f"{shown:{sign}}" if digits is None else f"{shown:{sign}.{digits}f}"
         return text.replace("-", MINUS)
 

@@ -237,3 +237,8 @@ def test_html_links_within_the_site_and_to_the_web_alone():
     assert 'href="https://b"' in html
     assert 'href="/a"' not in html  # nobody said where the site's pages are
     assert 'x="25.0"' in html
+
+
+def test_numbers_of_what_diverged_have_no_decimals():
+    column = Column("ate", "ATE", kind="number", digits=3)
+    assert column.texts([0.5, 9999.5, 83837.354, -10000.0]) == ["0.500", "9999.500", "83837", "\N{MINUS SIGN}10000"]

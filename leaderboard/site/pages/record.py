@@ -58,7 +58,7 @@ def record_page(site: Site, digest: str) -> Page:
     name = f"{row.method} on {info.split}"
     tables = (
         sequences_table(results, info.sequences, f"{name}, by sequence"),
-        metrics_table(results, f"{name}: means over {numbers.count(len(info.sequences), 'sequence')}", record.data_set),
+        metrics_table(results, f"{name}, over {numbers.count(len(info.sequences), 'sequence')}", record.data_set),
         *([strata] if (strata := strata_table(results, f"{name}, by conditions")).rows else []),
     )
     notes = _notes(site, row)
@@ -160,7 +160,7 @@ def sequences_table(results: Sequence[ResultRecord], sequences: Sequence[str], t
             Cell(name, mark="" if answered else "not answered"),
             *(means[key].get(name) for key in keys),
             Cell(failed, counted, kind="warn" if failed else ""),
-            *(runs[0].conditions.get(key) for key in known),
+            *(Cell(runs[0].conditions.get(key), kind="brief") for key in known),
         )
         lines.append(TableRow(cells, "failed" if failed == len(runs) else ""))
     notes = ("Means over the runs of each sequence; a failed run scores 0 and has no errors.",)
