@@ -65,7 +65,7 @@ class Lens:
             return self
         if abs(width * self.height - height * self.width) > max(width, height):  # a pixel of rounding
             raise SequenceError(
-                f"calibration: of pictures of {self.width} x {self.height} px, got one of {width} x {height}: expected "
+                f"calibration: of images of {self.width} x {self.height} px, got one of {width} x {height}: expected "
                 "the same aspect ratio, since cameras crop differently in other modes"
             )
         across, down = width / self.width, height / self.height

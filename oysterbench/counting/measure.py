@@ -51,7 +51,7 @@ class PictureCount:
     oysters:     large enough, with their centre in what is counted; cut: how many of these the edge of the picture cuts
     live, dead:  of these; the method does not tell of the rest
     cover:       share of what is counted that oysters cover, on the ground in a quadrat, else of the pixels; None for
-                 boxes alone
+                 only boxes
     area_m2:     of what is counted; None without a scale
     measured:    how many of them have sizes and are not cut; length_mm: the mean of theirs
     novelty:     as of a `Segmentation`

@@ -74,7 +74,7 @@ def jpeg(pixels: Pixels, quality: int = 88, widest: int | None = None) -> bytes:
         pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     done, data = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
-        raise OysterbenchError(f"a picture of {width} x {height} px could not be encoded as JPEG")
+        raise OysterbenchError(f"an image of {width} x {height} px could not be encoded as JPEG")
     return data.tobytes()
 
 

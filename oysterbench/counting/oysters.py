@@ -57,7 +57,7 @@ class Oyster:
 class Oysters:
     """What is found in a picture.
 
-    numbers: (H, W) uint16, 0 for none, the surest on top where oysters overlap; None where there are boxes alone
+    numbers: (H, W) uint16, 0 for none, the surest on top where oysters overlap; None where there are only boxes
     novelty: as of a `Segmentation`; NaN where the method does not say
     parts:   whether they are the connected parts of a mask, so that those that touch are one
     """
@@ -69,7 +69,7 @@ class Oysters:
 
 
 class TooManyError(MethodError):
-    """More than can be numbered are found in a picture, as in one of noise."""
+    """More than can be numbered are found in an image, as in one of noise."""
 
 
 def oysters_of(prediction: Segmentation | Detections, method: str, shape: tuple[int, int], threshold: float) -> Oysters:
@@ -221,4 +221,4 @@ def _check_count(count: int, scores: int, where: str) -> None:
 def _check_shape(found: tuple[int, ...], where: str, shape: tuple[int, int]) -> None:
     if tuple(found) != shape:
         size, got = (" x ".join(str(n) for n in one[::-1]) for one in (shape, found))
-        raise MethodError(f"{where}: expected an answer of the picture's size, {size}, got {got}")
+        raise MethodError(f"{where}: expected an answer of the image's size, {size}, got {got}")

@@ -112,7 +112,7 @@ class Counting:
                 break
             in_row = 1 if len(self._made) > before else in_row + 1
             if not waiting or in_row >= FAILURES:
-                where = next(iter(waiting), "its first picture")
+                where = next(iter(waiting), "its first image")
                 raise MethodError(f"method {self.method.name!r} failed on {where}: {error}")
             self.result.failures.update(dict.fromkeys(waiting, f"the method failed on it: {error}"))
             self._tell()
@@ -130,7 +130,7 @@ class Counting:
                 waiting[work.name] = work
                 yield Picture(work.name, work.pixels)
 
-        answers = predictions(self.method, given(), "these pictures", 0, watch)
+        answers = predictions(self.method, given(), "these images", 0, watch)
         while True:
             try:
                 answer = next(answers, None)

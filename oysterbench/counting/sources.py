@@ -71,7 +71,7 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
     roots = []
     for path in paths:
         if not path.exists():
-            raise LabelError(f"{path}: no such file or folder; expected pictures, a folder of them, or a video")
+            raise LabelError(f"{path}: no such file or folder; expected images, a folder of them, or a video")
         path = path.absolute()
         if leave_out is not None and path == leave_out.absolute():
             raise LabelError(f"{path}: expected another folder for the results than that of the images: give --out")
@@ -132,13 +132,11 @@ def _nothing(paths: Sequence[Path], to_convert: Sequence[Path], others: Sequence
     where = ", ".join(map(str, paths))
     if to_convert:
         return (
-            f"{where}: expected pictures or videos, got {listed(to_convert)}, of a format that cannot be read: save "
+            f"{where}: expected images or videos, got {listed(to_convert)}, of a format that cannot be read: save "
             "them as JPEG, PNG or TIFF first"
         )
     got = f"only {listed(others)}" if others else "an empty folder"
-    return (
-        f"{where}: expected pictures ({' '.join(PICTURES[:6])} ...) or videos ({' '.join(VIDEOS[:5])} ...), got {got}"
-    )
+    return f"{where}: expected images ({' '.join(PICTURES[:6])} ...) or videos ({' '.join(VIDEOS[:5])} ...), got {got}"
 
 
 def listed(paths: Sequence[Path], most: int = 3) -> str:

@@ -1,7 +1,7 @@
 """The folder of counts: what is finished is kept picture by picture, so that the same command resumes from there.
 
 ```
-masks/NAME.png        16 bits: numbers of oysters, 0 for none; none where a method gives boxes alone
+masks/NAME.png        16 bits: numbers of oysters, 0 for none; none where a method gives only boxes
 overlays/NAME.jpg     the picture with outlines
 videos/NAME.mp4       overlays of the frames of a video
 finished/NAME.json    what is counted, and the digest of what it depends on; written last

@@ -18,7 +18,7 @@ from oysterbench.hub.model import Figure
 from oysterbench.results.records import plain
 
 PARTS = "connected parts of a mask, not separate oysters"
-"""What is counted where a method gives masks alone."""
+"""What is counted where a method gives only masks."""
 
 
 @dataclass(frozen=True)

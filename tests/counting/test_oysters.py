@@ -76,7 +76,7 @@ def test_boxes_are_counted_but_cover_nothing_that_is_known():
 @pytest.mark.parametrize(
     ("prediction", "said"),
     [
-        (Segmentation("a", oyster=np.zeros((2, 3), bool)), "of the picture's size, 120 x 100, got 3 x 2"),
+        (Segmentation("a", oyster=np.zeros((2, 3), bool)), "of the image's size, 120 x 100, got 3 x 2"),
         (Detections("a", np.zeros(0), numbers=np.zeros((3, 2), int)), "120 x 100, got 2 x 3"),
         (Detections("a", np.ones(1), masks=np.zeros((1, 2, 2), bool)), "120 x 100, got 2 x 2"),
         (Detections("a", np.ones(1), numbers=np.full(SHAPE, 2)), "a score for each of 2 oysters, got 1"),

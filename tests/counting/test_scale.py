@@ -101,7 +101,7 @@ def test_a_calibration_holds_for_the_same_pictures_at_another_size_and_no_others
     assert area_m2(twice, (960, 1280)) == pytest.approx(area_m2(scale, SHAPE), rel=1e-3)
     points = np.array([[100.0, 200.0], [600, 30]])
     assert twice.to_ground(2 * points) == pytest.approx(scale.to_ground(points), abs=1e-6)
-    with pytest.raises(SequenceError, match="of pictures of 640 x 480 px, got one of 640 x 360"):
+    with pytest.raises(SequenceError, match="of images of 640 x 480 px, got one of 640 x 360"):
         scale.fitted((360, 640))
 
 

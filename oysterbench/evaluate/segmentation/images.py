@@ -22,7 +22,7 @@ class TruthImage:
     """The truth of one image.
 
     name:       unique in its clip
-    classes:    (H, W) uint8, numbers of `recipe.CLASSES`; of a mask of oysters alone, only their number counts
+    classes:    (H, W) uint8, numbers of `recipe.CLASSES`; where only oysters are masked, only their number counts
     named:      whether classes other than oyster are told apart
     ignore:     (H, W) bool, pixels that nobody is asked about; None where there is none
     depth_m:    (H, W) float32, m along the optical axis, 0 = none; None where it is not known
