@@ -20,6 +20,9 @@ RESULTS = ("finished", "overlays")
 LABELS = ("masks", "instances", "ignore")
 """Folders beside images/ whose pictures are labels (`annotations.folders`)."""
 
+LONGEST_NAME = 220
+"""Bytes of a file's name: results have names a little longer, and file systems allow 255."""
+
 
 @dataclass(frozen=True)
 class Source:
@@ -44,6 +47,7 @@ class Found:
     to_convert: pictures in formats that cannot be read
     skipped:    folders of labels, or of results of another count
     copies:     such pictures beside a readable one of their name, as cameras keep raw ones
+    misnamed:   pictures and videos whose names cannot be those of results
     """
 
     root: Path
@@ -52,11 +56,14 @@ class Found:
     to_convert: tuple[Path, ...] = ()
     skipped: tuple[Path, ...] = ()
     copies: tuple[Path, ...] = ()
+    misnamed: tuple[Path, ...] = ()
 
     def unreadable(self) -> dict[str, str]:
-        """Name of a picture to convert -> why it cannot be counted."""
-        why = "a format that cannot be read: save it as JPEG, PNG or TIFF"
-        return {_name(path, self.root): f"{path}: {why}" for path in self.to_convert}
+        """Name of what is to be converted or renamed -> why it cannot be counted."""
+        convert = "a format that cannot be read: save it as JPEG, PNG or TIFF"
+        rename = f"expected a name in UTF-8 of at most {LONGEST_NAME} bytes: rename it"
+        found = [(path, convert) for path in self.to_convert] + [(path, rename) for path in self.misnamed]
+        return {_shown(_name(path, self.root)): f"{_shown(str(path))}: {why}" for path, why in found}
 
 
 def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
@@ -79,18 +86,21 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
             raise LabelError(f"{path}: expected images, got the results of a count: give the folder that was counted")
         roots.append(path if path.is_dir() else path.parent)
         files.update(dict.fromkeys(_below(path, leave_out, skipped) if path.is_dir() else [path]))
-    kinds: dict[str, list[Path]] = {"pictures": [], "videos": [], "convert": [], "others": []}
+    kinds: dict[str, list[Path]] = {"pictures": [], "videos": [], "convert": [], "others": [], "misnamed": []}
     for file in files:
-        kinds[_kind(file)].append(file)
+        kind = _kind(file)
+        kinds["misnamed" if kind != "others" and _misnamed(file) else kind].append(file)
     if not kinds["pictures"] and not kinds["videos"]:
-        raise LabelError(_nothing(paths, kinds["convert"], kinds["others"]))
+        raise LabelError(_nothing(paths, kinds["convert"], kinds["others"] + kinds["misnamed"]))
     root = Path(os.path.commonpath(roots))
     readable = {path.with_suffix("") for path in kinds["pictures"]}
     copies = tuple(path for path in kinds["convert"] if path.with_suffix("") in readable)
     to_convert = tuple(path for path in kinds["convert"] if path not in copies)
     sources = [*_pictures(kinds["pictures"], root), *(Source(_name(p, root), p, True) for p in kinds["videos"])]
     sources.sort(key=lambda source: source.name)
-    return Found(root, tuple(sources), tuple(kinds["others"]), to_convert, tuple(skipped), copies)
+    return Found(
+        root, tuple(sources), tuple(kinds["others"]), to_convert, tuple(skipped), copies, tuple(kinds["misnamed"])
+    )
 
 
 def _below(folder: Path, leave_out: Path | None, skipped: list[Path]) -> list[Path]:
@@ -106,6 +116,19 @@ def _below(folder: Path, leave_out: Path | None, skipped: list[Path]) -> list[Pa
     return found
 
 
+def _misnamed(path: Path) -> bool:
+    """Whether results cannot be called so: its name or a folder's is too long, or no text, as from an old archive."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        return True
+    return any(len(part.encode()) > LONGEST_NAME for part in path.parts)
+
+
+def _shown(text: str) -> str:
+    return os.fsencode(text).decode(errors="replace")
+
+
 def _holds_results(path: Path) -> bool:
     return all((path / name).is_dir() for name in RESULTS)
 
@@ -113,6 +136,8 @@ def _holds_results(path: Path) -> bool:
 def _kind(path: Path) -> str:
     suffix = path.suffix.lower()
     if path.name.startswith("."):  # such as ._IMG.JPG, by which macOS keeps what other disks cannot
+        return "others"
+    if path.exists() and not path.is_file():  # a pipe, whose end never comes
         return "others"
     kinds = {"pictures": PICTURES, "videos": VIDEOS, "convert": CONVERT}
     return next((kind for kind, suffixes in kinds.items() if suffix in suffixes), "others")
@@ -123,9 +148,13 @@ def _name(path: Path, root: Path) -> str:
 
 
 def _pictures(files: Sequence[Path], root: Path) -> list[Source]:
-    bare = Counter(_name(path.with_suffix(""), root) for path in files)
-    named = ((path, _name(path.with_suffix(""), root)) for path in files)
-    return [Source(name if bare[name] == 1 else _name(path, root), path, False) for path, name in named]
+    whole = {path: _name(path, root) for path in files}
+    bare = {path: _name(path.with_suffix(""), root) for path in files}
+    apart = Counter(bare.values())
+    # A name without its suffix may also be that of another file with it: a.jpg.tif beside a.jpg and a.png.
+    kept = {whole[path] for path in files if apart[bare[path]] > 1}
+    named = ((path, whole[path] if apart[bare[path]] > 1 or bare[path] in kept else bare[path]) for path in files)
+    return [Source(name, path, False) for path, name in named]
 
 
 def _nothing(paths: Sequence[Path], to_convert: Sequence[Path], others: Sequence[Path]) -> str:
@@ -145,5 +174,5 @@ def listed(paths: Sequence[Path], most: int = 3) -> str:
     >>> listed([Path("a.txt"), Path("b.txt")], most=1)
     'a.txt and 1 more'
     """
-    names = ", ".join(path.name for path in paths[:most])
+    names = ", ".join(_shown(path.name) for path in paths[:most])
     return names + (f" and {len(paths) - most} more" if len(paths) > most else "")

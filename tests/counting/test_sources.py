@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -36,6 +37,8 @@ def test_pictures_of_one_name_in_two_folders_stay_apart(tmp_path):
 def test_pictures_that_differ_by_suffix_alone_keep_it(tmp_path):
     touch(tmp_path, "a.jpg", "a.png", "b.png")
     assert names_of(tmp_path) == ["a.jpg", "a.png", "b"]
+    touch(tmp_path, "a.jpg.tif", "c.jpg.tif")
+    assert names_of(tmp_path) == ["a.jpg", "a.jpg.tif", "a.png", "b", "c.jpg"]
 
 
 def test_a_file_that_is_given_twice_counts_once(tmp_path):
@@ -53,6 +56,24 @@ def test_raw_copies_of_pictures_are_told_apart_from_what_is_there_in_no_other_fo
     assert [path.name for path in found.copies] == ["a.DNG"]
     assert [path.name for path in found.to_convert] == ["b.HEIC", "a.heic"]
     assert set(found.unreadable()) == {"b.HEIC", "deep/a.heic"}
+
+
+def test_files_whose_names_results_cannot_have_are_told_of_by_themselves(tmp_path):
+    touch(tmp_path, "a.jpg", "x" * 221 + ".jpg")
+    Path(os.fsdecode(os.fsencode(tmp_path) + b"/M\xfcll.png")).write_bytes(b"x")
+    found = find_sources([tmp_path])
+    assert [source.name for source in found.sources] == ["a"]
+    assert set(found.unreadable()) == {"M\N{REPLACEMENT CHARACTER}ll.png", "x" * 221 + ".jpg"}
+    assert all("expected a name in UTF-8 of at most 220 bytes: rename it" in why for why in found.unreadable().values())
+    with pytest.raises(LabelError, match="got only M\N{REPLACEMENT CHARACTER}ll"):
+        find_sources([next(path for path in tmp_path.iterdir() if "ll" in path.name)])
+
+
+def test_what_is_no_file_is_not_waited_for(tmp_path):
+    os.mkfifo(touch(tmp_path, "a.jpg") / "pipe.jpg")
+    found = find_sources([tmp_path])
+    assert [source.name for source in found.sources] == ["a"]
+    assert [path.name for path in found.others] == ["pipe.jpg"]
 
 
 def test_labels_beside_images_and_results_of_other_counts_are_told_and_not_counted_as_images(tmp_path):
