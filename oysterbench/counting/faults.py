@@ -12,6 +12,8 @@ KIND, BITS, PHOTOMETRIC, PLANES = 254, 258, 262, 284
 """Tags of a TIFF (Adobe, TIFF 6.0): NewSubfileType, of which 1 is a smaller copy of another page; BitsPerSample;
 PhotometricInterpretation, of which 0 has white as 0; PlanarConfiguration, of which 2 has one plane after another."""
 
+MOST = 1000
+"""Pages of a TIFF, and tags of a page, that are looked at: more are those of a file made to be slow."""
 FORMS = {1: "B", 3: "H", 4: "I"}
 """Of a value of a TIFF, by its type: BYTE, SHORT, LONG."""
 
@@ -89,11 +91,11 @@ def _tiff_pages(data: bytes) -> list[dict[int, int]]:
 
     pages: list[dict[int, int]] = []
     seen, at = set(), number(offset, 8 if big else 4)
-    while 0 < at < len(data) and at not in seen:
+    while 0 < at < len(data) and at not in seen and len(pages) < MOST:
         seen.add(at)
         first, entries = at + struct.calcsize(count), number(count, at)
         page = {}
-        for place in range(first, min(first + entry * entries, len(data)), entry):
+        for place in range(first, min(first + entry * min(entries, MOST), len(data)), entry):
             held, form = place + entry - struct.calcsize(offset), FORMS.get(number(f"{order}H", place + 2))
             if form is None:
                 continue
@@ -107,7 +109,7 @@ def _tiff_pages(data: bytes) -> list[dict[int, int]]:
 
 def _moves(data: bytes) -> bool:
     """Whether it is an animated WebP or PNG."""
-    webp = data[:4] == b"RIFF" and data[8:16] == b"WEBPVP8X" and bool(data[20] & 2)
+    webp = data[:4] == b"RIFF" and data[8:16] == b"WEBPVP8X" and len(data) > 20 and bool(data[20] & 2)
     return webp or (data.startswith(b"\x89PNG") and b"acTL" in data[: max(0, data.find(b"IDAT"))])
 
 

@@ -128,6 +128,13 @@ def test_an_animation_is_not_taken_for_its_first_picture(colours):
                 assert np.array_equal(decode(made.getvalue(), "a"), colours)
 
 
+@pytest.mark.parametrize("length", range(8, 31))
+def test_bytes_that_only_begin_like_an_image_are_one_line(length):
+    for head in (b"RIFF\0\0\0\0WEBPVP8X", b"II*\0\x08\0\0\0\xff\xff", b"MM\0+\0\x08\0\0", b"\0\0\0\x18ftyp"):
+        with pytest.raises(LabelError, match="a: cannot be decoded as an image"):
+            decode((head + bytes(30))[:length], "a")
+
+
 def test_a_format_that_cannot_be_read_is_named_whatever_its_file_is_called():
     with pytest.raises(LabelError, match=r"IMG\.jpg: HEIC, whatever its name says"):
         decode(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(300), "IMG.jpg")
