@@ -60,6 +60,11 @@ class BoardInfo:
         )
 
     @property
+    def has_defaults(self) -> bool:
+        """Whether it is known which settings are the evaluator's defaults."""
+        return self.track in DEFAULTS
+
+    @property
     def changed_settings(self) -> dict[str, Any]:
         """The settings that are not the evaluator's defaults; none where it is not known what these are."""
         defaults = plain(asdict(DEFAULTS[self.track])) if self.track in DEFAULTS else self.settings

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 from oysterbench.evaluate import statistics
 from oysterbench.evaluate.metrics import TRACKS
@@ -77,6 +78,11 @@ def bars_axis(intervals: Sequence[tuple[float | None, float | None]]) -> tuple[f
     low, high = min(low for low, _ in better), max(high for _, high in better)
     step = 0.5 * 10.0 ** math.floor(math.log10(max(high - low, 0.02 * abs(high), 1e-6)))
     return round((math.ceil(low / step) - 1) * step, 9), round((math.floor(high / step) + 1) * step, 9)
+
+
+def setting_text(value: Any) -> str:
+    """A setting as pages show it."""
+    return "none" if value in (None, [], ()) else ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def finite(value: float | None) -> float | None:

@@ -232,3 +232,15 @@ def test_words_of_water_and_density_are_explained_and_empty_conditions_have_no_c
 def test_a_command_breaks_between_its_words_alone(site):
     page = html(split_page(site, "slam-mini"))
     assert '<span class="word">oysterbench</span> <span class="word">render</span>' in page
+
+
+def test_a_record_folds_the_settings_of_its_evaluator_too(site):
+    page = html(record_page(site, RECORDS["steady"].digest))
+    before, after = page.split("<summary>All settings</summary>")
+    assert "velocity_step_s" not in before
+    assert "velocity_step_s" in after.split("</details>")[0]
+
+
+def test_several_side_by_side_say_how_much_each_lost(site):
+    table = several_page(site, [record.digest for record in RECORDS.values()]).tables[0]
+    assert [shown(table, name)["lost"] for name in ("steady", "brave", "gap")] == ["0", "2", "1"]

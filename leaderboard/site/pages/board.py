@@ -12,7 +12,7 @@ from oysterbench.evaluate.metrics import SPEEDS, TRACKS, find_metric
 from oysterbench.report.columns import STANDING_OF_TRACK, lost_column, lost_note, metric_column, standing_column
 from oysterbench.report.table import Cell, Column, Table, TableRow, interval_column
 from oysterbench.results.records import plain
-from oysterbench_leaderboard.board import DEFAULTS, BoardInfo, BoardPage, Query, Row, State
+from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row, State
 from oysterbench_leaderboard.record import RANKED
 from oysterbench_leaderboard.record import TIERS as ALL_TIERS
 from oysterbench_leaderboard.site import numbers
@@ -164,18 +164,11 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
         "machines": machines_note(found.rows),
         "drawings": [drawing] if (drawing := stress_drawing(site, info, found.rows)) else [],
         "has_ranks": any(row.rank is not None for row in found.rows),
-        "settings": {key: setting_text(value) for key, value in info.settings.items()},
-        "changed": info.changed_settings,
-        "has_defaults": info.track in DEFAULTS,
+        "settings": {key: numbers.setting_text(value) for key, value in info.settings.items()},
         "carried": carried(info.split),
     }
     data = Later(lambda: _data(found))
     return Page(path, title, "board.html", context, (table,), data, asked_by(query))
-
-
-def setting_text(value: Any) -> str:
-    """A setting as pages show it."""
-    return "none" if value in (None, [], ()) else ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def heats(site: Site, info: BoardInfo, rows: Sequence[Row]) -> list[Table]:

@@ -6,7 +6,15 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from oysterbench.core.page import STYLES
-from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, lost_note, metric_column, standing_column
+from oysterbench.evaluate.metrics import TRACKS
+from oysterbench.report.columns import (
+    OF_TRACK,
+    STANDING_OF_TRACK,
+    lost_column,
+    lost_note,
+    metric_column,
+    standing_column,
+)
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow
 from oysterbench.results.comparison import Board, as_plain
 from oysterbench.results.records import plain
@@ -83,19 +91,23 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
         for column in (metric_column(board.metric), *STANDING_OF_TRACK[board.track], *OF_TRACK[board.track])
         if column.better and column.key in board.keys
     )
+    loses = TRACKS[board.track].lost_below is not None
     columns = (
         Column("rank", "Rank", kind="number"),
         Column("method", "Method"),
         *(standing_column(key, board.track) for key in keys),
+        *([lost_column(board.track, len(board.sequences))] if loses else []),
     )
     lines = []
     for side, rank in zip(sides, rank_cells([side.row for side in sides]), strict=True):
         of = board.runs_of(side.label)
         means = (numbers.finite(of.over(key, board.sequences)) for key in keys)
-        lines.append(TableRow((rank, Cell(side.label, path=record_path(side.row.digest), small=side.row.team), *means)))
+        name = Cell(side.label, path=record_path(side.row.digest), small=side.row.team)
+        lost = [Cell(side.row.lost, kind="warn" if side.row.lost else "")] if loses else []
+        lines.append(TableRow((rank, name, *means, *lost)))
     notes = ("Errors cover only what was estimated: read them together with coverage.",) if "coverage" in keys else ()
-    if lost := lost_note(board.track):
-        notes = (lost,)
+    if loses:
+        notes = (lost_note(board.track),)
     return Table(f"Over {numbers.count(len(board.sequences), 'sequence')}", columns, tuple(lines), notes)
 
 

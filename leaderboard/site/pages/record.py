@@ -87,6 +87,7 @@ def record_page(site: Site, digest: str) -> Page:
         "paper": paper_address(row.paper),
         "remarks": failures_and_notes(results),
         "making": making(record),
+        "settings": {key: numbers.setting_text(value) for key, value in info.settings.items()},
         "raw": f"{record_path(row.digest)}/record",
         "raw_curves": f"{record_path(row.digest)}/curves",
     }
@@ -281,10 +282,6 @@ def making(record: Record) -> dict[str, list[str]]:
 
     for result in record.results:
         add("Settings of the method", settings_text(result.method_settings))
-        add(
-            "Settings of the evaluator",
-            settings_text({k: v for k, v in result.settings.items() if v not in (None, [], ())}),
-        )
         add("oysterbench", result.oysterbench_version)
         add("Machine", settings_text(result.hardware))
     seeds = [str(result.seed) for result in record.results if result.seed is not None]
