@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from glob import escape
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
 
@@ -231,7 +232,12 @@ def check_names(truth: Iterable[str], predicted: Iterable[str], place: Path) -> 
         if missing:
             names = sorted(missing)
             more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            # Such as a JPEG, in which the values of a mask blur.
+            other = (
+                next((path.name for path in sorted(place.glob(f"{escape(names[0])}.*"))), "") if place.is_dir() else ""
+            )
+            form = f" ({other} is there, which is no {', '.join(SUFFIXES)})" if other and names[0] in wanted else ""
             raise LabelError(
-                f"{place}: {text} {', '.join(names[:3])}{more}; expected one prediction for each of {len(wanted)} "
-                f"images, named as in the ground truth, e.g. {min(wanted, default='NAME')}"
+                f"{place}: {text} {', '.join(names[:3])}{more}{form}; expected one prediction for each of "
+                f"{len(wanted)} images, named as in the ground truth, e.g. {min(wanted, default='NAME')}"
             )

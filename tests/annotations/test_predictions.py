@@ -98,6 +98,12 @@ def test_masks_of_0_and_1_among_probability_maps_are_not_guessed_at(tmp_path):
         predictions.get("b")
 
 
+def test_a_mask_in_another_format_is_told_apart_from_none(tmp_path):
+    (tmp_path / "a.jpg").write_bytes(b"x")
+    with pytest.raises(LabelError, match=r"no prediction for a \(a\.jpg is there, which is no \.png, \.npy, \.npz\)"):
+        check_names(["a", "b"], ["b"], tmp_path)
+
+
 def test_missing_and_further_predictions_are_refused_by_name(tmp_path):
     with pytest.raises(LabelError, match="no prediction for b; expected one prediction for each of 2 images"):
         check_names(["a", "b"], ["a"], tmp_path)

@@ -222,6 +222,11 @@ def test_estimates_of_other_images_and_sizes_are_refused(truth, estimate, messag
         ClipScorer().add(truth, estimate)
 
 
+def test_an_estimate_that_is_transposed_is_not_advised_to_be_resized():
+    with pytest.raises(LabelError, match=r"expected .* 3 x 2, got 2 x 3; is it turned or transposed"):
+        check_size(EstimateImage("a", oyster=np.zeros((3, 2), bool)), (2, 3), "a")
+
+
 @pytest.mark.parametrize(
     ("given_as", "advice"),
     [

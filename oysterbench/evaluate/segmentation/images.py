@@ -130,9 +130,8 @@ def check_size(estimate: EstimateImage, shape: tuple[int, ...], where: str) -> N
     the file's path, and says how to resize what was given."""
     if estimate.shape != shape:
         (h, w), (eh, ew) = shape, estimate.shape
-        raise LabelError(
-            f"{where}: expected an estimate of the truth's size, {w} x {h}, got {ew} x {eh}; {_resizing(estimate)}"
-        )
+        advice = "is it turned or transposed?" if (eh, ew) == (w, h) else _resizing(estimate)
+        raise LabelError(f"{where}: expected an estimate of the truth's size, {w} x {h}, got {ew} x {eh}; {advice}")
 
 
 def _resizing(estimate: EstimateImage) -> str:
