@@ -29,6 +29,7 @@ EPOCH = (1980, 1, 1, 0, 0, 0)
 """Date of files in archives that are made here."""
 
 NAMED = "expected names as `SEQUENCE.tum`"
+OF_THE_SYSTEM = (".DS_Store", "Thumbs.db", "desktop.ini")
 SHOWN = 80
 """Characters of a name in a message."""
 
@@ -69,6 +70,11 @@ def shown(name: str) -> str:
     return ascii(name[:SHOWN])
 
 
+def _is_of_the_system(name: str) -> bool:
+    """Whether an entry is what a desktop puts into archives beside the files of its user. It is never read."""
+    return name.startswith("__MACOSX/") or name.rpartition("/")[2] in OF_THE_SYSTEM
+
+
 class Archive:
     """A zip archive. All its entries are checked before the first is read.
 
@@ -86,6 +92,8 @@ class Archive:
         budget.take(len(entries), sum(max(entry.file_size, 0) for entry in entries))
         self.entries: dict[str, zipfile.ZipInfo] = {}
         for entry in entries:
+            if _is_of_the_system(entry.orig_filename):
+                continue
             self._check(entry, arrays)
             self.entries[entry.orig_filename] = entry
 

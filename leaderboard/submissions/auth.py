@@ -136,8 +136,10 @@ class Auth:
                 if refusal.retry_s:
                     response.headers["Retry-After"] = str(refusal.retry_s)
                 response.headers["Connection"] = "close"  # what is still being sent is not waited for
-            except (ClientDisconnect, asyncio.CancelledError):
+            except asyncio.CancelledError:
                 raise
+            except ClientDisconnect:  # nobody is there who could read an answer, and it is no failure of the server
+                response = Response(status_code=400)
             except Exception:
                 self.service.log.exception("%s %s", request.method, request.url.path)
                 response = PlainTextResponse(FAILED.reason, FAILED.status, {"Connection": "close"})

@@ -110,6 +110,8 @@ class Catalogue:
         """Raises Refusal naming what there is."""
         if split not in self.splits:
             known = ", ".join(self.splits) or "none"
+            if not split:
+                raise Refusal("split", f"expected the split that was predicted, one of {known}, got none")
             raise Refusal("split", f"submissions to {split!r:.60} are not accepted here; the splits are {known}")
         served = self.splits[split]
         if track and track not in served.wanted:

@@ -20,6 +20,7 @@ from oysterbench.hub.sources import HOST, RETRIED, Patience, retry_after_s
 from oysterbench.hub.transfer import pause_s
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.submissions.package import Package
+from oysterbench_leaderboard.submissions.refusals import STATUS
 
 MOST_ANSWER = 64_000_000
 WAIT_S = (1.0, 10.0)
@@ -27,6 +28,9 @@ WAIT_S = (1.0, 10.0)
 
 CHECKED_S = 300.0
 """Within which a server answers."""
+
+NO_BOARD = "no leaderboard that takes submissions is there: expected the address of its first page"
+"""Said of the address of something else."""
 
 REFUSED_FOR_GOOD = ("quota", "guessing")
 """Kinds of refusals that come with a status that otherwise is worth another attempt."""
@@ -62,8 +66,17 @@ class Client:
             self._headers["Authorization"] = f"Bearer {token}"
 
     def splits(self) -> dict[str, Any]:
-        """What the server takes, and its limits. Raises Refused where it does not know the token."""
-        return self._ask("GET", "/api/submissions/splits")
+        """What the server takes, and its limits. Raises Refused where it does not know the token, and HubError where
+        it is no server of submissions."""
+        try:
+            found = self._ask("GET", "/api/submissions/splits")
+        except Refused as refused:
+            if refused.kind not in STATUS:
+                raise HubError(f"{self.url}: {NO_BOARD} ({str(refused).rpartition('refused: ')[2]})") from None
+            raise
+        if not {"splits", "limits"} <= found.keys():
+            raise HubError(f"{self.url}: {NO_BOARD} (it answers something else)")
+        return found
 
     def send(self, package: Package, method: str, url: str, summary: str, progress: Progress) -> dict[str, Any]:
         """Send a package: the submission, which is the one that is there where it was sent before."""

@@ -12,7 +12,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import OysterbenchError, ResultError
-from oysterbench.core.names import listed
+from oysterbench.core.names import did_you_mean, listed, nearest
 
 TOKEN = "OYSTERBENCH_TOKEN"
 
@@ -137,7 +137,11 @@ def _choose(splits: list[dict[str, Any]], name: str, place: Path) -> dict[str, A
     known = {one["split"]: one for one in splits}
     if name:
         if name not in known:
-            raise ResultError(f"{name}: this leaderboard accepts submissions to {', '.join(known) or 'no split'}")
+            meant = did_you_mean(nearest(name, known)).strip()
+            raise ResultError(
+                f"{name}: this leaderboard accepts submissions to {', '.join(known) or 'no split'}"
+                + (f"; {meant}" if meant else "")
+            )
         return known[name]
     names = {path.stem for path in place.iterdir()} if place.is_dir() else set()
     fits = [one for one in splits if names & set(one["sequences"])]

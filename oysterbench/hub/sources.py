@@ -204,6 +204,11 @@ def retry_after_s(value: str | None) -> float:
 
 def _cause(error: BaseException) -> str:
     """The innermost reason, in words."""
+    import urllib3
+
+    system = error.__cause__
+    if isinstance(error, urllib3.exceptions.NewConnectionError) and isinstance(system, OSError) and system.strerror:
+        return system.strerror  # not with the name of a class and all its values
     reasons = (getattr(error, "reason", None), *error.args)
     reason = next((one for one in reasons if isinstance(one, BaseException)), None)
     return str(error) or type(error).__name__ if reason is None else _cause(reason)

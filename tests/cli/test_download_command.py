@@ -76,7 +76,9 @@ def test_errors_are_one_line_with_their_code(place, tmp_path):
         return done.stderr
 
     key = ("--key", place.public)
-    assert "no answer" in line(4, "download", "tiny", "--from", "http://127.0.0.1:9/", *key)
+    assert "no answer: Connection refused, 3 times" in line(
+        4, "download", "tiny", "--from", "http://127.0.0.1:9/", *key
+    )
     assert "not signed" in line(3, "download", "tiny", "--from", place.tree, "--key", "ab" * 32)
     no_key = line(1, "download", "tiny", "--from", place.tree)
     assert no_key.startswith(f"oysterbench: {place.tree}: its public key is not known here")

@@ -24,6 +24,7 @@ from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.uploads import check_headers
 from tests.helpers.pool import NAMES, answers, estimate, path, tum, zipped
 from tests.helpers.served import Site, lay, running
+from tests.helpers.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +127,33 @@ def test_a_file_that_does_harm_is_refused_with_its_reason(site, tmp_path, attack
     assert site.count() == before, "it costs no quota"
     assert site.server.alive()
     assert list((site.folder / "private" / "incoming").iterdir()) == []
+
+
+def test_what_a_desktop_puts_into_archives_is_passed_over(site, tmp_path):
+    """As the archives of Finder and Explorer have it."""
+    files = {f"{name}.tum": tum(estimate(k), tmp_path) for k, name in enumerate(NAMES)}
+    beside = {"__MACOSX/._pool-01.tum": b"\0\5\26\7", ".DS_Store": b"x", "Thumbs.db": b"x"}
+    status, made = site.server.send(site.token, zipped({**beside, **files}), method="desktop")
+    assert status == 201, made
+    assert site.server.wait(site.token, made["id"])["state"] == "done"
+    status, answer = site.server.send(site.token, zipped(beside), method="desktop")
+    assert (status, answer["reason"]) == (422, "the archive holds no file")
+
+
+def test_an_upload_that_breaks_off_leaves_nothing_and_is_no_failure_of_the_server(site, tmp_path):
+    data = answers(tmp_path)
+    query = urlencode({"method": "cut", "split": "pool-test"})
+    head = f"POST /api/submissions?{query} HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {site.token}\r\n"
+    head += f"Content-Type: application/zip\r\nContent-Length: {len(data)}\r\n\r\n"
+    before = site.count()
+    for _ in range(2):
+        with closing(socket.create_connection(("127.0.0.1", site.server.port), timeout=60)) as connection:
+            connection.sendall(head.encode() + data[: len(data) // 2])
+            connection.shutdown(socket.SHUT_WR)
+            assert not connection.recv(1000).startswith(b"HTTP/1.1 2")
+    until(lambda: not list((site.folder / "private" / "incoming").iterdir()))
+    assert site.count() == before
+    assert "Traceback" not in (site.folder / "server.log").read_text()
 
 
 @pytest.mark.parametrize(

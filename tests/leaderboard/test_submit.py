@@ -16,6 +16,7 @@ from oysterbench.hub.sources import Patience
 from oysterbench_leaderboard.submissions.client import Client, Refused
 from tests.helpers.pool import NAMES, answers, estimate, image_names, steered, tum, zipped
 from tests.helpers.served import Site, lay, running
+from tests.helpers.web import Honest, serving
 
 
 @pytest.fixture(scope="module")
@@ -236,6 +237,22 @@ def test_a_server_that_is_not_there_is_a_network_failure(tmp_path):
         Client("http://127.0.0.1:9", "x", quick).splits()
     with pytest.raises(HubError, match="expected the address of a leaderboard"):
         Client("board.example")
+
+
+@pytest.mark.parametrize(
+    "site_", [{}, {"api/submissions/splits": b"<!doctype html><p>our lab"}], ids=["absent", "a page"]
+)
+def test_an_address_of_something_else_is_called_that(site_):
+    with (
+        serving(Honest, site_) as other,
+        pytest.raises(HubError, match="no leaderboard that takes submissions is there"),
+    ):
+        Client(other.url, "x", Patience(attempts=1)).splits()
+
+
+def test_a_split_that_is_misspelled_is_told_with_the_one_that_was_meant(site, estimates):
+    sent = submit(site, estimates, "--method", "x", "--split", "pool-tset")
+    assert sent.stderr.endswith("pool-val; did you mean pool-test or pool-steer?\n")
 
 
 def test_a_server_that_has_answered_is_waited_for(site):
