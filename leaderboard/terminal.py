@@ -65,6 +65,9 @@ def show_boards(
             message(f"no board is in {place.path} yet; `oysterbench leaderboard add` puts results on one")
         for table in tables:
             print_table(table)
+        if board is None and (history := len(_chosen(index, track, split, None, True)) - len(chosen)):
+            boards = "one board is" if history == 1 else f"{history} boards are"
+            message(f"{boards} of an older evaluator or a former recipe, and left out: --all shows all")
     for file, why in index.problems().items():
         message(f"left out: {file[:12]}: {why}")
 
@@ -84,6 +87,8 @@ def _chosen(
     if not found and (track or split or board):
         there = ", ".join(dict.fromkeys(f"{each.track} on {each.split}" for each in known)) or "none yet"
         asked = " on ".join(filter(None, (track, split))) or board
+        if any(track in (None, each.track) and split in (None, each.split) for each in known) and board is None:
+            raise ResultError(f"no board {asked} of today's evaluator and recipe; --all shows those of former ones")
         raise ResultError(f"no board {asked}; there are: {there}")
     return found
 

@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -57,7 +58,9 @@ def test_it_lists_the_boards_with_the_top_of_each(board):
     assert "slam on slam-val (slam 3)" in result.stdout
     assert "segmentation on seg-val (segmentation 1)" in result.stdout
     assert "slam 2" not in result.stdout
+    assert "one board is of an older evaluator or a former recipe, and left out: --all shows all" in result.stderr
     assert "slam 2" in shown("--all").stdout
+    assert "older evaluator" not in shown("--all").stderr
     assert "5 of 8 rows" in result.stdout
 
 
@@ -233,3 +236,12 @@ def test_the_log_of_submissions_obeys_no_stranger(board, tmp_path):
     printed = typed("leaderboard", "submissions", "log", "--submissions", private).output
     assert "stranger\\u001b[2J  refused    archive: \\u009b2J\\u202e.png\\r!\n" in printed
     assert json.loads(typed("leaderboard", "submissions", "log", "--submissions", private, "--json").output)
+
+
+def test_a_track_with_nothing_but_a_former_recipe_names_the_option_that_shows_it(board):
+    new = record_made("new", track="segmentation", split="seg-val")
+    new = replace(new, results=tuple(replace(one, split_digest="d1" * 32) for one in new.results))
+    boxes = record_made("boxes", track="detection", split="seg-val", created="2026-10-01T00:00:00Z")
+    fill(board, {"boxes": boxes, "new": new})
+    assert "--all shows those of former ones" in refused("leaderboard", "--track", "detection")
+    assert "boxes" in shown("--track", "detection", "--all").stdout
