@@ -239,20 +239,18 @@ def test_a_server_that_is_not_there_is_a_network_failure(tmp_path):
         Client("board.example")
 
 
-@pytest.mark.parametrize(
-    "site_", [{}, {"api/submissions/splits": b"<!doctype html><p>our lab"}], ids=["absent", "a page"]
-)
-def test_an_address_of_something_else_is_called_that(site_):
-    with (
-        serving(Honest, site_) as other,
-        pytest.raises(HubError, match="no leaderboard that takes submissions is there"),
-    ):
-        Client(other.url, "x", Patience(attempts=1)).splits()
+@pytest.mark.parametrize("page", [None, b"<!doctype html><p>our lab"])
+def test_an_address_of_something_else_is_called_that(page):
+    found = {} if page is None else {"api/submissions/splits": page}
+    with serving(Honest, found) as other:
+        client = Client(other.url, "x", Patience(attempts=1))
+        with pytest.raises(HubError, match="no leaderboard that takes submissions is there"):
+            client.splits()
 
 
 def test_a_split_that_is_misspelled_is_told_with_the_one_that_was_meant(site, estimates):
     sent = submit(site, estimates, "--method", "x", "--split", "pool-tset")
-    assert sent.stderr.endswith("pool-val; did you mean pool-test or pool-steer?\n")
+    assert "pool-val; did you mean pool-test" in sent.stderr
 
 
 def test_a_server_that_has_answered_is_waited_for(site):
