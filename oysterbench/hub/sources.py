@@ -209,6 +209,8 @@ def _cause(error: BaseException) -> str:
     system = error.__cause__
     if isinstance(error, urllib3.exceptions.NewConnectionError) and isinstance(system, OSError) and system.strerror:
         return system.strerror  # not with the name of a class and all its values
+    if isinstance(error, urllib3.exceptions.SSLError) and "WRONG_VERSION_NUMBER" in str(error):
+        return "the server does not speak TLS: is its address http://, and not https://?"
     reasons = (getattr(error, "reason", None), *error.args)
     reason = next((one for one in reasons if isinstance(one, BaseException)), None)
     return str(error) or type(error).__name__ if reason is None else _cause(reason)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from oysterbench.core.errors import HubError, SequenceError
+from oysterbench.core.errors import HubError, IntegrityError, SequenceError
 from oysterbench.core.files import home, models
 from oysterbench.hub.canonical import decode, sha256
 from oysterbench.hub.index import IndexBody, SignedIndex
@@ -146,9 +146,13 @@ def check_unknown(path: Path) -> Check:
 
 
 def kept_manifest(folder: Path) -> Manifest | None:
-    """The manifest that a download left beside its files."""
+    """The manifest that a download left beside its files; None also where it has been damaged since: then it vouches
+    for nothing, and files are read instead."""
     path = folder / MANIFEST
-    return read_manifest(path.read_bytes(), str(path)) if path.is_file() else None
+    try:
+        return read_manifest(path.read_bytes(), str(path)) if path.is_file() else None
+    except IntegrityError:
+        return None
 
 
 def kept_card(path: Path) -> Model | None:
@@ -240,6 +244,8 @@ def _check_folder(folder: Path) -> Iterator[Check]:
     if manifest is not None:
         yield from (check_file(folder / entry.name, entry) for entry in manifest.files)
         return
+    if (folder / MANIFEST).is_file():
+        yield Check(folder / MANIFEST, DAMAGED, "not a manifest; downloading the split again writes it anew")
     for path in sorted(folder.glob("*.mcap")):
         yield _check_alone(path)
 

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 
 import pytest
+from click.testing import CliRunner
 
 import oysterbench
+from oysterbench.cli.main import main
 from oysterbench.core.errors import HubError, IntegrityError, NetworkError, SequenceError
 from oysterbench.hub import download as downloading
 from oysterbench.hub.download import Hub, choose, download, find_here, part_path, plan
 from oysterbench.hub.manifest import Manifest, build_manifest
 from oysterbench.hub.topics import fetch_topics, plan_topics
+from oysterbench.hub.verify import DAMAGED, UNKNOWN, checks
 from oysterbench.sequence.file import read_messages
 from tests.helpers.blobs import CALM
 from tests.helpers.trees import (
@@ -76,6 +80,20 @@ def test_another_file_under_the_name_is_left_alone(published, tmp_path):
     with pytest.raises(HubError, match="it was left unchanged"):
         download(hub_at(published, published.tree), published.manifest, tmp_path)
     assert (tmp_path / "dive-01.mcap").read_bytes() == b"mine"
+
+
+def test_a_manifest_that_was_damaged_since_is_written_anew_and_no_file_is_fetched_again(published, tmp_path, home):
+    hub = hub_at(published, published.tree)
+    folder = home / "splits" / "fake-val" / "1.0-x"
+    download(hub, published.manifest, folder)
+    (folder / "manifest.json").write_text("garbage")
+    found = {check.path.name: check.state for check in checks("")}
+    assert found == {"manifest.json": DAMAGED, "dive-01.mcap": UNKNOWN, "dive-02.mcap": UNKNOWN}
+    assert find_here("fake-val", "1.0") is None
+    assert json.loads(CliRunner().invoke(main, ["splits", "--json"]).stdout)["splits"]
+    assert [step.state for step in plan(published.manifest, published.manifest.files, folder)] == ["here", "here"]
+    download(Hub([], None), published.manifest, folder)
+    assert (folder / "manifest.json").read_bytes() == published.manifest.data
 
 
 def test_only_chosen_sequences_are_fetched(published, tmp_path):
