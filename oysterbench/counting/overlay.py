@@ -107,7 +107,8 @@ def _said(picture: PictureCount) -> str:
 
 
 def _with_strip(drawn: Pixels, text: str, unlike: bool) -> Pixels:
-    """The picture below a dark strip with the text; of one that is warned of, orange, and a frame around it."""
+    """The picture below a dark strip with the text, where that is wide enough to be read; of one that is warned of,
+    orange, and a frame around it."""
     height, width = drawn.shape[:2]
     tall = max(22, round(math.sqrt(height * width) / 24))
     ground, ink = ((213, 94, 0), (255, 255, 255)) if unlike else ((20, 32, 43), (255, 255, 255))
@@ -115,9 +116,10 @@ def _with_strip(drawn: Pixels, text: str, unlike: bool) -> Pixels:
     text = f"! {text}, {WARNING}" if unlike else text
     (wide, _), _ = cv2.getTextSize(text, FONT, 1.0, 2)
     scale = min(tall / 40, (width - 8) / max(wide, 1))
-    if scale > 0.2:  # less is no writing
-        place = (4 + tall // 6, round(tall / 2 + 11 * scale))
-        cv2.putText(strip, text, place, FONT, scale * 0.94, ink, max(1, round(2 * scale)), cv2.LINE_AA)
     if unlike:
         cv2.rectangle(drawn, (0, 0), (width - 1, height - 1), ground, max(1, round(max(height, width) / 160)))
+    if scale <= 0.2:  # no writing
+        return drawn
+    place = (4 + tall // 6, round(tall / 2 + 11 * scale))
+    cv2.putText(strip, text, place, FONT, scale * 0.94, ink, max(1, round(2 * scale)), cv2.LINE_AA)
     return np.concatenate([strip, drawn])

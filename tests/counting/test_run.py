@@ -269,6 +269,13 @@ def test_an_overlay_shows_states_and_quadrat_in_colours_of_their_own_and_what_is
     assert has(drawn, (255, 255, 255))
 
 
+def test_an_overlay_has_no_strip_where_nothing_can_be_written(folder, tmp_path):
+    found, _ = count(folder, tmp_path / "out")
+    one = replace(found.pictures[2], width=1, height=1)
+    assert overlay(np.zeros((1, 1, 3), np.uint8), None, [], one, None).shape == (8, 8, 3)
+    assert overlay(discs(), None, [], found.pictures[2], None).shape[0] > 4 * 120
+
+
 def test_an_overlay_of_an_unlike_picture_has_an_orange_frame(folder, tmp_path):
     found, _ = count(folder, tmp_path / "out")
     strange = replace(found.pictures[2], novelty=1.5)
