@@ -252,7 +252,8 @@ def check_space(folder: Path, wanted: int) -> None:
     if wanted + SPARE > free:
         raise HubError(
             f"{folder}: not enough room: {wanted / 1e6:.0f} MB are to be fetched, and {free / 1e6:.0f} MB are free; "
-            "nothing was fetched: make room, choose fewer files with --sequence, or another place with OYSTERBENCH_HOME"
+            "nothing was fetched: make room, choose fewer files with --sequence, or another place with --out or "
+            "OYSTERBENCH_HOME"
         )
 
 

@@ -180,6 +180,19 @@ def test_a_disk_that_fills_up_is_named(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_what_the_system_refuses_while_it_renders_is_told_by_the_folder_that_was_asked_for(
+    tiny_split, tmp_path, monkeypatch
+):
+    def full(split, missing, folder, *rest):
+        part = folder / ".parts" / "tiny-01" / "0.part"
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(part))
+
+    monkeypatch.setattr(generate, "_render", full)
+    with pytest.raises(OSError, match="No space left") as raised:
+        generate_split(tiny_split, tmp_path / "out")
+    assert raised.value.filename == str(tmp_path / "out")
+
+
 def test_a_file_of_another_recipe_is_refused_and_left_alone(tiny_file, tmp_path):
     other = make_split(TINY_SPLIT.replace("seed = 5", "seed = 6"))
     copy = tmp_path / "tiny-01.mcap"
