@@ -54,8 +54,10 @@ def add(name: str, folder: Path, replace: bool, another: bool, file: Path | None
     \b
     Examples:
       oysterbench leaderboard team add "reef lab" --submissions /srv/oysters
-      oysterbench leaderboard team add "reef lab" --submissions /srv/oysters --token-file reef-lab.token
-      oysterbench leaderboard team add "reef lab" --submissions /srv/oysters --replace    it was lost, or seen by others
+      oysterbench leaderboard team add "reef lab" --submissions /srv/oysters --token-file token
+      oysterbench leaderboard team add "reef lab" --submissions /srv/oysters --replace
+
+    --replace is for a token that was lost, or that others have seen.
     """
     from oysterbench.core.files import appearing
     from oysterbench_leaderboard.submissions.tokens import issue
