@@ -153,19 +153,21 @@ def models(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | 
     if as_json:
         echo(json.dumps({"models": rows}, indent=2))
         return
-    from rich.table import Table
-    from rich.text import Text
+    from oysterbench.cli.outputs import print_table
+    from oysterbench.report.table import Column, Table, TableRow
 
-    from oysterbench.cli.outputs import print_rich
-
-    table = Table(box=None, pad_edge=False)
-    for heading in ("model", "here", *(("hub",) if hub else ()), "runs in", "training takes"):
-        table.add_column(heading)
+    columns = (
+        Column("model", "model"),
+        Column("here", "here"),
+        *((Column("hub", "hub"),) if hub else ()),
+        Column("methods", "runs in", wide=True),
+        Column("takes", "training takes"),
+    )
+    cells = []
     for row in rows:
         of_hub = (", ".join(row["hub"]) or "no",) if hub else ()
-        cells = (row["model"], row["here"], *of_hub, ", ".join(row["methods"]), row["takes"])
-        table.add_row(*(Text(cell) for cell in cells))
-    print_rich(table)
+        cells.append((row["model"], row["here"], *of_hub, ", ".join(row["methods"]), row["takes"]))
+    print_table(Table("", columns, tuple(map(TableRow, cells))))
 
 
 def _hub(places: tuple[str, ...], key: str | None) -> Hub:

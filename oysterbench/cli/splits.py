@@ -111,16 +111,15 @@ def splits_table(rows: Iterable[SplitRow]) -> Table:
 
 
 def _print_sequences(split: SplitRecipe, as_json: bool) -> None:
-    from oysterbench.cli.outputs import print_rich
+    from oysterbench.cli.outputs import print_table
     from oysterbench.report.recipes import sequences_table
     from oysterbench.report.renderers.json import json_rows
-    from oysterbench.report.renderers.terminal import terminal_table
 
     table = sequences_table(split)
     if as_json:
         echo(json.dumps({"split": split.name, "sequences": json_rows(table)}, indent=2))
     else:
-        print_rich(terminal_table(table))
+        print_table(table)
 
 
 def _known(splits: dict[Path, SplitRecipe]) -> Iterator[SplitRow]:

@@ -19,10 +19,10 @@ def sequences_table(split: SplitRecipe) -> Table:
     shown = [key for key in SHOWN if any(key in values for values in like.values())]
     measured = cost.measured(split_folder(split))
     columns = [Column("sequence", "Sequence")]
-    for key in shown:
+    for i, key in enumerate(shown):
         about = CONDITIONS[key]
         heading = about.name[:1].upper() + about.name[1:]
-        columns.append(Column(key, heading, about.unit, "number" if key in NUMBERS else "text"))
+        columns.append(Column(key, heading, about.unit, "number" if key in NUMBERS else "text", wide=i > 1))
     columns += [
         Column("cpu_estimated_s", "Estimated", "CPU min", "number", digits=1, factor=1 / 60),
         Column("cpu_measured_s", "Measured", "CPU min", "number", digits=1, factor=1 / 60),

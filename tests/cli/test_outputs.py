@@ -7,7 +7,14 @@ from click.testing import CliRunner
 
 from oysterbench.cli.main import main
 
-COMMANDS = (("splits",), ("doctor",), ("models",), ("leaderboard", "--split", "slam-val"), ("splits", "slam-val"))
+COMMANDS = (
+    ("splits",),
+    ("doctor",),
+    ("models",),
+    ("systems",),
+    ("leaderboard", "--split", "slam-val"),
+    ("splits", "slam-val"),
+)
 
 
 @pytest.fixture(autouse=True)
