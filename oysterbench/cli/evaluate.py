@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -118,9 +119,12 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
         written += outputs.write(found.runs, out, found.data_set, found.first, figures, beside)
     if outputs.as_json:
         echo(dump(document(records, data_set)))
-    printed = [] if outputs.on_stdout else [table for table in found.printed if table.rows]
-    for table in printed:
-        print_table(table)
+    failures = [one for one in records if one.failure is not None]
+    elsewhere = tuple(f" failed: {one.failure}" for one in failures)  # told at the end, with where the output is
+    for table in () if outputs.on_stdout else found.printed:
+        if table.rows:
+            notes = tuple(note for note in table.notes if not note.endswith(elsewhere))
+            print_table(replace(table, notes=notes))
     for each in found.unscored:
         if each.failure is not None:
             message(each.failure)
@@ -135,14 +139,10 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
         )
     for path in written:
         message(f"written: {path}")
-    failures = [one for one in records if one.failure is not None]
-    below_tables = "\n".join(note for table in printed for note in table.notes)
     for one in failures:
         kept_at = None if out is None else out / "runs" / one.method / one.sequence / f"{one.run + 1}"
-        logs = f"full output: {kept_at}" if kept_at is not None and kept_at.is_dir() else ""
-        why = "" if str(one.failure) in below_tables else one.failure  # once is enough
-        told = "; ".join(filter(None, (why, logs)))
-        message(f"{one.method} failed on {one.sequence}{f': {told}' if told else ''}")
+        logs = f"; full output: {kept_at}" if kept_at is not None and kept_at.is_dir() else ""
+        message(f"{one.method} failed on {one.sequence}: {one.failure}{logs}")
     if failures or any(each.failure is not None for each in found.unscored):
         sys.exit(OysterbenchError.exit_code)
 
