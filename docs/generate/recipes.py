@@ -74,7 +74,8 @@ def _section(kind: type, name: str, many: bool = False) -> str:
     hints = typing.get_type_hints(kind)
     rows = [_row(told, hints[told.field.name]) for told in told_fields(kind) if told.field.name not in NOT_WRITTEN]
     about = inspect.cleandoc(kind.__doc__ or "")
-    return f"\n## {heading} {{ #{anchor} }}\n\n{about}\n\n{table(('Key', 'Type', 'Allowed', 'Default', 'Meaning'), rows)}"
+    keys = table(("Key", "Type", "Allowed", "Default", "Meaning"), rows)
+    return f"\n## {heading} {{ #{anchor} }}\n\n{about}\n\n{keys}"
 
 
 def _row(told: Told, hint: Any) -> tuple[str, ...]:
