@@ -7,19 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from oysterbench.core.errors import TrajectoryError
-from oysterbench.core.trajectory import Trajectory
 from oysterbench.evaluate.slam.association import covered_stamps, nearest_pairs
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
-from tests.helpers.dives import EPOCH_NS, noisy, survey
-
-
-def refusal(truth: Trajectory, estimate: Trajectory, **options) -> str:
-    with pytest.raises(TrajectoryError) as caught:
-        score(truth, estimate, SlamSettings(**options))
-    message = str(caught.value)
-    assert "\n" not in message
-    return message
+from tests.helpers.dives import EPOCH_NS, noisy, refusal, survey
 
 
 def test_a_gap_in_the_estimate_is_not_interpolated_and_lowers_coverage():

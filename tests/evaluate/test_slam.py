@@ -19,16 +19,7 @@ from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.slam.metrics import SLAM
 from oysterbench.evaluate.slam.pairs import distances, pairs_along, pairs_over_time
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
-from tests.helpers.dives import EPOCH_NS, dive, moved, noisy, survey
-
-
-def refusal(truth: Trajectory, estimate: Trajectory, **options) -> str:
-    with pytest.raises(TrajectoryError) as caught:
-        score(truth, estimate, SlamSettings(**options))
-    message = str(caught.value)
-    assert "\n" not in message
-    return message
-
+from tests.helpers.dives import EPOCH_NS, dive, moved, noisy, refusal, survey
 
 # --- what a score is -----------------------------------------------------------------------------------------------
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
+from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.streams import stream
 from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.slam.scoring import SlamSettings, score
 
 EPOCH_NS = 1_700_000_000 * 10**9
 
@@ -56,3 +60,12 @@ def moved(trajectory: Trajectory, turn: Rotation, by: tuple[float, float, float]
         positions=turn.apply(trajectory.positions) + by,
         quaternions=(turn * Rotation.from_quat(trajectory.quaternions)).as_quat(),
     )
+
+
+def refusal(truth: Trajectory, estimate: Trajectory, **options: Any) -> str:
+    """The one line in which the scoring refuses a pair. options: of `SlamSettings`"""
+    with pytest.raises(TrajectoryError) as caught:
+        score(truth, estimate, SlamSettings(**options))
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
