@@ -74,10 +74,10 @@ READING = (
         "times", "--times", "KITTI: A file with one time per line.  [default: the ground truth's]", Path, files=True
     ),
     Option(
-        "poses",
-        "--poses",
-        "Estimate: What a pose transforms: the body's points into the world, or the world's into the body.",
-        ("T_world_body", "T_body_world"),
+        "direction",
+        "--direction",
+        "Estimate: What its poses transform, as in camera-to-world.  [default: body-to-world]",
+        ("body-to-world", "world-to-body"),
         files=True,
     ),
     Option("frame", "--frame", "Estimate: Frame of the poses.", ("body", "optical"), files=True),
@@ -107,7 +107,7 @@ def read_options(given: Mapping[str, Any]) -> tuple[ReadOptions, ReadOptions]:
         ReadOptions(
             **estimate,
             times=times,
-            poses=given.get("poses"),
+            direction=given.get("direction"),
             frame=given.get("frame"),
             T_body_estimate=None if place is None else _matrix(place),
             sort=given.get("sort", False),

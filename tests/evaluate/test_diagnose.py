@@ -156,16 +156,16 @@ def test_poses_that_take_the_world_into_the_body_are_refused_with_the_option(tmp
     estimate = inverted(seen if camera else upright)
     message = refusal(tmp_path, truth, estimate)
     assert message.startswith("estimate.npz: its positions have the shape of the true path when")
-    assert message.endswith("; decide by --poses T_body_world, or --poses T_world_body to keep them")
+    assert message.endswith("; decide by --direction world-to-body, or --direction body-to-world to keep them")
     frame = {"frame": "optical"} if camera else {}
-    _, read = pair(tmp_path, truth, estimate, poses="T_body_world", **frame)
+    _, read = pair(tmp_path, truth, estimate, direction="world-to-body", **frame)
     np.testing.assert_allclose(read.matrices, upright.matrices, rtol=0, atol=1e-9)
     assert not any("inverted" in note for note in read.notes)
 
 
 def test_covariances_of_inverted_poses_are_left_out_and_it_is_said(tmp_path):
     write_npz(tmp_path / "estimate.npz", dive(12, covariances=True))
-    read = read_trajectory(tmp_path / "estimate.npz", poses="T_body_world")
+    read = read_trajectory(tmp_path / "estimate.npz", direction="world-to-body")
     assert read.covariances is None
     assert "covariances are left out" in read.notes[-1]
 

@@ -16,7 +16,7 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 Order = Literal["xyzw", "wxyz"]
 LengthUnit = Literal["m", "mm"]
 Frame = Literal["body", "optical"]
-Poses = Literal["T_world_body", "T_body_world"]
+Direction = Literal["body-to-world", "world-to-body"]
 Duplicates = Literal["first", "last", "mean", "refuse"]
 
 
@@ -30,7 +30,7 @@ class ReadOptions:
     time_unit:       of the stamps
     quaternion:      order of the four numbers in the file
     unit:            of the positions
-    poses:           what a pose does: take points of the body into the world, or the other way (COLMAP's files)
+    direction:       what a pose does: take points of the body into the world, or the other way (COLMAP's files)
     frame:           whose poses they are: the body's, or those of a camera's optical frame at the body's place
     T_body_estimate: (4, 4), takes points of the frame whose poses they are into the body
     duplicates:      which of several poses at one stamp counts; None: the first of those that differ by less than
@@ -44,7 +44,7 @@ class ReadOptions:
     time_unit: TimeUnit | None = None
     quaternion: Order | None = None
     unit: LengthUnit | None = None
-    poses: Poses | None = None
+    direction: Direction | None = None
     frame: Frame | None = None
     T_body_estimate: Array | None = None
     duplicates: Duplicates | None = None
@@ -56,7 +56,7 @@ class ReadOptions:
             "time_unit": TimeUnit,
             "quaternion": Order,
             "unit": LengthUnit,
-            "poses": Poses,
+            "direction": Direction,
             "frame": Frame,
             "duplicates": Duplicates,
         }

@@ -46,7 +46,7 @@ def read_trajectory(path: str | os.PathLike[str], options: ReadOptions | None = 
     trajectory = _read(path, options)
     if options.unit is not None:
         trajectory = scaled(trajectory, METRES[options.unit])
-    if options.poses == "T_body_world":
+    if options.direction == "world-to-body":
         trajectory = inverted(trajectory)
     if options.T_body_estimate is not None:
         return poses_of_body(trajectory, options.T_body_estimate)

@@ -195,8 +195,8 @@ def _inverted(truth: Array, estimate: Trajectory) -> list[Finding]:
             "inverted",
             f"its positions have the shape of the true path when its poses are inverted (off by {turned_round:.3g} m "
             f"after alignment, {as_is:.3g} m as they are): do they take points of the world into the body or camera?",
-            "--poses T_body_world, or --poses T_world_body to keep them",
-            {"poses": "T_body_world"},
+            "--direction world-to-body, or --direction body-to-world to keep them",
+            {"direction": "world-to-body"},
             "refuse",
         )
     ]

@@ -23,7 +23,7 @@ DECIDED_BY = {
     "time-unit": ("time_unit",),
     "length-unit": ("unit",),
     "quaternion-order": ("quaternion",),
-    "inverted": ("poses",),
+    "inverted": ("direction",),
     "frame": ("frame", "T_body_estimate"),
     "turned": ("frame", "T_body_estimate"),
 }
