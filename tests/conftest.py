@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from tests.helpers.tiny import make_split
 
 # Where the tests run in the background, SIGINT comes ignored, and programs that they start and interrupt inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+# Workers of pytest-xdist have the width of a terminal, and tables of pipes heed it.
+os.environ.pop("COLUMNS", None)
 
 
 @pytest.fixture(scope="session")
