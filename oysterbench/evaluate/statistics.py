@@ -184,7 +184,14 @@ def bootstrap_interval(values: Array, weights: Array | None = None) -> Interval:
     n = len(values)
     if n < LEAST_SEQUENCES:
         return Interval(math.nan, math.nan, too_few(n))
-    return resampled_interval(_resampled_means(values, weights), n)
+    return _interval_of(tuple(values.tolist()), None if weights is None else tuple(weights.tolist()))
+
+
+@lru_cache(maxsize=8192)
+def _interval_of(values: tuple[float, ...], weights: tuple[float, ...] | None) -> Interval:
+    """Every page of a site that compares a method asks for its intervals again."""
+    means = _resampled_means(np.array(values), None if weights is None else np.array(weights))
+    return resampled_interval(means, len(values))
 
 
 def _resampled_means(values: Array, weights: Array | None) -> Array:
