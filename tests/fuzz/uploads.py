@@ -36,7 +36,8 @@ from oysterbench_leaderboard.submissions.sandbox import Job
 from oysterbench_leaderboard.submissions.sandbox_worker import do
 from oysterbench_leaderboard.submissions.scoring import score_predictions
 from oysterbench_leaderboard.submissions.words import Form
-from tests.fuzz.mutations import BY_SUFFIX, VALUES, WORDS, archive, one, raw, zipped
+from tests.fuzz.archives import archive, zipped
+from tests.fuzz.mutations import BY_SUFFIX, VALUES, WORDS, one, raw
 from tests.fuzz.mutations import document as changed_document
 from tests.fuzz.watch import Wrong, tool
 from tests.helpers.pool import IMAGES, NAMES, classes, estimate, image_names, lay_split, steered, tum
