@@ -64,3 +64,11 @@ def test_garbage_of_the_process_that_a_case_is_forked_from_is_not_taken_off_its_
         assert run(0, "", case).memory_bytes > 80_000_000
     finally:
         gc.enable()
+
+
+def test_memory_that_was_freed_and_is_kept_for_use_is_not_taken_off_it():
+    pieces = [np.ones(100_000, np.uint8) for _ in range(3000)]
+    last = np.ones(100_000, np.uint8)  # without it, the end of the heap would be given back
+    del pieces
+    assert run(0, "", lambda: ("read", str(np.ones(100_000_000, np.uint8).sum()))).memory_bytes > 80_000_000
+    assert last.all()
