@@ -19,17 +19,18 @@ def told(error: OSError) -> str:
     '/mnt/out/a.png: No space left on device; make room there or choose another place, and run the same command again'
     """
     file = error.filename2 or error.filename  # the one that is written, where one is read
-    place = f"{os.fsdecode(file)}: " if isinstance(file, str | bytes) else ""
-    return f"{place}{error.strerror or error}{_next_step(error.errno, place)}"
+    path = Path(os.fsdecode(file)) if isinstance(file, str | bytes) else None
+    place = "" if path is None else f"{path}: "
+    return f"{place}{error.strerror or error}{_next_step(error.errno, path)}"
 
 
-def _next_step(number: int | None, place: str) -> str:
-    path = Path(place.removesuffix(": "))
-    where = "another home folder (OYSTERBENCH_HOME)" if path.is_relative_to(home()) else "another place"
+def _next_step(number: int | None, path: Path | None) -> str:
+    at_home = path is not None and path.is_relative_to(home())
+    where = "another home folder (OYSTERBENCH_HOME)" if at_home else "another place"
     if number in FULL:
         return f"; make room there or choose {where}, and run the same command again"
-    if number in FORBIDDEN and path.is_file() and not os.access(path, os.R_OK):
+    if number not in FORBIDDEN or path is None:
+        return ""
+    if path.is_file() and not os.access(path, os.R_OK):
         return f"; `chmod u+r {path}` lets its owner read it"
-    if number in FORBIDDEN and place:
-        return f"; choose {where} that you may write to"
-    return ""
+    return f"; choose {where} that you may write to"
