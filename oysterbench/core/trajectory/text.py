@@ -22,7 +22,7 @@ from oysterbench.core.trajectory.table import NUMBER, NumberTable, is_comment, r
 
 MAX_SECONDS = 9e9
 """A stamp above this is not seconds: it would be 285 years after the epoch, and its nanoseconds leave an int64."""
-DECIMAL_COMMAS = re.compile(r"([+-]?\d+(,\d+)?[;\s]+){5,}[+-]?\d+(,\d+)?;?")
+DECIMAL_COMMAS = re.compile(r"(?=.*,)([+-]?\d+(,\d+)?[;\s]+){5,}[+-]?\d+(,\d+)?;?")
 """A line of numbers between blanks or semicolons, as spreadsheets write it where the comma is the decimal sign."""
 MIN_NANOSECONDS = 1e17
 """A stamp above this is nanoseconds: as microseconds it would be 3000 years after the epoch."""
@@ -35,7 +35,8 @@ def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
     if head is None:
         found = "a header and " if text.strip() and not all(map(is_comment, text.split("\n"))) else ""
         raise TrajectoryError(f"{path} holds {found}no pose; expected lines of `t x y z qx qy qz qw`")
-    if DECIMAL_COMMAS.fullmatch(line := text.split("\n", head.begin + 1)[head.begin].strip()) and "," in line:
+    line = text.split("\n", head.begin + 1)[head.begin].strip()
+    if DECIMAL_COMMAS.fullmatch(line):
         raise TrajectoryError(
             f"{path}:{head.begin + 1}: expected numbers with decimal points, got decimal commas: {line[:60]!r}; "
             "export them with points"
