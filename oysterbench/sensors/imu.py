@@ -86,7 +86,7 @@ class ImuRecipe(SensorRecipe):
 
     rate_hz: float = number(10, 4000)
     grade: str | None = choice(tuple(IMU_GRADES), None)
-    """Preset of the noise keys: low, mid and high cost, or a typical mems."""
+    """Preset of the noise keys: a low, mid or high grade, or a typical MEMS unit."""
     gyro_noise_density: float = number(0, 1)  # rad/s/sqrt(Hz): angle random walk
     gyro_random_walk: float = number(0, 1)  # rad/s^2/sqrt(Hz): unbounded random walk of the bias
     gyro_turn_on: float = number(0, 1, 0.0)  # rad/s, 1 sigma of the bias at switch-on
