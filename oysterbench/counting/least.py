@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-SHORTEST_MM = 25.0
-"""Shell height of the smallest of 1122 oysters measured in Virginia (24.9 mm), as rendered reefs have it too."""
-
-NARROWNESS = 2 / 3
-"""Of a shell's length to its height (Galtsoff 1964, ch. 2)."""
-
-WIDEST_MM = 1650.0
-"""Of the bottom that an image shows across where its scale is not known: from 1.2 m above, as high as surveys go, by a
-lens of 69 degrees under water."""
+from oysterbench.annotations.parts import SHORTEST_MM, speck_px
 
 
 @dataclass(frozen=True)
@@ -51,9 +42,3 @@ class Least:
 
 
 EVERY_SIZE = Least(0.0, 0.0)
-
-
-def speck_px(shape: tuple[int, int]) -> float:
-    """Area in px of the smallest oyster in an image (H, W) that shows `WIDEST_MM` along its longer side."""
-    area_mm2 = math.pi / 4 * SHORTEST_MM * (NARROWNESS * SHORTEST_MM)
-    return area_mm2 * (max(shape) / WIDEST_MM) ** 2

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.annotations.parts import connected_parts
 from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array
@@ -109,14 +110,10 @@ class _Parts:
 def _connected(prediction: Segmentation, where: str, shape: tuple[int, int], threshold: float) -> _Parts:
     said = EstimateImage(where, prediction.oyster, prediction.probability, prediction.classes)
     _check_shape(said.shape, where, shape)
-    mask = np.ascontiguousarray(said.mask(threshold))
-    count, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
-    numbers = np.asarray(labels, np.int32)
-    scores = np.full(count, math.nan)
-    if said.probability is not None:
-        flat = numbers.ravel()
-        scores = np.bincount(flat, said.probability.ravel(), count) / np.maximum(np.bincount(flat, minlength=count), 1)
-    return _Parts(numbers, pieces(numbers), scores[1:].tolist(), [math.nan] * (count - 1))
+    numbers, means = connected_parts(said.mask(threshold), said.probability)
+    count = int(numbers.max(initial=0))
+    scores = [math.nan] * count if means is None else means.tolist()
+    return _Parts(numbers, pieces(numbers), scores, [math.nan] * count)
 
 
 def _masked(prediction: Detections, where: str, shape: tuple[int, int], threshold: float) -> _Parts:

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations import open_predictions, read_coco
 from oysterbench.annotations.coco import CocoFile, read_json
 from oysterbench.annotations.masks import Form
+from oysterbench.annotations.parts import connected_parts, without_specks
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.detection import ImageInstances
 from oysterbench.evaluate.detection.instances import instance_numbers, mask_tools
@@ -108,14 +108,10 @@ def _components(place: Path, stamps: Mapping[int, str], camera: str, form: Form,
 def components(
     stamp_ns: int, camera: str, mask: NDArray[np.bool_], probability: NDArray[np.floating[Any]] | None = None
 ) -> Seen:
-    """What hangs together in a mask (H, W), by edges and corners, is one oyster; its score is its mean probability."""
-    count, numbers = cv2.connectedComponents(np.ascontiguousarray(mask).view(np.uint8), connectivity=8)
-    scores: dict[int, float] = {}
-    if probability is not None:
-        pixels = np.maximum(np.bincount(numbers.ravel(), minlength=count), 1)
-        means = np.bincount(numbers.ravel(), weights=probability.ravel(), minlength=count) / pixels
-        scores = dict(enumerate(means.tolist()))
-    return Seen(stamp_ns, camera, np.asarray(numbers, np.int32), scores=scores)
+    """Each connected part of a mask (H, W) that is no speck is one oyster; its score is its mean probability."""
+    numbers, means = connected_parts(mask, probability)
+    scores = {} if means is None else dict(enumerate(means.tolist(), start=1))
+    return Seen(stamp_ns, camera, without_specks(numbers), scores=scores)
 
 
 def stacked(found: ImageInstances) -> tuple[NDArray[np.int32], dict[int, float]]:

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations import LabelledSequence, labelled_sequence, open_predictions, open_truth, read_coco
 from oysterbench.annotations.masks import Form, check_names
+from oysterbench.annotations.parts import connected_parts
 from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError, MethodError
 from oysterbench.evaluate.detection import ImageInstances
@@ -241,13 +241,9 @@ def instances_of(prediction: Prediction, method: str, shape: tuple[int, int], th
         return _detections(prediction, f"method {method!r} on {prediction.name}", shape)
     estimate = segmentation_of(prediction, method)
     _check_shape(estimate.shape, prediction.name, shape)
-    mask = np.ascontiguousarray(estimate.mask(threshold))
-    count, numbers = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
-    scores = np.ones(count)
-    if estimate.probability is not None:
-        pixels = np.maximum(np.bincount(numbers.ravel(), minlength=count), 1)
-        scores = np.bincount(numbers.ravel(), weights=estimate.probability.ravel(), minlength=count) / pixels
-    return from_planes(prediction.name, np.asarray(numbers, np.int32), scores=dict(enumerate(scores.tolist())))
+    numbers, means = connected_parts(estimate.mask(threshold), estimate.probability)
+    scores = np.ones(numbers.max(initial=0)) if means is None else means
+    return from_planes(prediction.name, numbers, scores=dict(enumerate(scores.tolist(), start=1)))
 
 
 def _detections(prediction: Detections, where: str, shape: tuple[int, int]) -> ImageInstances:
