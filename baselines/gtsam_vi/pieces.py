@@ -5,15 +5,16 @@ landmarks that were first seen in it. Most of their variables no other piece has
 it shares (states at its ends, key frames that a landmark or a tie reaches across them, calibrations) one message of
 what the whole piece says of them. What the messages of all others say of a piece's shared variables, together with its
 own factors, is all that is known of it: its step, and its marginal covariances, are those of the whole path's system,
-to rounding. Only messages outlive a piece; its factors and its elimination are made again when they are asked for.
-(Submaps whose separators are eliminated last: Ni, Steedly & Dellaert 2007, whose submaps keep their own frames.)
+to rounding. Only messages outlive a piece, and its factors where they are few (`KEPT_VIEWS`); its elimination is made
+again when it is asked for. (Submaps whose separators are eliminated last: Ni, Steedly & Dellaert 2007, whose submaps
+keep their own frames.)
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -41,6 +42,9 @@ TOLERANCE = 1e-4
 """By which share the error falls at least, or the adjustment ends."""
 HALVINGS = 3
 """Of a step that does not lower the error, before it is given up."""
+KEPT_VIEWS = 300_000
+"""Of a path, up to which its factors are kept from one step to the next: 60 MB, twenty minutes with one camera. Those of
+a longer one are made anew."""
 
 
 def parts_of(count: int, size: int) -> list[range]:
@@ -67,6 +71,8 @@ class Piecewise:
     points: Array
     owner: NDArray[np.intp]
     others: list[list[gtsam.NonlinearFactor]]
+    _orders: dict[int, gtsam.Ordering] = field(default_factory=dict)
+    _graphs: dict[int, gtsam.NonlinearFactorGraph] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -108,13 +114,27 @@ class Piecewise:
         return values_of(self.model, self.rig, self.keyframes, self.states, self.ids, self.points)
 
     def graph(self, piece: int, times: float = 1.0) -> gtsam.NonlinearFactorGraph:
-        """The factors of a piece, the sigma of views so many times as large."""
+        """The factors of a piece, the sigma of views so many times as large. Not to be added to."""
+        if times != 1.0 or len(self.views.track) > KEPT_VIEWS:
+            return self._new_graph(piece, times)
+        if piece not in self._graphs:
+            self._graphs[piece] = self._new_graph(piece, times)
+        return self._graphs[piece]
+
+    def _new_graph(self, piece: int, times: float) -> gtsam.NonlinearFactorGraph:
         graph = gtsam.NonlinearFactorGraph()
         for factor in self.others[piece]:
             graph.push_back(factor)
         seen = self.views.of_tracks(self.ids[self.owner == piece])
         add_views(graph, self.model, self.rig, self.keyframes, seen, times)
         return graph
+
+    def order(self, piece: int, linear: gtsam.GaussianFactorGraph) -> gtsam.Ordering:
+        """An order of elimination of the variables that only this piece has, whose graph is linearised somewhere: which
+        variables share a factor does not depend on where."""
+        if piece not in self._orders:
+            self._orders[piece] = nested_dissection(linear, self.shared[piece])
+        return gtsam.Ordering(self._orders[piece])
 
     def errors_px(self, values: gtsam.Values) -> Array:
         """Reprojection errors (M,) px of all views."""
@@ -146,8 +166,7 @@ class PiecewiseSystem:
             graph = path.graph(p, times)
             self.error += graph.error(values)
             linear = graph.linearize(values)
-            own = nested_dissection(linear, self._shared[p])
-            self._messages.append(linear.eliminatePartialMultifrontal(own)[1])
+            self._messages.append(linear.eliminatePartialMultifrontal(path.order(p, linear))[1])
 
     def step(self) -> gtsam.Values:
         """The values after one step of Gauss and Newton."""
@@ -170,7 +189,7 @@ class PiecewiseSystem:
     def _piece(self, piece: int) -> tuple[gtsam.GaussianFactorGraph, gtsam.Ordering]:
         """A piece's own factors and what all others say of what it shares; an order of elimination."""
         linear, shared = self._path.graph(piece, self._times).linearize(self.values), self._shared[piece]
-        ordering = nested_dissection(linear, shared)
+        ordering = self._path.order(piece, linear)
         outside = self._outside(piece)
         for n in range(outside.size()):
             linear.push_back(outside.at(n))
