@@ -43,8 +43,8 @@ TOLERANCE = 1e-4
 HALVINGS = 3
 """Of a step that does not lower the error, before it is given up."""
 KEPT_VIEWS = 300_000
-"""Of a path, up to which its factors are kept from one step to the next: 60 MB, twenty minutes with one camera. Those of
-a longer one are made anew."""
+"""Of a path, up to which its factors are kept from one step to the next: 60 MB, twenty minutes with one camera. Those
+of a longer one are made anew."""
 
 
 def parts_of(count: int, size: int) -> list[range]:
