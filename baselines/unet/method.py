@@ -19,13 +19,13 @@ class UNet:
 
     checkpoint: path of the training; by default that which `OYSTERBENCH_UNET` names, or which `oysterbench train unet`
     or `oysterbench download unet` left. device: auto, cpu, cuda or cuda:N. views: of a picture, of which the mean is
-    taken: 1 as it is, 2 mirrored as well, 3 enlarged as well, 4 both.
+    taken: 1 as it is, 2 enlarged and mirrored as well, 3 mirrored as well, 4 enlarged as well.
     """
 
     name, track = "unet", "segmentation"
     weights_name = "unet"
 
-    def __init__(self, checkpoint: str = "", device: str = "auto", views: int = 4) -> None:
+    def __init__(self, checkpoint: str = "", device: str = "auto", views: int = 2) -> None:
         if not 1 <= views <= 4:
             raise MethodError(f"{self.name}: views: expected 1 to 4, got {views}")
         self.checkpoint, self.device, self.views = checkpoint, device, views

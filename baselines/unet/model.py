@@ -21,9 +21,13 @@ from oysterbench_baselines.learning.samples import Floats, shrink, standardised,
 from oysterbench_baselines.unet.calibration import Calibration
 from oysterbench_baselines.unet.network import CONTRAST, PretrainedUNetwork, UNetworkSettings, build_network, kind_of
 
-VIEWS = ((1.0, False), (1.0, True), (1.4, False), (1.4, True))
+VIEWS = ((1.0, False), (1.4, True), (1.0, True), (1.4, False))
 """Zoom, mirrored: the ways in which a picture is looked at, in the order of what they are worth; logits are their
 mean."""
+TAKEN = 2
+"""Of them, unless more or fewer are asked for: with all four, as much again in time gains nothing."""
+ALIKE_SIDE = 320
+"""px, to which a picture's longer side is brought before it is told what it is like."""
 EMBEDDED = 3
 """Of the levels of the encoder, the deepest, whose means over the picture say what it is like."""
 
@@ -70,7 +74,7 @@ class UNetModel(MaskModel):
     def alike(self, pixels: NDArray[np.uint8]) -> Array:
         """(C,) what a picture is like: means over the deepest levels (`EMBEDDED`) of the encoder as it was before the
         training, which made its own forget what oysters are not."""
-        small = shrink(pixels, working_scale(pixels.shape, self.scale, self.side))
+        small = shrink(pixels, working_scale(pixels.shape, self.scale, ALIKE_SIDE))
         batch = self.batch(standardised(small, *statistics(small)))
         with torch.inference_mode():
             levels = self._untrained.features(CONTRAST * batch)[-EMBEDDED:]

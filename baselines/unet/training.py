@@ -23,7 +23,7 @@ from oysterbench_baselines.learning.novelty import learnt
 from oysterbench_baselines.learning.samples import LabelledDataset
 from oysterbench_baselines.unet.calibration import evenly, kept_back
 from oysterbench_baselines.unet.calibration import measured as calibrated
-from oysterbench_baselines.unet.model import VIEWS, described, unet_model
+from oysterbench_baselines.unet.model import TAKEN, described, unet_model
 from oysterbench_baselines.unet.network import UNetworkSettings, build_network, kind_of
 
 MOST_ALIKE = 800
@@ -45,8 +45,8 @@ class UNetSettings:
 def pretrained_settings(encoder: str) -> UNetSettings:
     """Of a network on a pretrained encoder: larger crops of larger pictures, smaller steps."""
     return UNetSettings(
-        network=UNetworkSettings(groups=8, side=320, encoder=encoder, states=True),
-        augmentation=Augmentation(crop=224, zoom=(0.6, 1.7), gain=0.35, blur=0.35, blur_px=2.5, veil=0.35),
+        network=UNetworkSettings(groups=8, side=480, encoder=encoder, states=True),
+        augmentation=Augmentation(crop=320, zoom=(0.6, 1.7), gain=0.35, blur=0.35, blur_px=2.5, veil=0.35),
         fit=FitSettings(steps=2000, learning_rate=1e-3),
     )
 
@@ -135,7 +135,7 @@ def measure(
 ) -> dict[str, Any]:
     """What a checkpoint says of its network: its calibration on pictures kept back, and what pictures were like that it
     has learnt from (`learning.novelty`), where it knows."""
-    model = unet_model(checkpoint, device, len(VIEWS))
+    model = unet_model(checkpoint, device, TAKEN)
     found: dict[str, Any] = {"calibration": dataclasses.asdict(calibrated(kept, model.mean_logits, progress))}
     if checkpoint.network["encoder"]:
         taken = evenly([*learnt_from.entries, *kept.entries], MOST_ALIKE)

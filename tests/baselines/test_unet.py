@@ -247,9 +247,10 @@ def test_what_was_measured_is_in_the_checkpoint_and_measured_once(checkpoint):
 
 def test_more_views_are_their_mean(checkpoint):
     pixels = image(5, height=64, width=80).pixels
-    one, two = (read_unet(checkpoint, views=n) for n in (1, 2))
+    one, two, three = (read_unet(checkpoint, views=n) for n in (1, 2, 3))
     mirrored = one.mean_logits(np.ascontiguousarray(pixels[:, ::-1]))[..., ::-1]
-    assert np.allclose(two.mean_logits(pixels), (one.mean_logits(pixels) + mirrored) / 2, atol=1e-5)
+    assert np.allclose(three.mean_logits(pixels), (2 * two.mean_logits(pixels) + mirrored) / 3, atol=1e-5)
+    assert not np.allclose(two.mean_logits(pixels), one.mean_logits(pixels), atol=1e-3)
     with pytest.raises(MethodError, match="unet: views: expected 1 to 4, got 5"):
         UNet(views=5)
 
