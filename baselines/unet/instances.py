@@ -8,6 +8,7 @@ that touch part along the valley between them.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -109,13 +110,16 @@ def _under(values: NDArray[np.uint8], ceiling: NDArray[np.uint8]) -> NDArray[np.
 def _flooded(mask: NDArray[np.bool_], markers: Labels) -> Labels:
     """(H, W) markers, grown a pixel at a time over the mask: each pixel of it gets the marker whose way within the mask
     is shortest, the greater number where two are as short."""
-    labels = markers.astype(np.float32)
+    labels: Any = markers.astype(np.uint16 if markers.max(initial=0) < 1 << 16 else np.float32)
+    room = mask.astype(np.uint8)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    reached = cv2.countNonZero(labels)
     while True:
-        grown = np.where(mask & (labels == 0), cv2.dilate(labels, cross), labels)
-        if np.array_equal(grown, labels):
-            return labels.astype(np.int32)
-        labels = grown
+        free = cv2.bitwise_and(np.asarray(labels == 0, np.uint8), room)
+        cv2.copyTo(cv2.dilate(labels, cross), free, labels)
+        before, reached = reached, cv2.countNonZero(labels)
+        if reached == before:
+            return np.asarray(labels, dtype=np.int32)
 
 
 def _scored(labels: Labels, oyster: Floats, depth: Floats, division: Division, unit: float) -> Instances:
