@@ -24,8 +24,6 @@ from oysterbench_baselines.unet.network import CONTRAST, PretrainedUNetwork, UNe
 VIEWS = ((1.0, False), (1.4, True), (1.0, True), (1.4, False))
 """Zoom, mirrored: the ways in which a picture is looked at, in the order of what they are worth; logits are their
 mean."""
-TAKEN = 2
-"""Of them, unless more or fewer are asked for: with all four, as much again in time gains nothing."""
 ALIKE_SIDE = 320
 """px, to which a picture's longer side is brought before it is told what it is like."""
 EMBEDDED = 3

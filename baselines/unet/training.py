@@ -23,7 +23,8 @@ from oysterbench_baselines.learning.novelty import learnt
 from oysterbench_baselines.learning.samples import LabelledDataset
 from oysterbench_baselines.unet.calibration import evenly, kept_back
 from oysterbench_baselines.unet.calibration import measured as calibrated
-from oysterbench_baselines.unet.model import TAKEN, described, unet_model
+from oysterbench_baselines.unet.method import DEFAULT_VIEWS
+from oysterbench_baselines.unet.model import described, unet_model
 from oysterbench_baselines.unet.network import UNetworkSettings, build_network, kind_of
 
 MOST_ALIKE = 800
@@ -135,7 +136,7 @@ def measure(
 ) -> dict[str, Any]:
     """What a checkpoint says of its network: its calibration on pictures kept back, and what pictures were like that it
     has learnt from (`learning.novelty`), where it knows."""
-    model = unet_model(checkpoint, device, TAKEN)
+    model = unet_model(checkpoint, device, DEFAULT_VIEWS)
     found: dict[str, Any] = {"calibration": dataclasses.asdict(calibrated(kept, model.mean_logits, progress))}
     if checkpoint.network["encoder"]:
         taken = evenly([*learnt_from.entries, *kept.entries], MOST_ALIKE)

@@ -17,7 +17,6 @@ from mcap.records import (
     AttachmentIndex,
     Channel,
     Chunk,
-    ChunkIndex,
     DataEnd,
     Header,
     Message,
@@ -29,7 +28,7 @@ from mcap.records import (
 
 from oysterbench.core.mcap import MAGIC, RECORD
 from tests.fuzz.mutations import NUMBERS, WORDS, Rng, one, raw
-from tests.helpers.forged_mcap import packed, with_summary
+from tests.helpers.forged_mcap import index_of, packed, with_summary
 
 
 @dataclass
@@ -75,19 +74,8 @@ class File:
         for section in self.sections:
             chunk = section.record()
             record = packed(chunk)
-            index.append(
-                ChunkIndex(
-                    chunk_length=len(record),
-                    chunk_start_offset=len(data),
-                    compression=chunk.compression,
-                    compressed_size=len(chunk.data),
-                    message_end_time=chunk.message_end_time,
-                    message_index_length=0,
-                    message_index_offsets={one.channel_id: 0 for one in section.messages},
-                    message_start_time=chunk.message_start_time,
-                    uncompressed_size=chunk.uncompressed_size,
-                )
-            )
+            channels = (one.channel_id for one in section.messages)
+            index.append(index_of(chunk, len(record), len(data), channels))
             data += record
         for one_ in self.attachments:
             record = packed(one_)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterable
 
 from mcap.data_stream import RecordBuilder
 from mcap.records import (
@@ -49,6 +50,21 @@ def chunk_of(records: bytes, data: bytes | None = None, compression: str = "", s
     )
 
 
+def index_of(chunk: Chunk, length: int, start: int, channels: Iterable[int] = ()) -> ChunkIndex:
+    """What an index says of a chunk, whose record has so many bytes from `start` on, without indexes of messages."""
+    return ChunkIndex(
+        chunk_length=length,
+        chunk_start_offset=start,
+        compression=chunk.compression,
+        compressed_size=len(chunk.data),
+        message_end_time=chunk.message_end_time,
+        message_index_length=0,
+        message_index_offsets=dict.fromkeys(channels, 0),
+        message_start_time=chunk.message_start_time,
+        uncompressed_size=chunk.uncompressed_size,
+    )
+
+
 def forged(
     *chunks: Chunk, indexed: bool = True, twice: bool = False, loose: bytes = b"", metadata_at: int | None = None
 ):
@@ -58,19 +74,7 @@ def forged(
     index = []
     for chunk in chunks:
         record = packed(chunk)
-        index.append(
-            ChunkIndex(
-                chunk_length=len(record),
-                chunk_start_offset=len(data),
-                compression=chunk.compression,
-                compressed_size=len(chunk.data),
-                message_end_time=chunk.message_end_time,
-                message_index_length=0,
-                message_index_offsets={},
-                message_start_time=chunk.message_start_time,
-                uncompressed_size=chunk.uncompressed_size,
-            )
-        )
+        index.append(index_of(chunk, len(record), len(data)))
         data += record
     data += packed(DataEnd(data_section_crc=0))
     statistics = Statistics(
