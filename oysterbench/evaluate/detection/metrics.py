@@ -40,7 +40,9 @@ DETECTION: dict[str, Metric] = {
     "state_accuracy": higher("State")(
         "Share of found oysters whose state is predicted correctly, averaged over live and dead ones: 0.5 by chance."
     ),
-    "live_error": neutral("Live count")("Estimated minus true number of live oysters over all images of the clip."),
+    "live_error": neutral("Live count error", "oysters", column=Column("live", "error", 0))(
+        "Estimated minus true number of live oysters over all images of the clip."
+    ),
     "count_mae": lower("Count MAE", "oysters", column=Column("count", "MAE", 1))(
         "Mean absolute error of the number of oysters per image."
     ),
@@ -55,9 +57,15 @@ DETECTION: dict[str, Metric] = {
         )
         for level in LEVELS
     },
-    "count_error": neutral("Clip count")("Estimated minus true number of oysters over all images of the clip."),
-    "count_truth": neutral("True count")("True number of oysters over all images of the clip."),
-    "count_estimate": neutral("Estimated count")("Estimated number of oysters over all images of the clip."),
+    "count_error": neutral("Count error", "oysters", column=Column("count", "error", 0))(
+        "Estimated minus true number of oysters over all images of the clip."
+    ),
+    "count_truth": neutral("True count", column=Column("true", "count", 0))(
+        "True number of oysters over all images of the clip."
+    ),
+    "count_estimate": neutral("Estimated count", column=Column("estimated", "count", 0))(
+        "Estimated number of oysters over all images of the clip."
+    ),
     "density_error_per_m2": neutral("Density error", "per m\N{SUPERSCRIPT TWO}", Column("density", "err/m²", 1))(
         "Error of the number of oysters over all images, divided by the area of seabed (seen from above) that they "
         "show."
