@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import platform
 from dataclasses import asdict, dataclass, field
@@ -48,6 +49,13 @@ class Checkpoint:
         data = io.BytesIO()
         torch.save({"format": FORMAT, **asdict(self)}, data)
         write_atomically(path, data.getvalue())
+
+    def digest(self) -> str:
+        """SHA-256 of what the network has learnt."""
+        found = hashlib.sha256()
+        for key, value in self.weights.items():
+            found.update(key.encode() + value.contiguous().numpy().tobytes())
+        return found.hexdigest()
 
 
 def read_checkpoint(path: Path) -> Checkpoint:

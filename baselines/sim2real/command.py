@@ -28,6 +28,13 @@ from oysterbench_baselines.learning.trained import device_option
     help="Synthetic images; those with one NAME form one set.",
 )
 @click.option(
+    "--weights",
+    "given",
+    multiple=True,
+    metavar="NAME=FILE",
+    help="Weights that were trained on synthetic images before, such as those of `oysterbench train unet`; repeatable.",
+)
+@click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home folder]"
 )
 @click.option("--sizes", default="5,10,20,40,all", show_default=True, help="Numbers of real training images.")
@@ -54,6 +61,7 @@ from oysterbench_baselines.learning.trained import device_option
 def command(
     real: str,
     names: tuple[str, ...],
+    given: tuple[str, ...],
     out: Path | None,
     sizes: str,
     seeds: int,
@@ -76,25 +84,31 @@ def command(
         --hold-out closeup-b --hold-out closeup-c --sizes 10    to choose settings without the test clips
       oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train --encoder lite0 \\
         --leave-site-out
+      oysterbench experiment sim2real --real real-oysters --weights released=unet.pt --encoder lite0 --seeds 5
 
     For each number of real images and each seed, it trains on real only and on real + each synthetic set; it also
-    trains on each synthetic set alone. Translated images are a folder with images/, masks/ and, where known,
+    trains on each synthetic set alone. With --weights the first part of the training has been done already, and only
+    real images follow. Translated images are a folder with images/, masks/ and, where known,
     instances/. Each training run has a folder with its checkpoint, its predictions and results.json. Sites are clips
     that show one place, as found from their images; --leave-site-out uses all real images of the other sites. May be
     interrupted, even killed: the same command resumes; started twice, both share the work. Training images that nearly
     duplicate test images are named and left out.
     """
     from oysterbench.cli.echo import message
-    from oysterbench.cli.labelled import named_places, open_all, open_data
+    from oysterbench.cli.labelled import named_files, named_places, open_all, open_data
     from oysterbench.cli.outputs import print_rich
     from oysterbench.cli.render import frames_bar
     from oysterbench.core.files import home
     from oysterbench.report.renderers import terminal_table
+    from oysterbench_baselines.learning.checkpoint import read_checkpoint
     from oysterbench_baselines.sim2real.experiment import run, run_sites
     from oysterbench_baselines.sim2real.settings import SCHEDULES, ExperimentSettings
+    from oysterbench_baselines.sim2real.work import Source
 
     parts = named_places(names, ["real"])
+    weights = named_files(given, ["real", *parts])
     sets = {name: open_all(places, name=name) for name, places in parts.items()}
+    sources: dict[str, Source] = {**sets, **{name: read_checkpoint(path) for name, path in weights.items()}}
     if schedule not in SCHEDULES:
         raise click.UsageError(f"--schedule: expected one of {', '.join(SCHEDULES)}, got {schedule!r}")
     if leave_site_out and hold_out:
@@ -113,9 +127,9 @@ def command(
     }
     experiments = home() / "experiments"
     if leave_site_out:
-        run_sites(open_data(real), sets, settings, out or experiments / "sim2real-sites", **how)
+        run_sites(open_data(real), sources, settings, out or experiments / "sim2real-sites", **how)
     else:
-        run(open_data(real), sets, settings, out or experiments / "sim2real", hold_out=hold_out, **how)
+        run(open_data(real), sources, settings, out or experiments / "sim2real", hold_out=hold_out, **how)
 
 
 def _sizes(text: str) -> tuple[int, ...]:

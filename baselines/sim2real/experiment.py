@@ -21,7 +21,16 @@ from oysterbench_baselines.sim2real.settings import ALL, Cell, ExperimentSetting
 from oysterbench_baselines.sim2real.sites import SiteRow, site_rows, sites_table
 from oysterbench_baselines.sim2real.table import VariantRow, variants
 from oysterbench_baselines.sim2real.trivial import TRIVIAL, predictions, settings_of
-from oysterbench_baselines.sim2real.work import LOCK, RESULT, Bench, finished, known_records, records_of, run_cell
+from oysterbench_baselines.sim2real.work import (
+    LOCK,
+    RESULT,
+    Bench,
+    Source,
+    finished,
+    known_records,
+    records_of,
+    run_cell,
+)
 
 Bar = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
 """A progress bar by its title and unit."""
@@ -29,7 +38,7 @@ Bar = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
 
 def run(
     labelled: LabelledSet,
-    synthetic: Mapping[str, LabelledSet],
+    synthetic: Mapping[str, Source],
     settings: ExperimentSettings,
     out: Path,
     hold_out: tuple[str, ...],
@@ -59,7 +68,7 @@ def run(
 
 def run_sites(
     labelled: LabelledSet,
-    synthetic: Mapping[str, LabelledSet],
+    synthetic: Mapping[str, Source],
     settings: ExperimentSettings,
     out: Path,
     device: str,
@@ -105,7 +114,7 @@ def _records(
     records = _trivial(bench, place)
     left = [cell for cell in cells if finished(bench, cell, place / cell.folder) is None]
     if train and left:
-        total, before = sum(bench.settings.fit_of(cell).steps for cell in left), 0
+        total, before = sum(bench.steps(cell) for cell in left), 0
         with bar(f"{len(left)} of {len(cells)} trainings", "steps") as progress:
             progress(0, total)
             for cell in left:
@@ -114,7 +123,7 @@ def _records(
                     if mine:
                         found = run_cell(bench, cell, folder, partial(_told, progress, before, total))
                         echo(f"{folder.name}: {_summary(found)}")
-                before += bench.settings.fit_of(cell).steps
+                before += bench.steps(cell)
                 progress(before, total)
     for cell in cells:  # also what others have finished meanwhile
         records += finished(bench, cell, place / cell.folder) or []

@@ -33,6 +33,8 @@ class Schedule:
 SCHEDULES = {"tuned": Schedule(1 / 6, 2e-3, 0), "mixed": Schedule(1 / 2, 5e-3, 2)}
 
 PRETRAINED_STEPS = 350
+PRETRAINED_SIDE, PRETRAINED_CROP = 320, 224
+"""px, of pictures and of crops: less than `train unet` takes, as many networks are trained."""
 PRETRAINED_SHARE, PRETRAINED_RATE = 3 / 7, 1e-3
 """Of networks on a pretrained encoder, which need fewer steps, and smaller ones."""
 
@@ -58,14 +60,15 @@ class ExperimentSettings:
     fit: FitSettings = field(default_factory=lambda: FitSettings(steps=1200, warm_up=20, threads=1))
 
     def with_encoder(self, encoder: str) -> ExperimentSettings:
-        """The same experiment with networks on a pretrained encoder (`unet.training.pretrained_settings`)."""
+        """The same experiment with networks on a pretrained encoder (`unet.training.pretrained_settings`), on smaller
+        pictures."""
         strong = pretrained_settings(encoder)
         return replace(
             self,
             batch=strong.batch,
             schedule=replace(self.schedule, share=PRETRAINED_SHARE, rate=PRETRAINED_RATE),
-            network=strong.network,
-            augmentation=strong.augmentation,
+            network=replace(strong.network, side=PRETRAINED_SIDE),
+            augmentation=replace(strong.augmentation, crop=PRETRAINED_CROP),
             fit=replace(strong.fit, steps=PRETRAINED_STEPS, warm_up=20, threads=1),
         )
 
@@ -79,7 +82,8 @@ class ExperimentSettings:
 
 @dataclass(frozen=True)
 class Cell:
-    """One training. synthetic: name of the synthetic images, empty for none; size: real images, None for none."""
+    """One training. synthetic: name of the synthetic images, or of weights that were learnt on such, empty for none;
+    size: real images, None for none."""
 
     synthetic: str
     size: int | None
@@ -94,7 +98,8 @@ class Cell:
 
     @property
     def begun(self) -> Cell | None:
-        """The cell whose weights it begins with: that of its synthetic images alone. None: weights drawn at random."""
+        """The cell whose weights it begins with: that of its synthetic images alone. None: the weights of ImageNet, or
+        such as are drawn at random."""
         return Cell(self.synthetic, None, self.seed) if self.synthetic and self.size is not None else None
 
     @property

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from oysterbench.annotations import LabelledSet
-from oysterbench.core.errors import ResultError
+from oysterbench.core.errors import MethodError, ResultError
 from oysterbench.core.files import locked, write_atomically
 from oysterbench.core.streams import Streams
 from oysterbench.results.records import ResultRecord, read_results, write_results
@@ -27,6 +27,7 @@ from oysterbench_baselines.sim2real.scoring import EVALUATORS, WHOLE, Prediction
 from oysterbench_baselines.sim2real.settings import Cell, ExperimentSettings
 from oysterbench_baselines.unet.instances import find_instances
 from oysterbench_baselines.unet.model import described, unet_model
+from oysterbench_baselines.unet.network import UNetworkSettings
 from oysterbench_baselines.unet.training import new_network
 
 RESULT, PREDICTIONS, CHECKPOINT, LOCK = "results.json", "predictions.npz", "checkpoint.pt", ".lock"
@@ -34,26 +35,35 @@ STEP = 0.1
 """Of a logit, to which predictions are kept: 2.5 % of a probability at most."""
 
 
+Source = LabelledSet | Checkpoint
+"""Of what comes before real images: synthetic ones, or weights that have been learnt on such."""
+
+
 @dataclasses.dataclass
 class Bench:
     """What all cells share; images that several cells see are read once.
 
+    synthetic: by the names of cells. Raises MethodError for weights of another network than the settings'
     shared: folder of the trainings on synthetic images alone, which know nothing of the real ones, where several
     benches share them; None: among the cells
     """
 
     real: Real
-    synthetic: Mapping[str, LabelledSet]
+    synthetic: Mapping[str, Source]
     settings: ExperimentSettings
     device: str = "auto"
     shared: Path | None = None
 
     def __post_init__(self) -> None:
         scale, side = self.settings.network.scale, self.settings.network.side
-        self._datasets = {name: LabelledDataset(labelled, scale, side) for name, labelled in self.synthetic.items()}
+        self._weights = {name: one for name, one in self.synthetic.items() if isinstance(one, Checkpoint)}
+        for name, checkpoint in self._weights.items():
+            _check_network(name, checkpoint, self.settings.network)
+        sets = {name: one for name, one in self.synthetic.items() if isinstance(one, LabelledSet)}
+        self._datasets = {name: LabelledDataset(labelled, scale, side) for name, labelled in sets.items()}
         self._train = LabelledDataset(self.real.train, scale, side)
         self._place = {entry.name: k for k, entry in enumerate(self.real.train.entries)}
-        self._digests = {name: labelled.digest() for name, labelled in self.synthetic.items()}
+        self._digests = {name: one.digest() for name, one in self.synthetic.items()}
         self.test_digest = self.real.test.digest()
         self._drawn: dict[tuple[int, int], str] = {}
         self._truth: Truth | None = None
@@ -65,14 +75,21 @@ class Bench:
             self._truth = Truth.of(self.real.test)
         return self._truth
 
+    def steps(self, cell: Cell) -> int:
+        """Of the training of a cell, without what it begins from; none where its weights are given."""
+        return 0 if self._given(cell) else self.settings.fit_of(cell).steps
+
+    def _given(self, cell: Cell) -> bool:
+        return cell.size is None and cell.synthetic in self._weights
+
     def identity(self, cell: Cell) -> dict[str, Any]:
         """What decides the weights of a cell and what they are tested on, as plain values."""
         settings = self.settings
         parts: dict[str, Any] = {
             "network": settings.network,
             "augmentation": settings.augmentation,
-            "fit": settings.fit_of(cell),
-            "begun": settings.fit_of(cell.begun) if cell.begun else None,
+            "fit": None if self._given(cell) else settings.fit_of(cell),
+            "begun": None if cell.begun is None or self._given(cell.begun) else settings.fit_of(cell.begun),
         }
         plain = {key: dataclasses.asdict(value) if value else None for key, value in parts.items()}
         batch = {"crops": settings.batch, "synthetic": self._kept(cell)}
@@ -105,10 +122,12 @@ class Bench:
     def _trained(self, cell: Cell, folder: Path, progress: Progress) -> Checkpoint:
         settings = self.settings
         streams = Streams(cell.seed).at("sim2real")
+        if self._given(cell):
+            return self._weights[cell.synthetic]
         if cell.size is None and self.shared is not None and folder.parent != self.shared:
             return self._waited(cell, self.shared, progress)
-        begun = None
-        if cell.begun is not None:
+        begun = None if cell.begun is None else self._weights.get(cell.synthetic)
+        if cell.begun is not None and begun is None:
             begun = self._waited(cell.begun, self.shared or folder.parent, lambda done, total: None)
         images = self._images(cell)
         return fit(
@@ -148,12 +167,22 @@ class Bench:
         """Crops of a batch of a cell that are synthetic."""
         if cell.size is None:
             return self.settings.batch
-        return self.settings.schedule.kept if cell.synthetic else 0
+        return self.settings.schedule.kept if cell.synthetic in self._datasets else 0
 
     def predictions(self, model: MaskModel) -> Iterator[Floats]:
         """(2, h, w) logits of each test image, at the working scale, to `STEP`."""
         for pixels in self.truth.pixels:
             yield np.clip(np.round(model.small_logits(pixels) / STEP), -127, 127).astype(np.int8)
+
+
+def _check_network(name: str, weights: Checkpoint, settings: UNetworkSettings) -> None:
+    """Raises MethodError for weights of another network; pictures may have been of another size to it."""
+    expected = described(settings)
+    differ = [key for key in expected if key not in ("scale", "side") and weights.network.get(key) != expected[key]]
+    if differ:
+        got = ", ".join(f"{key} {weights.network.get(key)!r}" for key in differ)
+        wanted = ", ".join(f"{key} {expected[key]!r}" for key in differ)
+        raise MethodError(f"--weights {name}: expected a network of {wanted}, got {got}; --encoder chooses the network")
 
 
 class Subset(LabelledDataset):

@@ -9,7 +9,6 @@ killed goes on from these.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import io
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -102,7 +101,7 @@ def learn_rounds(
     fit = dataclasses.replace(settings.fit, steps=plan.steps, learning_rate=plan.learning_rate)
     for number in range(1, plan.rounds + 1):
         parts += collect(reefs, checkpoint, folder, settings.network, plan, number, workers, bar)
-        known = {**known, f"round {number}": joined(parts[-len(reefs) :]).digest(), "begun": digest(checkpoint)}
+        known = {**known, f"round {number}": joined(parts[-len(reefs) :]).digest(), "begun": checkpoint.digest()}
         further = dataclasses.replace(settings, fit=fit)
         checkpoint = _trained(parts, folder / f"round-{number}.pt", further, seed + number, checkpoint, known, bar)
     checkpoint.write(path)
@@ -159,7 +158,7 @@ def _made_by(reef: Reef, policy: Checkpoint, network: SteeringNetworkSettings, p
     """All that decides a rollout, as text."""
     size = (network.width, network.height)
     return json.dumps(
-        [digest(policy), reef.split.digest(), reef.name, number, plan.mixture(number), plan.seconds, size]
+        [policy.digest(), reef.split.digest(), reef.name, number, plan.mixture(number), plan.seconds, size]
     )
 
 
@@ -214,14 +213,6 @@ def read_rollout(path: Path, reef: Reef, made_by: str) -> TrainingExamples | Non
             held["action_values"],
             np.ones(len(held["action_values"]), dtype=bool),
         )
-
-
-def digest(checkpoint: Checkpoint) -> str:
-    """SHA-256 of what a network has learnt."""
-    found = hashlib.sha256()
-    for key, value in checkpoint.weights.items():
-        found.update(key.encode() + value.contiguous().numpy().tobytes())
-    return found.hexdigest()
 
 
 def warm_up() -> None:

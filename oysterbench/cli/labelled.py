@@ -60,15 +60,27 @@ def named_places(texts: Sequence[str], taken: Collection[str]) -> dict[str, list
     """Name -> splits or paths, of options --synthetic NAME=SPLIT|PATH. taken: names that mean something else."""
     found: dict[str, list[str]] = {}
     for text in texts:
-        name, equals, place = text.partition("=")
-        if not equals or not name.replace("-", "").replace("_", "").isalnum() or name in taken:
-            raise click.UsageError(
-                f"--synthetic: expected NAME=SPLIT or NAME=PATH, with a name other than {', '.join(taken)}, got "
-                f"{text!r}"
-            )
+        name, place = _named(text, "--synthetic", "NAME=SPLIT or NAME=PATH", taken)
         check_data(place)
         found.setdefault(name, []).append(place)
     return found
+
+
+def named_files(texts: Sequence[str], taken: Collection[str]) -> dict[str, Path]:
+    """Name -> file, of options --weights NAME=FILE. taken: names that mean something else."""
+    found: dict[str, Path] = {}
+    for text in texts:
+        name, place = _named(text, "--weights", "NAME=FILE", [*taken, *found])
+        found[name] = Path(place)
+    return found
+
+
+def _named(text: str, option: str, form: str, taken: Collection[str]) -> tuple[str, str]:
+    """Name and place of an option NAME=PLACE."""
+    name, equals, place = text.partition("=")
+    if not equals or not name.replace("-", "").replace("_", "").isalnum() or name in taken:
+        raise click.UsageError(f"{option}: expected {form}, with a name other than {', '.join(taken)}, got {text!r}")
+    return name, place
 
 
 def open_all(names: Sequence[str], side: str | None = None, name: str = "") -> LabelledSet:

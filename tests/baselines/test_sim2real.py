@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
-from oysterbench.core.errors import LabelError, ResultError  # noqa: E402
+from oysterbench.core.errors import LabelError, MethodError, ResultError  # noqa: E402
 from oysterbench.evaluate.statistics import resample_counts  # noqa: E402
 from oysterbench.results.records import ResultRecord, read_results  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
@@ -129,6 +129,27 @@ def test_real_and_synthetic_begin_with_the_weights_of_synthetic_alone_and_all_ha
     first, last = (read_checkpoint(tmp_path / cell.folder / "checkpoint.pt") for cell in (alone, both))
     assert (first.step, last.step) == (3, 2)
     assert all(torch.equal(first.weights[key], value) for key, value in last.weights.items())
+
+
+def test_weights_that_are_given_stand_for_the_training_on_synthetic_images(real, synthetic, tmp_path):
+    bench = Bench(real_data(real, (), 0.99), {"made": synthetic}, SETTINGS, "cpu")
+    alone = bench.train(Cell("made", None, 0), tmp_path / "alone", lambda done, total: None)
+    learnt = read_checkpoint(tmp_path / "alone" / "checkpoint.pt")
+    still = dataclasses.replace(SETTINGS, schedule=Schedule(0.4, 0.0, 2))  # learning nothing shows where it began
+    given = Bench(bench.real, {"learnt": learnt}, still, "cpu")
+    only, both = Cell("learnt", None, 3), Cell("learnt", 2, 3)
+    found = [given.train(cell, tmp_path / cell.folder, lambda done, total: None) for cell in (only, both)]
+    for model in found:
+        for key, value in alone.network.state_dict().items():
+            assert torch.equal(model.network.state_dict()[key], value)
+    assert (given.steps(only), given.steps(both)) == (0, 2)
+    assert not (tmp_path / only.folder).exists(), "nothing was trained"
+    assert {set_.labelled.name for set_ in given._images(both).datasets} == {"real train"}
+    rows = experiment(real, {"learnt": learnt}, tmp_path / "out", dataclasses.replace(SETTINGS, sizes=(2,)))
+    assert {row.variant for row in rows} >= {"learnt only", "real", "real + learnt"}
+    other = dataclasses.replace(learnt, network={**learnt.network, "base": 3})
+    with pytest.raises(MethodError, match="--weights learnt: expected a network of base 4, got base 3; --encoder"):
+        Bench(bench.real, {"learnt": other}, SETTINGS, "cpu")
 
 
 @pytest.mark.parametrize(("kept", "both"), [(0, {"real train": (2, 4)}), (1, {"made": (4, 1), "real train": (2, 3)})])
@@ -297,3 +318,12 @@ def test_synthetic_sets_of_one_name_are_joined(real, tmp_path, monkeypatch):
     assert "0 of 3 trainings are finished" in done.stderr, "made only, real, real + made"
     with pytest.raises(LabelError, match="two images are named"):
         CliRunner().invoke(command, [*options, both[0]], catch_exceptions=False)
+
+
+def test_weights_are_given_by_a_name_of_their_own(real, tmp_path):
+    place = Path(real.entries[0].files[0]).parents[1]
+    done = CliRunner().invoke(command, [f"--real={place}", "--weights=real=w.pt"])
+    assert done.exit_code == 2
+    assert "--weights: expected NAME=FILE, with a name other than real, got 'real=w.pt'" in done.output
+    with pytest.raises(MethodError, match="no such checkpoint"):
+        CliRunner().invoke(command, [f"--real={place}", f"--weights=w={tmp_path / 'w.pt'}"], catch_exceptions=False)
