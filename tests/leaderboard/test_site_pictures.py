@@ -77,6 +77,9 @@ def test_a_heat_map_has_the_score_of_every_record_on_every_sequence(site):
         for name, cell in zip(info.sequences, row.cells[1:], strict=True):
             assert cell.value == pytest.approx(known.get(name, {}).get("score", 0.0))
             assert cell.kind.startswith("heat-")
+    counts = [int(column.unit.rpartition("n = ")[2]) for column in by_conditions.columns[1:]]
+    assert min(counts) >= 2, "a class of one sequence is that sequence, which has a column already"
+    assert "Classes of one sequence are in the table above" in by_conditions.notes[0]
     murky = next(i for i, column in enumerate(by_conditions.columns) if column.key == "water murky")
     for line, of in zip(by_conditions.rows, by_sequence.rows, strict=True):
         values = [

@@ -61,9 +61,10 @@ def sequences_heat(scores: Scores) -> Table | None:
 def classes_heat(scores: Scores) -> Table | None:
     """A column per class of each condition that has several: means over its sequences; None where there is none.
 
-    Of what is weighed in its mean, as IoU is by pixels, the sequences of a class have one vote each, which is said.
+    A class of one sequence is left out where that has a column of its own (`sequences_heat`). Of what is weighed in its mean, as IoU is by pixels, the sequences of a class have one vote each, which is said.
     """
     columns, groups = [], []
+    least = 2 if len(scores.info.sequences) <= MOST_COLUMNS else 1
     for condition in STRATA:
         classes: dict[str, list[str]] = {}
         for name in scores.info.sequences:
@@ -72,6 +73,8 @@ def classes_heat(scores: Scores) -> Table | None:
                 classes.setdefault(f"{value:g}" if isinstance(value, float) else str(value), []).append(name)
         if len(classes) > 1:
             for value, names in sorted(classes.items()):
+                if len(names) < least:
+                    continue
                 name = CONDITIONS[condition].name
                 heading, unit = (f"{name} {value}", "") if value.isdigit() else (value, f"{name}, ")
                 columns.append(
@@ -83,7 +86,8 @@ def classes_heat(scores: Scores) -> Table | None:
     values = {row.digest: [_mean(scores.values[row.digest], names) for names in groups] for row in scores.rows}
     metric = find_metric(scores.info.metric)
     weighed = " A sequence has one vote here, whatever its pixels." if metric is not None and metric.weight else ""
-    notes = (f"Means over the sequences of a class; n is their number.{weighed}",)
+    alone = " Classes of one sequence are in the table above." if least > 1 else ""
+    notes = (f"Means over the sequences of a class; n is their number.{alone}{weighed}",)
     return _heat(scores, f"{metric_column(scores.info.metric).heading} by conditions", columns, values, notes)
 
 
