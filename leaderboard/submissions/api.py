@@ -41,7 +41,10 @@ def routes(auth: Auth) -> list[Route]:
 
     async def send(request: Request) -> Response:
         made, new = await auth.submit(request, await team(request))
-        return await answer(made, 201 if new else 200)
+        found = await answer(made, 201 if new else 200)
+        if not new:
+            found.headers["Connection"] = "close"  # what is still being sent, though it is known, is not waited for
+        return found
 
     async def listed(request: Request) -> Response:
         found = await run_in_threadpool(service.of_team, await team(request))

@@ -110,7 +110,12 @@ class Auth:
                 else:
                     check_fields({})
                     # What is wrong with the question is said before the answer is sent.
-                    self.service.check_form(form_of(fields))
+                    asked = form_of(fields)
+                    self.service.check_form(asked)
+                    if digest := fields.get("digest"):
+                        known = await run_in_threadpool(self.service.announced, team, asked, digest)
+                        if known is not None:
+                            return known, False
                     await receive_file(request, body, settings)
 
                 def take_in() -> tuple[Submission, bool]:

@@ -82,6 +82,7 @@ class Client:
         """Send a package: the submission, which is the one that is there where it was sent before."""
         wanted = package.wanted
         asked = {"method": method, "split": wanted.split, "track": wanted.track, "url": url, "summary": summary}
+        asked["digest"] = package.digest  # by which a full quota is noticed before anything is sent
         path = f"/api/submissions?{urllib.parse.urlencode(asked)}"
         headers = {"Content-Type": package.content_type, "Content-Length": str(package.size)}
         return self._ask("POST", path, package.path, headers, progress)

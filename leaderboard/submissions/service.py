@@ -112,6 +112,16 @@ class Service:
         self.estimates.keep(upload)
         return self._accept(team, form, upload, facts)
 
+    def announced(self, team: str, form: Form, digest: str) -> Submission | None:
+        """The submission that bytes of this SHA-256 are, before they are sent; None where they are to be sent. Raises
+        Refusal where they would be refused whatever they hold, so that nobody uploads for an hour to be told."""
+        form, _ = self.check_form(form)
+        with self.database.reading() as connection:
+            known = self._same(connection, team, form, digest)
+            if known is None:
+                self._check_quota(connection, team, form.split)
+        return None if known is None or self._ours(known) else known
+
     def check_form(self, form: Form) -> tuple[Form, Wanted]:
         """The form with its track, and what it has to be answered by. Raises Refusal naming the field."""
         form.check()

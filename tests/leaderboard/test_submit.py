@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+import http.client
 import json
 import re
+from contextlib import closing
 from dataclasses import replace
+from urllib.parse import urlencode
 
 import numpy as np
 import pytest
@@ -267,6 +271,21 @@ def test_nothing_is_asked_of_a_server_where_there_is_nothing_to_send(tmp_path, m
     args = ["submit", str(tmp_path / "absent"), "--to", "http://127.0.0.1:9", "--method", "x"]
     sent = CliRunner().invoke(main, args)
     assert (sent.exit_code, "absent: no such file or folder; expected results" in sent.stderr) == (1, True)
+
+
+def test_what_is_there_is_answered_while_nothing_of_it_was_sent(site, tmp_path):
+    body = answers(tmp_path, case=11)
+    first = site.server.send(site.token, body, method="twice")
+    query = urlencode({"method": "twice", "split": "pool-test", "digest": hashlib.sha256(body).hexdigest()})
+    with closing(http.client.HTTPConnection("127.0.0.1", site.server.port, timeout=30)) as connection:
+        connection.putrequest("POST", f"/api/submissions?{query}")
+        connection.putheader("Authorization", f"Bearer {site.token}")
+        connection.putheader("Content-Type", "application/zip")
+        connection.putheader("Content-Length", str(len(body)))
+        connection.endheaders()
+        answer = connection.getresponse()
+        assert (first[0], answer.status, answer.getheader("Connection")) == (201, 200, "close")
+        assert json.loads(answer.read())["id"] == first[1]["id"]
 
 
 def test_a_refusal_is_no_reason_to_try_again(site):
