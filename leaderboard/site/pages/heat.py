@@ -61,7 +61,8 @@ def sequences_heat(scores: Scores) -> Table | None:
 def classes_heat(scores: Scores) -> Table | None:
     """A column per class of each condition that has several: means over its sequences; None where there is none.
 
-    A class of one sequence is left out where that has a column of its own (`sequences_heat`). Of what is weighed in its mean, as IoU is by pixels, the sequences of a class have one vote each, which is said.
+    A class of one sequence is left out where that has a column of its own (`sequences_heat`). Of what is weighed in its
+    mean, as IoU is by pixels, the sequences of a class have one vote each, which is said.
     """
     columns, groups = [], []
     least = 2 if len(scores.info.sequences) <= MOST_COLUMNS else 1
