@@ -32,19 +32,20 @@ class Augmentation:
 
 def augmented(
     sample: Sample, settings: Augmentation, rng: np.random.Generator
-) -> tuple[Floats, NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
-    """A crop: pixels (C, C, 3) float32, standardised, truth (C, C, 4), known and extra (C, C) uint8."""
+) -> tuple[Floats, NDArray[np.uint8], NDArray[np.uint8]]:
+    """A crop: pixels (C, C, 3) float32, standardised, truth (C, C, 4) and known (C, C) uint8."""
     matrix = _placement(sample.known.shape, settings, rng)
     size = (settings.crop, settings.crop)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     # Beyond the image its mirror image: black would be a border to learn, and a known one is no worse than another.
     mirror = cv2.BORDER_REFLECT_101
-    pixels, truth, known, extra = (
-        np.asarray(cv2.warpAffine(plane, matrix, size, flags=flags, borderMode=mirror), np.uint8)
-        for plane in (sample.pixels, sample.truth, sample.known, sample.extra)
+    pixels = cv2.warpAffine(sample.pixels, matrix, size, flags=flags, borderMode=mirror)
+    truth = cv2.warpAffine(sample.truth, matrix, size, flags=flags, borderMode=mirror)
+    known = cv2.warpAffine(sample.known, matrix, size, flags=flags, borderMode=mirror)
+    values = recoloured(
+        standardised(np.asarray(pixels, np.uint8), sample.mean, sample.contrast), sample.contrast, settings, rng
     )
-    values = recoloured(standardised(pixels, sample.mean, sample.contrast), sample.contrast, settings, rng)
-    return values, truth, np.where(known == 255, 255, 0).astype(np.uint8), extra
+    return values, np.asarray(truth, np.uint8), np.where(known == 255, 255, 0).astype(np.uint8)
 
 
 def _placement(shape: tuple[int, ...], settings: Augmentation, rng: np.random.Generator) -> Floats:

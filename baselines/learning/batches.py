@@ -14,7 +14,7 @@ from oysterbench_baselines.learning.augment import Augmentation, augmented
 from oysterbench_baselines.learning.samples import LabelledDataset, as_tensors
 
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
-"""Pixels (B, 3, C, C), truth (B, 4, C, C), weight (B, 1, C, C), float32, as `LabelledDataset` has them."""
+"""Pixels (B, 3, C, C), truth (B, 4, C, C), known (B, 1, C, C), float32, as `LabelledDataset` has them."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ def make_batch(mixture: Mixture, augmentation: Augmentation, streams: Streams, s
 
 def stacked(items: Sequence[Batch]) -> Batch:
     """Items of one size as a batch."""
-    pixels, truth, weight = (torch.stack(parts) for parts in zip(*items, strict=True))
-    return pixels, truth, weight
+    pixels, truth, known = (torch.stack(parts) for parts in zip(*items, strict=True))
+    return pixels, truth, known
 
 
 def initial_seed(streams: Streams) -> int:

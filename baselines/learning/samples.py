@@ -17,11 +17,6 @@ from oysterbench.annotations import LabelledImage, LabelledSet
 
 FLAT = 0.8
 """Of an oyster's greatest distance from its border: what lies deeper is as deep as it gets."""
-HEAVIEST = 3.0
-"""Times that a pixel of the smallest oysters weighs what one of a large one does."""
-AROUND = 7
-"""px at the working scale, the width of the brush by which the weight of a small oyster reaches the bottom around it:
-that it ends there is half of what there is to learn of it."""
 LEAST_CONTRAST = 1.0
 """Grey levels, of 255, that the contrast of a channel is taken to be at least: a black picture stays black."""
 
@@ -36,7 +31,6 @@ class Sample:
     truth:  (h, w, 4) uint8, shares of a pixel in 255ths: what is oyster; how deep in one it lies (`depths`); what is
             live oyster; and what is oyster of which it is known whether it is alive
     known:  (h, w) uint8, 255 where the truth may be used, 0 where it is to be ignored
-    extra:  (h, w) uint8, in 255ths of `HEAVIEST` - 1, what a pixel weighs besides the 1 that each known one does
     """
 
     name: str
@@ -46,7 +40,6 @@ class Sample:
     contrast: Floats
     truth: NDArray[np.uint8]
     known: NDArray[np.uint8]
-    extra: NDArray[np.uint8]
 
 
 def working_scale(shape: tuple[int, ...], scale: float, side: int) -> float:
@@ -55,9 +48,8 @@ def working_scale(shape: tuple[int, ...], scale: float, side: int) -> float:
     return side / max(shape[:2]) if side else scale
 
 
-def make_sample(image: LabelledImage, scale: float, side: int = 0, small: float = 0.0) -> Sample:
-    """A labelled image, reduced. Every small pixel is the mean of those that it covers, in picture and truth alike.
-    small: see `emphasis`, px at the working scale."""
+def make_sample(image: LabelledImage, scale: float, side: int = 0) -> Sample:
+    """A labelled image, reduced. Every small pixel is the mean of those that it covers, in picture and truth alike."""
     scale = working_scale(image.pixels.shape, scale, side)
     pixels = shrink(image.pixels, scale)
     instances = image.instances * image.oysters
@@ -72,7 +64,6 @@ def make_sample(image: LabelledImage, scale: float, side: int = 0, small: float 
         contrast,
         shrink(truth, scale),
         np.where(known == 255, 255, 0).astype(np.uint8),
-        _around(shrink(emphasis(instances, small / scale), scale)),
     )
 
 
@@ -125,34 +116,17 @@ def states(instances: NDArray[np.uint16], living: Mapping[int, bool]) -> tuple[N
     return live[instances], told[instances]
 
 
-def emphasis(instances: NDArray[np.uint16], small: float) -> NDArray[np.uint8]:
-    """(H, W) what pixels of instances (H, W) weigh besides 1, in 255ths of `HEAVIEST` - 1: an oyster whose area has a
-    root of less than `small` px weighs in proportion to its size instead of its area, up to `HEAVIEST`. Each pixel
-    weighing the same, ten small oysters that are missed cost less than the border of a large one."""
-    sizes = np.sqrt(np.maximum(np.bincount(instances.ravel()), 1))
-    extra = np.clip((small / sizes - 1) / (HEAVIEST - 1), 0, 1)
-    extra[0] = 0
-    return np.round(255 * extra).astype(np.uint8)[instances]
-
-
-def _around(extra: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(h, w) spread to what is `AROUND`."""
-    if not extra.any():
-        return extra
-    return np.asarray(cv2.dilate(extra, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (AROUND, AROUND))), np.uint8)
-
-
 class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
     """Labelled images as a torch Dataset.
 
-    An item is (pixels (3, h, w), truth (4, h, w), weight (1, h, w)), float32: pixels of mean 0 and deviation 1 in each
-    channel; truth 0 to 1, the planes of a `Sample`; weight 0 where the truth may not be used, and 1 to `HEAVIEST`
-    elsewhere. Images are read once, when they are first asked for, and kept at the working scale.
+    An item is (pixels (3, h, w), truth (4, h, w), known (1, h, w)), float32: pixels of mean 0 and deviation 1 in each
+    channel; truth 0 to 1, the planes of a `Sample`; known 1 where the truth may be used. Images are read once,
+    when they are first asked for, and kept at the working scale.
     """
 
-    def __init__(self, labelled: LabelledSet, scale: float = 1.0, side: int = 0, small: float = 0.0) -> None:
-        """scale, side: see `working_scale`; small: see `emphasis`, px at the working scale."""
-        self.labelled, self.scale, self.side, self.small = labelled, scale, side, small
+    def __init__(self, labelled: LabelledSet, scale: float = 1.0, side: int = 0) -> None:
+        """scale, side: see `working_scale`."""
+        self.labelled, self.scale, self.side = labelled, scale, side
         self._samples: dict[int, Sample] = {}
 
     def __len__(self) -> int:
@@ -161,7 +135,7 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
     def sample(self, index: int) -> Sample:
         """An image as it is kept."""
         if index not in self._samples:
-            self._samples[index] = make_sample(self.labelled[index], self.scale, self.side, self.small)
+            self._samples[index] = make_sample(self.labelled[index], self.scale, self.side)
         return self._samples[index]
 
     def drawn(self, rng: np.random.Generator) -> Sample:
@@ -181,8 +155,7 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
         if not 0 <= index < len(self):
             raise IndexError(index)
         sample = self.sample(index)
-        pixels = standardised(sample.pixels, sample.mean, sample.contrast)
-        return as_tensors(pixels, sample.truth, sample.known, sample.extra)
+        return as_tensors(standardised(sample.pixels, sample.mean, sample.contrast), sample.truth, sample.known)
 
     def load(self, progress: Callable[[int, int], None] = lambda done, total: None) -> LabelledDataset:
         """Read all images now."""
@@ -198,12 +171,11 @@ def standardised(pixels: NDArray[np.uint8], mean: Floats, contrast: Floats) -> F
 
 
 def as_tensors(
-    pixels: Floats, truth: NDArray[np.uint8], known: NDArray[np.uint8], extra: NDArray[np.uint8]
+    pixels: Floats, truth: NDArray[np.uint8], known: NDArray[np.uint8]
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Planes first: (3, h, w), (4, h, w), weight (1, h, w) float32."""
-    weight = torch.from_numpy(known > 0) * (1 + torch.from_numpy(extra).float() * ((HEAVIEST - 1) / 255))
+    """Planes first: (3, h, w), (4, h, w), (1, h, w) float32."""
     return (
         torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1))),
         torch.from_numpy(np.ascontiguousarray(truth.transpose(2, 0, 1))).float() / 255,
-        weight[None],
+        torch.from_numpy(known[None] > 0).float(),
     )

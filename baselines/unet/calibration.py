@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from oysterbench.annotations import Entry, LabelledImage, LabelledSet
 from oysterbench_baselines.learning.masks import probability
 from oysterbench_baselines.learning.samples import Floats
-from oysterbench_baselines.unet.instances import LARGEST, SIDE, SIZES, Division, find_instances, size_class
+from oysterbench_baselines.unet.instances import LARGEST, Division, find_instances
 
 SHARE = 10
 """One in so many pictures of a clip, its last ones, are kept back; of clips that are shorter, one in so many clips."""
@@ -22,8 +22,6 @@ CUTS = np.linspace(-3.0, 3.0, 61)
 """Logits at which the mask may be cut."""
 LEAST_TELLING = 0.65
 """Balanced accuracy of live and dead, of which guessing has 0.5, below which neither is said."""
-FEW = 30
-"""Oysters of a class of size, below which it has no calibration of its own."""
 PIXELS = 4000
 """Of a picture, evenly taken, by which temperature and cut are found."""
 
@@ -31,13 +29,13 @@ PIXELS = 4000
 @dataclass(frozen=True)
 class Calibration:
     """temperature: by which logits are divided, so that cross-entropy is least (Guo et al. 2017); cut: the logit at
-    which IoU over all pixels is greatest, which becomes a probability of 0.5; sure: the scores from which on as many
-    oysters of each class of size are counted as there are (`instances.Division`). live_cut: the logit at which live
-    oysters are told from dead ones best; states: balanced accuracy with which they are, 0 where it was not measured."""
+    which IoU over all pixels is greatest, which becomes a probability of 0.5; sure: the score of an oyster from which
+    on as many are counted as there are (`instances.Division`). live_cut: the logit at which live oysters are told from
+    dead ones best; states: balanced accuracy with which they are, 0 where it was not measured."""
 
     temperature: float = 1.0
     cut: float = 0.0
-    sure: tuple[float, ...] = Division().sure
+    sure: float = 0.5
     live_cut: float = 0.0
     states: float = 0.0
 
@@ -136,38 +134,19 @@ def _entropy(logits: Floats, truth: NDArray[np.bool_]) -> float:
     return float(np.logaddexp(0, np.where(truth, -logits, logits)).mean())
 
 
-def _sure(seen: Sequence[Seen], calibration: Calibration) -> tuple[float, ...]:
-    """For each class of size the score of the N-th oyster that was found, of N true ones in all pictures; for one of
-    which there are few, the same over all sizes."""
-    scores, sizes, true = [], [], []
+def _sure(seen: Sequence[Seen], calibration: Calibration) -> float:
+    """The score of the N-th oyster, of N true ones in all pictures."""
+    scores, count = [], 0
     for one in seen:
         oyster, depth = one.logits[:2].astype(np.float32)
         found = find_instances(probability(calibration.applied(oyster)), probability(depth))
-        unit = max(oyster.shape) / SIDE
         known = np.bincount(found.labels.ravel(), weights=one.known.ravel(), minlength=len(found.scores) + 1)
         areas = np.bincount(found.labels.ravel(), minlength=len(found.scores) + 1)
-        taken = (known > 0.5 * areas)[1:]
-        scores.append(found.scores[taken])
-        sizes.append(np.sqrt(areas[1:][taken]) / unit)
-        counts = np.bincount(np.where(one.known, one.numbers, 0).ravel())[1:]
-        true.append(np.sqrt(counts[counts > 0]) / unit)
-    score, found_class, true_class = (
-        np.concatenate(scores),
-        size_class(np.concatenate(sizes)),
-        size_class(np.concatenate(true)),
-    )
-    every = _nth(score, len(true_class))
-    return tuple(
-        _nth(score[found_class == k], count) if (count := int((true_class == k).sum())) >= FEW else every
-        for k in range(len(SIZES) + 1)
-    )
-
-
-def _nth(scores: NDArray[np.float64], count: int) -> float:
-    """The score of the n-th greatest, or of the last."""
-    if count == 0 or not len(scores):
+        scores += found.scores[(known > 0.5 * areas)[1:]].tolist()
+        count += len(np.unique(one.numbers[(one.numbers > 0) & one.known]))
+    if count == 0 or not scores:
         return 0.5
-    return float(np.clip(np.sort(scores)[::-1][min(count, len(scores)) - 1], 0.01, 0.99))
+    return float(np.clip(sorted(scores, reverse=True)[min(count, len(scores)) - 1], 0.01, 0.99))
 
 
 def _telling(seen: Sequence[Seen]) -> tuple[float, float]:

@@ -23,11 +23,6 @@ LEVELS = 16
 LARGEST = 640
 """px of a picture's longer side: larger ones are divided at this size, and what is found is enlarged."""
 
-SIZES = (10.0, 20.0)
-"""px, roots of areas, that part small oysters from middling and large ones: how sure one has to be of each differs, as
-the small ones that are missed must not be made up for by large ones that are none, or counts are right on the mix of
-sizes alone that they were set by."""
-
 Labels = NDArray[np.int32]
 
 
@@ -43,7 +38,7 @@ class Division:
     least: float = 0.3
     area: float = 12.0
     large: float = 15.0
-    sure: tuple[float, ...] = (0.5,) * (len(SIZES) + 1)
+    sure: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -60,7 +55,7 @@ def find_instances(oyster: Floats, depth: Floats, division: Division | None = No
     Each pixel of the mask (from 0.5 on) goes to the marker whose hill it lies on. A piece of the mask without a marker
     is one of low score. The score is the mean probability over the instance, times the square of how well the depth
     within it is that of its outline (1 less the mean difference), times the root of its size over `division.large`
-    where it is smaller; moved so that 0.5 is where `division.sure` is for its size.
+    where it is smaller; moved so that 0.5 is where `division.sure` is.
     """
     division = division or Division()
     height, width = oyster.shape
@@ -136,19 +131,13 @@ def _scored(labels: Labels, oyster: Floats, depth: Floats, division: Division, u
     dense[kept] = np.arange(1, len(kept) + 1)
     found = Instances(dense[labels], np.zeros(len(kept)))
     misfit = np.abs(depths(found.labels.astype(np.uint16)) / np.float32(255) - depth)
-    sizes = np.sqrt(areas[kept]) / unit
-    scores = means(found, oyster) * (1.0 - means(found, misfit)) ** 2 * np.sqrt(np.minimum(sizes / division.large, 1.0))
-    return replace(found, scores=moved(scores, np.array(division.sure)[size_class(sizes)]))
+    sizes = np.minimum(np.sqrt(areas[kept]) / (division.large * unit), 1.0)
+    scores = means(found, oyster) * (1.0 - means(found, misfit)) ** 2 * np.sqrt(sizes)
+    return replace(found, scores=moved(scores, division.sure))
 
 
-def size_class(sizes: NDArray[np.float64]) -> NDArray[np.intp]:
-    """(N,) the class of each size, px in a picture of `SIDE`: 0 for the smallest."""
-    return np.searchsorted(SIZES, sizes, side="right")
-
-
-def moved(scores: NDArray[np.float64], sure: NDArray[np.float64] | float) -> NDArray[np.float64]:
-    """Scores 0 to 1, of one `sure` in the same order, of which 0.5 is where `sure` was: their odds divided by its
-    own."""
+def moved(scores: NDArray[np.float64], sure: float) -> NDArray[np.float64]:
+    """Scores 0 to 1 in the same order, of which 0.5 is where `sure` was: their odds divided by its own."""
     return np.asarray(scores * (1 - sure) / (scores * (1 - sure) + (1 - scores) * sure))
 
 

@@ -33,13 +33,11 @@ MOST_ALIKE = 800
 
 @dataclass(frozen=True)
 class UNetSettings:
-    """batch: crops of one step; measured: whether pictures are kept back, to measure on them what was learnt; small: px
-    at the working scale, the root of the area below which an oyster weighs more (`samples.emphasis`). The defaults take
-    16 minutes of a processor's core, half of that on two."""
+    """batch: crops of one step; measured: whether pictures are kept back, to measure on them what was learnt. The
+    defaults take 16 minutes of a processor's core, half of that on two."""
 
     batch: int = 8
     measured: bool = True
-    small: float = 0.0
     network: UNetworkSettings = field(default_factory=UNetworkSettings)
     augmentation: Augmentation = field(default_factory=Augmentation)
     fit: FitSettings = field(default_factory=lambda: FitSettings(steps=2000))
@@ -48,7 +46,6 @@ class UNetSettings:
 def pretrained_settings(encoder: str) -> UNetSettings:
     """Of a network on a pretrained encoder: larger crops of larger pictures, smaller steps."""
     return UNetSettings(
-        small=24.0,
         network=UNetworkSettings(groups=8, side=480, encoder=encoder, states=True),
         augmentation=Augmentation(crop=320, zoom=(0.6, 1.7), gain=0.35, blur=0.35, blur_px=2.5, veil=0.35),
         fit=FitSettings(steps=2000, learning_rate=1e-3),
@@ -109,8 +106,7 @@ def train(
     if not len(labelled):
         raise LabelError(f"{labelled.name}: expected images to train on, got none")
     learnt_from, kept = kept_back(labelled) if settings.measured else (labelled, labelled.where(lambda entry: False))
-    network = settings.network
-    dataset = LabelledDataset(learnt_from, network.scale, network.side, settings.small).load(loading)
+    dataset = LabelledDataset(learnt_from, settings.network.scale, settings.network.side).load(loading)
     streams = Streams(seed).at("unet")
     mixture = Mixture([dataset], [settings.batch])
     checkpoint = fit(

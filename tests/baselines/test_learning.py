@@ -22,15 +22,7 @@ from oysterbench_baselines.learning.batches import Mixture, make_batch  # noqa: 
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.loop import FitSettings, pick_device  # noqa: E402
 from oysterbench_baselines.learning.losses import bce_dice, mask_loss, state_entropy  # noqa: E402
-from oysterbench_baselines.learning.samples import (  # noqa: E402
-    HEAVIEST,
-    LabelledDataset,
-    as_tensors,
-    depths,
-    emphasis,
-    make_sample,
-    states,
-)
+from oysterbench_baselines.learning.samples import LabelledDataset, depths, make_sample, states  # noqa: E402
 from oysterbench_baselines.unet.training import train  # noqa: E402
 from tests.helpers.labelled_folders import image  # noqa: E402
 from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
@@ -95,30 +87,6 @@ def test_an_oyster_that_the_image_cuts_off_has_its_border_there():
     found = depths(numbers)
     assert found[10, 10] == 255
     assert found[0].max() < 255 / 4
-
-
-def test_small_oysters_weigh_by_their_size_and_not_by_their_area():
-    numbers = np.zeros((60, 60), np.uint16)
-    numbers[2:8, 2:8], numbers[2:14, 20:32], numbers[25:55, 10:40] = 1, 2, 3  # 6, 12 and 30 px
-    weight = 1 + emphasis(numbers, 24.0) * ((HEAVIEST - 1) / 255)
-    assert weight[5, 5] == pytest.approx(HEAVIEST)  # 24 / 6 would be 4
-    assert weight[5, 25] == pytest.approx(2.0, abs=0.01)
-    assert weight[40, 20] == 1.0
-    assert weight[20, 5] == 1.0
-    assert not emphasis(numbers, 0.0).any()
-
-
-def test_a_weight_reaches_the_bottom_around_a_small_oyster_and_what_is_ignored_has_none(labelled):
-    plain, weighed = (make_sample(labelled[0], 0.5, small=small) for small in (0.0, 60.0))
-    assert not plain.extra.any()
-    heavy = weighed.extra > 0
-    covered = weighed.truth[..., 0] == 255
-    assert heavy[covered].all()
-    assert covered.sum() < heavy.sum() < 0.9 * heavy.size
-    weighed.known[:10] = 0
-    weight = as_tensors(np.zeros((*heavy.shape, 3), np.float32), weighed.truth, weighed.known, weighed.extra)[2]
-    assert not weight[:, :10].any()
-    assert float(weight[:, 10:].min()) == 1.0
 
 
 def test_of_oysters_whose_state_is_not_known_nothing_is_told():
@@ -191,7 +159,7 @@ def test_pictures_and_truth_are_moved_alike():
     sample = make_sample(dataclasses.replace(one, pixels=drawn), 1.0)
     still = Augmentation(crop=32, gain=0, shift=0, tint=0, noise=0, grey=0, blur=0)
     for k in range(20):
-        values, truth, known, _ = augmented(sample, still, stream(k, b"", "test"))
+        values, truth, known = augmented(sample, still, stream(k, b"", "test"))
         assert values.shape == (32, 32, 3)
         assert np.array_equal(known, np.full((32, 32), 255))
         shown = (values[..., 0] * sample.contrast[0] + sample.mean[0] - 20) / 200

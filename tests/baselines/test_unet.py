@@ -21,10 +21,8 @@ from oysterbench_baselines.learning import masks  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.efficientnet import weights_file  # noqa: E402
 from oysterbench_baselines.learning.masks import enlarged  # noqa: E402
-from oysterbench_baselines.learning.samples import depths  # noqa: E402
 from oysterbench_baselines.unet import UNet, UNetSmall, UNetSmallInstances, network  # noqa: E402
-from oysterbench_baselines.unet.calibration import Calibration, Seen, _sure, kept_back, measured  # noqa: E402
-from oysterbench_baselines.unet.instances import Division, find_instances  # noqa: E402
+from oysterbench_baselines.unet.calibration import Calibration, kept_back, measured  # noqa: E402
 from oysterbench_baselines.unet.model import read_unet  # noqa: E402
 from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings, build_network  # noqa: E402
 from oysterbench_baselines.unet.training import new_network, train  # noqa: E402
@@ -330,28 +328,3 @@ def test_another_encoder_than_that_of_the_weights_is_refused_before_any_data_is_
     result = CliRunner().invoke(main, words)
     assert result.exit_code != 0
     assert "its encoder is lite0, and --encoder lite1 is asked for" in " ".join(result.stderr.split())
-
-
-def test_small_oysters_that_are_missed_are_not_made_up_for_by_large_ones_that_are_none():
-    """Six pictures of 320 px with 8 small oysters, of which little is sure, and 6 large ones; and 3 large things that
-    are surer than the small ones, but are none."""
-    numbers = np.zeros((320, 320), np.uint16)
-    chance = np.full((320, 320), 0.02, np.float32)
-    places = [(10 + 36 * k, 10, 8, 0.75) for k in range(8)]
-    places += [(10 + 50 * k, 60, 30, 0.95) for k in range(6)]
-    places += [(10 + 50 * k, 140, 30, 0.80) for k in range(3)]
-    for number, (left, top, size, sure) in enumerate(places, start=1):
-        box = (slice(top, top + size), slice(left, left + size))
-        numbers[box], chance[box] = number, sure
-    depth = depths(numbers).astype(np.float32) / 255
-    true = np.where(numbers <= 14, numbers, 0).astype(np.uint16)
-    logits = np.stack([np.log(p / (1 - p)) for p in (chance, np.clip(depth, 1e-3, 1 - 1e-3))]).astype(np.float16)
-    seen = [Seen(true, np.ones((320, 320), bool), logits, {})] * 6
-    sure = _sure(seen, Calibration())
-    found = find_instances(chance, depth, Division(sure=sure))
-    sizes = np.sqrt(np.bincount(found.labels.ravel())[1:])
-    counted = found.scores >= 0.5 - 1e-6
-    assert (counted & (sizes < 10)).sum() == 8
-    assert (counted & (sizes >= 20)).sum() == 6
-    few = [Seen(true, np.ones((320, 320), bool), logits, {})] * 2
-    assert len(set(_sure(few, Calibration()))) == 1, "of 16 small and 12 large ones none has a calibration of its own"
