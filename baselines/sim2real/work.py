@@ -170,7 +170,7 @@ class Bench:
         return self.settings.schedule.kept if cell.synthetic in self._datasets else 0
 
     def predictions(self, model: MaskModel) -> Iterator[Floats]:
-        """(2, h, w) logits of each test image, at the working scale, to `STEP`."""
+        """(K, h, w) logits of each test image, at the working scale, to `STEP`."""
         for pixels in self.truth.pixels:
             yield np.clip(np.round(model.small_logits(pixels) / STEP), -127, 127).astype(np.int8)
 
@@ -230,8 +230,8 @@ def known_records(folder: Path, identity: Mapping[str, Any]) -> list[ResultRecor
 
 
 def read_prediction(kept: Any, shape: tuple[int, ...]) -> Prediction:
-    """What kept logits (2, h, w) say at the native size (H, W)."""
-    oyster, depth = probability(enlarged(kept.astype(np.float32) * STEP, *shape))
+    """What kept logits (K, h, w) say at the native size (H, W)."""
+    oyster, depth, *_ = probability(enlarged(kept.astype(np.float32) * STEP, *shape))
     found = find_instances(oyster, depth)
     return Prediction(oyster > 0.5, found.labels, found.scores)
 

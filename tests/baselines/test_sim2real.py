@@ -212,6 +212,13 @@ def test_it_leaves_a_result_for_each_cell_and_goes_on_where_it_was_stopped(real,
     assert [row.iou for row in again] == [row.iou for row in rows]
 
 
+def test_networks_that_tell_live_oysters_from_dead_ones_are_tested_as_others_are(real, tmp_path):
+    told = dataclasses.replace(SETTINGS, sizes=(2,), network=dataclasses.replace(SETTINGS.network, states=True))
+    rows = experiment(real, {}, tmp_path, told)
+    assert "real" in {row.variant for row in rows}
+    assert ExperimentSettings().with_encoder("lite0").network.states
+
+
 def test_a_folder_of_another_experiment_is_refused_by_its_cell(real, synthetic, tmp_path):
     one = dataclasses.replace(SETTINGS, sizes=(2,))
     experiment(real, {}, tmp_path, one)
