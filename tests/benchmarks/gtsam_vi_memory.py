@@ -1,4 +1,4 @@
-"""How much memory gtsam_vi takes over minutes: `python tests/benchmarks/gtsam_vi_memory.py [--seconds S] [--rate HZ]`.
+"""How much memory gtsam_vi takes over minutes: `python -m tests.benchmarks.gtsam_vi_memory [--seconds S] [--rate HZ]`.
 
 Laps over a flat bottom, 640x480, every place seen again every 28 s, with loops and the final smoothing. Resident memory
 (MB) after the imports, every half a minute of the dive, at its end, and at most while it is smoothed; seconds of the
