@@ -88,14 +88,18 @@ def command(
 
     For each number of real images and each seed, it trains on real only and on real + each synthetic set; it also
     trains on each synthetic set alone. With --weights the first part of the training has been done already, and only
-    real images follow. Translated images are a folder with images/, masks/ and, where known,
-    instances/. Each training run has a folder with its checkpoint, its predictions and results.json. Sites are clips
-    that show one place, as found from their images; --leave-site-out uses all real images of the other sites. May be
-    interrupted, even killed: the same command resumes; started twice, both share the work. Training images that nearly
-    duplicate test images are named and left out.
+    real images follow. Translated images are a folder with images/, masks/ and, where known, instances/. Each training
+    run has a folder with its checkpoint, its predictions and results.json. Sites are clips that show one place, as
+    found from their images; --leave-site-out uses all real images of the other sites. May be interrupted, even killed:
+    the same command resumes; started twice, both share the work. Training images that nearly duplicate test images are
+    named and left out.
     """
-    from oysterbench.cli.echo import message
     from oysterbench.cli.labelled import named_files, named_places, open_all, open_data
+
+    parts = named_places(names, ["real"])
+    weights = named_files(given, ["real", *parts])
+    # What follows loads torch, which what is mistyped does not wait for.
+    from oysterbench.cli.echo import message
     from oysterbench.cli.outputs import print_rich
     from oysterbench.cli.render import frames_bar
     from oysterbench.core.files import home
@@ -105,8 +109,6 @@ def command(
     from oysterbench_baselines.sim2real.settings import SCHEDULES, ExperimentSettings
     from oysterbench_baselines.sim2real.work import Source
 
-    parts = named_places(names, ["real"])
-    weights = named_files(given, ["real", *parts])
     sets = {name: open_all(places, name=name) for name, places in parts.items()}
     sources: dict[str, Source] = {**sets, **{name: read_checkpoint(path) for name, path in weights.items()}}
     if schedule not in SCHEDULES:

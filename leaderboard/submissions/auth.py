@@ -110,8 +110,7 @@ class Auth:
                 else:
                     check_fields({})
                     # What is wrong with the question is said before the answer is sent.
-                    asked = form_of(fields)
-                    self.service.check_form(asked)
+                    asked, _ = self.service.check_form(form_of(fields))
                     if digest := fields.get("digest"):
                         known = await run_in_threadpool(self.service.announced, team, asked, digest)
                         if known is not None:

@@ -94,12 +94,9 @@ class Service:
         Raises Refusal with the reason, by file and line; then nothing was counted.
         """
         form, wanted = self.check_form(form)
-        with self.database.reading() as connection:
-            known = self._same(connection, team, form, upload.digest)
-            if known is not None and not self._ours(known):
-                return known, False
-            if known is None:
-                self._check_quota(connection, team, form.split)
+        known = self.announced(team, form, upload.digest)
+        if known is not None:
+            return known, False
         self._reads.count(team)
         with self._checks:
             facts = sandbox.check(self.settings, upload.path, wanted, self.hidden, self.log.info, self.forks)
@@ -113,9 +110,8 @@ class Service:
         return self._accept(team, form, upload, facts)
 
     def announced(self, team: str, form: Form, digest: str) -> Submission | None:
-        """The submission that bytes of this SHA-256 are, before they are sent; None where they are to be sent. Raises
-        Refusal where they would be refused whatever they hold, so that nobody uploads for an hour to be told."""
-        form, _ = self.check_form(form)
+        """The submission that bytes of this SHA-256 are already; None where they are to be taken in. Raises Refusal where
+        the team's quota is full, so that nobody uploads for an hour to be told. form: as `check_form` gives it."""
         with self.database.reading() as connection:
             known = self._same(connection, team, form, digest)
             if known is None:

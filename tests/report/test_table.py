@@ -242,3 +242,9 @@ def test_html_links_within_the_site_and_to_the_web_alone():
 def test_numbers_of_what_diverged_have_no_decimals():
     column = Column("ate", "ATE", kind="number", digits=3)
     assert column.texts([0.5, 9999.5, 83837.354, -10000.0]) == ["0.500", "9999.500", "83837", "\N{MINUS SIGN}10000"]
+
+
+def test_an_interval_may_stand_below_its_number_where_a_page_is_narrow():
+    html = html_table(TABLE)
+    assert '2.00 <span class="around">[1.00 to 3.00]</span>' in html
+    assert html.count("around") == 1, "0.5 has no interval"

@@ -112,7 +112,7 @@ EXPLORATION = TrackMetrics(
     "Exploration",
     ROLLOUTS,
     EXPLORATION_TABLE,
-    EXPLORATION_TABLE[1:],
+    tuple(key for key in EXPLORATION_TABLE[1:] if key != "distance_m"),  # no merit, and nearly the same for all
     beside="contacts_per_min",
     failed={"oysters_per_min": 0.0},
 )
