@@ -112,8 +112,8 @@ class Service:
     def announced(self, team: str, form: Form, digest: str) -> Submission | None:
         """The submission that bytes of this SHA-256 are already; None where they are to be taken in.
 
-        form: as `check_form` gives it. Raises Refusal where the team's quota is full, so that nobody uploads for an hour
-        to be told.
+        form: as `check_form` gives it. Raises Refusal where the team's quota is full, so that nobody uploads for an
+        hour to be told.
         """
         with self.database.reading() as connection:
             known = self._same(connection, team, form, digest)
