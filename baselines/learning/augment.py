@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench_baselines.learning.samples import Floats, Sample, standardised
+from oysterbench_baselines.learning.samples import Floats, Sample, joined, offsets, standardised
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class Augmentation:
 
 def augmented(
     sample: Sample, settings: Augmentation, rng: np.random.Generator
-) -> tuple[Floats, NDArray[np.uint8], NDArray[np.uint8]]:
-    """A crop: pixels (C, C, 3) float32, standardised, truth (C, C, 4) and known (C, C) uint8."""
+) -> tuple[Floats, Floats, NDArray[np.uint8]]:
+    """A crop: pixels (C, C, 3), standardised, truth (C, C, 7), as of a `LabelledDataset`, and known (C, C) uint8."""
     matrix = _placement(sample.known.shape, settings, rng)
     size = (settings.crop, settings.crop)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -45,7 +45,18 @@ def augmented(
     values = recoloured(
         standardised(np.asarray(pixels, np.uint8), sample.mean, sample.contrast), sample.contrast, settings, rng
     )
-    return values, np.asarray(truth, np.uint8), np.where(known == 255, 255, 0).astype(np.uint8)
+    # Beyond the image no centre is known: that of a mirror image would be the mirror image of a centre.
+    nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    numbers = cv2.warpAffine(sample.numbers, matrix, size, flags=nearest, borderMode=cv2.BORDER_CONSTANT)
+    towards = offsets(np.asarray(numbers, np.uint16), _moved(sample.centres, matrix))
+    return values, joined(np.asarray(truth, np.uint8), towards), np.where(known == 255, 255, 0).astype(np.uint8)
+
+
+def _moved(centres: Floats, matrix: Floats) -> Floats:
+    """Centres and radii (N, 3) in px of the image, in px of a crop that `matrix` (2, 3) takes to the image."""
+    back = np.linalg.inv(matrix[:, :2].astype(np.float64))
+    places = (centres[:, :2] - matrix[:, 2]) @ back.T
+    return np.column_stack([places, centres[:, 2] * math.sqrt(abs(np.linalg.det(back)))]).astype(np.float32)
 
 
 def _placement(shape: tuple[int, ...], settings: Augmentation, rng: np.random.Generator) -> Floats:

@@ -14,7 +14,7 @@ from oysterbench_baselines.learning.augment import Augmentation, augmented
 from oysterbench_baselines.learning.samples import LabelledDataset, as_tensors
 
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
-"""Pixels (B, 3, C, C), truth (B, 4, C, C), known (B, 1, C, C), float32, as `LabelledDataset` has them."""
+"""Pixels (B, 3, C, C), truth (B, 7, C, C), known (B, 1, C, C), float32, as `LabelledDataset` has them."""
 
 
 @dataclass(frozen=True)

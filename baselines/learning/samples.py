@@ -31,6 +31,9 @@ class Sample:
     truth:  (h, w, 4) uint8, shares of a pixel in 255ths: what is oyster; how deep in one it lies (`depths`); what is
             live oyster; and what is oyster of which it is known whether it is alive
     known:  (h, w) uint8, 255 where the truth may be used, 0 where it is to be ignored
+    numbers: (h, w) uint16, of the oyster that a pixel belongs to, 0 for none
+    centres: (N + 1, 3) float32, by number: x, y of the mean of its pixels, and its radius, that of a disc of its area,
+            px; zeros for none
     """
 
     name: str
@@ -40,6 +43,8 @@ class Sample:
     contrast: Floats
     truth: NDArray[np.uint8]
     known: NDArray[np.uint8]
+    numbers: NDArray[np.uint16]
+    centres: Floats
 
 
 def working_scale(shape: tuple[int, ...], scale: float, side: int) -> float:
@@ -56,6 +61,9 @@ def make_sample(image: LabelledImage, scale: float, side: int = 0) -> Sample:
     truth = np.stack([image.oysters * np.uint8(255), depths(instances), *states(instances, image.living)], axis=-1)
     known = shrink(np.where(image.ignore, 0, 255).astype(np.uint8), scale)
     mean, contrast = statistics(pixels)
+    dense = np.unique(np.append(instances.ravel(), 0), return_inverse=True)[1][:-1].reshape(instances.shape)
+    height, width = known.shape
+    numbers = cv2.resize(dense.astype(np.uint16), (width, height), interpolation=cv2.INTER_NEAREST)
     return Sample(
         image.name,
         image.clip,
@@ -64,7 +72,30 @@ def make_sample(image: LabelledImage, scale: float, side: int = 0) -> Sample:
         contrast,
         shrink(truth, scale),
         np.where(known == 255, 255, 0).astype(np.uint8),
+        np.asarray(numbers, np.uint16),
+        centres(np.asarray(numbers, np.uint16)),
     )
+
+
+def centres(numbers: NDArray[np.uint16]) -> Floats:
+    """(N + 1, 3): see `Sample`."""
+    rows, columns = np.nonzero(numbers)
+    labels = numbers[rows, columns]
+    areas = np.bincount(labels, minlength=1)
+    sums = [np.bincount(labels, weights=places, minlength=1) for places in (columns, rows)]
+    found = np.stack([*(one / np.maximum(areas, 1) for one in sums), np.sqrt(areas / np.pi)], axis=-1)
+    return found.astype(np.float32)
+
+
+def offsets(numbers: NDArray[np.uint16], places: Floats) -> Floats:
+    """(h, w, 3) px, from each pixel to the centre of its oyster, x and y, and its radius; zeros where none is. places:
+    (N + 1, 3), centres and radii by number."""
+    height, width = numbers.shape
+    found = places[numbers]
+    found[..., 0] -= np.arange(width, dtype=np.float32)
+    found[..., 1] -= np.arange(height, dtype=np.float32)[:, None]
+    found[found[..., 2] <= 0] = 0
+    return found
 
 
 def shrink(values: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
@@ -119,9 +150,9 @@ def states(instances: NDArray[np.uint16], living: Mapping[int, bool]) -> tuple[N
 class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
     """Labelled images as a torch Dataset.
 
-    An item is (pixels (3, h, w), truth (4, h, w), known (1, h, w)), float32: pixels of mean 0 and deviation 1 in each
-    channel; truth 0 to 1, the planes of a `Sample`; known 1 where the truth may be used. Images are read once,
-    when they are first asked for, and kept at the working scale.
+    An item is (pixels (3, h, w), truth (7, h, w), known (1, h, w)), float32: pixels of mean 0 and deviation 1 in each
+    channel; truth: the planes of a `Sample`, 0 to 1, and `offsets`, px; known 1 where the truth may be used. Images are
+    read once, when they are first asked for, and kept at the working scale.
     """
 
     def __init__(self, labelled: LabelledSet, scale: float = 1.0, side: int = 0) -> None:
@@ -155,7 +186,11 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
         if not 0 <= index < len(self):
             raise IndexError(index)
         sample = self.sample(index)
-        return as_tensors(standardised(sample.pixels, sample.mean, sample.contrast), sample.truth, sample.known)
+        return as_tensors(
+            standardised(sample.pixels, sample.mean, sample.contrast),
+            joined(sample.truth, offsets(sample.numbers, sample.centres)),
+            sample.known,
+        )
 
     def load(self, progress: Callable[[int, int], None] = lambda done, total: None) -> LabelledDataset:
         """Read all images now."""
@@ -170,12 +205,17 @@ def standardised(pixels: NDArray[np.uint8], mean: Floats, contrast: Floats) -> F
     return (pixels.astype(np.float32) - mean) / contrast
 
 
+def joined(shares: NDArray[np.uint8], towards: Floats) -> Floats:
+    """(h, w, 7): the planes of a `Sample`, 0 to 1, and `offsets`."""
+    return np.concatenate([shares.astype(np.float32) / 255, towards], axis=-1)
+
+
 def as_tensors(
-    pixels: Floats, truth: NDArray[np.uint8], known: NDArray[np.uint8]
+    pixels: Floats, truth: Floats, known: NDArray[np.uint8]
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Planes first: (3, h, w), (4, h, w), (1, h, w) float32."""
+    """Planes first: (3, h, w), (7, h, w), (1, h, w) float32."""
     return (
         torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1))),
-        torch.from_numpy(np.ascontiguousarray(truth.transpose(2, 0, 1))).float() / 255,
+        torch.from_numpy(np.ascontiguousarray(truth.transpose(2, 0, 1))),
         torch.from_numpy(known[None] > 0).float(),
     )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from oysterbench.annotations import Entry, LabelledImage, LabelledSet
 from oysterbench_baselines.learning.masks import probability
 from oysterbench_baselines.learning.samples import Floats
-from oysterbench_baselines.unet.instances import LARGEST, Division, find_instances
+from oysterbench_baselines.unet.instances import LARGEST, Division, Instances, find_instances
 
 SHARE = 10
 """One in so many pictures of a clip, its last ones, are kept back; of clips that are shorter, one in so many clips."""
@@ -22,6 +22,10 @@ CUTS = np.linspace(-3.0, 3.0, 61)
 """Logits at which the mask may be cut."""
 LEAST_TELLING = 0.65
 """Balanced accuracy of live and dead, of which guessing has 0.5, below which neither is said."""
+RISES = (0.04, 0.05, 0.06, 0.07, 0.08, 0.1, 0.12, 0.15)
+"""Of depth (`instances.Division`), of which the best is taken."""
+SAME = 0.5
+"""IoU from which on an oyster that was found is a true one."""
 PIXELS = 4000
 """Of a picture, evenly taken, by which temperature and cut are found."""
 
@@ -29,12 +33,14 @@ PIXELS = 4000
 @dataclass(frozen=True)
 class Calibration:
     """temperature: by which logits are divided, so that cross-entropy is least (Guo et al. 2017); cut: the logit at
-    which IoU over all pixels is greatest, which becomes a probability of 0.5; sure: the score of an oyster from which
-    on as many are counted as there are (`instances.Division`). live_cut: the logit at which live oysters are told from
-    dead ones best; states: balanced accuracy with which they are, 0 where it was not measured."""
+    which IoU over all pixels is greatest, which becomes a probability of 0.5; rise: by which oysters are told apart so
+    that most are right, of as many as there are; sure: the score of an oyster from which on so many are counted (both:
+    `instances.Division`). live_cut: the logit at which live oysters are told from dead ones best; states: balanced
+    accuracy with which they are, 0 where it was not measured."""
 
     temperature: float = 1.0
     cut: float = 0.0
+    rise: float = Division.rise
     sure: float = 0.5
     live_cut: float = 0.0
     states: float = 0.0
@@ -51,7 +57,7 @@ class Calibration:
     @property
     def division(self) -> Division:
         """How oysters are told apart by it."""
-        return Division(sure=self.sure)
+        return Division(rise=self.rise, sure=self.sure)
 
 
 def kept_back(labelled: LabelledSet) -> tuple[LabelledSet, LabelledSet]:
@@ -83,7 +89,7 @@ def measured(
     for k, entry in enumerate(taken, start=1):
         image = entry.read()
         seen.append(Seen.of(image, look(image.pixels)))
-        progress(k, len(taken))
+        progress(k, 2 * len(taken))
     if not any(one.numbers.any() for one in seen):
         return Calibration()
     logits, truth = (np.concatenate(parts) for parts in zip(*(one.some() for one in seen), strict=True))
@@ -91,7 +97,8 @@ def measured(
     heat = float(TEMPERATURES[np.argmin([_entropy(logits / value, truth) for value in TEMPERATURES])])
     found = Calibration(round(heat, 3), round(cut, 3))
     live_cut, states = _telling(seen)
-    return replace(found, sure=_sure(seen, found), live_cut=live_cut, states=states)
+    rise, sure = _dividing(seen, found, lambda done: progress(len(taken) + done, 2 * len(taken)))
+    return replace(found, rise=rise, sure=sure, live_cut=live_cut, states=states)
 
 
 def evenly(entries: Sequence[Entry], most: int) -> list[Entry]:
@@ -134,19 +141,45 @@ def _entropy(logits: Floats, truth: NDArray[np.bool_]) -> float:
     return float(np.logaddexp(0, np.where(truth, -logits, logits)).mean())
 
 
-def _sure(seen: Sequence[Seen], calibration: Calibration) -> float:
-    """The score of the N-th oyster, of N true ones in all pictures."""
-    scores, count = [], 0
-    for one in seen:
+def _dividing(seen: Sequence[Seen], calibration: Calibration, progress: Callable[[int], None]) -> tuple[float, float]:
+    """Of as many oysters as there are true ones in all pictures, those of the highest scores: the rise by which most of
+    them are true ones, and the lowest of these scores."""
+    scores: list[list[float]] = [[] for _ in RISES]
+    right: list[list[bool]] = [[] for _ in RISES]
+    count = 0
+    for k, one in enumerate(seen, start=1):
         oyster, depth = one.logits[:2].astype(np.float32)
-        found = find_instances(probability(calibration.applied(oyster)), probability(depth))
-        known = np.bincount(found.labels.ravel(), weights=one.known.ravel(), minlength=len(found.scores) + 1)
-        areas = np.bincount(found.labels.ravel(), minlength=len(found.scores) + 1)
-        scores += found.scores[(known > 0.5 * areas)[1:]].tolist()
-        count += len(np.unique(one.numbers[(one.numbers > 0) & one.known]))
-    if count == 0 or not scores:
-        return 0.5
-    return float(np.clip(sorted(scores, reverse=True)[min(count, len(scores)) - 1], 0.01, 0.99))
+        numbers = np.where(one.known, one.numbers, 0)
+        count += len(np.unique(numbers[numbers > 0]))
+        for rise, sure, same in zip(RISES, scores, right, strict=True):
+            found = find_instances(probability(calibration.applied(oyster)), probability(depth), Division(rise=rise))
+            areas = np.bincount(found.labels.ravel(), minlength=len(found.scores) + 1)
+            known = np.bincount(found.labels.ravel(), weights=one.known.ravel(), minlength=len(areas))
+            judged = (known > 0.5 * areas)[1:]
+            sure += found.scores[judged].tolist()
+            same += _true(found, numbers)[judged].tolist()
+        progress(k)
+    if count == 0 or not any(scores):
+        return Division.rise, 0.5
+    hits = [sum(same[n] for n in np.argsort(sure)[::-1][:count]) for sure, same in zip(scores, right, strict=True)]
+    best = int(np.argmax(hits))
+    if not scores[best]:
+        return RISES[best], 0.5
+    least = sorted(scores[best], reverse=True)[min(count, len(scores[best])) - 1]
+    return RISES[best], float(np.clip(least, 0.01, 0.99))
+
+
+def _true(found: Instances, numbers: NDArray[np.uint16]) -> NDArray[np.bool_]:
+    """(N,) which instances have an IoU above `SAME` with one of the numbered oysters (h, w): of instances that do not
+    overlap, only one has that with any one of them."""
+    width = len(found.scores) + 1
+    pairs, shared = np.unique(numbers.astype(np.int64) * width + found.labels, return_counts=True)
+    true, mine = np.divmod(pairs, width)
+    areas, mine_areas = np.bincount(numbers.ravel()), np.bincount(found.labels.ravel(), minlength=width)
+    iou = shared / (areas[true] + mine_areas[mine] - shared)
+    result = np.zeros(width, dtype=np.bool_)
+    result[mine[(iou > SAME) & (true > 0)]] = True
+    return result[1:]
 
 
 def _telling(seen: Sequence[Seen]) -> tuple[float, float]:

@@ -17,13 +17,18 @@ OUTPUTS = ("oyster", "depth", "live")
 """What the channels of the prediction are logits of; depth: into an oyster, see `learning.samples.depths`; live: that
 an oyster is, of networks that tell."""
 
+CENTRES = 3
+"""Planes after those, in training: x and y from each pixel to the centre of its oyster, and the radius of that."""
+
 
 @dataclass(frozen=True)
 class UNetworkSettings:
     """depth: levels, each half the size of the one before; base: channels of the first, doubled from level to level;
     groups: of channels that are normalised together. scale: of an image, at which it is looked at; side: px, to which
     its longer side is brought instead, where it is not 0. encoder: in `efficientnet.VARIANTS`, which takes the place of
-    depth and base. states: whether it tells live oysters from dead ones."""
+    depth and base. states: whether it tells live oysters from dead ones. centres: whether it also learns, for each
+    pixel of an oyster, where the centre of that is and how large it is (`learning.losses.centre_error`): nothing is
+    made of that later, but what knows it draws oysters apart that touch."""
 
     depth: int = 4
     base: int = 16
@@ -32,11 +37,17 @@ class UNetworkSettings:
     side: int = 0
     encoder: str = ""
     states: bool = False
+    centres: bool = False
 
     @property
     def outputs(self) -> int:
         """How many of `OUTPUTS` it has."""
         return len(OUTPUTS) if self.states else 2
+
+    @property
+    def learnt(self) -> int:
+        """Planes of the head: the outputs, and those that there are in training only."""
+        return self.outputs + (CENTRES if self.centres else 0)
 
     @property
     def multiple(self) -> int:
@@ -59,7 +70,8 @@ class Block(nn.Sequential):
 
 
 class UNetwork(nn.Module):
-    """(B, 3, h, w) standardised pixels to (B, K, h, w) logits (`OUTPUTS`); h and w are multiples of 2^(depth - 1)."""
+    """(B, 3, h, w) standardised pixels to (B, K, h, w) logits (`OUTPUTS`); h and w are multiples of 2^(depth - 1). In
+    training there are `CENTRES` more planes, where the settings say so."""
 
     def __init__(self, settings: UNetworkSettings) -> None:
         super().__init__()
@@ -69,7 +81,7 @@ class UNetwork(nn.Module):
         )
         self.grow = nn.ModuleList(nn.ConvTranspose2d(2 * width, width, 2, stride=2) for width in reversed(widths[:-1]))
         self.up = nn.ModuleList(Block(2 * width, width, settings.groups) for width in reversed(widths[:-1]))
-        self.head = nn.Conv2d(widths[0], settings.outputs, 1)
+        self.head, self.outputs = nn.Conv2d(widths[0], settings.learnt, 1), settings.outputs
 
     def forward(self, pixels: torch.Tensor) -> torch.Tensor:
         """See the class."""
@@ -81,7 +93,7 @@ class UNetwork(nn.Module):
         for grow, block, beside in zip(self.grow, self.up, reversed(levels[:-1]), strict=True):
             found = block(torch.cat([beside, grow(found)], dim=1))
         prediction: torch.Tensor = self.head(found)
-        return prediction
+        return prediction if self.training else prediction[:, : self.outputs]
 
 
 WIDTHS = (96, 64, 48, 32)
@@ -102,7 +114,7 @@ class PretrainedUNetwork(nn.Module):
         for channels, width in zip(beside, WIDTHS, strict=True):
             self.up.append(Block(deep + channels, width, settings.groups))
             deep = width
-        self.head = nn.Conv2d(deep, settings.outputs, 1)
+        self.head, self.outputs = nn.Conv2d(deep, settings.learnt, 1), settings.outputs
 
     def train(self, mode: bool = True) -> Self:
         """The encoder always normalises by what ImageNet was like: the statistics of eight crops, and a mean over those
@@ -117,7 +129,8 @@ class PretrainedUNetwork(nn.Module):
         for block, beside in zip(self.up, reversed(levels), strict=True):
             found = functional.interpolate(found, size=beside.shape[-2:], mode="nearest")
             found = block(torch.cat([beside, found], dim=1))
-        return functional.interpolate(self.head(found), size=pixels.shape[-2:], mode="bilinear", align_corners=False)
+        planes = self.head(found) if self.training else self.head(found)[:, : self.outputs]
+        return functional.interpolate(planes, size=pixels.shape[-2:], mode="bilinear", align_corners=False)
 
 
 def build_network(settings: UNetworkSettings, begun: bool = False) -> nn.Module:

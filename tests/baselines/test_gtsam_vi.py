@@ -180,7 +180,7 @@ class FlatBottom(Sequence):
 
     def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
         generator = np.random.default_rng(3)
-        return iter(dive.inertial_samples(dive.survey_pose, self.imu_calibration, self._seconds, generator))
+        return dive.inertial_stream(dive.survey_pose, self.imu_calibration, self._seconds, generator)
 
     @property
     def duration_s(self) -> float:

@@ -14,15 +14,17 @@ from tests.helpers.paths import ROOT
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
-from oysterbench.annotations import LabelledSet  # noqa: E402
+from oysterbench.annotations import LabelledImage, LabelledSet  # noqa: E402
+from oysterbench.annotations.image import OYSTER  # noqa: E402
 from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
 from oysterbench.core.streams import Streams, stream  # noqa: E402
 from oysterbench_baselines.learning.augment import Augmentation, augmented  # noqa: E402
 from oysterbench_baselines.learning.batches import Mixture, make_batch  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.loop import FitSettings, pick_device  # noqa: E402
-from oysterbench_baselines.learning.losses import bce_dice, mask_loss, state_entropy  # noqa: E402
-from oysterbench_baselines.learning.samples import LabelledDataset, depths, make_sample, states  # noqa: E402
+from oysterbench_baselines.learning.losses import bce_dice, centre_error, mask_loss, state_entropy  # noqa: E402
+from oysterbench_baselines.learning.samples import LabelledDataset, depths, make_sample, offsets, states  # noqa: E402
+from oysterbench_baselines.unet.network import UNetworkSettings, build_network  # noqa: E402
 from oysterbench_baselines.unet.training import train  # noqa: E402
 from tests.helpers.labelled_folders import image  # noqa: E402
 from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
@@ -49,7 +51,9 @@ def test_an_item_of_the_dataset_is_standardised_and_has_the_truth_at_the_working
     dataset = LabelledDataset(labelled, 0.5)
     pixels, truth, known = dataset[1]
     assert pixels.shape == (3, 32, 40)
-    assert truth.shape == (4, 32, 40)
+    assert truth.shape == (7, 32, 40)
+    assert bool((truth[6][truth[0] == 1] > 0).all())
+    assert not truth[4:, truth[0] == 0].any()
     assert torch.allclose(pixels.mean(dim=(1, 2)), torch.zeros(3), atol=1e-4)
     assert torch.allclose(pixels.std(dim=(1, 2), correction=0), torch.ones(3), atol=1e-4)
     cover = float(labelled[1].oysters.mean())
@@ -141,12 +145,48 @@ def test_live_is_learnt_of_what_is_told_alone():
 
 
 def test_a_network_without_the_plane_of_states_learns_from_the_others():
-    truth, known = torch.rand(1, 4, 8, 8), torch.ones(1, 1, 8, 8)
+    truth, known = torch.rand(1, 7, 8, 8), torch.ones(1, 1, 8, 8)
     two, three = torch.randn(1, 2, 8, 8), torch.zeros(1, 1, 8, 8)
     pixels = torch.zeros(1, 3, 8, 8)
     alone = mask_loss(lambda _: two, pixels, truth, known)
     assert torch.equal(alone, bce_dice(two, truth[:, :2], known))
     assert float(mask_loss(lambda _: torch.cat([two, three], dim=1), pixels, truth, known)) > float(alone)
+
+
+def numbered(numbers):
+    """A sample of nothing but oysters."""
+    empty = np.zeros(numbers.shape, np.uint8)
+    classes = np.where(numbers > 0, OYSTER, 0).astype(np.uint8)
+    return make_sample(LabelledImage("a", "", np.stack([empty] * 3, axis=-1), classes, numbers, empty > 0), 1.0)
+
+
+def test_a_pixel_learns_where_the_centre_of_its_oyster_is_and_large_oysters_do_not_drown_small_ones():
+    numbers = np.zeros((40, 60), np.uint16)
+    numbers[10:15, 10:15], numbers[10:35, 30:55] = 1, 2
+    sample = numbered(numbers)
+    assert sample.centres == pytest.approx(np.array([[0, 0, 0], [12, 12, 2.82], [42, 22, 14.1]]), abs=0.01)
+    towards = offsets(sample.numbers, sample.centres)
+    assert towards[10, 14] == pytest.approx([-2, 2, 2.82], abs=0.01)
+    assert not towards[numbers == 0].any()
+
+    truth = torch.from_numpy(towards.transpose(2, 0, 1))[None]
+    known = torch.ones(1, 1, 40, 60)
+    right = torch.cat([truth[:, :2] / 16, torch.log(truth[:, 2:].clamp(min=1) / 8)], dim=1)
+    assert float(centre_error(right, truth, known)) == pytest.approx(0, abs=1e-6)
+    off = [right + 1.0 * torch.from_numpy(numbers == k) for k in (1, 2)]
+    small, large = (float(centre_error(planes, truth, known)) for planes in off)
+    assert large / 5 < small < large  # of a 25th of the area, and of as many px off that count five times
+    assert float(centre_error(off[0], truth, known * (truth[:, 2:] > 5))) == 0, "what is not known is not learnt"
+    assert float(centre_error(right, torch.zeros_like(truth), known)) == 0
+
+
+@pytest.mark.parametrize("encoder", ["", "lite0"])
+def test_centres_are_learnt_in_training_and_nothing_is_said_of_them_later(encoder):
+    settings = UNetworkSettings(depth=2, base=4, groups=2, encoder=encoder, centres=True)
+    network = build_network(settings)
+    pixels = torch.randn(1, 3, 32, 32)
+    assert network.train()(pixels).shape == (1, 5, 32, 32)
+    assert network.eval()(pixels).shape == (1, 2, 32, 32)
 
 
 # Augmentation
@@ -163,7 +203,24 @@ def test_pictures_and_truth_are_moved_alike():
         assert values.shape == (32, 32, 3)
         assert np.array_equal(known, np.full((32, 32), 255))
         shown = (values[..., 0] * sample.contrast[0] + sample.mean[0] - 20) / 200
-        assert np.abs(shown - truth[..., 0] / 255).max() < 0.05
+        assert np.abs(shown - truth[..., 0]).max() < 0.05
+
+
+def test_the_centre_of_an_oyster_is_where_its_crop_has_it_however_it_lies():
+    y, x = np.mgrid[:64, :80]
+    sample = numbered(((x - 40) ** 2 + (y - 30) ** 2 <= 36).astype(np.uint16) * 7)
+    still = Augmentation(crop=64, gain=0, shift=0, tint=0, noise=0, grey=0, blur=0)
+    seen = 0
+    for k in range(20):
+        _, truth, _ = augmented(sample, still, stream(k, b"", "test"))
+        rows, columns = np.nonzero(truth[..., 6])
+        if len(rows) and min(rows.min(), columns.min()) > 1 and max(rows.max(), columns.max()) < 62:
+            seen += 1
+            places = truth[rows, columns, 4:6] + np.column_stack([columns, rows])
+            assert np.ptp(places, axis=0).max() < 1e-3
+            assert places[0] == pytest.approx([columns.mean(), rows.mean()], abs=0.5)
+            assert truth[rows[0], columns[0], 6] == pytest.approx(np.sqrt(len(rows) / np.pi), rel=0.05)
+    assert seen > 5
 
 
 def test_batches_depend_on_seed_and_step_alone(labelled):

@@ -12,7 +12,8 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip insta
 
 from click.testing import CliRunner  # noqa: E402
 
-from oysterbench.annotations import LabelledSet, open_labelled  # noqa: E402
+from oysterbench.annotations import Entry, LabelledImage, LabelledSet, open_labelled  # noqa: E402
+from oysterbench.annotations.image import OYSTER  # noqa: E402
 from oysterbench.cli.main import main  # noqa: E402
 from oysterbench.core.errors import MethodError  # noqa: E402
 from oysterbench.methods import find_method  # noqa: E402
@@ -20,9 +21,10 @@ from oysterbench.methods.images import Picture  # noqa: E402
 from oysterbench_baselines.learning import masks  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.efficientnet import weights_file  # noqa: E402
-from oysterbench_baselines.learning.masks import enlarged  # noqa: E402
+from oysterbench_baselines.learning.masks import enlarged, probability  # noqa: E402
 from oysterbench_baselines.unet import UNet, UNetSmall, UNetSmallInstances, network  # noqa: E402
 from oysterbench_baselines.unet.calibration import Calibration, kept_back, measured  # noqa: E402
+from oysterbench_baselines.unet.instances import find_instances  # noqa: E402
 from oysterbench_baselines.unet.model import read_unet  # noqa: E402
 from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings, build_network  # noqa: E402
 from oysterbench_baselines.unet.training import new_network, train  # noqa: E402
@@ -178,6 +180,35 @@ def test_the_cut_is_where_iou_is_greatest_and_becomes_a_probability_of_a_half(tm
     assert iou(found.cut) > iou(0) + 0.05
     logits = np.array([found.cut - 1, found.cut, found.cut + 1], dtype=np.float32)
     assert np.sign(found.applied(logits)).tolist() == [-1, 0, 1]
+
+
+def pairs_of_oysters(depth_between, bump):
+    """A set of two oysters that touch, and what is said of it: depth sinks to `depth_between` where they do, and each
+    has two summits that stand out by `bump`."""
+    y, x = np.mgrid[:48, :96]
+    numbers = np.where((abs(y - 24) < 12) & (abs(x - 48) < 36), np.where(x < 48, 1, 2), 0).astype(np.uint16)
+    within = np.where(numbers == 1, x - 13, x - 48) / 35
+    depth = np.where(numbers > 0, 0.8 - bump * np.cos(4 * np.pi * within).clip(0), 0)
+    depth[(numbers > 0) & (abs(x - 47.5) < 4)] = depth_between
+    classes = np.where(numbers > 0, OYSTER, 0).astype(np.uint8)
+    empty = np.zeros(numbers.shape, np.uint8)
+    one = LabelledImage("a", "", np.stack([empty] * 3, axis=-1), classes, numbers, empty > 0)
+    said = np.stack([np.where(numbers > 0, 3.0, -3.0), np.log(depth.clip(0.01, 0.99) / (1 - depth.clip(0.01, 0.99)))])
+    return LabelledSet("pairs", [Entry("a", "", lambda: one, ())]), said.astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("depth_between", "bump", "least", "most"), [(0.73, 0.01, 0.04, 0.06), (0.5, 0.11, 0.12, 0.15)]
+)
+def test_oysters_are_told_apart_by_the_rise_that_finds_most_of_the_true_ones(depth_between, bump, least, most):
+    labelled, said = pairs_of_oysters(depth_between, bump)
+    steps = []
+    found = measured(labelled, lambda pixels: said, lambda done, total: steps.append((done, total)))
+    assert least <= found.rise <= most
+    oyster, depth = said
+    instances = find_instances(probability(found.applied(oyster)), probability(depth), found.division)
+    assert (instances.scores >= 0.5).sum() == 2
+    assert steps == [(1, 2), (2, 2)]
 
 
 def alive(labelled):
