@@ -2,7 +2,7 @@
 
 Laps over a flat bottom, 640x480, every place seen again every 28 s, with loops and the final smoothing. Resident memory
 (MB) after the imports, every half a minute of the dive, at its end, and at most while it is smoothed; seconds of the
-processor beside it. Ten minutes at 5 Hz take some three minutes of one core, at 20 Hz some eight. Linux only.
+processor beside it. Ten minutes at 5 Hz take some three minutes of one core, at 20 Hz some ten. Linux only.
 """
 
 from __future__ import annotations
