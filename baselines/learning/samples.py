@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import pickle
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import cast
 
 import cv2
 import numpy as np
@@ -19,6 +22,9 @@ FLAT = 0.8
 """Of an oyster's greatest distance from its border: what lies deeper is as deep as it gets."""
 LEAST_CONTRAST = 1.0
 """Grey levels, of 255, that the contrast of a channel is taken to be at least: a black picture stays black."""
+
+PACKING = 1
+"""Level of zlib: 5 ms to unpack a picture of 480 px, of the 300 ms that a crop of it takes to learn from."""
 
 Floats = NDArray[np.float32]
 
@@ -152,22 +158,25 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
 
     An item is (pixels (3, h, w), truth (7, h, w), known (1, h, w)), float32: pixels of mean 0 and deviation 1 in each
     channel; truth: the planes of a `Sample`, 0 to 1, and `offsets`, px; known 1 where the truth may be used. Images are
-    read once, when they are first asked for, and kept at the working scale.
+    read once, when they are first asked for, and kept at the working scale, compressed: two thousand pictures of
+    480 px take 0.7 GB, and 3.5 GB as they are.
     """
 
     def __init__(self, labelled: LabelledSet, scale: float = 1.0, side: int = 0) -> None:
         """scale, side: see `working_scale`."""
         self.labelled, self.scale, self.side = labelled, scale, side
-        self._samples: dict[int, Sample] = {}
+        self._samples: dict[int, bytes] = {}
 
     def __len__(self) -> int:
         return len(self.labelled)
 
     def sample(self, index: int) -> Sample:
-        """An image as it is kept."""
+        """An image at the working scale."""
         if index not in self._samples:
-            self._samples[index] = make_sample(self.labelled[index], self.scale, self.side)
-        return self._samples[index]
+            sample = make_sample(self.labelled[index], self.scale, self.side)
+            self._samples[index] = zlib.compress(pickle.dumps(sample), PACKING)
+            return sample
+        return cast(Sample, pickle.loads(zlib.decompress(self._samples[index])))
 
     def drawn(self, rng: np.random.Generator) -> Sample:
         """An image at random: a clip, and then one of its images, since those of a clip resemble one another."""

@@ -60,6 +60,7 @@ def test_an_item_of_the_dataset_is_standardised_and_has_the_truth_at_the_working
     assert float(truth[0].mean()) == pytest.approx(cover, abs=0.003)
     assert bool((known == 1).all())
     assert len(list(torch.utils.data.DataLoader(dataset, batch_size=4))) == 2
+    assert all(torch.equal(*pair) for pair in zip(dataset[1], (pixels, truth, known), strict=True)), "as it was read"
     with pytest.raises(IndexError):
         dataset[6]
 
