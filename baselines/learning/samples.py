@@ -96,11 +96,12 @@ def centres(numbers: NDArray[np.uint16]) -> Floats:
 def offsets(numbers: NDArray[np.uint16], places: Floats) -> Floats:
     """(h, w, 3) px, from each pixel to the centre of its oyster, x and y, and its radius; zeros where none is. places:
     (N + 1, 3), centres and radii by number."""
-    height, width = numbers.shape
-    found = places[numbers]
-    found[..., 0] -= np.arange(width, dtype=np.float32)
-    found[..., 1] -= np.arange(height, dtype=np.float32)[:, None]
-    found[found[..., 2] <= 0] = 0
+    found = np.zeros((*numbers.shape, 3), dtype=np.float32)
+    rows, columns = np.nonzero(numbers)
+    own = places[numbers[rows, columns]]
+    own[:, 0] -= columns
+    own[:, 1] -= rows
+    found[rows, columns] = own
     return found
 
 
