@@ -58,7 +58,7 @@ def download(
       oysterbench download slam-val --from /mnt/hub --sequence 'val-0*'
       oysterbench download slam-val --topics /imu --topics '/cam_front/*' --out small
       oysterbench download slam-val --dry-run
-      oysterbench download unet                   trained weights; `oysterbench models --hub` lists them
+      oysterbench download unet    trained weights; `oysterbench models --hub` lists them
 
     May be interrupted at any time, even killed; the same command resumes. Without a hub (--from, OYSTERBENCH_HUB or
     hub.toml in the home folder), a split is rendered instead, with the same bytes. Weights trained here are replaced

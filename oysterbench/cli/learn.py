@@ -85,7 +85,8 @@ translate = Installed(
 
     \b
     Examples:
-      oysterbench translate reinhard --source seg-closeup --target real-oysters --out translated/reinhard
+      oysterbench translate reinhard --source seg-closeup \\
+        --target real-oysters --out translated/reinhard
       oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated/cut
       oysterbench translate cut --help
 

@@ -95,27 +95,27 @@ def main() -> None:
 
     \b
     Examples:
-      oysterbench eval slam                         a first number: render, run the baselines, print the table
+      oysterbench eval slam                      a first number: render, run, score
       oysterbench eval slam --method gtsam_vi --out results
       oysterbench eval slam --truth truth.tum --estimate mine.tum --align se3
-      oysterbench eval steering                     exploration policies, against an expert
-      oysterbench run my_slam --command "..."       experiments: any program, many runs; resumes after interruption
-      oysterbench systems                           published systems: build one, then run it by name
-      oysterbench tune openvins_dynamic --out tuning    the best options found in a given number of trials
-      oysterbench compare ours theirs               ranks, ties, and which method is better where
-      oysterbench train unet --data seg-train       train a learned method
-      oysterbench doctor                            what is installed, missing or broken
-      oysterbench splits                            which splits exist, and which are here
+      oysterbench eval steering                  policies against an expert
+      oysterbench run my_slam --command "..."    experiments: any program, many runs
+      oysterbench systems                        published systems: build and run
+      oysterbench tune openvins_dynamic --out tuning
+      oysterbench compare ours theirs            ranks, ties, which is better where
+      oysterbench train unet --data seg-train    train a learned method
+      oysterbench download unet                  trained weights, from a hub
+      oysterbench download slam-mini             from a hub; without one, rendered
       oysterbench render slam-mini --workers 2
-      oysterbench download slam-mini                from a hub, or rendered if no hub is set
-      oysterbench download unet                     trained weights, from a hub; `oysterbench models` lists them
+      oysterbench splits                         which exist, and which are here
+      oysterbench doctor                         what is missing or broken
       oysterbench info mini-01.mcap
+      oysterbench view mini-01.mcap              one page to browse it
       oysterbench export mini-01.mcap --format euroc --out mini-01
-      oysterbench map val-01.mcap --trajectory poses.tum --masks masks --out map    oysters per m2
       oysterbench map mini-01.mcap --trajectory poses.tum --out mini-01.ply
-      oysterbench segment dive.mp4 --out counted    oysters in your own images and videos
-      oysterbench view mini-01.mcap                 one page to browse it
-      oysterbench gallery                           every recipe effect on one sheet
+      oysterbench map val-01.mcap --trajectory poses.tum --masks masks --out map
+      oysterbench segment dive.mp4 --out counted     oysters in your own pictures
+      oysterbench gallery                        every recipe effect on one sheet
       oysterbench oyster --seed 7 --out oyster.glb
     """
 

@@ -63,8 +63,10 @@ def map_command(
     \b
     Examples:
       oysterbench map val-01.mcap --trajectory val-01-gtsam_full.tum --masks masks/ --out map
-      oysterbench map val-01.mcap --trajectory poses.tum --masks instances.json --depth plane --cell 0.5 --out map
-      oysterbench map val-01.mcap --trajectory val-01-truth.tum --masks truth --depth layer --out true-map
+      oysterbench map val-01.mcap --trajectory poses.tum \\
+        --masks instances.json --depth plane --cell 0.5 --out map
+      oysterbench map val-01.mcap --trajectory val-01-truth.tum \\
+        --masks truth --depth layer --out true-map
       oysterbench map mini-01.mcap --trajectory results/mini-01-gtsam_vi.tum --out mini-01.ply
       oysterbench map dive.mcap --trajectory poses.tum --from echoes --voxel 0.05 --out bottom.ply
 

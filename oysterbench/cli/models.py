@@ -58,7 +58,8 @@ def publish_model(
     Examples:
       oysterbench run unet unet_instances --split seg-val --out val
       oysterbench publish-model unet hub --key my-hub.pem --results val
-      oysterbench publish-model unet hub --key my-hub.pem --results val --version 1.1 --weights better.pt
+      oysterbench publish-model unet hub --key my-hub.pem \\
+        --results val --version 1.1 --weights better.pt
 
     Weights of another kind, weights from an unfinished training, and results of other weights are refused: each result
     names its weights by their hash.

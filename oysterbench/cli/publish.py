@@ -69,7 +69,8 @@ def publish(
     \b
     Examples:
       oysterbench publish slam-val hub --key my-hub.pem
-      oysterbench publish slam-test hub --key my-hub.pem --hidden --truth-out truth --salt-file slam-test.salt
+      oysterbench publish slam-test hub --key my-hub.pem \\
+        --hidden --truth-out truth --salt-file slam-test.salt
 
     Publishing twice adds nothing; an interrupted publish leaves the tree as it was. A released version never changes.
     """

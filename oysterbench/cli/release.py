@@ -24,10 +24,10 @@ def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Pat
     \b
     Examples:
       oysterbench release slam-mini
-      oysterbench release slam-val --sequence val-03     one of many; its file may be deleted afterwards
+      oysterbench release slam-val --sequence val-03    one at a time
 
-    The data read from each sequence is kept under the home folder, in `releases`. The manifest is written once all
-    sequences have been read. A release never changes: another manifest under its name is refused.
+    What is read of a sequence is kept under the home folder, in `releases`: its file may then be deleted. The manifest
+    is written once all sequences have been read. A release never changes: another manifest under its name is refused.
     """
     from importlib import resources
 

@@ -87,14 +87,17 @@ def run_command(
     Examples:
       oysterbench run gtsam_vi dead_reckoning --split slam-val
       oysterbench run my_slam:MySlam --split slam-mini --runs 5 --out results/mine
-      oysterbench run openvins --split slam-val      (a published system: see oysterbench systems)
+      oysterbench run openvins --split slam-val    (published: see oysterbench systems)
       oysterbench run my_slam --command "./my_slam {euroc} {out}" --split slam-val
-      oysterbench run orb3 --command "./orb3.sh {euroc} {out}" --split slam-val --align se3 --timeout 900
+      oysterbench run orb3 --command "./orb3.sh {euroc} {out}" \\
+        --split slam-val --align se3 --timeout 900
       oysterbench run gtsam_vi --split slam-val --runs 5 --scheduler tcp://10.0.0.1:8786
       oysterbench run gtsam_vi --on V1_01_easy --align se3 --out results/euroc
-      oysterbench run gtsam_vi --ablate frontend.max_tracks=70 --ablate loops.enabled=false --split slam-val
+      oysterbench run gtsam_vi --split slam-val \\
+        --ablate frontend.max_tracks=70 --ablate loops.enabled=false
       oysterbench run unet --split seg-val
-      oysterbench run my_net --command "./segment {images} {out}" --track detection --split seg-val
+      oysterbench run my_net --command "./segment {images} {out}" \\
+        --track detection --split seg-val
 
     METHOD is the name of an installed method or module:Class; with --command it is only a name for the program. Options
     of a method are the parameters and settings of its class. A variant is a separate method in the tables, named with

@@ -58,7 +58,8 @@ def build_command(names: tuple[str, ...], sources: tuple[Path, ...], jobs: int |
     Examples:
       oysterbench systems build openvins
       oysterbench systems build openvins --source ~/open_vins --jobs 1
-      oysterbench systems build okvis2 --source ~/okvis2 --source ~/brisk --source ~/DBoW2 --source ~/opengv
+      oysterbench systems build okvis2 --source ~/okvis2 \\
+        --source ~/brisk --source ~/DBoW2 --source ~/opengv
 
     With --source, each repository is taken from the first clone that has its commit; the network is not used.
     """

@@ -53,7 +53,8 @@ def tune_command(
 
     \b
     Examples:
-      oysterbench tune openvins_dynamic --sequence train-02 --sequence train-07 --trials 30 --out tuning/openvins
+      oysterbench tune openvins_dynamic --sequence train-02 \\
+        --sequence train-07 --trials 30 --out tuning/openvins
       oysterbench tune gtsam_vi --ranges ranges.toml --trials 30 --out tuning/gtsam_vi
 
     A trial's options depend only on the seed, its number and their names, so methods with the same budget are searched
