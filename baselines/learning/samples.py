@@ -69,7 +69,8 @@ def make_sample(image: LabelledImage, scale: float, side: int = 0) -> Sample:
     mean, contrast = statistics(pixels)
     dense = np.unique(np.append(instances.ravel(), 0), return_inverse=True)[1][:-1].reshape(instances.shape)
     height, width = known.shape
-    numbers = cv2.resize(dense.astype(np.uint16), (width, height), interpolation=cv2.INTER_NEAREST)
+    nearest = cv2.resize(dense.astype(np.uint16), (width, height), interpolation=cv2.INTER_NEAREST)
+    numbers = np.asarray(nearest, np.uint16)
     return Sample(
         image.name,
         image.clip,
@@ -78,8 +79,8 @@ def make_sample(image: LabelledImage, scale: float, side: int = 0) -> Sample:
         contrast,
         shrink(truth, scale),
         np.where(known == 255, 255, 0).astype(np.uint8),
-        np.asarray(numbers, np.uint16),
-        centres(np.asarray(numbers, np.uint16)),
+        numbers,
+        centres(numbers),
     )
 
 

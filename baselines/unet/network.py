@@ -46,8 +46,8 @@ class UNetworkSettings:
 
     @property
     def learnt(self) -> int:
-        """Planes of the head: the outputs, and those that there are in training only."""
-        return self.outputs + (CENTRES if self.centres else 0)
+        """Planes of the head: the outputs, or all of them and those that there are in training only."""
+        return len(OUTPUTS) + CENTRES if self.centres else self.outputs
 
     @property
     def multiple(self) -> int:

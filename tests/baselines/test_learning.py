@@ -186,8 +186,13 @@ def test_centres_are_learnt_in_training_and_nothing_is_said_of_them_later(encode
     settings = UNetworkSettings(depth=2, base=4, groups=2, encoder=encoder, centres=True)
     network = build_network(settings)
     pixels = torch.randn(1, 3, 32, 32)
-    assert network.train()(pixels).shape == (1, 5, 32, 32)
+    learnt = network.train()(pixels)
     assert network.eval()(pixels).shape == (1, 2, 32, 32)
+    centre = torch.ones(1, 7, 32, 32)
+    centre[:, 2:4] = 0  # nothing is told of its state
+    mask_loss(lambda _: learnt, pixels, centre, torch.ones(1, 1, 32, 32)).backward()
+    told = network.head.weight.grad.abs().sum(dim=(1, 2, 3)) > 0
+    assert told.tolist() == [True, True, False, True, True, True]
 
 
 # Augmentation
