@@ -58,7 +58,8 @@ def add_command(
     \b
     Examples:
       oysterbench leaderboard add runs/results.json --tier baseline --team oysterbench
-      oysterbench leaderboard --board board add runs --team "reef lab" --summary "Smooths a window of 4 s."
+      oysterbench leaderboard --board board add runs --team "reef lab" \\
+        --summary "Smooths a window of 4 s."
 
     Paths beside the results are drawn on the record's page, unless the split is hidden. The current record of the same
     method, team and board is superseded, but kept. Identical results are stored once.
@@ -249,8 +250,10 @@ def rescore_command(
     \b
     Examples:
       oysterbench leaderboard rescore --estimates /srv/private/estimates --dry-run
-      oysterbench leaderboard rescore --estimates /srv/private/estimates --split slam-test --truth /srv/truth/slam-test
-      oysterbench leaderboard rescore 3f9c21ab --estimates estimates --again --reason "A truth file was damaged."
+      oysterbench leaderboard rescore --estimates /srv/private/estimates --split slam-test \\
+        --truth /srv/truth/slam-test
+      oysterbench leaderboard rescore 3f9c21ab --estimates estimates --again \\
+        --reason "A truth file was damaged."
     """
     from dataclasses import replace
 

@@ -62,8 +62,10 @@ def train_command(
 
     \b
     Examples:
-      oysterbench train cut --source seg-closeup --target real-oysters --clip closeup-b --clip closeup-c --out cut
-      oysterbench train cut --source seg-train --target my-dives --method cut --size full --device auto --out cut-full
+      oysterbench train cut --source seg-closeup --target real-oysters \\
+        --clip closeup-b --clip closeup-c --out cut
+      oysterbench train cut --source seg-train --target my-dives --method cut --size full \\
+        --device auto --out cut-full
       oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated
 
     Writes checkpoint.pt, losses.csv, losses.png and samples/, with sheets from some twenty steps. May be interrupted,
@@ -151,7 +153,8 @@ def _recolour(name: str) -> click.Command:
 
     \b
     Example:
-      oysterbench translate {name} --source seg-closeup --target real-oysters --clip closeup-b --out translated
+      oysterbench translate {name} --source seg-closeup --target real-oysters \\
+        --clip closeup-b --out translated
     """
     return command
 

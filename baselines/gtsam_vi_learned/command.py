@@ -27,7 +27,8 @@ def command(
     \b
     Examples:
       oysterbench train gtsam_vi_learned --data slam-train
-      oysterbench train gtsam_vi_learned --data slam-train --sequence train-02 --sequence train-05 --sequence train-08
+      oysterbench train gtsam_vi_learned --data slam-train --sequence train-02 \\
+        --sequence train-05 --sequence train-08
       oysterbench train gtsam_vi_learned --data my-dives --steps 500 --out mine.pt
 
     Data is a split of the track slam, which is rendered if missing, a sequence file, or a folder of them. Only rendered

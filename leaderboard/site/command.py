@@ -65,7 +65,8 @@ def serve_command(
     Examples:
       oysterbench leaderboard serve
       oysterbench leaderboard serve --board board --index postgresql://board@db/board --host 0.0.0.0
-      oysterbench leaderboard serve --board board --submissions private --truth slam-test=truth/slam-test
+      oysterbench leaderboard serve --board board --submissions private \\
+        --truth slam-test=truth/slam-test
       oysterbench leaderboard serve --submissions private --truth ... --scheduler tcp://10.0.0.1:8786
 
     New records in the folder are shown within seconds. For public access, put a TLS proxy in front of the server and

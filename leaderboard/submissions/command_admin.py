@@ -117,7 +117,8 @@ def submissions() -> None:
       oysterbench leaderboard submissions list --submissions /srv/oysters --state failed
       oysterbench leaderboard submissions log --submissions /srv/oysters
       oysterbench leaderboard submissions retry 1a2b3c4d5e6f7081 --submissions /srv/oysters
-      oysterbench leaderboard --board /srv/board submissions backup oysters.tar --submissions /srv/oysters
+      oysterbench leaderboard --board /srv/board submissions backup oysters.tar \\
+        --submissions /srv/oysters
     """
 
 
@@ -202,7 +203,8 @@ def backup_command(context: click.Context, file: Path, folder: Path, as_json: bo
 
     \b
     Examples:
-      oysterbench leaderboard --board /srv/board submissions backup /backup/monday.tar --submissions /srv/oysters
+      oysterbench leaderboard --board /srv/board submissions backup /backup/monday.tar \\
+        --submissions /srv/oysters
     """
     from oysterbench_leaderboard.submissions.backup import backup
     from oysterbench_leaderboard.submissions.settings import load_settings
@@ -224,7 +226,8 @@ def restore_command(context: click.Context, file: Path, folder: Path, as_json: b
 
     \b
     Examples:
-      oysterbench leaderboard --board /srv/board submissions restore /backup/monday.tar --submissions /srv/oysters
+      oysterbench leaderboard --board /srv/board submissions restore /backup/monday.tar \\
+        --submissions /srv/oysters
     """
     from oysterbench_leaderboard.submissions.backup import restore
 

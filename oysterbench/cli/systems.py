@@ -87,7 +87,8 @@ def container_command(name: str) -> None:
     Examples:
       oysterbench systems container openvins > Containerfile
       podman build -t oysterbench-openvins .
-      podman run -v ~/.local/share/oysterbench/splits:/data/splits oysterbench-openvins run openvins --split slam-mini
+      podman run -v ~/.local/share/oysterbench/splits:/data/splits \\
+        oysterbench-openvins run openvins --split slam-mini
     """
     from oysterbench.methods.systems import find_system
     from oysterbench.methods.systems.container import containerfile
