@@ -42,13 +42,18 @@ class Trainer(Protocol):
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How the weights are found: AdamW (Loshchilov & Hutter 2019), a linear warm-up and a cosine to zero."""
+    """How the weights are found: AdamW (Loshchilov & Hutter 2019), a linear warm-up and a cosine to zero.
+
+    start: share of the weights that it began with in the final ones. Half of each holds better on data unlike that of
+    the training than the last weights do (Wortsman et al. 2022, "Robust fine-tuning of zero-shot models")
+    """
 
     steps: int = 1000
     learning_rate: float = 5e-3
     weight_decay: float = 1e-2
     warm_up: int = 50
     threads: int = 2
+    start: float = 0.0
 
     def rate(self, step: int) -> float:
         """Learning rate of a step: a function of its number, so that a resumed training has it as well."""
@@ -134,6 +139,7 @@ class Fitting:
     def __post_init__(self) -> None:
         rate, decay = self.settings.learning_rate, self.settings.weight_decay
         self.optimiser = torch.optim.AdamW(self.model.parameters(), lr=rate, weight_decay=decay)
+        self.started = [one.detach().clone() for one in self.model.parameters()] if self.settings.start else []
         self.model.train()
 
     def step(self, number: int) -> list[float]:
@@ -148,6 +154,8 @@ class Fitting:
         found.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
         self.optimiser.step()
+        if self.started and number + 1 == self.settings.steps:
+            torch._foreach_lerp_([one.detach() for one in self.model.parameters()], self.started, self.settings.start)
         return [value]
 
     def state(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:

@@ -55,12 +55,14 @@ def pretrained_settings(encoder: str) -> UNetSettings:
 BEGUN_RATE, BEGUN_WARM_UP = 6e-4, 10
 """Learning rate and steps of its warm-up, where a training goes on from the weights of another: smaller, so that what
 was learnt there is not lost in the first steps."""
+BEGUN_SHARE = 0.5
+"""Of those weights in the final ones (`FitSettings.start`)."""
 
 
 def begun_settings(settings: UNetSettings, begun: Checkpoint) -> UNetSettings:
     """Those of a training that begins with the weights of another, whose network it has."""
     network = UNetworkSettings(**{key: value for key, value in begun.network.items() if key != "kind"})
-    fit = dataclasses.replace(settings.fit, learning_rate=BEGUN_RATE, warm_up=BEGUN_WARM_UP)
+    fit = dataclasses.replace(settings.fit, learning_rate=BEGUN_RATE, warm_up=BEGUN_WARM_UP, start=BEGUN_SHARE)
     return dataclasses.replace(settings, network=network, fit=fit)
 
 

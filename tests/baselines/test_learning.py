@@ -21,7 +21,7 @@ from oysterbench.core.streams import Streams, stream  # noqa: E402
 from oysterbench_baselines.learning.augment import Augmentation, augmented  # noqa: E402
 from oysterbench_baselines.learning.batches import Mixture, make_batch  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
-from oysterbench_baselines.learning.loop import FitSettings, pick_device  # noqa: E402
+from oysterbench_baselines.learning.loop import FitSettings, fit, pick_device  # noqa: E402
 from oysterbench_baselines.learning.losses import bce_dice, centre_error, mask_loss, state_entropy  # noqa: E402
 from oysterbench_baselines.learning.samples import LabelledDataset, depths, make_sample, offsets, states  # noqa: E402
 from oysterbench_baselines.unet.network import UNetworkSettings, build_network  # noqa: E402
@@ -341,3 +341,30 @@ def test_a_training_that_is_killed_goes_on_to_the_same_weights(labelled, tmp_pat
     assert steps == list(range(left.step + 1, 13))
     assert same(found, wanted)
     assert found.losses == wanted.losses
+
+
+@pytest.mark.parametrize("start", [0.5, 1.0])
+def test_final_weights_go_back_towards_those_that_a_training_began_with(tmp_path, monkeypatch, start):
+    """Whether or not it was interrupted before its last step: what it goes back to is made anew."""
+
+    def trained(share, name, steps_at_once=8):
+        path = tmp_path / name
+        settings = FitSettings(steps=8, learning_rate=0.1, warm_up=1, threads=1, start=share)
+
+        def batch(step):
+            if step == steps_at_once:
+                raise KeyboardInterrupt
+            return (torch.full((4, 3), 1.0 + step),)
+
+        arguments = (lambda: torch.nn.Linear(3, 1), {}, batch, lambda network, x: network(x).square().mean(), settings)
+        return fit(*arguments, {}, path, torch.device("cpu"), 5).weights
+
+    torch.manual_seed(5)
+    begun = torch.nn.Linear(3, 1).weight.detach()
+    last, found = trained(0.0, "last")["weight"], trained(start, "found")["weight"]
+    assert not torch.allclose(last, begun, atol=0.01)
+    torch.testing.assert_close(found, start * begun + (1 - start) * last)
+    monkeypatch.setattr("oysterbench_baselines.learning.loop.KEEP_S", 0.0)
+    with pytest.raises(KeyboardInterrupt):
+        trained(start, "resumed", steps_at_once=5)
+    assert torch.equal(trained(start, "resumed")["weight"], found)
