@@ -44,8 +44,8 @@ class Trainer(Protocol):
 class FitSettings:
     """How the weights are found: AdamW (Loshchilov & Hutter 2019), a linear warm-up and a cosine to zero.
 
-    start: share of the weights that it began with in the final ones. Half of each holds better on data unlike that of
-    the training than the last weights do (Wortsman et al. 2022, "Robust fine-tuning of zero-shot models")
+    start: share of the weights that it began with in the final ones. The mean of both holds better on data unlike that
+    of the training than the last weights do (Wortsman et al. 2022, "Robust fine-tuning of zero-shot models")
     """
 
     steps: int = 1000

@@ -56,13 +56,15 @@ BEGUN_RATE, BEGUN_WARM_UP = 6e-4, 10
 """Learning rate and steps of its warm-up, where a training goes on from the weights of another: smaller, so that what
 was learnt there is not lost in the first steps."""
 BEGUN_SHARE = 0.5
-"""Of those weights in the final ones (`FitSettings.start`)."""
+"""Of those weights in the final ones (`FitSettings.start`), of networks on a pretrained encoder: of others it was not
+measured."""
 
 
 def begun_settings(settings: UNetSettings, begun: Checkpoint) -> UNetSettings:
     """Those of a training that begins with the weights of another, whose network it has."""
     network = UNetworkSettings(**{key: value for key, value in begun.network.items() if key != "kind"})
-    fit = dataclasses.replace(settings.fit, learning_rate=BEGUN_RATE, warm_up=BEGUN_WARM_UP, start=BEGUN_SHARE)
+    share = BEGUN_SHARE if network.encoder else 0.0
+    fit = dataclasses.replace(settings.fit, learning_rate=BEGUN_RATE, warm_up=BEGUN_WARM_UP, start=share)
     return dataclasses.replace(settings, network=network, fit=fit)
 
 

@@ -84,8 +84,11 @@ def track_command(track: Track) -> click.Command:
     if track.files:
         kind = click.Path(path_type=Path)
         parameters += [
-            click.Option(["--truth"], type=kind, help=f"Score files: the true {track.files.rstrip(',')}."),
-            click.Option(["--estimate"], type=kind, help="Score files: the estimated ones."),
+            click.Option([name], type=kind, multiple=True, callback=_one, help=f"Score files: {what}.")
+            for name, what in (
+                ("--truth", f"the true {track.files.rstrip(',')}"),
+                ("--estimate", "the estimated ones; those of other methods by another call"),
+            )
         ]
     parameters += [click_option(option) for option in track.options]
     parameters += [
@@ -100,6 +103,13 @@ def track_command(track: Track) -> click.Command:
     text = f"{track.title}\n\n\b\nExamples:\n{track.examples.strip(chr(10))}\n"
     make = click.command(track.name, cls=Evaluate, params=parameters, short_help=track.title, help=text)
     return make(output_options(call))
+
+
+def _one(context: click.Context, parameter: click.Parameter, given: tuple[Path, ...]) -> Path | None:
+    """Of an option that would otherwise drop all but the last."""
+    if len(given) > 1:
+        raise click.BadParameter(f"expected one path, got {len(given)}: score them one by one", context, parameter)
+    return given[0] if given else None
 
 
 class Evaluate(click.Command):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oysterbench.cli.evaluate import FOLDER, argument, click_option, evaluate, foreign_options, given_options
+from oysterbench.cli.numbers import Number
 from oysterbench.cli.outputs import Outputs, output_options
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def track_options() -> dict[str, Option]:
 @click.option(
     "--timeout",
     "limit_s",
-    type=click.FloatRange(min=0, min_open=True),
+    type=Number(min=0, min_open=True),
     help="Time limit in s.  [default: 10 times the sequence's, 10 per image, at least 600, or a system's own]",
 )
 @click.option("--again", is_flag=True, help="Rerun finished runs.")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oysterbench.cli.echo import echo, message
+from oysterbench.cli.numbers import Number
 from oysterbench.core.errors import LabelError, MethodError
 
 if TYPE_CHECKING:
@@ -30,12 +31,15 @@ TOLD = 5
 @click.argument("paths", metavar="PATH...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--method", default=METHOD, show_default=True, help="A method of the track detection or segmentation.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: NAME-oysters]")
-@click.option("--threshold", type=click.FloatRange(0, 1), default=0.5, show_default=True, help="Minimum score.")
-@click.option(
-    "--rate", type=click.FloatRange(min=0, min_open=True), help="Frames per second taken from videos.  [default: 1]"
-)
+@click.option("--threshold", type=Number(0, 1), default=0.5, show_default=True, help="Minimum score.")
+@click.option("--rate", type=Number(min=0, min_open=True), help="Frames per second taken from videos.  [default: 1]")
 @click.option("--every", type=click.IntRange(min=1), metavar="N", help="Take every N-th frame of videos instead.")
-@click.option("--quadrat", type=float, metavar="M", help="Side length of a square quadrat; needs --corners.")
+@click.option(
+    "--quadrat",
+    type=Number(min=0, min_open=True),
+    metavar="M",
+    help="Side length of a square quadrat; needs --corners.",
+)
 @click.option("--corners", type=FILE, help="CSV: picture,x1,y1,...,x4,y4 in px, for each quadrat.")
 @click.option(
     "--altitude",
@@ -47,13 +51,13 @@ TOLD = 5
 @click.option("--mm-per-px", type=float, help="A plain scale, for images taken straight down.")
 @click.option(
     "--min-mm",
-    type=click.FloatRange(min=0),
+    type=Number(min=0),
     metavar="MM",
     help="Minimum length; needs a scale.  [default: 25 for connected parts of a mask, else 0]",
 )
 @click.option(
     "--min-px",
-    type=click.FloatRange(min=0),
+    type=Number(min=0),
     metavar="N",
     help="Minimum area.  [default without a scale: 49 at 640 px for connected parts of a mask, else 0]",
 )

@@ -12,6 +12,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.evaluate import FOLDER
+from oysterbench.cli.numbers import Number
 from oysterbench.cli.outputs import print_table
 
 
@@ -34,7 +35,7 @@ from oysterbench.cli.outputs import print_table
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the search.")
 @click.option("--jobs", type=click.IntRange(min=1), help="Maximum runs at a time.  [default: one per core]")
-@click.option("--timeout", "limit_s", type=click.FloatRange(min=0, min_open=True), help="Time limit of a run, in s.")
+@click.option("--timeout", "limit_s", type=Number(min=0, min_open=True), help="Time limit of a run, in s.")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask scheduler instead.")
 @click.option("--out", type=FOLDER, required=True, help="Folder of all runs; the same command resumes in it.")
 def tune_command(

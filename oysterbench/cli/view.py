@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from oysterbench.cli.echo import echo, message
+from oysterbench.cli.numbers import Number
 from oysterbench.cli.sequences import SequencePath
 
 if TYPE_CHECKING:
@@ -19,8 +20,8 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 
 @click.command(short_help="View a sequence: as a page, in Rerun, or with a layout for Foxglove.")
 @click.argument("sequence", type=SequencePath())
-@click.option("--start", "begin_s", type=click.FloatRange(min=0), default=0.0, metavar="S", help="Start time.")
-@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Duration.  [default: all]")
+@click.option("--start", "begin_s", type=Number(min=0), default=0.0, metavar="S", help="Start time.")
+@click.option("--seconds", type=Number(min=0, min_open=True), metavar="S", help="Duration.  [default: all]")
 @click.option(
     "--estimate", "estimates", type=FILE, multiple=True, help="A trajectory shown beside the true one; repeatable."
 )

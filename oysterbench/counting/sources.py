@@ -11,8 +11,23 @@ from pathlib import Path
 from oysterbench.core.errors import LabelError
 
 PICTURES = (".jpg", ".jpeg", ".jpe", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm")
-VIDEOS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".wmv", ".gif")
-CONVERT = (".heic", ".heif", ".dng", ".gpr", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2")
+VIDEOS = (
+    ".mp4",
+    ".m4v",
+    ".mov",
+    ".avi",
+    ".mkv",
+    ".webm",
+    ".mts",
+    ".m2ts",
+    ".ts",
+    ".3gp",
+    ".mpg",
+    ".mpeg",
+    ".wmv",
+    ".gif",
+)
+CONVERT = (".heic", ".heif", ".avif", ".dng", ".gpr", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2")
 """Pictures that OpenCV cannot decode: said apart from what is no picture, so that nobody misses them."""
 
 RESULTS = ("finished", "overlays")
@@ -48,6 +63,7 @@ class Found:
     skipped:    folders of labels, or of results of another count
     copies:     such pictures beside a readable one of their name, as cameras keep raw ones
     misnamed:   pictures and videos whose names cannot be those of results
+    closed:     folders that may not be looked into
     """
 
     root: Path
@@ -57,12 +73,14 @@ class Found:
     skipped: tuple[Path, ...] = ()
     copies: tuple[Path, ...] = ()
     misnamed: tuple[Path, ...] = ()
+    closed: tuple[Path, ...] = ()
 
     def unreadable(self) -> dict[str, str]:
-        """Name of what is to be converted or renamed -> why it cannot be counted."""
+        """Name of what is to be converted, renamed or opened -> why it cannot be counted."""
         convert = "a format that cannot be read: save it as JPEG, PNG or TIFF"
         rename = f"expected a name in UTF-8 of at most {LONGEST_NAME} bytes: rename it"
         found = [(path, convert) for path in self.to_convert] + [(path, rename) for path in self.misnamed]
+        found += [(path, "a folder that you may not look into: change its permissions") for path in self.closed]
         return {_shown(_name(path, self.root)): f"{_shown(str(path))}: {why}" for path, why in found}
 
 
@@ -75,6 +93,7 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
     """
     files: dict[Path, None] = {}  # in order, each once
     skipped: list[Path] = []
+    closed: list[Path] = []
     roots = []
     for path in paths:
         if not path.exists():
@@ -85,7 +104,7 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
         if _holds_results(path):
             raise LabelError(f"{path}: expected images, got the results of a count: give the folder that was counted")
         roots.append(path if path.is_dir() else path.parent)
-        files.update(dict.fromkeys(_below(path, leave_out, skipped) if path.is_dir() else [path]))
+        files.update(dict.fromkeys(_below(path, leave_out, skipped, closed) if path.is_dir() else [path]))
     kinds: dict[str, list[Path]] = {"pictures": [], "videos": [], "convert": [], "others": [], "misnamed": []}
     for file in files:
         kind = _kind(file)
@@ -99,14 +118,25 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
     sources = [*_pictures(kinds["pictures"], root), *(Source(_name(p, root), p, True) for p in kinds["videos"])]
     sources.sort(key=lambda source: source.name)
     return Found(
-        root, tuple(sources), tuple(kinds["others"]), to_convert, tuple(skipped), copies, tuple(kinds["misnamed"])
+        root,
+        tuple(sources),
+        tuple(kinds["others"]),
+        to_convert,
+        tuple(skipped),
+        copies,
+        tuple(kinds["misnamed"]),
+        tuple(closed),
     )
 
 
-def _below(folder: Path, leave_out: Path | None, skipped: list[Path]) -> list[Path]:
+def _below(folder: Path, leave_out: Path | None, skipped: list[Path], closed: list[Path]) -> list[Path]:
     found: list[Path] = []
+
+    def stay_out(error: OSError) -> None:
+        closed.append(Path(error.filename))
+
     results = None if leave_out is None else leave_out.absolute()
-    for at, folders, names in os.walk(folder):
+    for at, folders, names in os.walk(folder, onerror=stay_out):
         labels = LABELS if "images" in folders else ()
         own = [Path(at, name) for name in sorted(folders) if Path(at, name) != results]
         aside = [path for path in own if path.name in labels or _holds_results(path)]
@@ -130,7 +160,7 @@ def _shown(text: str) -> str:
 
 
 def _holds_results(path: Path) -> bool:
-    return all((path / name).is_dir() for name in RESULTS)
+    return all(os.path.isdir(path / name) for name in RESULTS)
 
 
 def _kind(path: Path) -> str:

@@ -58,7 +58,7 @@ def sequence_plots(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]
     frames = next((run.frames for run in runs if run.frames), ())
     if not scored:
         pictures = tuple(_frame(*frame, None) for frame in frames)
-        return SequencePlots(name, "No run on this sequence could be scored.", frames=pictures)
+        return SequencePlots(name, "None of the runs just made on this sequence could be scored.", frames=pictures)
     truth = scored[0][1].whole_truth
     begin_ns = int(truth.stamps_ns[0])
     end_s = (int(truth.stamps_ns[-1]) - begin_ns) * 1e-9

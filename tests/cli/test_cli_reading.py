@@ -126,3 +126,11 @@ def test_a_track_that_there_is_not_is_answered_by_those_there_are(words):
     result = CliRunner().invoke(main, ["eval", *words])
     assert result.exit_code == 2
     assert "expected a track, one of slam, segmentation, detection, density, steering, got 'slm'" in result.output
+
+
+@pytest.mark.parametrize("option", ["--truth", "--estimate"])
+def test_a_file_to_score_is_given_once(option, tmp_path):
+    """The last of several would be scored as if the others had not been given."""
+    done = CliRunner().invoke(main, ["eval", "slam", "--truth", "a", "--estimate", "b", option, "c"])
+    assert done.exit_code == 2
+    assert f"'{option}': expected one path, got 2: score them one by one" in done.output

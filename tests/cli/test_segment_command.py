@@ -227,3 +227,12 @@ def test_a_method_without_weights_says_what_to_type(folder, tmp_path, monkeypatc
 
 def test_an_empty_folder_is_one_line(tmp_path):
     assert_one_line(run("segment", tmp_path), "expected images .* got an empty folder")
+
+
+@pytest.mark.parametrize("option", ["--threshold", "--min-mm", "--min-px", "--rate", "--quadrat"])
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_what_is_no_number_is_refused_before_anything_is_counted(folder, tmp_path, option, value):
+    done = run("segment", folder, *DISCS, "--out", "out", option, value)
+    assert done.returncode == 2
+    assert option in done.stderr
+    assert not (tmp_path / "out").exists()

@@ -110,3 +110,25 @@ def test_nothing_to_count_is_an_error_that_says_what_is_there(tmp_path, files, s
 def test_a_path_that_is_not_there_is_named(tmp_path):
     with pytest.raises(LabelError, match="gone: no such file or folder"):
         find_sources([tmp_path / "gone"])
+
+
+def test_a_folder_that_may_not_be_looked_into_is_told_of_and_the_rest_is_counted(tmp_path, monkeypatch):
+    touch(tmp_path, "a.jpg", "locked/b.jpg")
+    whole = os.scandir
+
+    def scandir(path):
+        if Path(path).name == "locked":
+            raise PermissionError(13, "Permission denied", str(path))
+        return whole(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    found = find_sources([tmp_path])
+    assert [source.name for source in found.sources] == ["a"]
+    (why,) = found.unreadable().values()
+    assert why == f"{tmp_path / 'locked'}: a folder that you may not look into: change its permissions"
+
+
+@pytest.mark.parametrize("name", ["clip.TS", "clip.m2ts", "clip.3gp"])
+def test_transport_streams_and_films_of_phones_are_videos(tmp_path, name):
+    touch(tmp_path, name)
+    assert [source.video for source in find_sources([tmp_path]).sources] == [True]

@@ -340,7 +340,7 @@ def test_plots_are_described_for_those_who_do_not_see_them():
 def test_report_of_failures_alone_is_a_page(tmp_path):
     write_html_report(tmp_path / "sub" / "report.html", [failed("mine")], "oysterbench eval")
     text = (tmp_path / "sub" / "report.html").read_text(encoding="utf-8")
-    assert "No run on this sequence could be scored" in parsed(text).text
+    assert "None of the runs just made on this sequence could be scored" in parsed(text).text
     assert [path.name for path in (tmp_path / "sub").iterdir()] == ["report.html"]
 
 
