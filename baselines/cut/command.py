@@ -91,7 +91,7 @@ def train_command(
         last = max((int(path.stem) for path in (out / "samples").glob("*.png")), default=0)
         if not checkpoint.finished and checkpoint.step < last + settings.steps / SHEETS:
             return
-        generator, _ = generator_of(checkpoint, str(out))
+        generator = generator_of(checkpoint, str(out))[0].to(pick_device(device))
         found = [translate(generator, settings, image.pixels) for image in samples]
         write_picture(out / "samples" / f"{checkpoint.step:06d}.png", sample_sheet(samples, found, beside))
 
@@ -109,7 +109,8 @@ def train_command(
 @click.argument("checkpoint", metavar="[CHECKPOINT]", required=False, type=click.Path(path_type=Path))
 @source_option
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write.")
-def cut_command(checkpoint: Path | None, sources: tuple[str, ...], out: Path) -> None:
+@device_option("cpu")
+def cut_command(checkpoint: Path | None, sources: tuple[str, ...], out: Path, device: str) -> None:
     """Translate labelled images at their own size. Their labels stay; the error this causes is measured and printed.
 
     \b
@@ -123,11 +124,13 @@ def cut_command(checkpoint: Path | None, sources: tuple[str, ...], out: Path) ->
     from oysterbench.cli.render import frames_bar
     from oysterbench.methods.weights import have_weights
     from oysterbench_baselines.cut.translation import load_generator, translated
+    from oysterbench_baselines.learning.loop import pick_device
 
     if checkpoint is None:
         checkpoint = checkpoint_path("cut")
         have_weights({"cut": checkpoint}, message, frames_bar)
     generator, settings = load_generator(checkpoint)
+    generator.to(pick_device(device))
     _write(open_all(sources), lambda images: translated(generator, settings, images), out)
 
 

@@ -48,13 +48,13 @@ def translate(generator: Generator, settings: CutSettings, picture: Picture) -> 
     """
     small = shrunk(picture, settings.scale)
     height, width = small.shape[:2]
-    values = as_tensor(small)
+    values = as_tensor(small).to(next(generator.parameters()).device)
     room = (0, -width % MULTIPLE, 0, -height % MULTIPLE)
     with torch.inference_mode():
         found = generator(functional.pad(values, room, mode="replicate"))[..., :height, :width]
     if settings.scale == 1.0:
         return as_picture(found)
-    change = (found - values)[0].numpy().transpose(1, 2, 0) * 127.5
+    change = (found - values)[0].cpu().numpy().transpose(1, 2, 0) * 127.5
     size = (picture.shape[1], picture.shape[0])
     grown = cv2.resize(np.ascontiguousarray(change), size, interpolation=cv2.INTER_LINEAR)
     return np.clip(np.round(picture + grown), 0, 255).astype(np.uint8)

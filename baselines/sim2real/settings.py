@@ -8,7 +8,7 @@ from oysterbench.annotations.duplicates import MIN_CORRELATION
 from oysterbench_baselines.learning.augment import Augmentation
 from oysterbench_baselines.learning.loop import FitSettings
 from oysterbench_baselines.unet.network import UNetworkSettings
-from oysterbench_baselines.unet.training import pretrained_settings
+from oysterbench_baselines.unet.training import BEGUN_SHARE, pretrained_settings
 
 ALL = 0
 """Size that stands for all real training images."""
@@ -22,12 +22,14 @@ class Schedule:
     """How real and synthetic images follow each other: synthetic ones alone first.
 
     share: of the steps, from when on real images are seen; rate: learning rate of these; kept: crops of each of their
-    batches that stay synthetic, so that what was learnt of them is not forgotten
+    batches that stay synthetic, so that what was learnt of them is not forgotten; start: share of what was learnt of
+    synthetic images in the final weights (`FitSettings.start`)
     """
 
     share: float
     rate: float
     kept: int
+    start: float = 0.0
 
 
 SCHEDULES = {"tuned": Schedule(1 / 6, 2e-3, 0), "mixed": Schedule(1 / 2, 5e-3, 2)}
@@ -66,7 +68,7 @@ class ExperimentSettings:
         return replace(
             self,
             batch=strong.batch,
-            schedule=replace(self.schedule, share=PRETRAINED_SHARE, rate=PRETRAINED_RATE),
+            schedule=replace(self.schedule, share=PRETRAINED_SHARE, rate=PRETRAINED_RATE, start=BEGUN_SHARE),
             network=replace(strong.network, side=PRETRAINED_SIDE),
             augmentation=replace(strong.augmentation, crop=PRETRAINED_CROP),
             fit=replace(strong.fit, steps=PRETRAINED_STEPS, warm_up=20, threads=1),
@@ -76,7 +78,7 @@ class ExperimentSettings:
         """Of the training of a cell itself, without what it begins from (`Cell.begun`)."""
         tuned = round(self.schedule.share * self.fit.steps)
         if cell.begun is not None:
-            return replace(self.fit, steps=tuned, learning_rate=self.schedule.rate)
+            return replace(self.fit, steps=tuned, learning_rate=self.schedule.rate, start=self.schedule.start)
         return replace(self.fit, steps=self.fit.steps - tuned) if cell.synthetic else self.fit
 
 

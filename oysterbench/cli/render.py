@@ -80,10 +80,10 @@ def render(
         for path in files.values():
             echo(path)
     if split_name in split_names() and not split.hidden and not as_preview:
-        _compare(split, files, digest(split, device=device), device)
+        _compare(split, files, digest(split))
 
 
-def _compare(split: SplitRecipe, files: dict[str, Path], made_by: str, device: str) -> None:
+def _compare(split: SplitRecipe, files: dict[str, Path], made_by: str) -> None:
     """Say whether the files are those that were released."""
     from oysterbench.cli.progress import bytes_bar
     from oysterbench.hub.manifest import released_manifest
@@ -94,22 +94,25 @@ def _compare(split: SplitRecipe, files: dict[str, Path], made_by: str, device: s
     if manifest is None:
         message(f"{name}: no released manifest, so nothing was compared")
         return
-    if device == "cpu" and manifest.recipe_digest != made_by:
+    if manifest.recipe_digest != made_by:
         message(f"{name} was released with another recipe or generation than the one rendered here")
         return
-    done, total, same = 0, sum(path.stat().st_size for path in files.values()), 0
+    done, total, checks = 0, sum(path.stat().st_size for path in files.values()), []
     with bytes_bar(f"comparing {split.name} with the release") as progress:
         for path in files.values():
             check = check_released(path, manifest)
-            same += check.state == RIGHT
+            checks.append(check)
             if check.state != RIGHT:
                 message(f"{path}: {check.state} ({check.detail})")
             done += path.stat().st_size
             progress(done, total)
-    if same == len(files):
-        message(f"{name}: as released, {same} of {len(manifest.files)} files")
+    other, wrong = sum(check.state != RIGHT for check in checks), sum(not check.good for check in checks)
+    if wrong:
+        message(f"{name}: {wrong} of {len(files)} files differ from the release: no results of theirs can be compared")
+    elif other:
+        message(f"{name}: {other} of {len(files)} files can be used, though they differ from the release as said above")
     else:
-        message(f"{name}: {len(files) - same} of {len(files)} files differ from the release")
+        message(f"{name}: as released, {len(files)} of {len(manifest.files)} files")
 
 
 def _preview(split: SplitRecipe, names: tuple[str, ...], folder: Path) -> dict[str, Path]:

@@ -123,7 +123,7 @@ def check_released(path: Path, manifest: Manifest) -> Check:
     if check.state not in (REPACKED, ALIKE, OTHER):
         return check
     if known.get("digest") != manifest.recipe_digest:
-        cause = "made by another recipe, generation or kind of device than the released one"
+        cause = "made by another recipe or generation than the released one"
     else:
         here = made_with()
         there = (manifest.made_with or {}).items()

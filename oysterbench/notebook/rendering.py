@@ -35,7 +35,7 @@ def render_files(
     from oysterbench.simulation import cost
     from oysterbench.simulation.generate import check_workers, default_workers, generate_split, split_folder
 
-    folder = folder or split_folder(split, salt, device)
+    folder = folder or split_folder(split, salt)
     missing = _missing(split, folder, names)
     if missing and scheduler is None:
         check_renderer(f"{split.name}: {missing[0].name} is not here, and")

@@ -54,20 +54,15 @@ Progress = Callable[[int, int], None]
 """Called with the frames done and the frames wanted."""
 
 
-def digest(split: SplitRecipe, salt: bytes = b"", device: str = "cpu") -> str:
-    """SHA-256 of all that decides the bytes: recipe, rig, salt, the generation of this program, and the kind of device.
-
-    The last bits of what a GPU computes are its own, so that its files are never taken for those of a processor.
-    """
+def digest(split: SplitRecipe, salt: bytes = b"") -> str:
+    """SHA-256 of all that decides the bytes: recipe, rig, salt, and the generation of this program."""
     text = f"{GENERATION} {split.digest()} {hashlib.sha256(salt).hexdigest()}"
-    if device != "cpu":
-        text += f" {device.partition(':')[0]}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def split_folder(split: SplitRecipe, salt: bytes = b"", device: str = "cpu") -> Path:
+def split_folder(split: SplitRecipe, salt: bytes = b"") -> Path:
     """Where a split is kept under `OYSTERBENCH_HOME`; another recipe under the same name has another folder."""
-    return home() / "splits" / split.name / f"{split.version}-{digest(split, salt, device)[:12]}"
+    return home() / "splits" / split.name / f"{split.version}-{digest(split, salt)[:12]}"
 
 
 def sequence_files(split: SplitRecipe, folder: Path) -> dict[str, Path]:
@@ -105,7 +100,7 @@ def generate_split(
             f"and got {len(salt)}; {HOW_TO_MAKE}"
         )
     wanted = [split.find_sequence(name) for name in names] or split.sequence
-    made_by = digest(split, salt, device)
+    made_by = digest(split, salt)
     files = {sequence.name: sequence_files(split, folder)[sequence.name] for sequence in wanted}
     # A file appears when it is whole: who asks for no other need not wait for those that are being rendered.
     if all(path.exists() and not _parts(folder, name, made_by).exists() for name, path in files.items()):
@@ -152,8 +147,8 @@ def _check_space(split: SplitRecipe, sequences: list[SequenceRecipe], folder: Pa
 def _check_made_by(path: Path, split: SplitRecipe, made_by: str) -> None:
     if McapSequence(path).metadata.get("digest") != made_by:
         raise SequenceError(
-            f"{path} was made by another recipe of {split.name} (or with another salt, on another kind of device, by "
-            "another version of oysterbench); it was left unchanged: delete it or choose another folder with --out"
+            f"{path} was made by another recipe of {split.name} (or with another salt, or by another version of "
+            "oysterbench); it was left unchanged: delete it or choose another folder with --out"
         )
 
 

@@ -21,7 +21,7 @@ from oysterbench.core.streams import Streams, stream  # noqa: E402
 from oysterbench_baselines.learning.augment import Augmentation, augmented  # noqa: E402
 from oysterbench_baselines.learning.batches import Mixture, make_batch  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
-from oysterbench_baselines.learning.loop import FitSettings, fit, pick_device  # noqa: E402
+from oysterbench_baselines.learning.loop import FitSettings, fit, pick_device, prepared  # noqa: E402
 from oysterbench_baselines.learning.losses import bce_dice, centre_error, mask_loss, state_entropy  # noqa: E402
 from oysterbench_baselines.learning.samples import LabelledDataset, depths, make_sample, offsets, states  # noqa: E402
 from oysterbench_baselines.unet.network import UNetworkSettings, build_network  # noqa: E402
@@ -368,3 +368,14 @@ def test_final_weights_go_back_towards_those_that_a_training_began_with(tmp_path
     with pytest.raises(KeyboardInterrupt):
         trained(start, "resumed", steps_at_once=5)
     assert torch.equal(trained(start, "resumed")["weight"], found)
+
+
+def test_batches_that_are_prepared_ahead_are_the_same_in_the_same_order(labelled):
+    mixture = Mixture([LabelledDataset(labelled, 0.5).load()], [2])
+
+    def batch(step):
+        return make_batch(mixture, Augmentation(crop=32), Streams(3), step)
+
+    for step, found in zip(range(4, 10), prepared(batch, range(4, 10), workers=3), strict=True):
+        for one, other in zip(found, batch(step), strict=True):
+            assert torch.equal(one, other)

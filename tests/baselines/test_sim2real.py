@@ -216,7 +216,10 @@ def test_networks_that_tell_live_oysters_from_dead_ones_are_tested_as_others_are
     told = dataclasses.replace(SETTINGS, sizes=(2,), network=dataclasses.replace(SETTINGS.network, states=True))
     rows = experiment(real, {}, tmp_path, told)
     assert "real" in {row.variant for row in rows}
-    assert ExperimentSettings().with_encoder("lite0").network.states
+    strong = ExperimentSettings().with_encoder("lite0")
+    assert strong.network.states
+    begun, alone = Cell("rendered", 5, 0), Cell("rendered", None, 0)
+    assert (strong.fit_of(begun).start, strong.fit_of(alone).start) == (0.5, 0.0)
 
 
 def test_a_folder_of_another_experiment_is_refused_by_its_cell(real, synthetic, tmp_path):

@@ -79,7 +79,11 @@ def test_render_ends_by_saying_whether_the_files_are_those_released(rendered, re
     told = rendered().stderr
     assert "tiny-01.mcap: other content (" in told
     assert "/imu has 20 messages, expected 30" in told
-    assert told.endswith("tiny 1.0: 1 of 1 files differ from the release\n")
+    assert told.endswith("tiny 1.0: 1 of 1 files differ from the release: no results of theirs can be compared\n")
+    write_sequence(tmp_path / "data" / "tiny-01.mcap", "tiny-01", 0.3, digest(load_split(str(recipe))), compress=False)
+    told = rendered().stderr
+    assert "tiny-01.mcap: same content, other bytes (" in told
+    assert told.endswith("tiny 1.0: 1 of 1 files can be used, though they differ from the release as said above\n")
     released["tiny", "1.0"] = manifests.Manifest(
         **FACTS, oysterbench="1.0.0", files=released["tiny", "1.0"].files, recipe_digest="0" * 64
     )
