@@ -190,7 +190,7 @@ class _Batches(Dataset[tuple[torch.Tensor, ...]]):
 def prepared(
     batch: Callable[[int], tuple[torch.Tensor, ...]], steps: range, workers: int
 ) -> Iterator[tuple[torch.Tensor, ...]]:
-    """The batches of steps, in their order, made by processes that are ahead of who takes them: one per core at most."""
+    """The batches of steps, in their order, made ahead of time by processes: one per core at most."""
     workers = min(workers, os.cpu_count() or 1)
     return iter(DataLoader(_Batches(batch), batch_size=None, sampler=steps, num_workers=workers, prefetch_factor=4))
 

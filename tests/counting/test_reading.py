@@ -8,6 +8,7 @@ import struct
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from oysterbench.core.errors import LabelError
 from oysterbench.counting.reading import Sampling, Video, decode
@@ -15,8 +16,8 @@ from oysterbench.counting.sources import find_sources
 from tests.helpers.people_pictures import SHAPE, boxed, discs, turned, write_video
 
 
-def encoded(suffix, pixels):
-    return cv2.imencode(suffix, pixels)[1].tobytes()
+def encoded(suffix, pixels, how=()):
+    return cv2.imencode(suffix, pixels, list(how))[1].tobytes()
 
 
 @pytest.fixture
@@ -70,6 +71,34 @@ def test_a_picture_that_is_cut_short_is_refused_and_not_filled_in_with_grey(suff
 def test_what_a_camera_appends_behind_a_jpeg_does_not_matter():
     data = encoded(".jpg", discs((50, 50)))
     assert decode(data + b"SEFT" * 100, "a").shape == (*SHAPE, 3)
+
+
+@pytest.mark.parametrize("begin", [0.3, 0.6, 0.9])
+@pytest.mark.parametrize("kind", [[], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 4]])
+def test_a_jpeg_of_which_a_block_is_lost_is_refused(begin, kind):
+    """As a card that fails leaves it: decoders fill in what follows with something else, and say nothing."""
+    noise = np.random.default_rng(0).integers(0, 255, (*SHAPE, 3), np.uint8)
+    data = bytearray(encoded(".jpg", noise, kind))
+    assert decode(bytes(data), "a").shape == (*SHAPE, 3)
+    at = int(begin * len(data))
+    data[at : at + 512] = bytes(512)
+    with pytest.raises(LabelError, match="a: the JPEG is damaged"):
+        decode(bytes(data), "a")
+
+
+@pytest.mark.parametrize("filling", [b"\0" * 64, b"\xff" * 9])
+def test_a_jpeg_that_a_camera_filled_up_before_its_end_marker_is_whole(filling):
+    data = encoded(".jpg", discs((50, 50)))
+    whole = data[:-2] + filling + data[-2:]
+    for behind in (b"", b"SEFT" * 100, data):
+        assert decode(whole + behind, "a").shape == (*SHAPE, 3)
+
+
+@pytest.mark.parametrize("mode", ["L", "CMYK"])
+def test_a_jpeg_of_other_colours_is_not_taken_for_a_damaged_one(mode):
+    file = io.BytesIO()
+    Image.fromarray(discs((50, 50))).convert(mode).save(file, "JPEG")
+    assert decode(file.getvalue(), "a").shape == (*SHAPE, 3)
 
 
 def test_a_jpeg_is_not_taken_for_whole_by_the_end_of_its_thumbnail():
