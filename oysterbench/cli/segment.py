@@ -145,7 +145,7 @@ def segment_command(
     from oysterbench.counting.store import Store
     from oysterbench.counting.survey import survey
     from oysterbench.methods.weights import have_weights, weights_digests, weights_of
-    from oysterbench.report.counting import Making, write_counts
+    from oysterbench.report.counting import Making, check_folder, write_counts
 
     scale, about_scale = _scale(scaling, found.sources)
     weights = weights_of(chosen)
@@ -155,6 +155,7 @@ def segment_command(
     settings = Settings(threshold, Sampling(rate or 1.0, every), scale, least)
     identity = method_identity(method, chosen, options)
     store = Store(out, again)
+    check_folder(store, coco)
     with frames_bar("counting oysters", "images") as progress:
         counted = Counting(found.sources, chosen, identity, store, settings, progress).run()
     counted.failures.update(found.unreadable())
@@ -230,6 +231,8 @@ def _tell_others(found: Found) -> None:
 
     if found.copies:
         message(f"left out because an image of the same name is beside them: {listed(found.copies)}")
+    if found.repeated:
+        message(f"left out because they are links to, or other paths of, what is counted: {listed(found.repeated)}")
     if found.others:
         message(f"left out because they are neither image nor video: {listed(found.others)}")
     if found.skipped:

@@ -64,6 +64,7 @@ class Found:
     copies:     such pictures beside a readable one of their name, as cameras keep raw ones
     misnamed:   pictures and videos whose names cannot be those of results
     closed:     folders that may not be looked into
+    repeated:   other paths, and links, of files that are among the sources
     """
 
     root: Path
@@ -74,6 +75,7 @@ class Found:
     copies: tuple[Path, ...] = ()
     misnamed: tuple[Path, ...] = ()
     closed: tuple[Path, ...] = ()
+    repeated: tuple[Path, ...] = ()
 
     def unreadable(self) -> dict[str, str]:
         """Name of what is to be converted, renamed or opened -> why it cannot be counted."""
@@ -106,7 +108,10 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
         roots.append(path if path.is_dir() else path.parent)
         files.update(dict.fromkeys(_below(path, leave_out, skipped, closed) if path.is_dir() else [path]))
     kinds: dict[str, list[Path]] = {"pictures": [], "videos": [], "convert": [], "others": [], "misnamed": []}
+    first: dict[str, Path] = {}
     for file in files:
+        first.setdefault(os.path.realpath(file), file)
+    for file in first.values():
         kind = _kind(file)
         kinds["misnamed" if kind != "others" and _misnamed(file) else kind].append(file)
     if not kinds["pictures"] and not kinds["videos"]:
@@ -126,6 +131,7 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
         copies,
         tuple(kinds["misnamed"]),
         tuple(closed),
+        tuple(file for file in files if first[os.path.realpath(file)] is not file),
     )
 
 

@@ -45,6 +45,11 @@ class Store:
     def __init__(self, folder: Path, again: bool = False) -> None:
         self.folder, self.again = folder, again
 
+    @property
+    def begun(self) -> bool:
+        """Whether a count has kept something in it."""
+        return (self.folder / "finished").is_dir()
+
     def mask(self, name: str) -> Path:
         """Where the numbers of a picture's oysters are."""
         return self.folder / "masks" / f"{name}.png"

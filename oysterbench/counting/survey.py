@@ -176,7 +176,8 @@ def survey(
             1,
             lambda one: None if one.area_m2 is None else one.weighed,
             lambda one: one.area_m2 or 0.0,
-            "all oysters over all ground; those that the edge of an image cuts count a half",
+            "all oysters over all ground; those "
+            + ("whose centre is in a quadrat" if scale == "quadrat" else "that the edge of an image cuts count a half"),
         ),
         measure(
             "length_mm",

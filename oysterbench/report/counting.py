@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from oysterbench.core.errors import LabelError
 from oysterbench.core.files import appearing, write_atomically
 from oysterbench.counting.coco import coco_document
 from oysterbench.counting.measure import OysterRow, PictureCount
@@ -18,6 +19,7 @@ from oysterbench.counting.store import Store
 from oysterbench.counting.survey import Survey
 from oysterbench.report.counting_page import counting_page
 from oysterbench.report.formats import csv_of
+from oysterbench.report.renderers.csv import field
 
 FORMAT = "oysterbench-counts/1"
 
@@ -33,6 +35,23 @@ class Making:
     settings: Mapping[str, Any]
 
 
+def check_folder(store: Store, with_coco: bool = False) -> None:
+    """Raise LabelError where the folder holds files that these would overwrite, and that no count has left."""
+    there = [name for name in _files(with_coco) if (store.folder / name).exists()]
+    if there and not store.begun and FORMAT not in _text(store.folder / SUMMARY):
+        raise LabelError(
+            f"{store.folder}: the count would overwrite {', '.join(there)}, which no count has left there: give "
+            "another folder by --out"
+        )
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
 def write_counts(found: Survey, counted: Counted, store: Store, making: Making, with_coco: bool = False) -> list[Path]:
     """Write all that is said of pictures that are finished; returns the files."""
     folder = store.folder
@@ -42,9 +61,13 @@ def write_counts(found: Survey, counted: Counted, store: Store, making: Making, 
     write_atomically(folder / SUMMARY, (json.dumps(summary, indent=2, allow_nan=False) + "\n").encode())
     if with_coco:
         write_atomically(folder / COCO, (json.dumps(coco_document(store, found.pictures)) + "\n").encode())
-    page = counting_page(found, counted.films, store, making.command, making.identity, making.settings)
+    page = counting_page(found, counted.films, store, making.command, making.identity, making.settings, with_coco)
     write_atomically(folder / PAGE, page.encode())
-    return [folder / name for name in (PAGE, PICTURES, OYSTERS, SUMMARY, *([COCO] if with_coco else []))]
+    return [folder / name for name in _files(with_coco)]
+
+
+def _files(with_coco: bool) -> list[str]:
+    return [PAGE, PICTURES, OYSTERS, SUMMARY, *([COCO] if with_coco else [])]
 
 
 def picture_rows(found: Survey) -> Iterator[dict[str, Any]]:
@@ -121,7 +144,7 @@ def _write_oysters(path: Path, store: Store, pictures: Sequence[PictureCount]) -
         lines = csv.writer(text, lineterminator="\n")
         lines.writerow(OYSTER_COLUMNS)
         for one in pictures:
-            lines.writerows(oyster_row(one, row) for row in store.oysters(one.name))
+            lines.writerows(map(field, oyster_row(one, row)) for row in store.oysters(one.name))
         text.flush()
         text.detach()
 

@@ -50,8 +50,10 @@ def counting_page(
     command: str,
     identity: Mapping[str, Any],
     settings: Mapping[str, Any],
+    coco: bool = False,
 ) -> str:
-    """One HTML page; pictures and films lie beside it, in the folder of `store`, and small copies of pictures in it."""
+    """One HTML page; pictures and films lie beside it, in the folder of `store`, and small copies of pictures in it.
+    coco: whether annotations do, too."""
     unlike = found.unlike
     warned = {one.name for one in unlike}
     shown = evenly([one for one in found.pictures if one.name not in warned], SHOWN)
@@ -74,6 +76,7 @@ def counting_page(
         "accuracy": _accuracy(found),
         "figures": [f"{one.heading.lower()} on {one.split} {reached(one)} per image" for one in found.figures],
         "settings": settings,
+        "coco": coco,
         "command": command,
         "to_label": drawn([one.name for one in found.pictures if not one.video]),
         "reference": shlex.quote(str(identity.get("method", found.method))),

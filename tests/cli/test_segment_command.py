@@ -35,6 +35,39 @@ def test_a_folder_of_pictures_becomes_a_page_and_tables(folder, tmp_path):
     assert "all finished before" in again.stdout
 
 
+def test_files_that_no_count_has_left_are_not_overwritten(folder, tmp_path):
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "index.html").write_text("mine")
+    done = run("segment", folder, *DISCS, "--out", "site")
+    assert_one_line(done, "site: the count would overwrite index.html, which no count has left there")
+    assert (tmp_path / "site" / "index.html").read_text() == "mine"
+    assert not (tmp_path / "site" / "masks").exists()
+    (folder / "instances.json").write_text("{}")
+    assert run("segment", folder / "0.png", *DISCS, "--out", folder).returncode == 0
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / "broken.jpg").write_bytes(b"\xff\xd8")
+    for _ in range(2):  # of a count in which nothing could be counted there is no picture
+        done = run("segment", "empty", *DISCS, "--out", "nothing")
+        assert "1 of 1 could not be counted" in done.stderr
+
+
+def test_a_picture_at_several_paths_is_counted_once(folder, tmp_path):
+    (folder / "link.png").symlink_to(folder / "3.png")
+    (tmp_path / "same").symlink_to(folder)
+    done = run("segment", folder, tmp_path / "same" / "5.png", *DISCS, "--out", "out")
+    assert "12 oysters in 6 images" in done.stdout
+    assert "left out because they are links to, or other paths of, what is counted: link.png, 5.png" in done.stderr
+
+
+def test_tables_call_a_picture_by_one_name_that_no_spreadsheet_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "in" / "=1+2.png", discs((40, 40)))
+    assert run("segment", "in", *DISCS, "--out", "out").returncode == 0
+    for name in ("pictures.csv", "oysters.csv"):
+        with open(tmp_path / "out" / name, encoding="utf-8", newline="") as file:
+            assert [row["picture"] for row in csv.DictReader(file)] == ["'=1+2"], name
+
+
 def test_results_within_the_folder_of_pictures_are_not_taken_for_pictures(folder):
     for _ in range(2):
         done = run("segment", folder, *DISCS, "--out", folder / "out", "--json")
