@@ -49,6 +49,21 @@ def test_coverage_does_not_depend_on_the_association():
     assert interpolated["matched"] == len(truth)
 
 
+def test_poses_that_found_no_partner_near_enough_are_told_of():
+    truth = survey(rate_hz=20)
+    shifted = np.where(np.arange(len(truth)) % 2, 15_000_000, 0)
+    estimate = replace(truth, stamps_ns=truth.stamps_ns + shifted)
+    result = score(truth, estimate, SlamSettings(associate="nearest"))
+    assert result.metrics["coverage"] == 1.0
+    told = [note for note in result.notes if "that could be compared" in note]
+    assert len(told) == 1
+    assert told[0].startswith(f"errors are those of {result.metrics['matched']:.0f} poses, of {len(truth) - 1} that")
+    for rate_hz in (5, 20, 100):  # rarer or more often than the truth: no pose is far from all of its stamps
+        found = score(truth, survey(rate_hz=rate_hz), SlamSettings(associate="nearest"))
+        assert not [note for note in found.notes if "that could be compared" in note]
+    assert not [note for note in score(truth, estimate).notes if "that could be compared" in note]
+
+
 def test_nearest_association_uses_no_pose_twice_and_prefers_the_closest():
     stamps = np.array([0, 10, 20, 30, 40]) * 1_000_000
     estimate = np.array([4, 12, 33]) * 1_000_000

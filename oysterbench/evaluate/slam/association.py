@@ -18,6 +18,9 @@ Stamps = NDArray[np.int64]
 EDGE_NS = 1_000_000
 """Beyond the estimate's ends within which its first and last poses answer: files round their timestamps."""
 
+FEW = 0.9
+"""Share of the poses that could be compared; where fewer are, a reader is told."""
+
 SPARSE_S, SPARSE = 0.2, 5.0
 """A truth whose stamps are farther apart than this, and by this factor farther than the estimate's, is sparse."""
 
@@ -144,6 +147,20 @@ def rate_notes(truth: Trajectory, estimate: Trajectory) -> list[str]:
     return [
         f"the ground truth has {len(truth)} timestamps, {asked_s:.3g} s apart, for the estimate's "
         f"{len(estimate)} poses, {given_s:.3g} s apart: its motion between those timestamps is not scored"
+    ]
+
+
+def match_notes(truth: Trajectory, estimate: Trajectory, met: Association, settings: SlamSettings) -> list[str]:
+    """Whether many poses that could have been compared found no partner near enough, in a sentence. With interpolation
+    all do."""
+    first, last = np.searchsorted(estimate.stamps_ns, [truth.stamps_ns[0], truth.stamps_ns[-1]])
+    possible = min(int(met.covered.sum()), int(last - first))
+    if len(met.associated) >= FEW * possible:
+        return []
+    return [
+        f"errors are those of {len(met.associated)} poses, of {possible} that could be compared: the others of the "
+        f"estimate's are farther than {settings.max_difference_s:g} s (--max-difference) from every ground-truth "
+        "timestamp, which --associate interpolate does not ask for"
     ]
 
 

@@ -14,7 +14,7 @@ from oysterbench.core.trajectory import Trajectory
 from oysterbench.core.trajectory.frames import poses_of_frame
 from oysterbench.evaluate.measures import Measures
 from oysterbench.evaluate.slam.alignment import Alignment, meet
-from oysterbench.evaluate.slam.association import rate_notes
+from oysterbench.evaluate.slam.association import match_notes, rate_notes
 from oysterbench.evaluate.slam.clock import estimate_offset, shift
 from oysterbench.evaluate.slam.consistency import Nees
 from oysterbench.evaluate.slam.lag import lag_notes
@@ -161,6 +161,7 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
     seen = poses_of_frame(met.truth, T), poses_of_frame(met.estimate, met.estimate.T_body_estimate)
     notes += alignment_notes(seen[0].positions, seen[1].positions, settings.align, measures["ate_rmse_m"])
     notes += rate_notes(truth, estimate)
+    notes += match_notes(truth, estimate, met, settings)
     if settings.time_offset_s == 0.0:
         notes += lag_notes(truth, estimate, met.truth, aligned, settings)
     notes += fit.notes
