@@ -8,7 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from oysterbench.core.errors import OptionError, SequenceError
+from oysterbench.core.errors import OptionError, SequenceError, TrajectoryError
 from oysterbench.core.names import did_you_mean, nearest
 from oysterbench.core.trajectory import ReadOptions, Trajectory
 from oysterbench.evaluate.slam import SlamResult, SlamSettings
@@ -62,11 +62,23 @@ def score(truth: Poses | Sequence, estimate: Poses, **options: Any) -> SlamResul
     (0.01, 1.0)
     """
     settings, reading, truth_reading = _sorted_out(options)
+    if not isinstance(truth, Sequence):
+        _check_poses("truth", truth)
+    _check_poses("estimate", estimate)
     if not isinstance(truth, Sequence | Trajectory) and truth_reading.topic is None:
         truth = _sequence_at(truth) or truth
     if isinstance(truth, Sequence):
         truth = truth.truth()
     return score_poses(*open_pair(truth, estimate, settings, truth_reading, reading), settings)
+
+
+def _check_poses(role: str, poses: object) -> None:
+    """Raise TrajectoryError for what is neither the path of a file nor a Trajectory."""
+    if not isinstance(poses, str | os.PathLike | Trajectory):
+        raise TrajectoryError(
+            f"{role}: expected the path of a file, or oysterbench.Trajectory(stamps_ns, positions, quaternions) of "
+            f"poses in memory, got {type(poses).__module__.partition('.')[0]}.{type(poses).__qualname__}"
+        )
 
 
 def _sequence_at(path: str | os.PathLike[str]) -> Sequence | None:

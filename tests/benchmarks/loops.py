@@ -61,15 +61,13 @@ def errors(closers: list[LoopCloser], stamps: dict[int, int], sequence: Sequence
 def told(off: Array) -> str:
     """Of errors (L, 2), in words."""
     wrong = int(((off[:, 0] > WRONG_M) | (off[:, 1] > WRONG_DEG)).sum())
-    how = (
-        "no loop"
-        if not len(off)
-        else (
-            f"{len(off)} loops, half of them off by less than {np.median(off[:, 0]):.4f} m, all by less than "
-            f"{off[:, 0].max():.4f} m and {off[:, 1].max():.2f} deg"
-        )
+    if not len(off):
+        return "no loops"
+    median_m, greatest_m, greatest_deg = np.median(off[:, 0]), off[:, 0].max(), off[:, 1].max()
+    return (
+        f"loops: {len(off)}, off by {median_m:.4f} m (median), {greatest_m:.4f} m and {greatest_deg:.2f} deg at most; "
+        f"wrong: {wrong}"
     )
-    return f"{how}; {wrong} wrong"
 
 
 def main() -> None:

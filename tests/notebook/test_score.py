@@ -86,6 +86,13 @@ def test_what_cannot_be_scored_is_one_line(truth, tmp_path):
         oysterbench.score(truth, truth, align="sim4")
 
 
+@pytest.mark.parametrize("role", ["truth", "estimate"])
+def test_poses_of_another_kind_are_refused_with_what_is_expected(truth, role):
+    given = {"truth": truth, "estimate": truth, role: np.zeros((5, 8))}
+    with pytest.raises(TrajectoryError, match=rf"{role}: expected the path of a file, .*, got numpy\.ndarray"):
+        oysterbench.score(given["truth"], given["estimate"])
+
+
 def test_a_result_shows_itself(truth, estimate):
     result = oysterbench.score(truth, estimate)
     assert repr(result).startswith("<SlamResult: Score 0.")
