@@ -191,8 +191,15 @@ def prepared(
     batch: Callable[[int], tuple[torch.Tensor, ...]], steps: range, workers: int
 ) -> Iterator[tuple[torch.Tensor, ...]]:
     """The batches of steps, in their order, made ahead of time by processes: one per core at most."""
-    workers = min(workers, os.cpu_count() or 1)
-    return iter(DataLoader(_Batches(batch), batch_size=None, sampler=steps, num_workers=workers, prefetch_factor=4))
+    loader = DataLoader(
+        _Batches(batch),
+        batch_size=None,
+        sampler=steps,
+        num_workers=min(workers, os.cpu_count() or 1),
+        prefetch_factor=4,
+        multiprocessing_context="fork",  # they share what has been read, and `batch` may be a closure
+    )
+    return iter(loader)
 
 
 def fit(

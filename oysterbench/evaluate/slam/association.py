@@ -158,9 +158,9 @@ def match_notes(truth: Trajectory, estimate: Trajectory, met: Association, setti
     if len(met.associated) >= FEW * possible:
         return []
     return [
-        f"errors are those of {len(met.associated)} poses, of {possible} that could be compared: the others of the "
-        f"estimate's are farther than {settings.max_difference_s:g} s (--max-difference) from every ground-truth "
-        "timestamp, which --associate interpolate does not ask for"
+        f"errors are those of {len(met.associated)} poses, of {possible} that could be compared: the others found no "
+        f"ground-truth timestamp of their own within {settings.max_difference_s:g} s (--max-difference); --associate "
+        "interpolate needs none"
     ]
 
 
