@@ -108,7 +108,7 @@ def _compare(split: SplitRecipe, files: dict[str, Path], made_by: str) -> None:
             progress(done, total)
     other, wrong = sum(check.state != RIGHT for check in checks), sum(not check.good for check in checks)
     if wrong:
-        message(f"{name}: {wrong} of {len(files)} files differ from the release: no results of theirs can be compared")
+        message(f"{name}: {wrong} of {len(files)} files differ from the release: results from them cannot be compared")
     elif other:
         message(f"{name}: {other} of {len(files)} files can be used, though they differ from the release as said above")
     else:

@@ -79,7 +79,7 @@ def test_render_ends_by_saying_whether_the_files_are_those_released(rendered, re
     told = rendered().stderr
     assert "tiny-01.mcap: other content (" in told
     assert "/imu has 20 messages, expected 30" in told
-    assert told.endswith("tiny 1.0: 1 of 1 files differ from the release: no results of theirs can be compared\n")
+    assert told.endswith("tiny 1.0: 1 of 1 files differ from the release: results from them cannot be compared\n")
     write_sequence(tmp_path / "data" / "tiny-01.mcap", "tiny-01", 0.3, digest(load_split(str(recipe))), compress=False)
     told = rendered().stderr
     assert "tiny-01.mcap: same content, other bytes (" in told
