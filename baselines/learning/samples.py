@@ -23,8 +23,10 @@ FLAT = 0.8
 LEAST_CONTRAST = 1.0
 """Grey levels, of 255, that the contrast of a channel is taken to be at least: a black picture stays black."""
 
+UNPACKED_BYTES = 500_000_000
+"""Of the images of a dataset, which are kept as they are; later ones are kept compressed."""
 PACKING = 1
-"""Level of zlib: 5 ms to unpack a picture of 480 px, of the 300 ms that a crop of it takes to learn from."""
+"""Level of zlib: 5 ms to unpack a picture of 480 px, of the 300 ms that a crop of it takes to learn from on a core."""
 
 Floats = NDArray[np.float32]
 
@@ -160,25 +162,34 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
 
     An item is (pixels (3, h, w), truth (7, h, w), known (1, h, w)), float32: pixels of mean 0 and deviation 1 in each
     channel; truth: the planes of a `Sample`, 0 to 1, and `offsets`, px; known 1 where the truth may be used. Images are
-    read once, when they are first asked for, and kept at the working scale, compressed: two thousand pictures of
-    480 px take 0.7 GB, and 3.5 GB as they are.
+    read once, when they are first asked for, and kept at the working scale, compressed where they would take more than
+    `UNPACKED_BYTES`: two thousand pictures of 480 px are 3.5 GB as they are, and 0.7 GB compressed.
     """
 
     def __init__(self, labelled: LabelledSet, scale: float = 1.0, side: int = 0) -> None:
         """scale, side: see `working_scale`."""
         self.labelled, self.scale, self.side = labelled, scale, side
-        self._samples: dict[int, bytes] = {}
+        self._samples: dict[int, Sample | bytes] = {}
+        self._unpacked_bytes = 0
 
     def __len__(self) -> int:
         return len(self.labelled)
 
     def sample(self, index: int) -> Sample:
         """An image at the working scale."""
-        if index not in self._samples:
-            sample = make_sample(self.labelled[index], self.scale, self.side)
+        kept = self._samples.get(index)
+        if isinstance(kept, Sample):
+            return kept
+        if kept is not None:
+            return cast(Sample, pickle.loads(zlib.decompress(kept)))
+        sample = make_sample(self.labelled[index], self.scale, self.side)
+        size = sum(plane.nbytes for plane in (sample.pixels, sample.truth, sample.known, sample.numbers))
+        if self._unpacked_bytes + size <= UNPACKED_BYTES:
+            self._unpacked_bytes += size
+            self._samples[index] = sample
+        else:
             self._samples[index] = zlib.compress(pickle.dumps(sample), PACKING)
-            return sample
-        return cast(Sample, pickle.loads(zlib.decompress(self._samples[index])))
+        return sample
 
     def drawn(self, rng: np.random.Generator) -> Sample:
         """An image at random: a clip, and then one of its images, since those of a clip resemble one another."""
