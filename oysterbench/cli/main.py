@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,8 @@ from oysterbench.version import VERSION
 
 COMMANDS = Installed("oysterbench", "oysterbench.commands")
 
+EMPTY_OPTION = re.compile(r"--[a-z][a-z-]*=")
+
 RENAMED = {"hub-key": "keygen"}
 """What some commands were called before."""
 
@@ -51,6 +54,16 @@ class Commands(click.Group):
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         return super().get_command(context, name) or COMMANDS.get_command(context, name)
+
+    def parse_args(self, context: click.Context, args: list[str]) -> list[str]:
+        # An empty path would be the current folder.
+        for before, word in zip(["", *args], args, strict=False):
+            if word == "" or EMPTY_OPTION.fullmatch(word):
+                of = word.rstrip("=") or (before if before.startswith("-") else "an argument")
+                raise click.UsageError(
+                    f"{of}: expected a value, got an empty one: is a variable of the shell not set?", context
+                )
+        return super().parse_args(context, args)
 
     def resolve_command(
         self, context: click.Context, args: list[str]

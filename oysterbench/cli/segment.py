@@ -173,6 +173,14 @@ def segment_command(
         "block": block,
     }
     command = shlex.join(["oysterbench", *sys.argv[1:]])
+    earlier = store.others({*(one.name for one in counted.pictures), *counted.failures})
+    if earlier:
+        noun = "image or frame" if len(earlier) == 1 else "images and frames"
+        more = f" and {len(earlier) - 3} more" if len(earlier) > 3 else ""
+        message(
+            f"{out}: masks and overlays of {len(earlier)} {noun} of earlier counts are still there, and not in the "
+            f"tables: {', '.join(earlier[:3])}{more}"
+        )
     written = write_counts(result, counted, store, Making(command, identity, said), coco)
     if as_json:
         echo(json.dumps({**result.as_plain(), "files": [str(path) for path in written]}, indent=2))

@@ -57,6 +57,11 @@ def video_fault(path: Path) -> str:
             f"it ends before its index (moov) after {size} bytes, as a recording or copy that was cut short: {AGAIN}, "
             "or have a repair program rebuild the index"
         )
+    if "moov" in kinds:
+        return (
+            "an MP4 or MOV file without pictures, as of sound alone, or of a codec that OpenCV does not have: convert "
+            "it to H.264"
+        )
     return f"{size} bytes of no known video format, or of one that is damaged: {AGAIN}"
 
 

@@ -60,19 +60,37 @@ class Lens:
         return np.asarray(found, dtype=float).reshape(-1, 2)
 
     def resized(self, width: int, height: int) -> Lens:
-        """Of the same pictures at another size. Raises SequenceError where that has other proportions."""
+        """Of the same pictures at another size, or upright where they were calibrated lying (`turned`). Raises
+        SequenceError where that has other proportions."""
         if (width, height) == (self.width, self.height):
             return self
-        if abs(width * self.height - height * self.width) > max(width, height):  # a pixel of rounding
+        if _alike(width, height, self.height, self.width) and not _alike(width, height, self.width, self.height):
+            return self.turned().resized(width, height)
+        if not _alike(width, height, self.width, self.height):
             raise SequenceError(
                 f"calibration: of images of {self.width} x {self.height} px, got one of {width} x {height}: expected "
-                "the same aspect ratio, since cameras crop differently in other modes"
+                "the same aspect ratio, lying or upright, since cameras crop differently in other modes"
             )
         across, down = width / self.width, height / self.height
         matrix = self.matrix.copy()
         matrix[0, 0], matrix[1, 1] = matrix[0, 0] * across, matrix[1, 1] * down
         matrix[0, 2], matrix[1, 2] = (matrix[0, 2] + 0.5) * across - 0.5, (matrix[1, 2] + 0.5) * down - 0.5
         return replace(self, width=width, height=height, matrix=matrix)
+
+    def turned(self) -> Lens:
+        """Of pictures turned a quarter clockwise. Of such as are turned the other way, lengths differ only by as
+        much as its principal point and tangential distortion lie off the middle."""
+        (fx, _, cx), (_, fy, cy), _ = self.matrix
+        matrix = np.array([[fy, 0.0, self.height - 1 - cy], [0.0, fx, cx], [0.0, 0.0, 1.0]])
+        distortion = self.distortion.copy()
+        if self.model == "plumb_bob":
+            distortion[2], distortion[3] = self.distortion[3], -self.distortion[2]
+        return Lens(self.height, self.width, matrix, distortion, self.model)
+
+
+def _alike(width: int, height: int, of_width: int, of_height: int) -> bool:
+    """Whether two sizes are of the same proportions, to a pixel of rounding."""
+    return abs(width * of_height - height * of_width) <= max(width, height)
 
 
 def read_lens(path: Path, camera: str | None = None) -> Lens:

@@ -11,7 +11,7 @@ finished/VIDEO/.frames.json    which frames of a video are looked at, once all h
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import msgspec
@@ -84,6 +84,12 @@ class Store:
         if held is None or held.key != key or not self.overlay(name).is_file():
             return None
         return held.picture if held.picture.cover is None or self.mask(name).is_file() else None
+
+    def others(self, names: Collection[str]) -> list[str]:
+        """Pictures and frames that are counted in it, and not among these names: of earlier counts."""
+        folder = self.folder / "finished"
+        found = (path.relative_to(folder).as_posix().removesuffix(".json") for path in sorted(folder.rglob("*.json")))
+        return [name for name in found if name not in names and not Path(name).name.startswith(".")]
 
     def oysters(self, name: str) -> list[OysterRow]:
         """Of a picture that is finished."""

@@ -77,6 +77,10 @@ class MethodAdapter(ABC):
     def command(self, given: Path, folder: Path, number: int) -> list[str]:
         """The command of run `number`. given: the sequence in its form; folder: where the predictions go."""
 
+    def check(self, sequence: RunSequence) -> None:
+        """Raises MethodError where its options do not fit a sequence, before it is run."""
+        return
+
     @abstractmethod
     def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
         """What it left in its folder. Raises MethodError, in one line, where those are no predictions."""
@@ -230,6 +234,9 @@ class ExternalCommand(MethodAdapter):
         left = {key: str(folder / name) for key, name in {"out": self.interface.out, **self.interface.further}.items()}
         values = {self.form: str(given), **left, "seed": str(number)}
         return [str(self.program), *(word.format(**values) for word in self._words[1:])]
+
+    def check(self, sequence: RunSequence) -> None:
+        self.interface.check(sequence, self.form, self.options)
 
     def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
         if not (folder / self.interface.out).exists():

@@ -55,14 +55,15 @@ def run_jobs(
     of them that failed. workers: at a time; None for one per core. exports: folder where what programs are given is
     kept for other runs. hardware: says what a machine is; scheduler: address of a Dask cluster that runs them. told: of
     what those say that go on here. A job that ends badly has a `failure`; nothing that a method does raises here.
-    Raises MethodError, before anything is run, where `root` holds outcomes of other jobs under the same names, and
-    OSError where a disk is full.
+    Raises MethodError, before anything is run, where `root` holds outcomes of other jobs under the same names or
+    options do not fit a sequence, and OSError where a disk is full.
     """
     with _alone(root):
         todo = []
         for job in jobs:
             known = None if again else _finished(job, root, retry)
             if known is None:
+                job.adapter.check(job.sequence)
                 todo.append(job)
             else:
                 yield job, known

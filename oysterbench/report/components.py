@@ -15,6 +15,8 @@ from oysterbench.report.plots import Curve, broken, signed_plot, thin
 
 TIME = "time since start [s]"
 POSITION = ("east x", "north y", "up z")
+UNKNOWN = ("x", "y", "up z")
+"""Of a sequence of which nobody says where north is."""
 ATTITUDE = ("roll", "pitch", "yaw")
 
 
@@ -31,13 +33,13 @@ def attitude_errors_deg(result: SlamResult) -> Array:
 
 
 def component_cards(
-    truth: Trajectory, scored: Sequence[tuple[str, SlamResult]], styles: Mapping[str, int]
+    truth: Trajectory, scored: Sequence[tuple[str, SlamResult]], styles: Mapping[str, int], north: bool
 ) -> tuple[tuple[Card, ...], tuple[Card, ...]]:
-    """A row of three cards for the position, and one for the attitude."""
+    """A row of three cards for the position, and one for the attitude. north: whether y is known to point there."""
     errors = {method: np.hstack((position_errors(of), attitude_errors_deg(of))) for method, of in scored}
     end_s = float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
     cards = []
-    for k, name in enumerate((*POSITION, *ATTITUDE)):
+    for k, name in enumerate((*(POSITION if north else UNKNOWN), *ATTITUDE)):
         curves = []
         for method, result in scored:
             seconds = (result.stamps_ns - truth.stamps_ns[0]) * 1e-9

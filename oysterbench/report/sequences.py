@@ -60,6 +60,7 @@ def sequence_plots(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]
         pictures = tuple(_frame(*frame, None) for frame in frames)
         return SequencePlots(name, "None of the runs just made on this sequence could be scored.", frames=pictures)
     truth = scored[0][1].whole_truth
+    north = any(run.record.split_digest for run in runs)  # the world of our splits is east, north and up
     begin_ns = int(truth.stamps_ns[0])
     end_s = (int(truth.stamps_ns[-1]) - begin_ns) * 1e-9
     several = " Of several runs, the one with the median score is drawn." if len(drawn) < len(runs) else ""
@@ -71,13 +72,13 @@ def sequence_plots(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]
     healths = {run.record.method: run.health for run in drawn if run.result is not None and run.health is not None}
     rows = (
         _errors(truth, end_s, scored, styles),
-        *component_cards(truth, scored, styles),
+        *component_cards(truth, scored, styles, north),
         _last(truth, scored, styles),
         consistency_cards(truth, scored, styles),
         health_cards(truth, scored, healths, styles),
     )
     pictures = tuple(_frame(*frame, begin_ns) for frame in frames)
-    return SequencePlots(name, facts, legend, *_maps(truth, scored, styles), tuple(filter(None, rows)), pictures)
+    return SequencePlots(name, facts, legend, *_maps(truth, scored, styles, north), tuple(filter(None, rows)), pictures)
 
 
 def _drawn(runs: Sequence[SlamRun]) -> list[SlamRun]:
@@ -98,11 +99,11 @@ def _score(record: ResultRecord) -> float:
     return -1.0 if math.isnan(value) else value
 
 
-def _maps(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> tuple[Card, Card, Card]:
+def _maps(truth: Trajectory, scored: Scored, styles: Mapping[str, int], north: bool) -> tuple[Card, Card, Card]:
     """The trajectories from above, from the side that shows more of them, and their height over time."""
     extent = np.ptp(truth.positions, axis=0)
     side = 0 if extent[0] >= extent[1] else 1
-    axes = ("east x [m]", "north y [m]", "height z [m]")
+    axes = (*(("east x [m]", "north y [m]") if north else ("x [m]", "y [m]")), "height z [m]")
     shown = [("truth", truth, 0), *((method, result.estimate, styles[method]) for method, result in scored)]
 
     def seen(title: str, i: int, j: int, least_height: float) -> Card:

@@ -212,6 +212,15 @@ def test_variants_of_a_method_stand_in_one_table(dive_file, tmp_path):
     assert "[imu_inflation=2" in done.stdout
 
 
+def test_a_frame_that_a_sequence_does_not_have_is_refused_before_anything_runs(dive_file, answer, tmp_path):
+    words = ("--command", command(tmp_path, "copies", answer), "--on", dive_file, "--out", tmp_path / "out")
+    done = run("mine", *words, "--poses-of", "moon")
+    assert done.returncode != 0
+    assert "--poses-of moon: sequence hand-made has no such frame; expected base, imu, camera or" in done.stderr
+    assert "running" not in done.stderr
+    assert not (tmp_path / "out" / "results.json").exists()
+
+
 def test_an_unknown_option_is_one_line_with_those_like_it(home):
     done = run_here("run", "dead_reckoning", "--ablate", "level_s=1", "--split", "slam-mini")
     assert done.returncode == 1

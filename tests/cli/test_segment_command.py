@@ -68,6 +68,33 @@ def test_tables_call_a_picture_by_one_name_that_no_spreadsheet_runs(tmp_path, mo
             assert [row["picture"] for row in csv.DictReader(file)] == ["'=1+2"], name
 
 
+def test_a_carriage_return_in_a_name_ends_no_line_of_a_table(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "in" / "a\rb.png", discs((40, 40)))
+    assert run("segment", "in", *DISCS, "--out", "out").returncode == 0
+    with open(tmp_path / "out" / "pictures.csv", encoding="utf-8", newline="") as file:
+        assert [row["picture"] for row in csv.DictReader(file)] == ["a\N{SYMBOL FOR CARRIAGE RETURN}b"]
+
+
+def test_masks_of_pictures_that_are_gone_are_told_of(folder, tmp_path):
+    assert "earlier counts" not in run("segment", folder, *DISCS, "--out", "out").stderr
+    (folder / "2.png").unlink()
+    (folder / "4.png").unlink()
+    done = run("segment", folder, *DISCS, "--out", "out")
+    assert "8 oysters in 4 images" in done.stdout
+    assert "out: masks and overlays of 2 images and frames of earlier counts are still there" in done.stderr
+    assert done.stderr.rstrip().endswith("2, 4")
+    assert (tmp_path / "out" / "masks" / "2.png").is_file()
+
+
+@pytest.mark.parametrize("words", [("--out", ""), ("--out=",), ("",)])
+def test_an_empty_argument_is_no_folder(folder, words):
+    done = run("segment", folder, *DISCS, *words)
+    assert done.returncode == 2
+    assert "expected a value, got an empty one: is a variable of the shell not set?" in done.stderr
+    assert not list(folder.glob("*.csv"))
+
+
 def test_results_within_the_folder_of_pictures_are_not_taken_for_pictures(folder):
     for _ in range(2):
         done = run("segment", folder, *DISCS, "--out", folder / "out", "--json")
@@ -170,6 +197,16 @@ def test_of_a_video_that_cannot_be_read_nothing_is_said_but_why(tmp_path, monkey
     assert (done.returncode, done.stdout) == (1, "")
     assert "dive.mp4: the video cannot be read, none of its frames were" in done.stderr
     assert done.stderr.splitlines()[-1] == "oysterbench: 1 of 1 could not be counted"
+
+
+def test_a_video_of_sound_alone_says_so(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    whole = write_video(tmp_path / "dive.mp4", [discs((60, 60))] * 5, codec="mp4v").read_bytes()
+    assert whole.count(b"vide") == 1  # kind of its only track
+    (tmp_path / "dive.mp4").write_bytes(whole.replace(b"vide", b"soun"))
+    done = run("segment", "dive.mp4", *DISCS)
+    assert "dive.mp4: " in done.stderr
+    assert "without pictures, as of sound alone" in done.stderr
 
 
 def test_quadrats_altitudes_and_checks_by_files(folder, tmp_path):

@@ -105,6 +105,19 @@ def test_a_calibration_holds_for_the_same_pictures_at_another_size_and_no_others
         scale.fitted((360, 640))
 
 
+@pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])
+def test_upright_pictures_are_of_the_lens_turned(model):
+    distortion = np.array([-0.2, 0.05, 0.001, -0.002] if model == "plumb_bob" else [0.02, -0.01, 0.003, 0.0])
+    lens = Lens(640, 480, MATRIX, distortion, model)
+    lying, upright = AltitudeScale(lens, 1.5), AltitudeScale(lens, 1.5).fitted((640, 480))
+    assert area_m2(upright, (640, 480)) == pytest.approx(area_m2(lying, SHAPE), rel=1e-9)
+    points = np.array([[100.0, 200.0], [600, 30], [20, 450]])
+    turned = np.stack([480 - points[:, 1], points[:, 0]], axis=1)  # a quarter clockwise
+    x, y = lying.to_ground(points).T
+    assert upright.to_ground(turned) == pytest.approx(np.stack([-y, x], axis=1), abs=1e-9)
+    assert area_m2(lying.fitted((1280, 960)), (1280, 960)) == pytest.approx(area_m2(lying, SHAPE), rel=1e-3)
+
+
 def test_a_lens_that_cannot_be_undone_at_the_border_is_refused():
     with pytest.raises(SequenceError, match="cannot be undone"):
         AltitudeScale(Lens(640, 480, MATRIX, np.array([-0.9, 0.1, 0, 0])), 1.0).to_ground(border(SHAPE))

@@ -137,6 +137,17 @@ def test_an_estimate_in_another_frame_or_scale_is_suspected():
     assert any("posyaw instead of none" in note for note in score(truth, shifted, SlamSettings(align="none")).notes)
 
 
+@pytest.mark.parametrize("align", ["posyaw", "se3", "sim3"])
+@pytest.mark.parametrize("how", [[1, -1, 1], [1, 1, -1]])
+def test_an_estimate_that_is_mirrored_is_suspected(align, how):
+    truth = survey()
+    wave = 0.8 * np.sin(np.linspace(0, 40, len(truth)))[:, None] * [0, 0, 1]
+    truth = replace(truth, positions=truth.positions + wave)  # a flat path is its own mirror image
+    mirrored = replace(truth, positions=truth.positions * how)
+    notes = score(truth, mirrored, SlamSettings(align=align)).notes
+    assert any("mirrored, the ATE would be" in note and "left-handed" in note for note in notes), notes
+
+
 def test_an_estimate_that_is_merely_bad_raises_no_suspicion_of_how_it_was_written():
     truth = survey()
     seconds = (truth.stamps_ns - truth.stamps_ns[0])[:, None] * 1e-9

@@ -210,6 +210,14 @@ def test_report_is_well_formed_and_holds_everything():
         assert SLAM[key].definition in tags.text
 
 
+def test_where_nobody_says_where_north_is_no_axis_is_called_north():
+    known = run("gtsam_vi")
+    other = replace(known, record=replace(known.record, split="", split_digest=""))
+    for shown, north in ((known, True), (other, False)):
+        text = html_report([shown], "oysterbench eval")
+        assert ("north" in text, "east x" in text, "Error of x" in text) == (north, north, not north)
+
+
 def test_names_are_escaped_and_nothing_is_fetched_or_run():
     html = html_report(EVERYTHING, "oysterbench eval", title="</title><script>")
     tags = parsed(html)

@@ -138,9 +138,10 @@ def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list
 
 
 def alignment_notes(truth: Array, estimate: Array, align: str, rmse_m: float) -> list[str]:
-    """Whether a freer alignment of the matched positions (N, 3) explains nearly all of an error of `rmse_m`.
+    """Whether a freer alignment of the matched positions (N, 3), or a mirror, explains nearly all of an error of
+    `rmse_m`.
 
-    Then the estimate is good but in another world frame or scale than the chosen alignment allows for.
+    Then the estimate is good but in another world frame or scale than the chosen alignment allows for, or left-handed.
     """
     fit_m = EXPLAINED * spread(truth)
     if rmse_m * SUSPICIOUS_GAIN < fit_m:
@@ -163,6 +164,16 @@ def alignment_notes(truth: Array, estimate: Array, align: str, rmse_m: float) ->
                 f"with alignment {name}{scale} instead of {align} the ATE would be {left_m:.3g} m, not {rmse_m:.3g} m: "
                 "is the estimate in another world frame (z up is expected) or without scale?"
             ]
+    try:
+        fit = align_umeyama(truth, estimate * [1.0, 1.0, -1.0], with_scale=align == "sim3")
+    except ValueError:
+        return []
+    left_m = _rms(np.linalg.norm(fit.apply(estimate * [1.0, 1.0, -1.0]) - truth, axis=1))
+    if left_m < min(rmse_m / SUSPICIOUS_GAIN, fit_m):
+        return [
+            f"mirrored, the ATE would be {left_m:.3g} m, not {rmse_m:.3g} m: are its coordinates left-handed, with "
+            "two axes swapped or one of the wrong sign?"
+        ]
     return []
 
 

@@ -92,6 +92,10 @@ class Interface(ABC):
             raise MethodError(f"--poses-of is for the track slam; here a program writes {self.leaves}")
         return {}
 
+    def check(self, sequence: RunSequence, form: str, options: Mapping[str, str]) -> None:
+        """Raises MethodError where what a program will leave could not be read as the options say, before it runs."""
+        return
+
     @abstractmethod
     def predict(self, method: Any, given: Path, folder: Path, watch: Stopwatch) -> Predicted:
         """In the process of the method: run it on its input, and write its predictions into a folder."""

@@ -102,6 +102,17 @@ class SlamInterface(Interface):
         """Whose poses a program leaves."""
         return {"poses_of": poses_of or POSES_OF[form]}
 
+    def check(self, sequence: RunSequence, form: str, options: Mapping[str, str]) -> None:
+        """The frame whose poses it leaves is one of the sequence's."""
+        assert isinstance(sequence, SequencePath)
+        if options["poses_of"] in ("base", "imu"):
+            return
+        try:
+            opened = open_sequence(sequence.path)
+        except OysterbenchError:  # its run says so
+            return
+        frame_pose(opened, options["poses_of"], form)
+
     def predict(self, method: Any, given: Path, folder: Path, watch: Stopwatch) -> Predicted:
         """Run the method on a sequence from which the truth was cut."""
         sequence = open_sequence(given).for_method()

@@ -45,6 +45,9 @@ def field(value: str | float | None) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     if isinstance(value, str):
+        value = value.replace(
+            "\r", "\N{SYMBOL FOR CARRIAGE RETURN}"
+        )  # Python's writer leaves it bare, where a line ends
         begins = compatible(IGNORABLE.sub("", value)).lstrip()[:1]  # as a spreadsheet may see it
         return f"'{value}" if value.startswith(FORMULA) or begins in FORMULA else value
     return repr(float(value)) if isinstance(value, float) else str(value)
