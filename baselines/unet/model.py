@@ -21,9 +21,9 @@ from oysterbench_baselines.learning.samples import Floats, shrink, standardised,
 from oysterbench_baselines.unet.calibration import Calibration
 from oysterbench_baselines.unet.network import CONTRAST, PretrainedUNetwork, UNetworkSettings, build_network, kind_of
 
-VIEWS = ((1.0, False), (1.4, True), (1.0, True), (1.4, False))
-"""Zoom, mirrored: the ways in which a picture is looked at, in the order of what they are worth; logits are their
-mean."""
+VIEWS = ((1.0, 0, False), (1.4, 1, False), (1.0, 0, True), (1.4, 1, True))
+"""Zoom, quarter turns, mirrored: the ways in which a picture is looked at, in the order of what they are worth; logits
+are their mean."""
 ALIKE_SIDE = 320
 """px, to which a picture's longer side is brought before it is told what it is like."""
 EMBEDDED = 3
@@ -53,9 +53,9 @@ class UNetModel(MaskModel):
         views."""
         height, width = pixels.shape[:2]
         total = np.zeros((self.planes, height, width), dtype=np.float32)
-        for zoom, mirrored in VIEWS[: self.views]:
-            seen = np.ascontiguousarray(pixels[:, ::-1]) if mirrored else pixels
-            found = enlarged(self.small_logits(seen, zoom), height, width)
+        for zoom, turns, mirrored in VIEWS[: self.views]:
+            seen = np.ascontiguousarray(np.rot90(pixels[:, ::-1] if mirrored else pixels, turns))
+            found = np.rot90(enlarged(self.small_logits(seen, zoom), *seen.shape[:2]), -turns, axes=(1, 2))
             total += found[..., ::-1] if mirrored else found
         return total / np.float32(min(self.views, len(VIEWS)))
 

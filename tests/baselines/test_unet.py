@@ -25,7 +25,7 @@ from oysterbench_baselines.learning.masks import enlarged, probability  # noqa: 
 from oysterbench_baselines.unet import UNet, UNetSmall, UNetSmallInstances, network  # noqa: E402
 from oysterbench_baselines.unet.calibration import Calibration, kept_back, measured  # noqa: E402
 from oysterbench_baselines.unet.instances import find_instances  # noqa: E402
-from oysterbench_baselines.unet.model import read_unet  # noqa: E402
+from oysterbench_baselines.unet.model import UNetModel, read_unet  # noqa: E402
 from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings, build_network  # noqa: E402
 from oysterbench_baselines.unet.training import new_network, train  # noqa: E402
 from tests.helpers.labelled_folders import image  # noqa: E402
@@ -274,6 +274,22 @@ def test_what_was_measured_is_in_the_checkpoint_and_measured_once(checkpoint):
     assert set(known.measured) == {"calibration"}, "a small network knows nothing of what pictures are like"
     assert read_unet(checkpoint).calibration == Calibration(**known.measured["calibration"])
     assert read_unet(checkpoint).novelty_of(image(3).pixels) is None
+
+
+def test_every_view_is_laid_over_the_picture_as_it_is():
+    """Of a network that gives back one channel, the mean of views is that channel: of a picture unlike its own turns."""
+
+    class Same(torch.nn.Module):
+        def forward(self, pixels):
+            return pixels[:, :2]
+
+    rows, columns = np.mgrid[0:60, 0:90]
+    pixels = np.stack([2 * columns, 4 * rows, rows + columns], axis=-1).astype(np.uint8)
+    model = UNetModel(Same(), 1.0, 1, torch.device("cpu"))
+    alone = model.mean_logits(pixels)
+    for views in (2, 3, 4):
+        model.views = views
+        assert np.abs(model.mean_logits(pixels) - alone).max() < 0.05
 
 
 def test_more_views_are_their_mean(checkpoint):
