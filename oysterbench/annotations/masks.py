@@ -1,6 +1,7 @@
 """Predictions as files of one image each, in a folder, or as the arrays of one .npz.
 
-NAME.png   8 or 16 bits: a mask (0, and 1 or the greatest number), a probability by the greatest number, or classes
+NAME.png   8 or 16 bits: a mask (0, and 1 or the greatest number), a probability by the greatest number, classes, or the
+           numbers of single oysters
 NAME.npy   (H, W) bool, integer or float: a mask, classes or probabilities from 0 to 1
 NAME.npz   the same, one array
 all.npz    an array per image, by its name
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cached_property
 from glob import escape
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
@@ -24,12 +26,20 @@ from oysterbench.annotations.image import read_plane
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import LARGEST_IMAGE_PX
 from oysterbench.core.text import in_one_line
+from oysterbench.evaluate.detection.instances import instance_numbers
 from oysterbench.evaluate.segmentation import EstimateImage
 
-Form = Literal["auto", "mask", "probability", "classes"]
+Form = Literal["auto", "instances", "mask", "probability", "classes"]
 FORMS: tuple[str, ...] = get_args(Form)
 SUFFIXES = (".png", ".npy", ".npz")
 PNG_MAGIC, PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
+
+NUMBERS = 0.01
+"""Of the greatest number of 16 bits: up to this, numbers of oysters; maps of probabilities of which none is above 1 %
+say nothing."""
+UNIFORM = 0.8
+"""Of the pixels with a number, that at least have their right neighbour's: numbers lie in patches, probabilities do
+not."""
 
 MOST_BYTES = 8 * LARGEST_IMAGE_PX
 
@@ -40,8 +50,9 @@ class MaskFiles:
     """Predictions by the name of their image, each read when it is asked for.
 
     form: what numbers mean. "auto": floating point numbers are probabilities; integers of 0 and 1 alone are masks;
-    other integers probabilities, as shares of the type's greatest number. Files of which some could be masks of 0 and 1
-    and others are probabilities are refused: then the form must be said.
+    other integers probabilities, as shares of the type's greatest number, or, of 16 bits, small and in patches in all
+    files, the numbers of single oysters. Files of which some could be masks of 0 and 1 and others are probabilities are
+    refused: then the form must be said.
     """
 
     def __init__(
@@ -70,11 +81,37 @@ class MaskFiles:
             return EstimateImage(name, oyster=values)
         if self.form == "classes":
             return EstimateImage(name, classes=self._classes(values, where))
+        if self.numbered:
+            return EstimateImage(name, oyster=instance_numbers(values, where) > 0)
         if self.form == "mask":
             return EstimateImage(name, oyster=as_mask(values, where))
         if np.issubdtype(values.dtype, np.floating):
             return EstimateImage(name, probability=values)
         return self._integers(name, values, where)
+
+    @cached_property
+    def numbered(self) -> bool:
+        """Whether numbers are those of single oysters: so said, or all that there are look like it."""
+        if self.form != "auto":
+            return self.form == "instances"
+        fullest = None
+        for name in self._readers:
+            values = self.plane(name)
+            if values.dtype != np.uint16 or values.max(initial=0) > NUMBERS * np.iinfo(np.uint16).max:
+                return False
+            if fullest is None or values.max(initial=0) > fullest.max(initial=0):
+                fullest = values
+        if fullest is None or fullest.max(initial=0) < 2:
+            return False
+        left, right = fullest[:, :-1], fullest[:, 1:]
+        return bool((left == right)[left > 0].mean() > UNIFORM) if left.any() else False
+
+    def numbers(self, name: str) -> NDArray[np.int32] | None:
+        """(H, W) numbers of the single oysters of an image; None where the files do not number them. Raises LabelError
+        naming its file."""
+        if not self.numbered:
+            return None
+        return np.asarray(instance_numbers(self.plane(name), self.where(name)), dtype=np.int32)
 
     def where(self, name: str) -> str:
         """The file of an image's prediction; of an .npz of all, with the array's name."""
@@ -97,7 +134,8 @@ class MaskFiles:
         greatest, most = int(values.max(initial=0)), np.iinfo(values.dtype).max
         if int(values.min(initial=0)) < 0 or values.dtype not in (np.uint8, np.uint16):
             raise LabelError(
-                f"{where}: expected unsigned integers of 8 or 16 bits, got {values.dtype}; give --estimate-kind"
+                f"{where}: expected unsigned integers of 8 or 16 bits, got {values.dtype}; say what they are "
+                "(--estimate-kind; of a map --masks-kind)"
             )
         if self.form == "auto" and greatest == 1:
             self._zero_one = name
@@ -106,7 +144,8 @@ class MaskFiles:
         if self._zero_one and self._probability:
             raise LabelError(
                 f"{self.place}: {self._zero_one} has only 0 and 1, like a mask, and {self._probability} greater "
-                f"values, like a probability map with {most} for 1; choose with --estimate-kind"
+                f"values, like a probability map with {most} for 1; say which they are (--estimate-kind; of a map "
+                "--masks-kind)"
             )
         if self.form == "auto" and greatest == 1:
             return EstimateImage(name, probability=values.astype(np.float32))
@@ -126,8 +165,8 @@ def as_mask(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
     if not ((values == 0) | (values == greatest)).all():
         found = [f"{number:g}" for number in np.unique(values)[:6]]
         raise LabelError(
-            f"{where}: expected a mask of 0 and one other number, got {', '.join(found)}...; for probabilities or "
-            "class numbers, give --estimate-kind"
+            f"{where}: expected a mask of 0 and one other number, got {', '.join(found)}...; for probabilities, "
+            "classes or numbers of oysters say so (--estimate-kind; of a map --masks-kind)"
         )
     return values > 0
 

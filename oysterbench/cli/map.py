@@ -8,30 +8,63 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from oysterbench.cli.echo import echo, message
+from oysterbench.cli.evaluate import click_option, given_options
 from oysterbench.core.errors import OysterbenchError
 
 if TYPE_CHECKING:
+    from oysterbench.core.trajectory import ReadOptions, Trajectory
     from oysterbench.sequence import Sequence
+    from oysterbench.tracks import Option
 
 SOURCES = ("pictures", "echoes")
 DEPTHS = ("stereo", "motion", "plane", "layer")
 KINDS = ("auto", "instances", "mask", "probability", "classes")
 TRUTH = "truth"
 
+
 CLOUD_OPTIONS = {"source": "--from", "voxel_m": "--voxel"}
 MAP_OPTIONS = {"depth": "--depth", "kind": "--masks-kind", "cell_m": "--cell", "threshold": "--threshold"}
 
 
-@click.command("map", short_help="Map oysters per square metre, or a coloured point cloud, along any trajectory.")
+class MapCommand(click.Command):
+    """With the options of `eval slam` that say how a trajectory is read, which are loaded when they are asked for."""
+
+    @cached_property
+    def reading(self) -> list[Option]:
+        """Of one trajectory, whose content does not tell."""
+        from oysterbench.tracks.slam_options import READING
+
+        return [
+            replace(option, help=option.help.replace("Estimate:", "Trajectory:"))
+            for option in READING
+            if not option.name.startswith("--truth-") and option.name != "--times"
+        ]
+
+    @cached_property
+    def _all(self) -> list[click.Parameter]:
+        return [*self.params, *map(click_option, self.reading)]
+
+    def get_params(self, context: click.Context) -> list[click.Parameter]:
+        """Those of the command, and of reading."""
+        return [*self._all, *([] if (own := self.get_help_option(context)) is None else [own])]
+
+
+@click.command(
+    "map", cls=MapCommand, short_help="Map oysters per square metre, or a coloured point cloud, along any trajectory."
+)
 @click.argument("sequence", type=click.Path(path_type=Path))
 @click.option(
-    "--trajectory", type=click.Path(path_type=Path), required=True, help="Poses of base_link: any trajectory file."
+    "--trajectory",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Poses of base_link: any trajectory file; 'truth' for the ground truth.",
 )
 @click.option(
     "--masks", type=click.Path(path_type=Path), help="Oyster masks for its images; 'truth' for the ground truth."
@@ -65,10 +98,13 @@ def map_command(
       oysterbench map val-01.mcap --trajectory val-01-gtsam_full.tum --masks masks/ --out map
       oysterbench map val-01.mcap --trajectory poses.tum \\
         --masks instances.json --depth plane --cell 0.5 --out map
-      oysterbench map val-01.mcap --trajectory val-01-truth.tum \\
+      oysterbench map val-01.mcap --trajectory truth \\
         --masks truth --depth layer --out true-map
       oysterbench map mini-01.mcap --trajectory results/mini-01-gtsam_vi.tum --out mini-01.ply
       oysterbench map dive.mcap --trajectory poses.tum --from echoes --voxel 0.05 --out bottom.ply
+
+    The path is refused where gravity, as the inertial unit feels it, would not pull down along it: poses of a camera,
+    quaternions w first.
 
     \b
     Masks as read by `oysterbench eval --estimate`, named after their images (SEQUENCE/CAMERA/STAMP):
@@ -90,13 +126,19 @@ def map_command(
     elevation, so its first echo is placed on its lower edge. No cloud uses the ground truth: `export --format ply` does
     that.
     """
+    from oysterbench.tracks.slam_options import read_options
+
+    assert isinstance(map_command, MapCommand)
+    options = read_options(given_options(map_command.reading, given))[1]
     apart, what = (MAP_OPTIONS, "a map: give --masks") if masks is None else (CLOUD_OPTIONS, "a cloud")
     if names := [option for key, option in apart.items() if given[key] is not None]:
         raise click.UsageError(
             f"{', '.join(names)}: only for {what}{'' if masks is None else ', which is made without --masks'}"
         )
     if masks is None:
-        facts = _cloud(sequence, trajectory, out, given["source"] or "pictures", cameras, given["voxel_m"], far_m)
+        facts = _cloud(
+            sequence, trajectory, options, out, given["source"] or "pictures", cameras, given["voxel_m"], far_m
+        )
         summary = facts.pop("summary")
     else:
         if len(cameras) > 1:
@@ -105,14 +147,31 @@ def map_command(
         if far_m is not None:
             chosen["far_m"] = far_m
         camera = cameras[0] if cameras else None
-        facts = _oysters(sequence, trajectory, masks, out, camera, given["depth"], given["kind"] or "auto", chosen)
+        facts = _oysters(
+            sequence, trajectory, options, masks, out, camera, given["depth"], given["kind"] or "auto", chosen
+        )
         summary = facts.pop("summary")
     echo(json.dumps(facts, indent=2) if as_json else summary)
+
+
+def _poses(opened: Sequence, trajectory: Path, options: ReadOptions) -> Trajectory:
+    """Of a file, or the true ones. Raises TrajectoryError where they are not of the sequence, or not upright."""
+    from oysterbench.core.trajectory import read_trajectory
+    from oysterbench.mapping.views import check_time, check_upright
+
+    if str(trajectory) == TRUTH and not trajectory.exists():
+        message(f"the true path of {opened.name} is used: this map is not an estimate")
+        return opened.truth()
+    poses = read_trajectory(trajectory, options)
+    check_time(opened, poses)
+    check_upright(opened, poses)
+    return poses
 
 
 def _cloud(
     sequence: Path,
     trajectory: Path,
+    options: ReadOptions,
     out: Path,
     source: str,
     cameras: tuple[str, ...],
@@ -120,7 +179,6 @@ def _cloud(
     far_m: float | None,
 ) -> dict[str, Any]:
     from oysterbench.cli.progress import late_bar
-    from oysterbench.core.trajectory import read_trajectory
     from oysterbench.mapping import CloudSettings, build_cloud
     from oysterbench.sequence import open_sequence
 
@@ -132,13 +190,14 @@ def _cloud(
     if far_m is not None:
         settings = replace(settings, far_m=far_m)
     opened = open_sequence(sequence)
+    poses = _poses(opened, trajectory, options)
     start = time.process_time()
     looks = max(len(cameras), 1)
     if source == "echoes":
         looks += len(opened.altimeters) + len(opened.sonars) + (opened.dvl_calibration is not None)
     with late_bar(f"cloud of {opened.name}", "s of the sequence") as progress:
         watch = _watching(opened, looks, progress)
-        cloud = build_cloud(opened, read_trajectory(trajectory), source, cameras, settings, watch)
+        cloud = build_cloud(opened, poses, source, cameras, settings, watch)
     if len(cloud) == 0:
         raise OysterbenchError(f"{opened.name}: no points found from {source} along {trajectory}; nothing was written")
     cloud.write(out, f"{opened.name} along {trajectory.name}, from {source}, in odom, m")
@@ -173,6 +232,7 @@ def _watching(opened: Sequence, looks: int, progress: Callable[[int, int], None]
 def _oysters(
     sequence: Path,
     trajectory: Path,
+    options: ReadOptions,
     masks: Path,
     out: Path,
     camera: str | None,
@@ -181,9 +241,7 @@ def _oysters(
     chosen: dict[str, Any],
 ) -> dict[str, Any]:
     from oysterbench.cli.progress import late_bar
-    from oysterbench.core.trajectory import read_trajectory
     from oysterbench.mapping import MapSettings, build_map, default_depth, read_seen, true_seen
-    from oysterbench.mapping.views import check_time
     from oysterbench.report.density_figure import numbers
     from oysterbench.report.density_files import summary, write_map
     from oysterbench.sequence import open_sequence
@@ -192,8 +250,7 @@ def _oysters(
         raise OysterbenchError(f"{out}: expected the name of a folder, got a file")
     settings = MapSettings(**chosen)
     opened = open_sequence(sequence)
-    poses = read_trajectory(trajectory)
-    check_time(opened, poses)
+    poses = _poses(opened, trajectory, options)
     first = camera or next(iter(opened.cameras), None)
     if first is None or first not in opened.cameras:
         raise OysterbenchError(

@@ -161,7 +161,20 @@ def segment_command(
     counted.failures.update(found.unreadable())
     figures = figures_of_counts(weights, chosen.name)
     kind = "" if about_scale is None else about_scale["kind"]
-    result = survey(title, chosen.name, counted.pictures, counted.failures, block, accuracy, figures, kind, least)
+    whole_m2 = math.nan if scaling["quadrat"] is None else scaling["quadrat"] ** 2
+    result = survey(
+        title,
+        chosen.name,
+        counted.pictures,
+        counted.failures,
+        block,
+        accuracy,
+        figures,
+        kind,
+        least,
+        counted.copies,
+        whole_m2,
+    )
     videos = any(source.video for source in found.sources)
     said = {
         "threshold": threshold,

@@ -11,6 +11,9 @@ PLAUSIBLE_MM = (5.0, 400.0)
 """Mean lengths of oysters, with room on both sides: 24.9 to 172 mm were measured in 1122 of Virginia. What is outside
 is no oyster, but a scale in another unit."""
 
+WHOLE = 0.9
+"""Share of a quadrat that its image shows, from which on it is taken to be whole."""
+
 UNITS = {
     "plain": "--mm-per-px takes millimetres per pixel",
     "altitude": "--altitude takes metres",
@@ -19,8 +22,29 @@ UNITS = {
 """Kind of a scale -> its unit."""
 
 
-def doubts(method: str, pictures: Sequence[PictureCount], length_mm: float, scale: str) -> Iterator[str]:
-    """A sentence for each. length_mm: mean of all, NaN where it is not known; scale: its kind, empty for none."""
+def doubts(
+    method: str,
+    pictures: Sequence[PictureCount],
+    length_mm: float,
+    scale: str,
+    copies: Sequence[tuple[str, str]] = (),
+    quadrat_m2: float = math.nan,
+) -> Iterator[str]:
+    """A sentence for each. length_mm: mean of all, NaN where it is not known; scale: its kind, empty for none; copies:
+    names of files with those of others that hold the same bytes; quadrat_m2: area of a whole quadrat, if there are
+    any."""
+    if copies:
+        listed = ", ".join(f"{name} is {first}" for name, first in copies[:3]) + ", ..." * (len(copies) > 3)
+        files = "file is a copy of another" if len(copies) == 1 else "files are copies of others"
+        yield (
+            f"{len(copies)} {files} and counted as often, which makes intervals too narrow: {listed}; remove the copies"
+        )
+    cut = sum(one.area_m2 is not None and one.area_m2 < WHOLE * quadrat_m2 for one in pictures)
+    if cut:
+        yield (
+            f"{cut} of {len(pictures)} quadrats reach beyond their images, and only the part that is seen counts: are "
+            "their corners of a copy of another size?"
+        )
     unit = f"is the scale in another unit ({UNITS.get(scale, '')})"
     low, high = PLAUSIBLE_MM
     if not math.isnan(length_mm) and not low <= length_mm <= high:

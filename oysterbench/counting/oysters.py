@@ -16,14 +16,12 @@ from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array
 from oysterbench.evaluate.detection.instances import instance_numbers, pieces
+from oysterbench.evaluate.detection.states import ALIVE
 from oysterbench.evaluate.segmentation import EstimateImage
 from oysterbench.methods.images import Detections, Segmentation
 
 MOST = 65535
 """Oysters of a picture, as their numbers are kept in 16 bits."""
-
-ALIVE = 0.5
-"""Probability from which on an oyster is called live, and below which dead."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from oysterbench.core.errors import LabelError
 from oysterbench.counting.lens import Lens
 from oysterbench.counting.run import ScaleOf
-from oysterbench.counting.scale import AltitudeScale, PlainScale, QuadratScale, Scale
+from oysterbench.counting.scale import AltitudeScale, PlainScale, QuadratScale, Scale, check_quadrat
 from oysterbench.counting.sources import Source
 from oysterbench.counting.tables import PictureTable
 
@@ -28,7 +28,9 @@ def plain(mm_per_px: float) -> ScaleOf:
 
 
 def quadrats(size_m: float, corners: PictureTable) -> ScaleOf:
-    """Of quadrats of one size, whose corners are in a table. Raises LabelError where all are in another unit."""
+    """Of quadrats of one size, whose corners are in a table. Raises OptionError where the size is in another unit, and
+    LabelError where all corners are."""
+    check_quadrat(size_m)
     if corners.rows and all(0 <= min(row) <= max(row) <= 1 for row in corners.rows.values()):
         name, row = next(iter(corners.rows.items()))
         QuadratScale(size_m, np.reshape(row, (4, 2)), f"{corners.path}: {name}")

@@ -52,13 +52,15 @@ class Settings:
 @dataclass
 class Counted:
     """What came of it. pictures: in the order of their names; made: how many of them in this run; failures: by name of
-    a picture or video; films: by name of a video; cpu_s: of the method, in this run."""
+    a picture or video; films: by name of a video; cpu_s: of the method, in this run; copies: names of files, each with
+    that of an earlier one of the same bytes."""
 
     pictures: list[PictureCount] = field(default_factory=list)
     made: int = 0
     failures: dict[str, str] = field(default_factory=dict)
     films: dict[str, Path] = field(default_factory=dict)
     cpu_s: float = 0.0
+    copies: list[tuple[str, str]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,7 @@ class Counting:
         self.sources, self.method, self.identity = sources, method, identity
         self.store, self.settings, self.progress = store, settings, progress
         self.result = Counted()
+        self._named: dict[str, str] = {}  # name of a file by the digest of its bytes
         self._found: dict[str, tuple[int, PictureCount]] = {}
         self._made: set[str] = set()
         self._expected = {source.name: 1 for source in sources}
@@ -175,7 +178,9 @@ class Counting:
 
     def _picture(self, place: int, source: Source) -> Iterator[_Work]:
         data = source.path.read_bytes()
-        key, scale = self._key(source, source.name, hashlib.sha256(data).hexdigest())
+        digest = hashlib.sha256(data).hexdigest()
+        self._compare(source, digest)
+        key, scale = self._key(source, source.name, digest)
         done = self.store.finished(source.name, key)
         if done is not None:
             self._keep(place, done)
@@ -183,8 +188,15 @@ class Counting:
         pixels = decode(data, str(source.path))
         yield self._work(place, source.name, key, pixels, scale)
 
+    def _compare(self, source: Source, digest: str) -> None:
+        """Whether an earlier file had the same bytes."""
+        first = self._named.setdefault(digest, source.name)
+        if first != source.name:
+            self.result.copies.append((source.name, first))
+
     def _frames(self, place: int, source: Source) -> Iterator[_Work]:
         sampling, digest = self.settings.sampling, file_digest(source.path)
+        self._compare(source, digest)
         whole = key_of({"video": digest, "every": sampling.every, "per_second": sampling.per_second})
         known = self.store.frames(source.name, whole)
         if known is not None and self._all_kept(place, source, digest, *known):

@@ -124,12 +124,7 @@ class QuadratScale:
     """
 
     def __init__(self, size_m: float, corners: Array, where: str = "quadrat") -> None:
-        _above_zero("--quadrat", size_m, "metres")
-        if size_m > LARGEST_QUADRAT_M:
-            raise OptionError(
-                f"--quadrat: expected the side in metres, at most {LARGEST_QUADRAT_M:g}, got {size_m:g}: {size_m:g} cm "
-                f"are --quadrat {size_m / 100:g}"
-            )
+        check_quadrat(size_m)
         self._where = where
         self.size_m = size_m
         self.corners = _going_round(np.asarray(corners, dtype=float), where)
@@ -171,6 +166,17 @@ class QuadratScale:
     def as_dict(self) -> dict[str, Any]:
         """Kind, size and corners."""
         return {"kind": "quadrat", "size_m": self.size_m, "corners_px": self.corners.tolist()}
+
+
+def check_quadrat(size_m: float) -> None:
+    """Raises OptionError for what is no side of a quadrat in metres."""
+    _above_zero("--quadrat", size_m, "metres")
+    if size_m > LARGEST_QUADRAT_M:
+        unit, each = ("cm", 100) if size_m < 200 else ("mm", 1000)
+        raise OptionError(
+            f"--quadrat: expected the side in metres, at most {LARGEST_QUADRAT_M:g}, got {size_m:g}: {size_m:g} {unit} "
+            f"are --quadrat {size_m / each:g}"
+        )
 
 
 def border(shape: tuple[int, int]) -> Array:

@@ -140,9 +140,11 @@ def survey(
     figures: Sequence[Figure] = (),
     scale: str = "",
     least: Least = EVERY_SIZE,
+    copies: Sequence[tuple[str, str]] = (),
+    quadrat_m2: float = math.nan,
 ) -> Survey:
     """Of pictures in the order of their names, and frames in that of their times. scale: its kind, empty for none;
-    least: what they were counted with."""
+    least: what they were counted with; copies, quadrat_m2: see `doubts`."""
     labels = block_labels(pictures, neighbours)
     noun = "image" if len(labels) == len(np.unique(labels)) else "block"
 
@@ -202,7 +204,7 @@ def survey(
         alike,
         accuracy,
         tuple(figures),
-        tuple(doubts(method, pictures, length_mm, scale)),
+        tuple(doubts(method, pictures, length_mm, scale, copies, quadrat_m2)),
         least.described(any(one.parts for one in pictures), bool(scale)),
     )
 

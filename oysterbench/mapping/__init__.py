@@ -4,14 +4,13 @@ from oysterbench.mapping.build import SOURCES, build_cloud
 from oysterbench.mapping.cloud import PointCloud
 from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.mapping.depth import DEPTHS, default_depth
-from oysterbench.mapping.predicted import KINDS, read_seen, true_seen
+from oysterbench.mapping.predicted import read_seen, true_seen
 from oysterbench.mapping.projection import Seen
 from oysterbench.mapping.settings import MapSettings
 from oysterbench.mapping.survey import OysterMap, build_map
 
 __all__ = [
     "DEPTHS",
-    "KINDS",
     "SOURCES",
     "CloudSettings",
     "MapSettings",

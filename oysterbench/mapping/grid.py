@@ -111,6 +111,11 @@ class Total:
     high_per_m2: float
     clumping_k: float
 
+    @property
+    def told(self) -> bool:
+        """Whether any oyster is known to be live or dead; else `live_per_m2` is of all of them."""
+        return self.live + self.dead > 0 or self.unknown == 0
+
 
 def make_grid(
     oysters: list[Oyster], cover: Cover, settings: MapSettings, depth_sigma: float, unassociated: float | None = None
@@ -140,7 +145,7 @@ def make_grid(
 
 
 def live_share(oysters: list[Oyster]) -> float:
-    """Of those whose state is known; 1 where none is."""
+    """Of those whose state is known; 1 where none is (`Total.told`)."""
     live = sum(one.weight for one in oysters if one.state == "live")
     dead = sum(one.weight for one in oysters if one.state == "dead")
     return live / (live + dead) if live + dead > 0 else 1.0

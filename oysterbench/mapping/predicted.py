@@ -12,24 +12,23 @@ from numpy.typing import NDArray
 
 from oysterbench.annotations import open_predictions, read_coco
 from oysterbench.annotations.coco import CocoFile, read_json
-from oysterbench.annotations.masks import Form
+from oysterbench.annotations.masks import FORMS, MaskFiles
 from oysterbench.annotations.parts import connected_parts, without_specks
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.detection import ImageInstances
-from oysterbench.evaluate.detection.instances import instance_numbers, mask_tools
+from oysterbench.evaluate.detection.instances import mask_tools
+from oysterbench.evaluate.detection.states import ALIVE
 from oysterbench.mapping.projection import Seen
 from oysterbench.recipe import CLASSES
 from oysterbench.sequence.types import Sequence
-
-KINDS = ("auto", "instances", "mask", "probability", "classes")
-"""What the numbers of masks are: those of single oysters, or one of `annotations.FORMS`."""
 
 OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
 COCO_STATES = {"oyster": "unknown", "live": "live", "live oyster": "live", "dead": "dead", "dead oyster": "dead"}
 """Category of COCO annotations -> state; an annotation of an oyster may say its own under the key `state`."""
 
-STAMP = re.compile(r"(?:(?P<sequence>[^/]+)/)?(?:(?P<camera>[A-Za-z]\w*)[/_])?(?P<stamp>\d+)")
-"""Names of pictures: SEQUENCE/CAMERA/STAMP, as labels have them, CAMERA_STAMP, as exports, or the STAMP in ns alone."""
+STAMP = re.compile(r"(?:(?P<sequence>[^/]+)/)?(?:(?P<camera>[A-Za-z]\w*)[/_])?(?P<stamp>\d+(?:\.\d{9})?)")
+"""Names of pictures: SEQUENCE/CAMERA/STAMP, as labels have them, CAMERA_STAMP, as exports, or the STAMP alone, in ns,
+or in seconds with nine decimals, as the pictures of `export --format tum` have them."""
 
 
 def true_seen(sequence: Sequence, camera: str) -> Iterator[Seen]:
@@ -53,16 +52,14 @@ def read_seen(place: Path, sequence: Sequence, camera: str, kind: str, threshold
     kind "instances", of numbers of oysters; or COCO annotations (.json). Raises LabelError where they are of another
     sequence, or not what they should be.
     """
-    if kind not in KINDS:
-        raise LabelError(f"kind of masks: expected one of {', '.join(KINDS)}, got {kind!r}")
+    if kind not in FORMS:
+        raise LabelError(f"kind of masks: expected one of {', '.join(FORMS)}, got {kind!r}")
     if place.suffix.lower() == ".json":
         return _coco(place, sequence, camera, threshold)
-    names = open_predictions(place, "auto").names
-    stamps = _stamps(place, names, sequence, camera)
-    if kind == "instances":
-        return _numbered(place, stamps, camera)
     form: Any = kind
-    return _components(place, stamps, camera, form, threshold)
+    files = open_predictions(place, form)
+    stamps = _stamps(place, files.names, sequence, camera)
+    return _numbered(files, stamps, camera) if files.numbered else _components(files, stamps, camera, threshold)
 
 
 def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str) -> dict[int, str]:
@@ -73,7 +70,7 @@ def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str
         if match is None:
             raise LabelError(
                 f"{place}: {name}: expected the name of a picture of {sequence.name}, e.g. "
-                f"{sequence.name}/{camera}/STAMP, {camera}_STAMP or STAMP, with the stamp in ns"
+                f"{sequence.name}/{camera}/STAMP, {camera}_STAMP or STAMP, with the stamp in ns or s.nnnnnnnnn"
             )
         if match["sequence"] not in (None, sequence.name):
             raise LabelError(
@@ -81,7 +78,7 @@ def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str
                 f"{match['sequence']}"
             )
         if match["camera"] in (None, camera):
-            found[int(match["stamp"])] = name
+            found[int(match["stamp"].replace(".", ""))] = name
         elif match["camera"] not in sequence.cameras:
             raise LabelError(
                 f"{place}: {name}: {sequence.name} has no camera {match['camera']!r}; its cameras: "
@@ -92,14 +89,14 @@ def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str
     return dict(sorted(found.items()))
 
 
-def _numbered(place: Path, stamps: Mapping[int, str], camera: str) -> Iterator[Seen]:
-    files = open_predictions(place)
+def _numbered(files: MaskFiles, stamps: Mapping[int, str], camera: str) -> Iterator[Seen]:
     for stamp_ns, name in stamps.items():
-        yield Seen(stamp_ns, camera, instance_numbers(files.plane(name), f"{place}: {name}").astype(np.int32))
+        numbers = files.numbers(name)
+        assert numbers is not None
+        yield Seen(stamp_ns, camera, numbers)
 
 
-def _components(place: Path, stamps: Mapping[int, str], camera: str, form: Form, threshold: float) -> Iterator[Seen]:
-    files = open_predictions(place, form)
+def _components(files: MaskFiles, stamps: Mapping[int, str], camera: str, threshold: float) -> Iterator[Seen]:
     for stamp_ns, name in stamps.items():
         answer = files.get(name)
         yield components(stamp_ns, camera, answer.mask(threshold), answer.probability)
@@ -147,6 +144,14 @@ def _categories(place: Path) -> list[tuple[str, CocoFile]]:
     return [(COCO_STATES[name], read_coco(place, category=name)) for name in dict.fromkeys(chosen)]
 
 
+def _state(values: Mapping[str, Any], category: str) -> str:
+    """Of an annotation: what it says itself, as `state` or as the probability `live`, else what its category says."""
+    own, live = values.get("state"), values.get("live")
+    if own is None and isinstance(live, float | int):
+        return "live" if live >= ALIVE else "dead"
+    return str(own or category) if str(own or category) in ("live", "dead") else "unknown"
+
+
 def _annotated(
     stamps: Mapping[int, str], files: list[tuple[str, CocoFile]], camera: str, threshold: float
 ) -> Iterator[Seen]:
@@ -161,7 +166,6 @@ def _annotated(
             if score < threshold or item.values.get("iscrowd"):
                 continue
             numbers[files[0][1].mask_of(name, item)] = k
-            own = str(item.values.get("state", state))
-            states[k] = own if own in ("live", "dead") else "unknown"
+            states[k] = _state(item.values, state)
             scores[k] = score
         yield Seen(stamp_ns, camera, numbers, states, scores)

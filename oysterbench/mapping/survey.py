@@ -90,7 +90,11 @@ class OysterMap:
         found = self.total
         rows = [
             ("oysters", f"{found.count:.0f}", f"{found.count_low:.0f} to {found.count_high:.0f}"),
-            ("live per m²", f"{found.live_per_m2:.1f}", f"{found.low_per_m2:.1f} to {found.high_per_m2:.1f}"),
+            (
+                "live per m²" if found.told else "live or dead, per m²",
+                f"{found.live_per_m2:.1f}",
+                f"{found.low_per_m2:.1f} to {found.high_per_m2:.1f}",
+            ),
         ]
         lead = f"{self._outline}; depths: {self.depth}"
         return card(f"Oysters of {self.name}", lead, [CardTable(("", "found", "95 % interval"), rows)], (), self.notes)

@@ -9,6 +9,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import SequenceError, TrajectoryError
 from oysterbench.core.geometry import Array, invert
@@ -20,6 +21,12 @@ from oysterbench.sequence.types import CameraCalibration, Sequence
 
 Watch = Callable[[int], None]
 """Told the stamp, ns, of each measurement that was looked at."""
+
+
+GRAVITY_SAMPLES = 2000
+MOST_TILT_DEG = 15.0
+"""Between gravity as the inertial unit feels it and the vertical by a trajectory, in the median: surge and the best of
+estimators stay below 2, and a map of what is tilted further is none."""
 
 
 def unwatched(stamp_ns: int) -> None:
@@ -97,6 +104,41 @@ def check_time(sequence: Sequence, trajectory: Trajectory) -> None:
             f"expected a trajectory of {sequence.name}, from {first * 1e-9:.3f} to {last * 1e-9:.3f} s, got {got}: "
             "they do not overlap in time"
         )
+
+
+def check_upright(sequence: Sequence, trajectory: Trajectory) -> None:
+    """Refuse poses by which gravity, as the inertial unit feels it, would not pull down: what is seen of them would not
+    lie on the bottom. Raises TrajectoryError, with what they look like."""
+    stamps, felt = [], []
+    for sample in sequence.imu():
+        if trajectory.stamps_ns[0] <= sample.stamp_ns <= trajectory.stamps_ns[-1]:
+            stamps.append(sample.stamp_ns)
+            felt.append(sample.accel)
+    if not stamps:
+        return
+    step = -(-len(stamps) // GRAVITY_SAMPLES)
+    up = np.array(felt[::step]) @ sequence.imu_calibration.T_base_imu[:3, :3].T
+    up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
+    turns = Rotation.from_quat(trajectory.at(np.array(stamps[::step])).quaternions)
+
+    def tilt_deg(attitudes: Rotation) -> float:
+        return float(np.degrees(np.median(np.arccos(np.clip(attitudes.apply(up)[:, 2], -1.0, 1.0)))))
+
+    tilt = tilt_deg(turns)
+    if tilt < MOST_TILT_DEG:
+        return
+    reordered = Rotation.from_quat(np.roll(turns.as_quat(), -1, axis=1))
+    looks = {"quaternions in the order w x y z: give --quaternion wxyz": reordered}
+    for name, camera in sequence.cameras.items():
+        of_base = turns * Rotation.from_matrix(camera.T_base_cam[:3, :3]).inv()
+        place = [*camera.T_base_cam[:3, 3], *Rotation.from_matrix(camera.T_base_cam[:3, :3]).as_quat()]
+        looks[f"poses of {name}: give --T-body-estimate={','.join(f'{n:.6g}' for n in place)}"] = of_base
+    best = min(looks, key=lambda look: tilt_deg(looks[look]))
+    seem = f"; they look like {best}" if tilt_deg(looks[best]) < MOST_TILT_DEG else ""
+    raise TrajectoryError(
+        f"by these poses the vehicle of {sequence.name} would be {tilt:.0f} deg from upright by its own inertial unit: "
+        f"expected poses of base_link in a world whose z points up{seem}"
+    )
 
 
 def partner(sequence: Sequence, camera: str, settings: CloudSettings) -> str | None:

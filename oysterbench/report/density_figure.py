@@ -50,7 +50,6 @@ DEPTHS = {
 NARROW = 4.6  # the same where a panel stands by itself: it is shown as large on a telephone
 
 SQUARED = "\N{SUPERSCRIPT TWO}"
-PANELS = ("From above, one dot per oyster", f"Live oysters per m{SQUARED}")
 MOSAIC_PX = 1200  # along the longer side
 PANEL = 7.0  # inches of the longer side of a panel
 LINE_SIZE = 12.5  # points, of the numbers below the headline
@@ -76,12 +75,18 @@ def figure(found: OysterMap) -> Figure:
     return made
 
 
+def titles(found: OysterMap) -> tuple[str, str]:
+    """Of the two panels."""
+    what = "Live oysters" if found.total.told else "Oysters, live or dead unknown,"
+    return "From above, one dot per oyster", f"{what} per m{SQUARED}"
+
+
 @figure_style()
 def panels(found: OysterMap) -> tuple[Figure, Figure]:
     """The same two panels, each by itself and without words, to be read on a narrow screen, too."""
     ground = _ground(found, NARROW)
     made = []
-    for title, draw, room in zip(PANELS, (_seen_from_above, _density), (0.5, 0.9), strict=True):
+    for title, draw, room in zip(titles(found), (_seen_from_above, _density), (0.5, 0.9), strict=True):
         one = new_figure(title, max(ground.width, 3.6) + 0.4, ground.height + room)
         draw(one.subplots(), found, ground)
         one.axes[0].set_title("")
@@ -95,7 +100,7 @@ def drawn(run: DensityRun) -> DensityRun:
     """A run with its figures in the place of its map, which is large; one that failed as it is."""
     if run.result is None:
         return run
-    figures = tuple(zip(PANELS, map(svg_of, panels(run.result)), strict=True))
+    figures = tuple(zip(titles(run.result), map(svg_of, panels(run.result)), strict=True))
     return replace(run, result=None, panels=figures, said=f"{counted(run.result.total)}.")
 
 
@@ -144,7 +149,7 @@ def _show(axes: Axes, pixels: NDArray[np.uint8], ground: Ground) -> None:
 
 def _seen_from_above(axes: Axes, found: OysterMap, ground: Ground) -> None:
     _show(axes, mosaic(found, ground.seen), ground)
-    axes.set_title(PANELS[0])
+    axes.set_title(titles(found)[0])
     _oysters(axes, found, POINTS_PER_INCH / ground.inch_m)
     add_scale_bar(axes, ground.extent[1] - ground.extent[0])
     _north_arrow(axes, found.magnetic_north_rad)
@@ -155,7 +160,7 @@ def _density(axes: Axes, found: OysterMap, ground: Ground) -> None:
     from matplotlib.colors import from_levels_and_colors
 
     _show(axes, _cell_pixels(found, ground.seen), ground)
-    axes.set_title(PANELS[1])
+    axes.set_title(titles(found)[1])
     _cells(axes, found, ground.seen, found.settings.cell_m * POINTS_PER_INCH / ground.inch_m)
     cmap, norm = from_levels_and_colors((0.0, *EDGES), COLOURS, extend="max")
     classes = "below the threshold: under 15; at the target: from 50"
@@ -201,8 +206,9 @@ def _frame(seen: NDArray[np.bool_], edge_m: float, cell_m: float) -> tuple[int, 
 def _headline(found: OysterMap) -> str:
     total = found.total
     counted = f"{_count(total.count)} oysters on {total.area_m2:.1f} m{SQUARED}"
+    what = "live per" if total.told else "per"
     return f"{found.name}: {counted}" + (
-        "" if math.isnan(total.live_per_m2) else f", {total.live_per_m2:.1f} live per m{SQUARED}"
+        "" if math.isnan(total.live_per_m2) else f", {total.live_per_m2:.1f} {what} m{SQUARED}"
     )
 
 
@@ -223,14 +229,16 @@ def numbers(total: Total, shares: dict[str, float]) -> list[str]:
     """What the map says, in words."""
     lines = [counted(total)]
     if not math.isnan(total.live_per_m2):
+        what = "live oysters" if total.told else "oysters, live or dead unknown,"
         lines.append(
-            f"{total.live_per_m2:.1f} live oysters per m{SQUARED} (95 % for the sampled reef: "
+            f"{total.live_per_m2:.1f} {what} per m{SQUARED} (95 % for the sampled reef: "
             f"{total.low_per_m2:.1f} to {total.high_per_m2:.1f})"
         )
     if not any(math.isnan(share) for share in shares.values()):
+        what = "live per" if total.told else "per"
         below, middle, target = (f"{100 * share:.0f} %" for share in shares.values())
         lines.append(
-            f"Of the area: {below} below the threshold of 15 live per m{SQUARED}, {middle} from 15 to 50, {target} at "
+            f"Of the area: {below} below the threshold of 15 {what} m{SQUARED}, {middle} from 15 to 50, {target} at "
             "the target of 50 or more"
         )
     return lines

@@ -17,7 +17,7 @@ from oysterbench.core.html import environment
 from oysterbench.mapping.intervals import LEVEL
 from oysterbench.mapping.settings import CLASSES, TARGET_PER_M2, THRESHOLD_PER_M2
 from oysterbench.mapping.survey import OysterMap
-from oysterbench.report.density_figure import PANELS, density_pixels, figure, mosaic, notes, numbers, panels
+from oysterbench.report.density_figure import density_pixels, figure, mosaic, notes, numbers, panels, titles
 from oysterbench.report.figures import encoded, png_of, svg_of
 from oysterbench.report.formats import csv_of
 from oysterbench.report.geotiff import Place, geotiff
@@ -152,6 +152,7 @@ def summary(found: OysterMap) -> dict[str, Any]:
                 "entries": len(found.oysters),
                 "cut": sum(one.weight < 1.0 for one in found.oysters),
             },
+            "states_known": total.told,  # if not, all are taken to be live
             "live_per_m2": {
                 "mean": total.live_per_m2,
                 "low": total.low_per_m2,
@@ -177,7 +178,7 @@ def map_page(found: OysterMap, command: str, files: Sequence[str] = ()) -> str:
     context = {
         "title": f"Oysters of {found.name}",
         "warnings": found.notes,
-        "panels": list(zip(PANELS, map(svg_of, panels(found)), strict=True)),
+        "panels": list(zip(titles(found), map(svg_of, panels(found)), strict=True)),
         "facts": facts(found),
         "numbers": numbers(found.total, found.grid.shares()),
         "notes": notes(found),
@@ -194,6 +195,7 @@ def facts(found: OysterMap) -> list[tuple[str, str, str]]:
     rows = [("Oysters", f"{total.count:,.0f}", f"95 %: {total.count_low:,.0f} to {total.count_high:,.0f}")]
     if not math.isnan(total.live_per_m2):
         between = f"95 %: {total.low_per_m2:.1f} to {total.high_per_m2:.1f}"
-        rows.append(("Live per m\N{SUPERSCRIPT TWO}", f"{total.live_per_m2:.1f}", between))
+        what = "Live per" if total.told else "Live or dead, per"
+        rows.append((f"{what} m\N{SUPERSCRIPT TWO}", f"{total.live_per_m2:.1f}", between))
     rows.append(("Seen ground", f"{total.area_m2:.1f} m\N{SUPERSCRIPT TWO}", f"in {len(found.path)} pictures"))
     return [(name, value.replace(",", " "), small.replace(",", " ")) for name, value, small in rows]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.annotations import labelled_sequence
+from oysterbench.annotations.masks import FORMS
 from oysterbench.core.errors import MachineError, MethodError, TrajectoryError
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.evaluate.density.scoring import EVALUATOR
@@ -33,7 +34,6 @@ from oysterbench.tracks.track import Evaluation, Option, Request, Track, shown_t
 
 IMAGES = ("segmentation", "detection")
 DEPTHS = ("stereo", "motion", "plane", "layer")
-KINDS = ("auto", "instances", "mask", "probability", "classes")
 
 
 class DensityTrack(Track):
@@ -49,7 +49,7 @@ class DensityTrack(Track):
     options = (
         Option("poses", "--poses", "Folder of SEQUENCE-METHOD.tum files, as written by `run`.", Path),
         Option("masks", "--masks", "Oyster masks for the images.  [default: true]", Path),
-        Option("kind", "--masks-kind", "Meaning of the masks' values.  [default: auto]", KINDS),
+        Option("kind", "--masks-kind", "Meaning of the masks' values.  [default: auto]", FORMS),
         Option("depth", "--depth", "Source of depths.  [default: layer]", DEPTHS),
         Option("cell_m", "--cell", "Size of the grid cells, in m.  [default: 1]", float),
         next(option for option in SETTINGS if option.key == "align"),

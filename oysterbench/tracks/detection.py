@@ -24,6 +24,7 @@ class DetectionTrack(ImageTrack):
     title = "Individual oysters in images: found, outlined, counted."
     takes = ("detection", "segmentation")
     evaluator = EVALUATOR
+    single = True
     options = (
         THRESHOLD,
         Option("max_detections", "--max-detections", "Maximum detections per image.  [default: 300]", int),

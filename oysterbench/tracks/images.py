@@ -5,13 +5,13 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations import LabelledSequence, labelled_sequence, open_predictions, open_truth, read_coco
-from oysterbench.annotations.masks import Form, check_names
+from oysterbench.annotations.masks import FORMS, Form, check_names
 from oysterbench.annotations.parts import connected_parts
 from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError, MethodError
@@ -43,7 +43,7 @@ KIND = Option(
     "form",
     "--estimate-kind",
     "Meaning of the estimate's values.  [default: auto]",
-    ("auto", "mask", "probability", "classes"),
+    FORMS,
     files=True,
 )
 
@@ -90,6 +90,8 @@ class ImageTrack(Track):
     default_split = "seg-mini"
     default_methods = ("all", "none", "colour")
     files = "masks, or annotations,"
+    single: ClassVar[bool] = False
+    """Whether oysters are told apart."""
 
     @abstractmethod
     def score_sequence(
@@ -186,7 +188,10 @@ class ImageTrack(Track):
             def get(name: str, shape: tuple[int, int]) -> Any:
                 found = files.get(name)
                 check_size(found, shape, files.where(name))
-                prediction = Segmentation(name, found.oyster, found.probability, found.classes)
+                numbers = files.numbers(name)
+                prediction: Prediction = Segmentation(name, found.oyster, found.probability, found.classes)
+                if numbers is not None and self.single:
+                    prediction = Detections(name, np.ones(numbers.max(initial=0)), numbers=numbers)
                 return self.of_prediction(prediction, str(place), shape, settings)
 
         check_names((name for one in labelled for name in one.names), names, place)

@@ -94,8 +94,31 @@ def test_masks_of_0_and_1_among_probability_maps_are_not_guessed_at(tmp_path):
     write_png(tmp_path / "b.png", MASK.astype(np.uint8) * 200)
     predictions = open_predictions(tmp_path)
     predictions.get("a")
-    with pytest.raises(LabelError, match=r"a has only 0 and 1.*choose with --estimate-kind"):
+    with pytest.raises(LabelError, match=r"a has only 0 and 1.*say which they are .--estimate-kind"):
         predictions.get("b")
+
+
+def test_small_numbers_of_16_bits_in_patches_are_those_of_single_oysters(tmp_path):
+    """As `oysterbench segment` writes them, also where an image has one oyster, or none."""
+    numbers = np.zeros((40, 60), np.uint16)
+    numbers[5:15, 5:20], numbers[5:15, 20:40], numbers[20:30, 5:50] = 1, 2, 3
+    write_png(tmp_path / "a.png", np.minimum(numbers, 1))
+    write_png(tmp_path / "b.png", numbers)
+    write_png(tmp_path / "c.png", numbers * 0)
+    found = open_predictions(tmp_path)
+    assert found.numbered
+    assert (found.numbers("b") == numbers).all()
+    assert (found.get("b").mask(0.5) == (numbers > 0)).all()
+    assert found.numbers("a").max() == 1
+    assert not found.get("c").mask(0.5).any()
+    assert open_predictions(tmp_path, "probability").numbers("b") is None
+    ramp = np.tile(np.arange(60, dtype=np.uint16) * 5, (40, 1))  # small, but in no patches
+    write_png(tmp_path / "b.png", ramp)
+    assert not open_predictions(tmp_path).numbered
+    write_png(tmp_path / "b.png", numbers)
+    write_png(tmp_path / "d.png", ramp * 200)  # a map of probabilities
+    assert not open_predictions(tmp_path).numbered
+    assert (open_predictions(tmp_path, "instances").numbers("b") == numbers).all()
 
 
 def test_a_mask_in_another_format_is_told_apart_from_none(tmp_path):

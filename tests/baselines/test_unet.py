@@ -277,7 +277,7 @@ def test_what_was_measured_is_in_the_checkpoint_and_measured_once(checkpoint):
 
 
 def test_every_view_is_laid_over_the_picture_as_it_is():
-    """Of a network that gives back one channel, the mean of views is that channel: of a picture unlike its own turns."""
+    """Of a network that gives back its pixels, the mean of views is these: of a picture unlike its own turns."""
 
     class Same(torch.nn.Module):
         def forward(self, pixels):

@@ -18,7 +18,9 @@ DISCS = ("--method", "tests.helpers.people_pictures:Discs")
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for k in range(6):
-        write(tmp_path / "Fotos ü" / f"{k}.png", discs((40, 40), (100, 60)))
+        pixels = discs((40, 40), (100, 60))
+        pixels[0, k] = 1  # no copy of another
+        write(tmp_path / "Fotos ü" / f"{k}.png", pixels)
     return tmp_path / "Fotos ü"
 
 
@@ -74,6 +76,33 @@ def test_a_carriage_return_in_a_name_ends_no_line_of_a_table(tmp_path, monkeypat
     assert run("segment", "in", *DISCS, "--out", "out").returncode == 0
     with open(tmp_path / "out" / "pictures.csv", encoding="utf-8", newline="") as file:
         assert [row["picture"] for row in csv.DictReader(file)] == ["a\N{SYMBOL FOR CARRIAGE RETURN}b"]
+
+
+def test_copies_of_pictures_are_warned_of(folder, tmp_path):
+    (folder / "copy").mkdir()
+    (folder / "copy" / "3.png").write_bytes((folder / "3.png").read_bytes())
+    done = run("segment", folder, *DISCS, "--out", "out")
+    said = "1 file is a copy of another and counted as often, which makes intervals too narrow: copy/3 is 3"
+    assert said in done.stderr
+    assert said in (tmp_path / "out" / "index.html").read_text()
+
+
+def test_a_quadrat_in_another_unit_is_one_line(folder, tmp_path):
+    (tmp_path / "corners.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n0,10,10,90,10,90,80,10,80\n")
+    done = run("segment", folder, *DISCS, "--quadrat", "50", "--corners", tmp_path / "corners.csv")
+    assert_one_line(done, "--quadrat: expected the side in metres, at most 10, got 50: 50 cm are --quadrat 0.5", 2)
+
+
+def test_its_own_masks_are_read_as_what_they_are(folder, tmp_path):
+    """Of touching oysters, too, of which a mask is one part."""
+    write(folder / "6.png", discs((40, 40), (52, 40)))
+    assert run("segment", folder, *DISCS, "--out", "out", "--coco").returncode == 0
+    words = ("--truth", "out/instances.json", "--estimate", "out/masks", "--json")
+    for track, of in (("detection", "ap_mask"), ("segmentation", "iou")):
+        done = run("eval", track, *words)
+        assert done.returncode == 0, done.stderr
+        (result,) = json.loads(done.stdout)["results"]
+        assert result["metrics"][of] > 0.99
 
 
 def test_masks_of_pictures_that_are_gone_are_told_of(folder, tmp_path):

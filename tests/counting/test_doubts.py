@@ -51,6 +51,19 @@ def test_a_scale_by_which_all_oysters_are_specks_is_a_doubt():
     assert said(novelty=0.5, oysters=0, small=57) == []
 
 
+def test_copies_are_a_doubt():
+    (only,) = doubts("m", [picture(0.1)] * 3, math.nan, "", [("b", "a"), ("c", "a")])
+    assert only.startswith(
+        "2 files are copies of others and counted as often, which makes intervals too narrow: b is a"
+    )
+
+
+def test_quadrats_that_images_cut_are_a_doubt():
+    pictures = [picture(0.1, area_m2=area) for area in (0.25, 0.24, 0.11)]
+    (only,) = doubts("m", pictures, 80.0, "quadrat", (), 0.25)
+    assert only.startswith("1 of 3 quadrats reach beyond their images")
+
+
 def test_a_method_without_a_test_of_novelty_is_a_doubt():
     (only,) = said()
     assert only.startswith("m has no test of whether images are unlike its training data")

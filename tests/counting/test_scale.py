@@ -141,6 +141,8 @@ def test_a_scale_is_above_zero(value):
 def test_a_quadrat_in_centimetres_is_refused():
     with pytest.raises(OptionError, match=r"at most 10, got 50: 50 cm are --quadrat 0\.5"):
         QuadratScale(50.0, oblique(SQUARE))
+    with pytest.raises(OptionError, match=r"got 500: 500 mm are --quadrat 0\.5"):
+        QuadratScale(500.0, oblique(SQUARE))
 
 
 def test_corners_of_a_larger_copy_of_the_picture_are_refused():

@@ -14,7 +14,7 @@ import pytest
 from oysterbench.core.errors import LabelError, OysterbenchError, SequenceError, TrajectoryError
 from oysterbench.core.trajectory import write_tum
 from oysterbench.mapping import MapSettings, Seen, build_map, read_seen, true_seen
-from oysterbench.report.density_files import write_map
+from oysterbench.report.density_files import map_page, summary, write_map
 from oysterbench.tracks.mapping_evaluation import TRUE_POSES, MappedSequence, evaluate_maps, map_count, true_map
 from tests.helpers.flat_reef import BEGIN, BOTTOM, LANE, FlatReef, moved, scattered
 
@@ -213,6 +213,14 @@ def test_masks_from_files_give_the_map_of_the_same_masks(once, found, tmp_path):
     read = map_of(once, seen=lambda: read_seen(tmp_path, once, "cam", "instances", 0.5))
     assert read.total.count == found.total.count
     assert read.total.unknown == read.total.count
+    guessed = map_of(once, seen=lambda: read_seen(tmp_path, once, "cam", "auto", 0.5))
+    assert guessed.total == read.total
+    # Of which none is known to be alive, none is called so.
+    page = map_page(read, "")
+    assert not any(words in page for words in ("Live per m", "Live oysters", "15 live per"))
+    assert all(words in page for words in ("Live or dead, per m", "oysters, live or dead unknown, per m"))
+    assert not summary(read)["states_known"]
+    assert summary(found)["states_known"]
     for k, stamp in enumerate(once.stamps):
         cv2.imwrite(str(folder / f"{stamp}.png"), ((once.numbers(k) > 0) * 255).astype(np.uint8))
     cut = map_of(once, seen=lambda: read_seen(tmp_path, once, "cam", "mask", 0.5))
@@ -230,6 +238,13 @@ def test_annotations_tell_live_from_dead(once, tmp_path):
             {"id": 2, "image_id": 1, "category_id": 2, "segmentation": [other]},
         ],
     }
+    (tmp_path / "a.json").write_text(json.dumps(document))
+    found = map_of(once, seen=lambda: read_seen(tmp_path / "a.json", once, "cam", "auto", 0.5))
+    assert (found.total.live, found.total.dead, found.total.unknown) == (1, 1, 0)
+    # As `oysterbench segment` says it: one category, and how likely an oyster is alive.
+    document["categories"] = [{"id": 1, "name": "oyster"}]
+    for annotation, live in zip(document["annotations"], (0.9, 0.2), strict=True):
+        annotation |= {"category_id": 1, "live": live}
     (tmp_path / "a.json").write_text(json.dumps(document))
     found = map_of(once, seen=lambda: read_seen(tmp_path / "a.json", once, "cam", "auto", 0.5))
     assert (found.total.live, found.total.dead, found.total.unknown) == (1, 1, 0)

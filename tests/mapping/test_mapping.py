@@ -9,6 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import oysterbench
 from oysterbench.core.errors import OysterbenchError, SequenceError, TrajectoryError
@@ -16,11 +17,12 @@ from oysterbench.core.geometry import transform
 from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.core.ply import read_ply
 from oysterbench.core.trajectory import Trajectory, write_tum
+from oysterbench.core.trajectory.frames import poses_of_frame
 from oysterbench.mapping import CloudSettings, build_cloud
 from oysterbench.mapping.cloud import PointCloud, thinned, without_outliers
 from oysterbench.mapping.echoes import heard_points
 from oysterbench.mapping.pictures import seen_points
-from oysterbench.mapping.views import PoseInterpolator, partner
+from oysterbench.mapping.views import PoseInterpolator, check_upright, partner
 from oysterbench.sequence import Sequence
 from oysterbench.sequence.types import CameraCalibration
 from tests.helpers.hand_made_dive import BOTTOM_Z, OPTICAL, turn
@@ -250,6 +252,40 @@ def test_a_trajectory_of_another_time_and_a_length_of_nothing_are_named():
         build_cloud(reef, late)
     with pytest.raises(OysterbenchError, match="voxel_m: expected more than 0 m, got 0"):
         CloudSettings(voxel_m=0.0)
+
+
+def test_poses_by_which_gravity_would_not_pull_down_are_refused(dive_file):
+    opened = oysterbench.open(dive_file)
+    truth = opened.truth()
+    check_upright(opened, truth)
+    w_first = replace(truth, quaternions=np.roll(truth.quaternions, 1, axis=1))
+    with pytest.raises(TrajectoryError, match=r"deg from upright .* order w x y z: give --quaternion wxyz"):
+        check_upright(opened, w_first)
+    name, camera = next(iter(opened.cameras.items()))
+    of_camera = poses_of_frame(truth, camera.T_base_cam)
+    with pytest.raises(TrajectoryError, match=rf"they look like poses of {name}: give --T-body-estimate=") as caught:
+        check_upright(opened, of_camera)
+    place = np.array(str(caught.value).rpartition("=")[2].split(","), dtype=float)
+    assert place[:3] == pytest.approx(camera.T_base_cam[:3, 3], abs=1e-5)
+    lying = Rotation.from_euler("y", 40, degrees=True) * Rotation.from_quat(truth.quaternions)
+    with pytest.raises(TrajectoryError, match=r"in a world whose z points up$"):
+        check_upright(opened, replace(truth, quaternions=lying.as_quat()))
+
+
+def test_the_true_path_is_called_truth_and_a_file_is_read_as_said(dive_file, tmp_path):
+    truth = oysterbench.open(dive_file).truth()
+    write_tum(tmp_path / "poses.tum", truth)
+    lines = [line for line in (tmp_path / "poses.tum").read_text().splitlines() if not line.startswith("#")]
+    swapped = [" ".join([*words[:4], words[7], *words[4:7]]) for words in map(str.split, lines)]
+    (tmp_path / "w.tum").write_text("\n".join(swapped))
+    found = []
+    for name, more in (("truth", ()), (tmp_path / "w.tum", ("--quaternion", "wxyz"))):
+        words = [COMMAND, "map", dive_file, "--trajectory", name, "--from", "echoes", "--json", *more]
+        done = subprocess.run([*words, "--out", tmp_path / "a.ply"], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert ("the true path of" in done.stderr) == (name == "truth")
+        found.append({**json.loads(done.stdout), "cpu_s": 0})
+    assert found[0] == found[1]
 
 
 def test_the_command_writes_a_cloud_and_says_how_large_it_is(dive_file, tmp_path):

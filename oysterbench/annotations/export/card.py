@@ -68,6 +68,7 @@ def write_card(folder: Path, name: str, parts: Parts, objects: Mapping[str, int]
         f"| {SPLITS.get(part, part)} | {len(entries)} | {len({entry.clip for entry in entries})} | {objects[part]} |"
         for part, entries in parts.items()
     ]
+    alone = all(len({entry.clip for entry in entries}) == len(entries) for entries in parts.values())
     made = (
         "Rendered pictures of oyster reefs with exact labels"
         if ours
@@ -82,7 +83,8 @@ def write_card(folder: Path, name: str, parts: Parts, objects: Mapping[str, int]
         "| --- | ---: | ---: | ---: |",
         *rows,
         "",
-        "Images of a clip resemble each other: divide by clips, never by images.",
+        "Images of a clip resemble each other: divide by clips, never by images."
+        + " Here no clips were known, so each image is one: neighbours may resemble each other, too." * alone,
         "",
         "| field | what |",
         "| --- | --- |",

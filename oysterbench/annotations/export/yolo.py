@@ -55,13 +55,22 @@ def write(name: str, parts: Parts, folder: Path, step: Callable[[], None]) -> li
 
 
 def with_val(parts: Parts) -> tuple[Parts, list[str]]:
-    """The parts with one for validation, for which whole clips of train are taken where there is none; and what there
-    is to say of that. Clips are drawn by their names, so that the same clips give the same parts."""
+    """The parts with one for validation, for which whole clips of train are taken where there is none, or the last
+    images where each is a clip of its own; and what there is to say of that. Clips are drawn by their names, so that
+    the same clips give the same parts."""
     if VAL in parts or TRAIN not in parts:
         return parts, []
     entries = parts[TRAIN]
     clips = sorted({entry.clip for entry in entries})
-    if len(clips) > 1:
+    if len(clips) == len(entries) > 1:
+        # Neighbours by name, as frames of one film are, at least stay together.
+        entries = sorted(entries, key=lambda entry: entry.name)
+        held = entries[math.ceil((1 - VAL_SHARE) * len(entries)) :] or entries[-1:]
+        note = (
+            f"which images are of one clip is not known: val is the last {len(held)} by name, and may show the same "
+            "ground as train; a column clip in manifest.csv keeps clips together"
+        )
+    elif len(clips) > 1:
         order = stream(0, b"", "export", "val", *clips).permutation(len(clips))
         chosen = {clips[k] for k in order[: max(1, round(VAL_SHARE * len(clips)))]}
         held = [entry for entry in entries if entry.clip in chosen]

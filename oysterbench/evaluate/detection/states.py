@@ -12,6 +12,9 @@ from oysterbench.evaluate.detection.panoptic import Pairing
 
 STATE_METRICS = ("f1_live", "f1_dead", "state_accuracy", "live_error")
 
+ALIVE = 0.5
+"""Probability from which on an oyster is called live, and below which dead."""
+
 NO_STATES = "the truth does not tell live oysters from dead ones"
 NOT_TOLD = "the estimate does not tell live oysters from dead ones"
 
@@ -41,11 +44,11 @@ class StateCounts:
 
 
 def states_of(pairing: Pairing) -> StateCounts:
-    """Counts of an image. An estimate is said to be alive from a probability of 0.5 on."""
+    """Counts of an image. An estimate is said to be alive from a probability of `ALIVE` on."""
     true = np.array([one.live for one in pairing.truths], dtype=float)
     said = np.array([one.live for one in pairing.estimates], dtype=float)
-    live, dead = true >= 0.5, true < 0.5  # neither, where it is NaN
-    said_live, said_dead = said >= 0.5, said < 0.5
+    live, dead = true >= ALIVE, true < ALIVE  # neither, where it is NaN
+    said_live, said_dead = said >= ALIVE, said < ALIVE
     matches = pairing.overlap > 0
     seen = matches.any(axis=1) | pairing.missed
     asked = matches[live | dead].any(axis=0) | pairing.extra

@@ -102,6 +102,14 @@ def test_whole_clips_are_kept_for_validation_and_always_the_same():
     assert {one.clip for one in backwards["val"]} == clips["val"]
 
 
+def test_where_clips_are_not_known_neighbours_by_name_stay_together_and_that_is_said():
+    parts, notes = with_val({"train": [entry(f"{n:02d}", f"{n:02d}") for n in (3, 1, 2, 0, 4, 5, 6, 7, 8, 9)]})
+    assert [one.name for one in parts["val"]] == ["08", "09"]
+    assert len(parts["train"]) == 8
+    assert "which images are of one clip is not known: val is the last 2 by name" in notes[0]
+    assert "a column clip in manifest.csv" in notes[0]
+
+
 def test_the_only_clip_is_divided_by_time_and_that_is_said():
     parts, notes = with_val({"train": [entry(f"a/{n}", "a") for n in range(10)]})
     assert [one.name for one in parts["val"]] == ["a/8", "a/9"]
