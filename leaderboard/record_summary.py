@@ -33,7 +33,7 @@ MOST_SAID = {"code": 300, "paper": 500}
 """Characters of what it says besides."""
 
 MOST_MACHINE = 120
-"""Characters of a machine."""
+"""Characters of a machine that are shown."""
 
 
 class RecordSummary(msgspec.Struct, frozen=True):
@@ -152,8 +152,15 @@ def said_of_method(record: Record) -> dict[str, str]:
         "sensors": ", ".join(sensors) if known and sensors else "",
         "mode": {True: "online", False: "offline"}.get(online, "") if isinstance(online, bool) else "",
         **{key: _plain(said.get(key), most) for key, most in MOST_SAID.items()},
-        "machine": _plain(machines.pop() if len(machines) == 1 else "", MOST_MACHINE),
+        "machine": _plain(_shortened(machines.pop()) if len(machines) == 1 else "", MOST_MACHINE),
     }
+
+
+def _shortened(machine: str) -> str:
+    """Of a long name the beginning and the end, where its cores are: it is a machine all the same."""
+    if len(machine) <= MOST_MACHINE:
+        return machine
+    return f"{machine[: MOST_MACHINE - 40]}\N{HORIZONTAL ELLIPSIS}{machine[-39:]}"
 
 
 def _plain(text: Any, most: int) -> str:

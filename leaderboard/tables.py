@@ -200,7 +200,7 @@ def history_table(rows: Sequence[Row], boards: Mapping[str, BoardInfo]) -> Table
     table_rows = []
     for row in rows:
         board = boards[row.board]
-        rank = Cell(row.rank if row.rank is not None else row.place, None if row.rank is not None else _place(row))
+        rank = Cell(row.rank, ABSENT if row.place is None else rank_text(row))
         score = Cell(row.score, metric_column(board.metric).text(row.score))
         cells = (row.created[:10], row.digest[:SHORT], row.team, board.split, board.evaluator_version)
         table_rows.append(TableRow((*cells, row.state, rank, score, row.tier, row.supersedes[:SHORT])))
@@ -211,10 +211,6 @@ def history_table(rows: Sequence[Row], boards: Mapping[str, BoardInfo]) -> Table
         *name_columns("tier", "in_place_of"),
     )
     return Table(f"Records of {rows[0].method}", columns, tuple(table_rows))
-
-
-def _place(row: Row) -> str:
-    return ABSENT if row.place is None else f"({row.place})"
 
 
 def literature_tables(rows: Sequence[Literature]) -> list[Table]:

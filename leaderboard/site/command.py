@@ -72,7 +72,7 @@ def serve_command(
     New records in the folder are shown within seconds. For public access, put a TLS proxy in front of the server and
     name it with --proxy. `oysterbench leaderboard team` creates teams and their tokens.
     """
-    from oysterbench.hub.connections import listen, run
+    from oysterbench.hub.connections import address, listen, run
     from oysterbench_leaderboard.site.running import whole
 
     if truths and submissions is None:
@@ -89,7 +89,7 @@ def serve_command(
         from oysterbench_leaderboard.submissions.sandbox import in_force
 
         message(f"uploads are read and scored in a sandbox: {in_force()}")
-    message(f"serving http://{host}:{listening.getsockname()[1]}{root}/ (stop with Ctrl-C)")
+    message(f"serving {address(host, listening, root)} (stop with Ctrl-C)")
     run(app, listening, "on", proxies)
 
 

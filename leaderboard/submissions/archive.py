@@ -44,6 +44,7 @@ class Limits:
     unpacked_bytes: int
     ratio: float
     lines: int = 120_000
+    annotations: int = 5000
 
 
 class Budget:

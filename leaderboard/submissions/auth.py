@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import tempfile
 from collections import Counter
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from typing import IO
 
 from starlette.concurrency import run_in_threadpool
@@ -90,6 +90,18 @@ class Auth:
         finally:
             self._receiving -= Counter(shares.keys())
 
+    @contextmanager
+    def _counting(self, team: str) -> Iterator[None]:
+        """Count a body that came too slowly, or broke off, as one that was read: else who is sent away would come again
+        at once, and keep a place from others all day. Raises Refusal at once where the team may have no more read."""
+        self.service.reads.check(team)
+        try:
+            yield
+        except (Refusal, ClientDisconnect) as error:
+            if isinstance(error, ClientDisconnect) or error.kind == "slow":
+                self.service.reads.count(team)
+            raise
+
     async def submit(
         self, request: Request, team: str, check_fields: Callable[[dict[str, str]], None] = lambda fields: None
     ) -> tuple[Submission, bool]:
@@ -101,7 +113,8 @@ class Auth:
             with tempfile.TemporaryFile(dir=folder) as body:
                 file: IO[bytes] = body
                 if request.headers.get("content-type", "").lower().startswith("multipart/"):
-                    form = await receive_form(request, settings)
+                    with self._counting(team):
+                        form = await receive_form(request, settings)
                     stack.push_async_callback(form.close)
                     fields |= texts_of(form)
                     check_fields(fields)
@@ -115,7 +128,8 @@ class Auth:
                         known = await run_in_threadpool(self.service.announced, team, asked, digest)
                         if known is not None:
                             return known, False
-                    await receive_file(request, body, settings)
+                    with self._counting(team):
+                        await receive_file(request, body, settings)
 
                 def take_in() -> tuple[Submission, bool]:
                     with kept(file, folder) as upload:

@@ -104,7 +104,12 @@ def restore(file: Path, folder: Path, board: Path | None = None) -> Backup:
     try:
         with tarfile.open(file) as archive:
             return _restore(archive, folder, board)
-    except (OSError, tarfile.TarError, KeyError, ValueError, CommandError) as error:
+    except (tarfile.TarError, KeyError, EOFError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ResultError(
+            f"{file}: cannot be restored: the backup is damaged, or none of oysterbench ({in_one_line(error, 100)}); "
+            f"empty {folder}, and restore another one"
+        ) from None
+    except (OSError, ValueError, CommandError) as error:
         raise ResultError(
             f"{file}: cannot be restored: {in_one_line(error)}; empty {folder} before you try again"
         ) from None

@@ -32,7 +32,7 @@ CHECKED_S = 300.0
 NO_BOARD = "no leaderboard that takes submissions is there: expected the address of its first page"
 """Said of the address of something else."""
 
-REFUSED_FOR_GOOD = ("quota", "guessing")
+REFUSED_FOR_GOOD = ("quota", "guessing", "slow")
 """Kinds of refusals that come with a status that otherwise is worth another attempt."""
 
 Progress = Callable[[int, int], None]

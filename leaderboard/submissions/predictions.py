@@ -304,8 +304,11 @@ def _coco(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, 
     for name, size in file.sizes.items():
         _check_image(name, wanted, name)
         _check_shape(name, size, wanted, f"{label}: {name}")
-    for name in file.names:
+    most = budget.limits.annotations
+    for name, items in file.items.items():
         _check_image(name, wanted, label, sequence)
+        if len(items) > most:
+            raise Refusal("size", f"{label}: {name}: expected at most {most} annotations of an image, got {len(items)}")
 
     track = image_track(wanted.track)
 

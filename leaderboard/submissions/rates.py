@@ -56,17 +56,31 @@ class DailyReads:
         self._read: dict[str, deque[float]] = {}
         self._lock = threading.Lock()
 
+    def check(self, team: str) -> None:
+        """Raises Refusal where one more is too many."""
+        now = self._clock()
+        times = self._read.get(team, deque())
+        if len(times) == self._most and times[0] > now - DAY_S:
+            wait_s = int(times[0] + DAY_S - now) + 1
+            raise Refusal(
+                "quota",
+                f"{self._most} uploads in 24 hours, refused ones included, are the limit for a team; the next is "
+                f"accepted in {hours_and_minutes(wait_s)}",
+                wait_s,
+            )
+
     def count(self, team: str) -> None:
         """One more. Raises Refusal where that is too many."""
         with self._lock:
-            now = self._clock()
-            times = self._read.setdefault(team, deque(maxlen=self._most))
-            if len(times) == self._most and times[0] > now - DAY_S:
-                wait_s = int(times[0] + DAY_S - now) + 1
-                raise Refusal(
-                    "quota",
-                    f"{self._most} uploads in 24 hours, refused ones included, are the limit for a team; the next is "
-                    f"accepted in {wait_s // 3600} h {wait_s % 3600 // 60 + 1} min",
-                    wait_s,
-                )
-            times.append(now)
+            self.check(team)
+            self._read.setdefault(team, deque(maxlen=self._most)).append(self._clock())
+
+
+def hours_and_minutes(wait_s: int) -> str:
+    """A time to wait, rounded up to minutes.
+
+    >>> hours_and_minutes(86399), hours_and_minutes(60), hours_and_minutes(61)
+    ('24 h 0 min', '0 h 1 min', '0 h 2 min')
+    """
+    minutes = -(-wait_s // 60)
+    return f"{minutes // 60} h {minutes % 60} min"

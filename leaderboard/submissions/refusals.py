@@ -26,6 +26,7 @@ STATUS = {
     "split": 422,
     "text": 422,
     "request": 400,
+    "slow": 408,
     "limit": 422,
     "quota": 429,
     "guessing": 429,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.evaluate.metrics import find_metric
+from oysterbench.results.machines import machine_of
 from oysterbench.results.plausible import BOUNDING, check_plausible
 from oysterbench.results.records import ResultRecord, aggregate, method_key
 from oysterbench_leaderboard.record import check_text
@@ -17,6 +19,12 @@ from oysterbench_leaderboard.submissions.scoring import evaluator
 
 LONGEST = 2000
 """Characters of a text in results, and of a key."""
+
+MOST_MACHINE = 200
+"""Characters of processor and cores."""
+
+EARLIEST, TOLERANCE = datetime(2020, 1, 1, tzinfo=UTC), timedelta(days=1)
+"""When there was no such benchmark, and how far clocks may be apart."""
 
 
 def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: Limits) -> tuple[ResultRecord, ...]:
@@ -62,9 +70,24 @@ def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: L
             if lacking and record.failure is None:
                 raise Refusal("format", f"{where}: expected the metrics {', '.join(lacking)}, which are not there")
             check_plausible(record, where)
+            _check_created(record.created, where)
+            if (size := len(machine_of(record.hardware))) > MOST_MACHINE:
+                at_most = f"expected at most {MOST_MACHINE} characters of processor and cores, got {size}"
+                raise Refusal("text", f"{where}: key 'hardware': {at_most}")
         aggregate(found)
         _check_texts([record.to_dict() for record in found], "results.json")
     return tuple(found)
+
+
+def _check_created(created: str, where: str) -> None:
+    """Refuse what is no time in UTC at which results can have been computed."""
+    try:
+        at = datetime.strptime(created, "%Y-%m-%dT%H:%M:%S%z")
+    except ValueError:
+        at = None
+    if at is None or not EARLIEST <= at <= datetime.now(UTC) + TOLERANCE:
+        expected = f"a time from {EARLIEST:%Y} to now, as 2026-11-01T12:00:00Z"
+        raise Refusal("format", f"{where}: key 'created': expected {expected}, got {created!r:.40}")
 
 
 def _check_texts(value: Any, where: str) -> None:

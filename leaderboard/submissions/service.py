@@ -35,7 +35,7 @@ from oysterbench_leaderboard.submissions.database import (
     utc,
 )
 from oysterbench_leaderboard.submissions.estimates import Estimates, Upload
-from oysterbench_leaderboard.submissions.rates import DAY_S, DailyReads, Sampler
+from oysterbench_leaderboard.submissions.rates import DAY_S, DailyReads, Sampler, hours_and_minutes
 from oysterbench_leaderboard.submissions.refusals import SERVER_FAULTS, Refusal
 from oysterbench_leaderboard.submissions.settings import FILE, SubmissionSettings
 from oysterbench_leaderboard.submissions.words import Form, check_words
@@ -67,7 +67,7 @@ class Service:
         truths = {str(path.parent.resolve()) for one in catalogue.splits.values() for path in one.truth.values()}
         self.hidden = (str(settings.folder.resolve()), *sorted(truths))
         self.wake = threading.Event()
-        self._reads = DailyReads(settings.reads_per_day, self.clock)
+        self.reads = DailyReads(settings.reads_per_day, self.clock)
         self._refusals = Sampler(settings.refusals_of_one, settings.refusals_of_strangers)
         self._checks = threading.Semaphore(settings.checks_at_once)
         self.forks = sandbox.fork_server()
@@ -97,7 +97,7 @@ class Service:
         known = self.announced(team, form, upload.digest)
         if known is not None:
             return known, False
-        self._reads.count(team)
+        self.reads.count(team)
         with self._checks:
             facts = sandbox.check(self.settings, upload.path, wanted, self.hidden, self.log.info, self.forks)
         if facts["kind"] != "results" and not self.catalogue.splits[form.split].truth:
@@ -142,7 +142,7 @@ class Service:
             raise Refusal(
                 "quota",
                 f"{today} submissions in 24 hours are the limit for a team; the next is accepted in "
-                f"{wait_s // 3600} h {wait_s % 3600 // 60 + 1} min",
+                f"{hours_and_minutes(wait_s)}",
                 wait_s,
             )
         of_split, _ = connection.execute(of_team.where(c.split == split)).one()

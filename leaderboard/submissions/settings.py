@@ -35,10 +35,13 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     ratio:              of an entry's size to what it takes in the archive. Images compress hundreds of times as arrays,
                         so .npz files are held by `unpacked_bytes` alone
     lines:              of a file of text: 120 000 are poses of 10 min at 200 Hz
-    reads_per_day:      uploads of a team that are read in 24 hours, those that are refused included
+    annotations:        of an image, in COCO annotations
+    reads_per_day:      uploads of a team that are read in 24 hours, those that are refused or came too slowly included
     per_day, per_split: submissions that are accepted of a team in 24 hours, and of a team on one split in all
     uploads_at_once, checks_at_once: of all clients; uploads_of_team, uploads_of_address: of one
     idle_s:             after which a client that sends nothing is sent away; upload_s: an upload takes at most
+    upload_grace_s, upload_bytes_per_s: seconds after which what has come of an upload must be as much as a line of this
+                        rate would have brought since: whoever trickles holds a place among `uploads_at_once` no longer
     workers:            submissions scored at once, where no cluster does it
     scheduler:          address of the Dask scheduler whose workers score; empty for this machine
     check_wall_s, check_cpu_s, score_wall_s, score_cpu_s: of the sandbox
@@ -60,6 +63,7 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     unpacked_bytes: Count = 1000 * MB
     ratio: Annotated[float, msgspec.Meta(gt=0)] = 100.0
     lines: Count = 120_000
+    annotations: Count = 5000
     reads_per_day: Count = 60
     per_day: Count = 10
     per_split: Count = 100
@@ -69,6 +73,8 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     checks_at_once: Count = 2
     idle_s: Seconds = 30.0
     upload_s: Seconds = 3600.0
+    upload_grace_s: Seconds = 60.0
+    upload_bytes_per_s: Count = 64_000
     workers: Count = 1
     scheduler: str = ""
     check_wall_s: Seconds = 120.0
@@ -101,7 +107,7 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     @property
     def limits(self) -> Limits:
         """Of what is read."""
-        return Limits(self.file_bytes, self.results_bytes, self.entries, self.unpacked_bytes, self.ratio, self.lines)
+        return Limits(**{key: getattr(self, key) for key in Limits.__dataclass_fields__})
 
 
 def load_settings(folder: Path, **changes: Any) -> SubmissionSettings:

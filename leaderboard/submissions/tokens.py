@@ -8,12 +8,14 @@ import secrets
 import threading
 import time
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
 from sqlalchemy import Connection, insert, select, update
 
 from oysterbench.core.errors import ResultError
+from oysterbench.core.text import alike
 from oysterbench.hub.addresses import network
 from oysterbench_leaderboard.record import MOST_TEXT, check_text
 from oysterbench_leaderboard.submissions.database import Database, log_event, teams, tokens, utc
@@ -40,7 +42,8 @@ class Holder:
 def issue(database: Database, team: str, held: Literal["refuse", "revoke", "keep"] = "refuse") -> str:
     """A new token of a team, which is made if it is new. It is nowhere kept: who loses it asks for another one.
 
-    held: what becomes of tokens that the team has. Raises ResultError where it has one, and nobody decided that.
+    held: what becomes of tokens that the team has. Raises ResultError where it has one, and nobody decided that; and
+    for a new name that a reader would take for that of another team.
     """
     check_text("team", team, MOST_TEXT["team"])
     if not team.strip() or team != team.strip():
@@ -48,14 +51,16 @@ def issue(database: Database, team: str, held: Literal["refuse", "revoke", "keep
     id, secret = secrets.token_hex(6), secrets.token_urlsafe(SECRET_BYTES)
     at = utc(time.time())
     with database.writing() as connection:
-        if connection.execute(select(teams.c.name).where(teams.c.name == team)).first() is None:
+        known = connection.execute(select(teams.c.name).order_by(teams.c.name)).scalars().all()
+        if team not in known:
+            _check_new(team, known)
             connection.execute(insert(teams).values(name=team, created=at))
         valid = (tokens.c.team == team) & (tokens.c.revoked == "")
         before = connection.execute(select(tokens.c.id, tokens.c.created).where(valid).order_by(tokens.c.created)).all()
         if before and held == "refuse":
-            known = ", ".join(f"{one.id} of {one.created[:10]}" for one in before)
+            ids = ", ".join(f"{one.id} of {one.created[:10]}" for one in before)
             raise ResultError(
-                f"team {team!r} has a token already ({known}): add --replace to revoke it and print a new one, or "
+                f"team {team!r} has a token already ({ids}): add --replace to revoke it and print a new one, or "
                 "--another for one more; nothing was changed"
             )
         if held == "revoke":
@@ -65,6 +70,17 @@ def issue(database: Database, team: str, held: Literal["refuse", "revoke", "keep
         connection.execute(insert(tokens).values(id=id, team=team, hash=_hash(secret), created=at, revoked=""))
         log_event(connection, at, "operator", "token issued", why=f"{team}: {id}")
     return f"{PREFIX}_{id}_{secret}"
+
+
+def _check_new(team: str, known: Iterable[str]) -> None:
+    if "  " in team:
+        raise ResultError(f"{team!r}: expected single spaces in the name of a team, got two in a row")
+    twin = next((name for name in known if alike(name) == alike(team)), None)
+    if twin is not None:
+        raise ResultError(
+            f"{team!r} looks like {twin!r}, a team that there is: names have to differ in more than case, spaces, "
+            "accents, punctuation, 1/l/I and 0/O; choose another, or `team list` shows all"
+        )
 
 
 def revoke(database: Database, name: str) -> list[str]:

@@ -4,6 +4,7 @@ that the sender says of it decides anything: its length, its kind and its names 
 from __future__ import annotations
 
 import asyncio
+import codecs
 import os
 import secrets
 import shutil
@@ -33,6 +34,9 @@ KINDS = {
 }
 """Content type of a body that is one file -> what its first bytes must then be."""
 
+FIRST = 64
+"""Bytes by which a file is known."""
+
 OVERHEAD = 1_000_000
 """Bytes of a form beside its files."""
 
@@ -52,18 +56,32 @@ async def paced(stream: AsyncIterator[bytes], settings: SubmissionSettings, most
     """The chunks of a body. Raises Refusal where there are more than `most` bytes, or they come too slowly."""
     size, begun = 0, time.monotonic()
     while True:
+        # By what has come, whatever length was promised: so a promise of much buys no time.
+        due_s = min(settings.upload_s, settings.upload_grace_s + size / settings.upload_bytes_per_s)
+        left_s = begun + due_s - time.monotonic()
         try:
-            chunk = await asyncio.wait_for(anext(stream), settings.idle_s)
+            chunk = await asyncio.wait_for(anext(stream), min(settings.idle_s, left_s))
         except StopAsyncIteration:
             return
         except TimeoutError:
-            raise Refusal("request", f"no data arrived for {settings.idle_s:g} s; send it again") from None
+            raise _too_slow(settings, size, time.monotonic() - begun, left_s) from None
         size += len(chunk)
         if size > most:
             raise too_large(settings)
-        if time.monotonic() - begun > settings.upload_s:
-            raise Refusal("request", f"the upload took longer than {settings.upload_s:g} s")
         yield chunk
+
+
+def _too_slow(settings: SubmissionSettings, size: int, took_s: float, left_s: float) -> Refusal:
+    """For a body of which so many bytes have come in so many seconds, with so many left for the next."""
+    if settings.idle_s < left_s:
+        return Refusal("slow", f"no data arrived for {settings.idle_s:g} s; send it again")
+    if took_s >= settings.upload_s:
+        return Refusal("slow", f"the upload took longer than {settings.upload_s:g} s; send less, or by a faster line")
+    return Refusal(
+        "slow",
+        f"expected {settings.upload_bytes_per_s / 1000:g} kB/s after the first {settings.upload_grace_s:g} s, got "
+        f"{size} bytes in {took_s:.0f} s; send it again, by a faster line",
+    )
 
 
 def check_headers(request: Request, settings: SubmissionSettings) -> None:
@@ -86,20 +104,39 @@ async def receive_file(request: Request, file: IO[bytes], settings: SubmissionSe
         )
     first = b""
     async for chunk in paced(request.stream(), settings, settings.upload_bytes):
-        first = first or chunk[:64]
+        first += chunk[: FIRST - len(first)]
         file.write(chunk)
     if kind and kind != kind_of(first):
         raise Refusal(
             "type",
-            f"the content type says {content_type!r:.60}, but the bytes are {kind_of(first)}; send the matching type",
+            f"the content type says {content_type!r:.60}, but the body is {kind_of(first)}; send a zip archive, JSON "
+            "or text in UTF-8, with the type that it is",
         )
 
 
 def kind_of(first: bytes) -> str:
-    """What a file is by its first bytes."""
+    r"""What a file is by its first bytes.
+
+    >>> kind_of(b"PK\x03\x04"), kind_of(b' {"a": 1'), kind_of(b"1.0 2.0")
+    ('zip', 'json', 'text')
+    >>> kind_of(b""), kind_of(b"\x1f\x8b\x08"), kind_of(b"\xff\xfe{\0"), kind_of(b"\0\1\2")
+    ('empty', 'gzip', 'UTF-16', 'of no known form')
+    """
+    if not first:
+        return "empty"
     if is_zip(first):
         return "zip"
-    return "json" if first.lstrip()[:1] in (b"{", b"[") else "text"
+    if first.startswith(b"\x1f\x8b"):
+        return "gzip"
+    if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "UTF-16"
+    try:
+        text, _ = codecs.utf_8_decode(first, "strict", False)  # whose last letter may go on in what follows
+    except UnicodeDecodeError:
+        return "of no known form"
+    if any(c < " " and not c.isspace() for c in text):
+        return "of no known form"
+    return "json" if text.lstrip()[:1] in ("{", "[") else "text"
 
 
 class _Parser(MultiPartParser):

@@ -214,7 +214,7 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
       oysterbench verify slam-val
       oysterbench verify data/mini-01.mcap
       oysterbench verify data                   every sequence file of a folder
-      oysterbench verify hub                    every file of a published tree
+      oysterbench verify hub                    signature and files of a published tree
 
     Prints for each file: right; same content, other bytes; alike (within one grey level on 99.9 % of the pixels
     checked); or what differs. Exits with 3 if anything differs, is damaged or absent; `oysterbench download SPLIT

@@ -40,6 +40,8 @@ from oysterbench.version import VERSION
 COMMANDS = Installed("oysterbench", "oysterbench.commands")
 
 EMPTY_OPTION = re.compile(r"--[a-z][a-z-]*=")
+NOT_SET = {"--from", "--key"}
+"""Options that count as not given where they are empty: a hub, of which a variable may say that there is none."""
 
 RENAMED = {"hub-key": "keygen"}
 """What some commands were called before."""
@@ -59,6 +61,8 @@ class Commands(click.Group):
         # An empty path would be the current folder.
         for before, word in zip(["", *args], args, strict=False):
             if word == "" or EMPTY_OPTION.fullmatch(word):
+                if {word.rstrip("="), before} & NOT_SET:
+                    continue
                 of = word.rstrip("=") or (before if before.startswith("-") else "an argument")
                 raise click.UsageError(
                     f"{of}: expected a value, got an empty one: is a variable of the shell not set?", context

@@ -123,7 +123,7 @@ def serve(tree: Path, host: str, port: int, proxies: tuple[str, ...]) -> None:
     """
     from oysterbench.hub.serve import serve
 
-    serve(tree, host, port, proxies)
+    serve(tree, host, port, proxies, lambda url: message(f"serving {url} (stop with Ctrl-C)"))
 
 
 COMMANDS = (keygen, publish, serve)

@@ -16,4 +16,8 @@ def read_json(data: bytes | str) -> Any:
             json.dumps(value, ensure_ascii=False).encode()
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
+    except ValueError as error:
+        if "integer string conversion" in str(error):  # which goes on with advice to whoever runs Python
+            raise ValueError("it has a number of too many digits") from None
+        raise
     return value

@@ -76,6 +76,17 @@ def disguised(text: str) -> str | None:
     return None
 
 
+def alike(name: str) -> str:
+    """What two names share that a reader takes for one: letters and digits alone, without case and accents, and with
+    one sign for 1, l and I, and one for 0 and O.
+
+    >>> alike("R\N{LATIN SMALL LETTER E WITH ACUTE}ef Lab 10") == alike("reef-lab_lO"), alike("C++"), alike("!")
+    (True, 'c', '!')
+    """
+    letters = "".join(c for c in unicodedata.normalize("NFKD", name).casefold() if c.isalnum())
+    return letters.translate(str.maketrans("i10", "llo")) or name
+
+
 def compatible(text: str) -> str:
     """In the signs that stand for those that look like them: wide letters, ligatures, circled digits (NFKC)."""
     return unicodedata.normalize("NFKC", text)

@@ -129,6 +129,11 @@ def listen(host: str, port: int) -> socket.socket:
         raise HubError(f"cannot serve at {host}:{port}: {reason.lower()}; give another --port, or --host") from None
 
 
+def address(host: str, listening: socket.socket, root: str = "") -> str:
+    """Where a browser finds what is served there. root: what stands before all paths."""
+    return f"http://{f'[{host}]' if ':' in host else host}:{listening.getsockname()[1]}{root}/"
+
+
 def run(app: Any, listening: socket.socket, lifespan: str = "off", proxies: Sequence[str] = ()) -> None:
     """Serve an application until interrupted; every request is logged on stderr. Raises HubError where it does
     not start."""

@@ -80,6 +80,19 @@ class SignedIndex(msgspec.Struct):
     signed: dict[str, Any]
     signatures: list[Signature]
 
+    @property
+    def signed_bytes(self) -> bytes:
+        """What the signatures are of: what was read, so that there is no second way to read it. Empty where that cannot
+        be written again."""
+        try:
+            return canonical(self.signed)
+        except (ValueError, RecursionError):
+            return b""
+
+    def unsigned(self) -> list[str]:
+        """The keys that it names, and that did not sign it."""
+        return [one.key for one in self.signatures if not is_signed(one.key, self.signed_bytes, one.signature)]
+
 
 class SeenIndex(msgspec.Struct):
     """The newest index of a key, as a client remembers it; sha256: of its body."""
@@ -139,10 +152,7 @@ def _with(releases: Mapping[str, Mapping[str, R]], name: str, release: R) -> dic
 def read_index(data: bytes, public: str, what: str) -> Index:
     """An index that the key signed. Raises IntegrityError where it is not, whatever else is in it."""
     document = decode(data, SignedIndex, what)
-    try:
-        signed = canonical(document.signed)  # of what was read, so that there is no second way to read it
-    except (ValueError, RecursionError):
-        signed = b""
+    signed = document.signed_bytes
     if not any(is_signed(public, signed, one.signature) for one in document.signatures):
         raise IntegrityError(
             f"{what}: not signed with the key {public[:16]}… that is trusted here (it names "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import stat
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import anyio.to_thread
@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from oysterbench.core.errors import HubError
 from oysterbench.hub.canonical import sha256
-from oysterbench.hub.connections import LARGEST_HEADERS, MOST_HEADERS, listen, run
+from oysterbench.hub.connections import LARGEST_HEADERS, MOST_HEADERS, address, listen, run
 from oysterbench.version import VERSION
 
 FOREVER = "public, max-age=31536000, immutable"
@@ -173,12 +173,17 @@ class BlobResponse(FileResponse):
         await super().__call__(scope, receive, send)
 
 
-def serve(tree: Path, host: str, port: int, proxies: Sequence[str] = ()) -> None:
+def serve(
+    tree: Path, host: str, port: int, proxies: Sequence[str] = (), ready: Callable[[str], None] = lambda url: None
+) -> None:
     """Serve until interrupted; every request is logged on stderr. Raises HubError where there is no tree,
     or the address is taken.
 
-    proxies: addresses that are believed when they say whom they speak for
+    proxies: addresses that are believed when they say whom they speak for; ready: called with the address of the page,
+    once it is listened at
     """
     if not (tree / "index.json").is_file():
         raise HubError(f"{tree}: expected a published tree (index.json is absent); `oysterbench publish` makes one")
-    run(application(tree), listen(host, port), proxies=proxies)
+    listening = listen(host, port)
+    ready(address(host, listening))
+    run(application(tree), listening, proxies=proxies)

@@ -9,8 +9,6 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import msgspec
-
 from oysterbench.core.errors import HubError, IntegrityError, SequenceError
 from oysterbench.core.files import home, models
 from oysterbench.hub.canonical import decode, sha256
@@ -209,12 +207,19 @@ def checks(name: str = "") -> Iterator[Check]:
 
 
 def check_tree(tree: Path) -> Iterator[Check]:
-    """Check that every file of a published tree has the hash that is its name, and that none that is named is absent.
+    """Check that the index is signed with all keys that it names, that every file of a published tree has the hash that
+    is its name, and that none that is named is absent.
 
-    Whether the index is signed is for those who know the key: for clients.
+    Whether these keys are the right ones is for those who know them: for clients.
     """
     path = tree / "index.json"
-    index = msgspec.convert(decode(path.read_bytes(), SignedIndex, str(path)).signed, IndexBody)
+    document = decode(path.read_bytes(), SignedIndex, str(path))
+    keys = ", ".join(f"{one.key[:16]}…" for one in document.signatures) or "no key"
+    if document.signatures and not document.unsigned():
+        yield Check(path, RIGHT, f"signed with {keys}")
+    else:
+        yield Check(path, DAMAGED, f"not signed with what it names ({keys}): put back the one that was published")
+    index = decode(document.signed_bytes, IndexBody, str(path))
     named = set()
     for release in index.splits:
         path = tree / "manifests" / f"{release.manifest}.json"

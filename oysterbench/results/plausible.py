@@ -13,6 +13,19 @@ from oysterbench.results.records import ResultRecord
 RELATIVE, ABSOLUTE = 1e-6, 1e-6
 """By which numbers may miss a relation: results that a server published are rounded."""
 
+COSTS: dict[str, tuple[float, float]] = {
+    "wall_s": (1e-5, math.inf),
+    "cpu_s": (1e-5, math.inf),
+    "cpu_s_per_s": (0.0, 1e5),
+    "peak_memory_mb": (1.0, 1e8),
+    "realtime_factor": (0.0, 1e5),
+    "steps_per_s": (0.0, 1e6),
+    "pictures_per_s": (0.0, 1e6),
+    "images_per_s": (0.0, 1e6),
+}
+"""What a run that was scored costs at least and at most, far beyond what has been measured: a day of dives in a second,
+a process of a megabyte."""
+
 Metrics = Mapping[str, float]
 
 
@@ -25,6 +38,8 @@ def check_plausible(record: ResultRecord, where: str = "result") -> None:
     for key, value in known.items():
         metric = find_metric(key, record.track)
         low, high = (-math.inf, math.inf) if metric is None else metric.range
+        if record.failure is None:
+            low, high = COSTS.get(key, (low, high))
         if not _above(value, low) or not _above(high, value):
             raise ResultError(f"{where}: metric {key!r}: expected {_between(low, high)}, got {value:.6g}")
     for keys, holds, relation in RELATIONS.get(record.track, ()):
@@ -68,6 +83,16 @@ RELATIONS: dict[str, tuple[tuple[tuple[str, ...], Callable[..., bool], str], ...
             ("ate_percent", "ate_rmse_m", "path_length_m"),
             lambda percent, ate, path: _same(percent * path, 100.0 * ate),
             "ate_percent = 100 ate_rmse_m / path_length_m",
+        ),
+        (
+            ("realtime_factor", "wall_s", "duration_s"),
+            lambda factor, wall, duration: math.isclose(factor * wall, duration, rel_tol=0.01),
+            "realtime_factor = duration_s / wall_s",
+        ),
+        (
+            ("cpu_s_per_s", "cpu_s", "duration_s"),
+            lambda share, cpu, duration: math.isclose(share * duration, cpu, rel_tol=0.01),
+            "cpu_s_per_s = cpu_s / duration_s",
         ),
     ),
     "segmentation": (

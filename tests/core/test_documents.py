@@ -15,7 +15,7 @@ def test_json_is_read():
     ("data", "cause"),
     [
         (b"[" * 100_000 + b"]" * 100_000, "nested too deep"),
-        (b"9" * 5000, "Exceeds the limit"),
+        (b"9" * 5000, "^it has a number of too many digits$"),
         (b'{"a": "\\ud800"}', "surrogates not allowed"),
         (b'{"\\uDfff": 1}', "surrogates not allowed"),
         (b'"\xed\xa0\x80"', "can't decode byte"),

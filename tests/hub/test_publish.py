@@ -19,6 +19,7 @@ from oysterbench.hub.manifest import read_manifest
 from oysterbench.hub.publish import check_made_by
 from oysterbench.hub.sign import public_hex
 from oysterbench.hub.verify import ABSENT, DAMAGED, RIGHT, checks
+from tests.helpers.command import run
 from tests.helpers.trees import (
     DIGEST,
     FACTS,
@@ -184,7 +185,8 @@ def test_what_is_published_is_made_by_the_recipe(files, secret_files, tmp_path):
 def test_a_tree_can_be_verified_and_is_repaired_by_publishing_again(tmp_path, files, key):
     manifest = publish_split(tmp_path, files, key)
     assert {check.state for check in checks(str(tmp_path))} == {RIGHT}
-    assert len(list(checks(str(tmp_path)))) == len([path for path in tree_bytes(tmp_path) if "/" in path])
+    named = {path for path in tree_bytes(tmp_path) if "/" in path}
+    assert {check.path for check in checks(str(tmp_path))} == {tmp_path / name for name in (*named, "index.json")}
     blob, other = (tmp_path / "blobs" / entry.sha256 for entry in manifest.files)
     blob.write_bytes(blob.read_bytes()[:-1] + b"?")
     other.unlink()
@@ -195,6 +197,24 @@ def test_a_tree_can_be_verified_and_is_repaired_by_publishing_again(tmp_path, fi
     blob.unlink()
     publish_split(tmp_path, files, key)
     assert {check.state for check in checks(str(tmp_path))} == {RIGHT}
+
+
+def test_an_index_that_its_keys_did_not_sign_is_found(tmp_path, files, key):
+    publish_split(tmp_path, files, key)
+    index, (first, *_) = tmp_path / "index.json", checks(str(tmp_path))
+    assert (first.path, first.state) == (index, RIGHT)
+    assert first.detail == f"signed with {public_hex(key)[:16]}…"
+    signed = json.loads(index.read_bytes())
+    counted, unsigned, doubted = json.loads(json.dumps([signed] * 3))
+    counted["signed"]["counter"] += 1
+    unsigned["signatures"] = []
+    doubted["signatures"].append({"key": "ab" * 32, "signature": "00" * 64})
+    for document in (counted, unsigned, doubted):
+        index.write_text(json.dumps(document))
+        assert [(check.path, check.state) for check in checks(str(tmp_path)) if not check.good] == [(index, DAMAGED)]
+    done = run("verify", tmp_path)
+    assert done.returncode == 3
+    assert f"{index}: damaged (not signed with what it names (" in done.stdout
 
 
 def test_the_croissant_file_describes_every_file(tmp_path, files, key):

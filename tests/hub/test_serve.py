@@ -17,6 +17,7 @@ import pytest
 from oysterbench.core.errors import HubError
 from oysterbench.hub import connections
 from oysterbench.hub.connections import CLIENTS_OF_ADDRESS, LARGEST_HEADERS
+from tests.helpers.command import run
 from tests.helpers.trees import a_key, oysterbench_serve, publish_split, write_split
 from tests.helpers.waiting import until
 
@@ -342,3 +343,23 @@ def test_an_address_that_is_taken_is_one_line_and_nothing_is_started():
             connections.listen("127.0.0.1", port)
     with pytest.raises(HubError, match=r"cannot serve at no\.such\.host\.invalid:1: "):
         connections.listen("no.such.host.invalid", 1)
+
+
+def test_it_says_where_it_serves_with_the_port_that_it_has(site, monkeypatch):
+    ports = []
+
+    def run_once(app, listening, **options):
+        ports.append(listening.getsockname()[1])
+        listening.close()
+
+    monkeypatch.setattr("oysterbench.hub.serve.run", run_once)
+    done = run("serve", site[1], "--port", 0)
+    assert done.returncode == 0
+    assert f"serving http://127.0.0.1:{ports[0]}/ (stop with Ctrl-C)\n" in done.stderr
+    assert ports[0] > 0
+
+
+def test_an_address_of_ipv6_stands_in_brackets():
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+        assert connections.address("::1", listening, "/board") == f"http://[::1]:{port}/board/"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from dataclasses import replace
 
 import pytest
@@ -18,9 +20,10 @@ from oysterbench_leaderboard.site.pages.compare_several import several_page
 from oysterbench_leaderboard.site.pages.data import split_page
 from oysterbench_leaderboard.site.pages.home import home_page
 from oysterbench_leaderboard.site.pages.record import record_page
+from oysterbench_leaderboard.site.representations import represent
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.store import RecordStore
-from oysterbench_leaderboard.tables import board_table
+from oysterbench_leaderboard.tables import board_table, history_table
 from oysterbench_leaderboard.vehicle import lacks
 from tests.helpers.records_made import record_made
 from tests.helpers.site_made import Reading
@@ -179,6 +182,44 @@ def test_speeds_of_several_machines_are_said_to_be(tmp_path):
     digests = [row.digest for row in site.index.page(info.id, Query()).rows]
     pages = [board_page(site, "slam", "slam-val"), compare_page(site, *digests), several_page(site, digests)]
     assert all(note in Reading(html(page)).text for page in pages)
+
+
+def test_a_machine_of_a_long_name_is_one_all_the_same(tmp_path):
+    store = RecordStore(tmp_path / "board")
+    for name, cpu in (("fast", "BUY NOW " * 240), ("slow", "Small")):
+        store.add(said(record_made(name), hardware={"cpu": cpu, "cores": 16}))
+    site = Site(open_index(store, str(tmp_path / "index.sqlite")))
+    (info,) = site.index.boards()
+    (note,) = [note for note in board_table(site.index.page(info.id, Query())).notes if "different machines" in note]
+    assert "BUY NOW BUY NOW" in note
+    assert "\N{HORIZONTAL ELLIPSIS}" in note
+    assert ", 16 cores" in note
+    assert len(note) < 250
+
+
+def few(tmp_path):
+    """A site of a board of three sequences, on which two methods have the same scores and one is worse."""
+    store = RecordStore(tmp_path / "board")
+    lacking = tuple(f"val-0{k}" for k in range(4, 9))
+    results = record_made("carp", without=lacking).results
+    for name in ("carp", "tench"):
+        store.add(replace(record_made("carp", without=lacking), method=name, results=results))
+    store.add(record_made("worse", skill=0.1, without=lacking))
+    return Site(open_index(store, str(tmp_path / "index.sqlite")))
+
+
+def test_places_that_are_shared_are_written_the_same_everywhere_and_are_no_ranks(tmp_path):
+    site = few(tmp_path)
+    (info,) = site.index.boards()
+    page = board_page(site, "slam", "slam-val")
+    terminal = board_table(site.index.page(info.id, Query()))
+    for table in (page.table, terminal):
+        assert [texts[0] for texts in table.texts] == ["(=1)", "(=1)", "(3)"]
+    history = history_table(site.index.method("worse", None), {info.id: info})
+    assert "(3)" in history.texts[0]
+    assert "(=1)" in html(page)
+    rows = list(csv.DictReader(io.StringIO(represent(page, ".csv").decode())))
+    assert [(row["rank"], row["place"]) for row in rows] == [("", "1"), ("", "1"), ("", "3")]
 
 
 def test_one_machine_needs_no_word(site):

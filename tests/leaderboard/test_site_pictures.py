@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import cv2
@@ -120,6 +121,18 @@ def test_a_record_all_of_whose_runs_failed_has_no_speed(site):
     failed = [replace(rows[0], method="lost", failures=rows[0].runs), *rows[1:]]
     assert "lost" not in str(speed_card(info, failed).plot)
     assert speed_card(info, rows[:2]) is None
+
+
+def test_no_record_stretches_the_axis_of_speeds(site):
+    info = site.index.boards("slam")[0]
+    rows = site.index.page(info.id, Query()).rows
+    for speed, told in ((1e12, "(1e+12) boast"), (1e-9, "(1e-09) boast")):
+        boast = replace(rows[0], method="boast", metrics={**rows[0].metrics, "realtime_factor": speed})
+        plot = str(speed_card(info, [boast, *rows[1:]]).plot)
+        ticks = [float(text) for text in re.findall(r'text-anchor="middle">([^<]+)</text>', plot)]
+        assert 0.005 <= min(ticks) <= max(ticks) <= 1000.0
+        assert len(ticks) < 20
+        assert told in plot
 
 
 def test_any_number_of_ticked_records_stand_side_by_side(site, made):

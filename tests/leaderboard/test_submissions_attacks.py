@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import re
@@ -105,9 +106,12 @@ FILES: dict[str, tuple[Callable[[Path], bytes], int, str]] = {
     "drive": (named("C:/pool-01.tum"), 422, "is an absolute path"),
     "folder around": (named("mine/pool-01.tum"), 422, r"is no name of pool-test; expected SEQUENCE\.tum"),
     "script in a name": (named("<script>alert(1)</script>.tum"), 422, r"'<script>alert\(1\)</script>\.tum' is no"),
-    "XML": (lambda folder: XML, 415, "the bytes are text"),
+    "XML": (lambda folder: XML, 415, "the body is text; send a zip archive, JSON or text in UTF-8"),
+    "gzip": (lambda folder: gzip.compress(b"1 2 3 4"), 415, "the body is gzip; send a zip archive, JSON or text"),
+    "UTF-16": (lambda folder: "1 2 3".encode("utf-16"), 415, "the body is UTF-16; send a zip archive, JSON or text"),
+    "random bytes": (lambda folder: bytes(range(254, 0, -1)), 415, "the body is of no known form; send a zip archive"),
     "truncated archive": (lambda folder: answers(folder)[:-30], 422, "not a complete zip archive"),
-    "empty": (lambda folder: b"", 415, "the bytes are text"),
+    "empty": (lambda folder: b"", 415, "the body is empty; send a zip archive, JSON or text in UTF-8"),
 }  # fmt: skip
 """What is sent as a zip archive -> status and reason."""
 
@@ -161,8 +165,8 @@ def test_an_upload_that_breaks_off_leaves_nothing_and_is_no_failure_of_the_serve
     [
         ("image/png", "got the content type 'image/png'"),
         ("", "got the content type ''"),
-        ("text/plain", "the content type says 'text/plain', but the bytes are zip"),
-        ("application/json", "but the bytes are zip"),
+        ("text/plain", "the content type says 'text/plain', but the body is zip"),
+        ("application/json", "but the body is zip"),
         ("multipart/form-data", "expected multipart/form-data with a boundary"),
     ],
 )

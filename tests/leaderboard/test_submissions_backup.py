@@ -152,6 +152,16 @@ def test_a_file_that_is_damaged_or_none_of_ours_is_refused(saved, tmp_path, chan
     assert not (tmp_path.parent / "key").exists()
 
 
+def test_a_backup_whose_rows_are_damaged_is_called_so(saved, tmp_path):
+    def cut(name, data):
+        return name, data[:-20] if name == "rows/submissions.jsonl" else data
+
+    rewrite(saved[0] / "all.tar", tmp_path / "all.tar", cut)
+    why = f"the backup is damaged, or none of oysterbench .*; empty {tmp_path / 'private'}, and restore another one"
+    with pytest.raises(ResultError, match=rf"all\.tar: cannot be restored: {why}"):
+        restore(tmp_path / "all.tar", tmp_path / "private")
+
+
 def test_it_is_done_by_commands(saved, tmp_path):
     folder, *_ = saved
     file, private = tmp_path / "again.tar", tmp_path / "private"

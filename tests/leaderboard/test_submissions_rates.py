@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from oysterbench_leaderboard.submissions.rates import DAY_S, WINDOW_S, DailyReads, Sampler
+from oysterbench_leaderboard.submissions.rates import DAY_S, WINDOW_S, DailyReads, Sampler, hours_and_minutes
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
 OF_ONE, OF_STRANGERS = 10, 30
@@ -50,3 +50,20 @@ def test_uploads_of_a_team_are_read_so_often_a_day_and_no_more():
     reads.count("kelp")
     clock.now += DAY_S + 1
     reads.count("reef")
+
+
+def test_a_full_day_is_said_before_anything_is_counted():
+    reads = DailyReads(1, Clock())
+    reads.check("reef")
+    reads.check("reef")
+    reads.count("reef")
+    with pytest.raises(Refusal, match="1 uploads in 24 hours"):
+        reads.check("reef")
+
+
+@pytest.mark.parametrize(
+    ("wait_s", "text"),
+    [(86_400, "24 h 0 min"), (86_399, "24 h 0 min"), (86_340, "23 h 59 min"), (3601, "1 h 1 min"), (1, "0 h 1 min")],
+)
+def test_a_time_to_wait_has_no_sixtieth_minute(wait_s, text):
+    assert hours_and_minutes(wait_s) == text

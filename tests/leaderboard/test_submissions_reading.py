@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from oysterbench_leaderboard.submissions.catalogue import SCORED, Catalogue, ser
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.scoring import MISSING, evaluator, score_predictions
 from tests.helpers.pool import IMAGES, NAMES, answers, estimate, image_names, lay_split, path, tum, zipped
-from tests.helpers.submissions_read import as_coco, as_png, masks, npz, opened, wanted_of
+from tests.helpers.submissions_read import LIMITS, as_coco, as_png, masks, npz, opened, wanted_of
 
 # Paths:
 
@@ -172,6 +173,22 @@ def test_text_that_would_take_long_is_refused_unread(served, tmp_path, monkeypat
         opened(tmp_path, zipped({"pool-01.tum": text.encode()}), wanted_of(served, "pool-test"))
 
 
+def test_more_annotations_than_an_image_may_have_are_refused_unread(served, tmp_path, monkeypatch):
+    found = json.loads(as_coco(masks(0)))
+    first, *_ = found["annotations"]
+    found["annotations"] = [{**first, "id": k} for k in range(LIMITS.annotations + 1)]
+    monkeypatch.setattr("oysterbench_leaderboard.submissions.predictions.image_track", lambda name: None)
+    for track in ("segmentation", "detection"):
+        with pytest.raises(Refusal, match=r"^upload\.json: pool-01/\S+: expected at most 5000 annotations of an image"):
+            opened(tmp_path, json.dumps(found).encode(), wanted_of(served, "pool-masks", track))
+
+
+def test_a_number_of_too_many_digits_is_called_so(served, tmp_path):
+    data = b'{"results": [' + b"9" * 5000 + b"]}"
+    with pytest.raises(Refusal, match=r"^upload\.json: not valid JSON: it has a number of too many digits$"):
+        opened(tmp_path, data, wanted_of(served, "pool-val"))
+
+
 # Results:
 
 
@@ -179,7 +196,7 @@ def reported(served, tmp_path, **changes) -> bytes:
     """A results.json of the public split."""
     wanted = wanted_of(served, "pool-val")
     predictions, _ = opened(tmp_path, answers(tmp_path), wanted)
-    scored = score_predictions(predictions, wanted, served["pool-val"].truth, "mine", "2026-11-01T00:00:00Z")
+    scored = score_predictions(predictions, wanted, served["pool-val"].truth, "mine", "2025-01-01T00:00:00Z")
     write_results(tmp_path / "results.json", [replace(record, **changes) for record in scored.results])
     return (tmp_path / "results.json").read_bytes()
 
@@ -212,6 +229,16 @@ WHOLE = dict.fromkeys(BOUNDING["slam"], 1.0)
         ({"info": {"x": "a\u202eb"}}, "plain text in one line"),
         ({"info": {"x": "y" * 3000}}, "at most 2000 characters"),
         ({"run": 1, "sequence": "pool-01"}, "each run of a sequence once"),
+        ({"hardware": {"cpu": "x" * 300}}, r"results\[0\]: key 'hardware': expected at most 200 characters"),
+        (
+            {"created": "2099-01-01T00:00:00Z"},
+            r"results\[0\]: key 'created': expected a time from 2020 to now, .*'2099-",
+        ),
+        ({"created": "0000-99-99"}, "key 'created': expected a time from 2020 to now"),
+        ({"created": "<b>not a date"}, "key 'created': expected a time from 2020 to now"),
+        ({"created": "2019-12-31T23:59:59Z"}, "key 'created': expected a time from 2020 to now"),
+        ({"created": "2025-01-01T00:00:00"}, "key 'created': expected a time from 2020 to now"),
+        ({"metrics": WHOLE | {"realtime_factor": 1e12}}, "metric 'realtime_factor': expected 0 to 100000"),
         ({"metrics": {"score": 5.0, "coverage": 1.0}}, "expected the metrics recall_0.5percent"),
         ({"metrics": WHOLE | {"score": 1e300}}, r"results\[0\]: metric 'score': expected 0 to 1, got 1e\+300"),
         ({"metrics": WHOLE | {"recall_0.5percent": 0.1}}, "the score does not belong to the recalls"),
@@ -221,6 +248,12 @@ def test_results_that_would_not_stand_on_the_board_are_refused(served, tmp_path,
     data = reported(served, tmp_path, **changes)
     with pytest.raises(Refusal, match=message):
         opened(tmp_path, data, wanted_of(served, "pool-val"))
+
+
+def test_what_was_computed_by_a_clock_that_is_hours_ahead_is_taken(served, tmp_path):
+    for ahead in (timedelta(hours=20), timedelta(hours=-20)):
+        created = (datetime.now(UTC) + ahead).strftime("%Y-%m-%dT%H:%M:%SZ")
+        opened(tmp_path, reported(served, tmp_path, created=created), wanted_of(served, "pool-val"))
 
 
 def test_results_against_another_truth_are_refused(served, tmp_path):

@@ -237,7 +237,7 @@ def test_two_hosts_share_a_queue_in_postgresql(laid, tmp_path, here, postgres):
 
 
 def test_what_is_refused_is_read_so_often_a_day_and_no_more(service, tmp_path):
-    service._reads = DailyReads(3, service.clock)
+    service.reads = DailyReads(3, service.clock)
     bad = service.incoming / "bad"
     reasons = []
     for _ in range(4):

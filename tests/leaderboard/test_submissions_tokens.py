@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from sqlalchemy import insert
 
 from oysterbench.core.errors import ResultError
 from oysterbench.hub.addresses import network
-from oysterbench_leaderboard.submissions.database import Database
+from oysterbench_leaderboard.submissions.database import Database, teams
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 from oysterbench_leaderboard.submissions.tokens import Guesses, issue, listed, recognise, revoke
@@ -81,4 +82,30 @@ def test_a_second_token_is_made_only_where_it_is_said_what_becomes_of_the_first(
         assert recognise(connection, second) is not None
     assert revoke(database, "reef lab") == [second.split("_")[1]]
     assert issue(database, "reef lab"), "none is valid any more"
+    database.close()
+
+
+TWINS = ["Reef Lab 10", "reeflab 10", "r\N{LATIN SMALL LETTER E WITH ACUTE}ef lab 10", "reef-lab_10!", "reef lab lO"]
+
+
+@pytest.mark.parametrize("twin", [*TWINS, "reef Iab I0"])
+def test_a_name_that_looks_like_a_teams_is_refused_with_that_teams(tmp_path, twin):
+    database = Database(SubmissionSettings(folder=tmp_path))
+    issue(database, "reef lab 10")
+    with pytest.raises(ResultError, match="looks like 'reef lab 10', a team that there is"):
+        issue(database, twin)
+    issue(database, "reef lab 11 b")
+    assert [row["team"] for row in listed(database)] == ["reef lab 10", "reef lab 11 b"]
+    database.close()
+
+
+def test_two_spaces_in_a_name_are_refused_but_of_a_team_that_has_them(tmp_path):
+    database = Database(SubmissionSettings(folder=tmp_path))
+    with pytest.raises(ResultError, match="'reef  lab': expected single spaces in the name of a team, got two"):
+        issue(database, "reef  lab")
+    with database.writing() as connection:
+        for name in ("reef  lab", "Reef lab"):
+            connection.execute(insert(teams).values(name=name, created="2026-01-01T00:00:00Z"))
+    for name in ("reef  lab", "Reef lab"):
+        assert issue(database, name), "of before there was this rule"
     database.close()

@@ -58,6 +58,12 @@ def test_all_that_is_on_the_board_can_be():
         ("slam", {"recall_5percent": 0.0}, "expected recall_2percent <= recall_5percent"),
         ("slam", {"ate_percent": 1e-4}, "expected ate_percent = 100 ate_rmse_m / path_length_m"),
         ("slam", {"ate_rmse_m": 0.0}, "expected ate_mean_m <= ate_rmse_m"),
+        ("slam", {"realtime_factor": 1e12}, r"metric 'realtime_factor': expected 0 to 100000, got 1e\+12"),
+        ("slam", {"wall_s": 1e-12}, "metric 'wall_s': expected 1e-05 or more, got 1e-12"),
+        ("slam", {"cpu_s": 0.0}, "metric 'cpu_s': expected 1e-05 or more, got 0"),
+        ("slam", {"peak_memory_mb": 0.001}, r"metric 'peak_memory_mb': expected 1 to 1e\+08, got 0.001"),
+        ("slam", {"wall_s": 12345.0}, "expected realtime_factor = duration_s / wall_s, got"),
+        ("slam", {"cpu_s": 12345.0}, "expected cpu_s_per_s = cpu_s / duration_s, got"),
         ("segmentation", {"iou": 0.999}, "expected iou <= precision"),
         ("segmentation", {"dice": 0.99}, "expected dice = "),
         ("detection", {"ap_mask": 0.99}, "expected ap_mask <= ap50_mask"),
@@ -68,6 +74,11 @@ def test_all_that_is_on_the_board_can_be():
 def test_what_cannot_be_is_named(track, metrics, said, scored):
     with pytest.raises(ResultError, match=said):
         check_plausible(replace(scored[track], metrics={**scored[track].metrics, **metrics}))
+
+
+def test_a_run_that_failed_may_have_cost_nothing(scored):
+    metrics = {"wall_s": 0.0, "cpu_s": 0.0, "peak_memory_mb": 0.0, "score": 0.0, "coverage": 0.0}
+    check_plausible(replace(scored["slam"], failure="it ended at once", metrics=metrics))
 
 
 @given(st.lists(st.floats(0, 30), min_size=1, max_size=40), st.integers(0, 20), st.sampled_from([0.5, 1.0, 2.0]))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from oysterbench.report.table import ABSENT, Cell
 from oysterbench_leaderboard.board import Row
+from oysterbench_leaderboard.tables import rank_text
 
 TIERS = {
     "baseline": "Run and scored by us, from this project's source.",
@@ -20,17 +21,15 @@ UNRANKED = "a place by the mean only: with so few sequences, no difference is si
 
 
 def rank_cells(rows: Sequence[Row]) -> list[Cell]:
-    """The rank of each row, an equals sign before those that are shared; a place in brackets where no difference can be
-    significant."""
+    """The rank of each row as `rank_text` writes it, and why it is so; no value where there are no ranks."""
     cells = []
     for row in rows:
         if row.place is None:
             cells.append(Cell("", ABSENT, about=row.tier if row.state == "current" else row.state))
         elif row.rank is None:
-            cells.append(Cell(row.place, f"({row.place})", about=UNRANKED.capitalize(), kind="rank"))
+            cells.append(Cell("", rank_text(row), about=UNRANKED.capitalize(), kind="rank"))
         else:
-            shown = f"={row.rank}" if row.tied else str(row.rank)
-            cells.append(Cell(row.rank, shown, about=TIED if row.tied else "", kind="rank"))
+            cells.append(Cell(row.rank, rank_text(row), about=TIED if row.tied else "", kind="rank"))
     return cells
 
 

@@ -1,0 +1,84 @@
+"""Bodies that trickle: they are answered 408, and their places are free for others."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from contextlib import ExitStack, closing
+
+import pytest
+
+from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.settings import load_settings
+from oysterbench_leaderboard.submissions.uploads import paced
+from tests.helpers.pool import answers
+from tests.helpers.served import lay, running
+from tests.helpers.waiting import until
+
+RATE = 1_000_000
+"""Bytes a second that these tests ask for, which a file on one machine has and a trickle has not."""
+
+
+def received(settings, chunks, every_s: float) -> int:
+    """Bytes that are taken of a body whose chunks come so often."""
+
+    async def body():
+        for chunk in chunks:
+            await asyncio.sleep(every_s)
+            yield chunk
+
+    async def count() -> int:
+        return sum([len(chunk) async for chunk in paced(body(), settings, settings.upload_bytes)])
+
+    return asyncio.run(count())
+
+
+def test_a_body_is_given_time_by_what_has_come_of_it(tmp_path):
+    settings = load_settings(tmp_path, upload_grace_s=0.3, upload_bytes_per_s=RATE)
+    assert received(settings, [b"a" * RATE] * 6, 0.1) == 6 * RATE
+    begun = time.monotonic()
+    with pytest.raises(
+        Refusal, match=r"^expected 1000 kB/s after the first 0\.3 s, got \d+ bytes in 0 s; send it"
+    ) as slow:
+        received(settings, [b"a"] * 1000, 0.05)
+    assert slow.value.status == 408
+    assert time.monotonic() - begun < 10.0
+
+
+def test_silence_and_a_whole_time_have_their_limits_too(tmp_path):
+    silent = load_settings(tmp_path, idle_s=0.05)
+    with pytest.raises(Refusal, match=r"no data arrived for 0\.05 s; send it again"):
+        received(silent, [b"a"], 30.0)
+    long = load_settings(tmp_path, upload_s=0.2)
+    with pytest.raises(Refusal, match=r"the upload took longer than 0\.2 s"):
+        received(long, [b"a" * RATE] * 1000, 0.05)
+
+
+def test_trickles_leave_their_places_to_others_and_are_counted_as_reads(tmp_path):
+    tokens = lay(
+        tmp_path, uploads_at_once=2, upload_grace_s=1.0, upload_bytes_per_s=RATE, reads_per_day=2, idle_s=20.0
+    )  # fmt: skip
+    head = "POST /api/submissions?method=slow&split=pool-test HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\n"
+    head += f"Authorization: Bearer {tokens['others']}\r\nContent-Length: 100000000\r\n\r\nPK\x03\x04"
+    with running(tmp_path) as server, ExitStack() as stack:
+        slow = [stack.enter_context(closing(socket.create_connection(("127.0.0.1", server.port)))) for _ in range(2)]
+        said = [b"", b""]
+        for connection in slow:
+            connection.sendall(head.encode())
+            connection.settimeout(0.05)
+
+        def all_answered() -> bool:
+            for k, connection in enumerate(slow):
+                try:
+                    said[k] = said[k] or connection.recv(4000)
+                    connection.sendall(b"a")
+                except OSError:  # nothing yet, or closed
+                    continue
+            return all(said)
+
+        until(all_answered)
+        assert all(answer.startswith(b"HTTP/1.1 408 ") for answer in said), said
+        assert server.send(tokens["reef lab"], answers(tmp_path))[0] == 201
+        status, answer = server.send(tokens["others"], answers(tmp_path))
+        assert (status, answer["error"]) == (429, "quota"), "each of the two was an upload of the day"
