@@ -56,23 +56,38 @@ def run_jobs(
     kept for other runs. hardware: says what a machine is; scheduler: address of a Dask cluster that runs them. told: of
     what those say that go on here. A job that ends badly has a `failure`; nothing that a method does raises here.
     Raises MethodError, before anything is run, where `root` holds outcomes of other jobs under the same names or
-    options do not fit a sequence, and OSError where a disk is full.
+    the options of a method fit none of its sequences, and OSError where a disk is full.
     """
     with _alone(root):
         todo = []
         for job in jobs:
             known = None if again else _finished(job, root, retry)
             if known is None:
-                job.adapter.check(job.sequence)
                 todo.append(job)
             else:
                 yield job, known
+        _check(todo)
         if todo and scheduler is not None:
             from oysterbench.methods.remote import run_remotely
 
             yield from run_remotely(todo, root, scheduler, workers, hardware)
         elif todo:
             yield from _run(todo, root, workers or default_workers(), exports, hardware(), announce, told)
+
+
+def _check(jobs: Sequence[Job]) -> None:
+    """Refuse options of a method that fit none of its sequences: that is a slip. Where they fit some, the others fail."""
+    misfits: dict[str, list[MethodError | None]] = {}
+    for job in jobs:
+        try:
+            job.adapter.check(job.sequence)
+            misfit = None
+        except MethodError as error:
+            misfit = error
+        misfits.setdefault(job.adapter.name, []).append(misfit)
+    for found in misfits.values():
+        if found[0] is not None and None not in found:
+            raise found[0]
 
 
 def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
@@ -173,6 +188,7 @@ def run_job(
         contained=can_hide(),
     )
     try:
+        job.adapter.check(job.sequence)
         given = inputs.of(job)
         command += job.adapter.command(given, folder, job.number)
         ended = processes.run(command, job.limit_s, folder, hidden, visible=[given])

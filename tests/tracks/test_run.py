@@ -113,9 +113,24 @@ def test_an_online_path_that_cannot_be_read_costs_the_scored_one_nothing(run, an
     assert "\n" not in note
 
 
-def test_a_frame_that_the_vehicle_lacks_is_a_failure_that_lists_its_cameras(run, answer, tmp_path):
-    (done,) = run(ExternalCommand(command(tmp_path, "copies", answer), "copies", poses_of="cam_top"))
-    assert "expected base, imu, camera or one of its cameras: cam_left, cam_right" in done.failure
+def test_a_frame_that_the_vehicle_lacks_is_refused_with_its_cameras(run, answer, tmp_path):
+    with pytest.raises(MethodError, match="expected base, imu, camera or one of its cameras: cam_left, cam_right"):
+        run(ExternalCommand(command(tmp_path, "copies", answer), "copies", poses_of="cam_top"))
+
+
+def test_a_frame_that_some_vehicles_lack_is_a_failure_there(run, answer, tmp_path, monkeypatch):
+    """Of two runs, of which the first does not fit: as of two dives by two vehicles."""
+    answers = iter([MethodError("no such frame"), None, MethodError("no such frame"), None])
+
+    def check(adapter, sequence):
+        if (found := next(answers)) is not None:
+            raise found
+
+    monkeypatch.setattr(ExternalCommand, "check", check)
+    program = command(tmp_path, "copies", answer)
+    first, second = run(ExternalCommand(program, "copies"), runs=2)
+    assert "no such frame" in first.failure
+    assert second.failure is None
 
 
 @pytest.mark.parametrize("form", FORMS)
