@@ -76,7 +76,7 @@ def run_jobs(
 
 
 def _check(jobs: Sequence[Job]) -> None:
-    """Refuse options of a method that fit none of its sequences: that is a slip. Where they fit some, the others fail."""
+    """Refuse options of a method that fit none of its sequences, a slip. Where they fit some, the others fail."""
     misfits: dict[str, list[MethodError | None]] = {}
     for job in jobs:
         try:
