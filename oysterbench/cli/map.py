@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 SOURCES = ("pictures", "echoes")
 DEPTHS = ("stereo", "motion", "plane", "layer")
 KINDS = ("auto", "instances", "mask", "probability", "classes")
+"""`annotations.masks.FORMS`, which is not loaded for a page of help."""
 TRUTH = "truth"
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 from click.testing import CliRunner
 
+from oysterbench.annotations.masks import FORMS
 from oysterbench.cli.main import main
+from oysterbench.cli.map import KINDS
 
 
 def error_of(*arguments: str) -> str:
@@ -21,6 +23,10 @@ def test_a_map_and_a_cloud_have_options_of_their_own(tmp_path):
     assert "--cell: only for a map: give --masks" in error_of(*common, "--out", "x.ply", "--cell", "0.5")
     assert "--voxel: only for a cloud" in error_of(*common, "--out", "m", "--masks", "truth", "--voxel", "0.1")
     assert "a map uses one camera" in error_of(*common, "--out", "m", "--masks", "t", "--camera", "a", "--camera", "b")
+
+
+def test_a_map_reads_every_kind_of_masks():
+    assert KINDS == FORMS
 
 
 def test_a_cloud_needs_the_name_of_a_ply_file():
