@@ -16,7 +16,7 @@ from oysterbench.mapping.echoes import range_echoes
 from oysterbench.mapping.projection import Lens
 from oysterbench.mapping.settings import MapSettings
 from oysterbench.mapping.sweep import DepthMap, sweep
-from oysterbench.mapping.views import Pinhole, PoseInterpolator, partner
+from oysterbench.mapping.views import Pinhole, PoseInterpolator, partner, shown_at, without_repeats
 from oysterbench.sequence.types import Sequence
 
 DEPTHS = ("stereo", "motion", "plane", "layer")
@@ -27,9 +27,9 @@ SIGMA = {"stereo": 0.015, "motion": 0.02, "plane": 0.08, "layer": 0.001}
 """1 sigma of each, as a share of the distance: a quarter of a pixel of a pair 12 cm apart; the same and the poses' own
 error; relief of a decimetre; millimetres in the file."""
 
-DepthOf = Callable[[int], Array | None]
-"""Stamp of a picture, ns -> (H, W) float m along the optical axis of its pixels, NaN where not known; None where
-nothing is known."""
+DepthOf = Callable[[int, int], Array | None]
+"""Stamps of a picture and of the one that it repeats, ns, mostly the same -> (H, W) float m along the optical axis of
+its pixels, NaN where not known; None where nothing is known."""
 
 FILL_PX = (1.5, 6.0, 24.0)  # of a picture of 320 columns: over how far depths are carried to pixels that have none
 LEAST_KNOWN = 0.02  # of a picture, that must have a depth of its own for the others to be carried on
@@ -67,7 +67,7 @@ def _layer(sequence: Sequence, camera: str) -> DepthOf:
             "motion or plane"
         )
 
-    def at(stamp_ns: int) -> Array | None:
+    def at(stamp_ns: int, _first_ns: int) -> Array | None:
         found = next(iter(sequence.layer(camera, "depth", stamp_ns, stamp_ns + 1)), None)
         return None if found is None else np.where(found.pixels > 0, found.pixels, np.nan).astype(float)
 
@@ -86,7 +86,8 @@ class _Pictures:
                 f"{sequence.name}: no other camera overlaps with {camera}: expected a pair for --depth stereo; "
                 "--depth motion uses one camera, --depth plane echoes"
             )
-        self.pinhole = Pinhole(camera, sequence.cameras[camera], self.settings.width_px)
+        self.calibration = sequence.cameras[camera]
+        self.pinhole = Pinhole(camera, self.calibration, self.settings.width_px)
         self.second = None
         if self.other is not None:
             self.second = Pinhole(self.other, sequence.cameras[self.other], self.settings.width_px)
@@ -94,8 +95,8 @@ class _Pictures:
         pixels = lens.rays @ self.pinhole.matrix.T
         self._maps: tuple[Any, Any] = pixels[..., 0].astype(np.float32), pixels[..., 1].astype(np.float32)
 
-    def at(self, stamp_ns: int) -> Array | None:
-        found = self._pair(stamp_ns) if self.other is not None else self._motion(stamp_ns)
+    def at(self, _stamp_ns: int, first_ns: int) -> Array | None:
+        found = self._pair(first_ns) if self.other is not None else self._motion(first_ns)
         if found is None or np.isfinite(found.depth).mean() < LEAST_KNOWN:
             return None
         self.distance_m = float(np.nanmedian(found.depth))
@@ -106,21 +107,24 @@ class _Pictures:
     def _pair(self, stamp_ns: int) -> DepthMap | None:
         assert self.other is not None
         assert self.second is not None
-        T = self.poses.at(stamp_ns)
+        T = self.poses.taking(self.calibration, stamp_ns)
         slack = round(self.settings.pair_tolerance_s * 1e9)
         own = next(iter(self.sequence.images(self.camera, stamp_ns, stamp_ns + 1)), None)
         other = next(iter(self.sequence.images(self.other, stamp_ns - slack, stamp_ns + slack + 1)), None)
         if T is None or own is None or other is None:
             return None
+        found = shown_at(self.sequence, self.other, other.stamp_ns)
+        if found is None or found[1] != other.stamp_ns:
+            return None  # the pair is not one: the other camera's picture is an earlier one
         return sweep(self.pinhole.view(own, T), [self.second.view(other, T)], self.settings)
 
     def _motion(self, stamp_ns: int) -> DepthMap | None:
         """From the picture and the two that were taken half of the wanted distance before and after it."""
-        T = self.poses.at(stamp_ns)
+        T = self.poses.taking(self.calibration, stamp_ns)
         window = round(WINDOW_S * 1e9)
         views = []
-        for image in self.sequence.images(self.camera, stamp_ns - window, stamp_ns + window + 1):
-            pose = self.poses.at(image.stamp_ns)
+        for image in without_repeats(self.sequence.images(self.camera, stamp_ns - window, stamp_ns + window + 1)):
+            pose = self.poses.taking(self.calibration, image.stamp_ns)
             if pose is not None:
                 views.append((image, pose))
         own = next((image for image, _ in views if image.stamp_ns == stamp_ns), None)
@@ -173,8 +177,8 @@ class _Plane:
                 f"{sequence.name} has neither DVL nor altimeter: expected one of them for --depth plane; --depth "
                 "stereo and motion take pictures"
             )
-        self.lens, self.poses, self.window_ns = lens, poses, settings.plane_s * 1e9
-        self.T_base_cam = sequence.cameras[camera].T_base_cam
+        self.rays, self.poses, self.window_ns = lens.rays, poses, settings.plane_s * 1e9
+        self.calibration = sequence.cameras[camera]
         stamps, places = [], []
         for stamp_ns, points, T_base_sensor in range_echoes(sequence):
             T = poses.at(stamp_ns)
@@ -185,16 +189,16 @@ class _Plane:
         self.stamps = np.array(stamps, dtype=np.int64)
         self.places = np.concatenate([np.zeros((0, 3)), *places])
 
-    def at(self, stamp_ns: int) -> Array | None:
-        T = self.poses.at(stamp_ns)
-        near = self.places[np.abs(self.stamps - stamp_ns) <= self.window_ns]
-        if T is None or len(near) < 3:
+    def at(self, _stamp_ns: int, first_ns: int) -> Array | None:
+        T_odom_cam = self.poses.of_rows(self.calibration, first_ns)
+        near = self.places[np.abs(self.stamps - self.calibration.taken_ns(first_ns)) <= self.window_ns]
+        if T_odom_cam is None or len(near) < 3:
             return None
-        T_odom_cam = T @ self.T_base_cam
         slope_x, slope_y, height = fit_plane(near)
         normal = np.array([-slope_x, -slope_y, 1.0])
-        along = self.lens.rays @ (T_odom_cam[:3, :3].T @ normal)
-        above = float(normal @ T_odom_cam[:3, 3]) - height
+        normals = np.swapaxes(T_odom_cam[:, :3, :3], -1, -2) @ normal  # in the optical frame of each row
+        along = (self.rays * normals[:, None]).sum(axis=-1)
+        above = (T_odom_cam[:, :3, 3] @ normal - height)[:, None]
         meets = above * along < 0
         return np.where(meets, -above / np.where(meets, along, 1.0), np.nan)
 

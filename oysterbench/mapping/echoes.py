@@ -97,7 +97,7 @@ def coloured(
         last_ns = -(2**62)
         for image in sequence.images(camera):
             watch(image.stamp_ns)
-            T_odom_base = poses.at(image.stamp_ns)
+            T_odom_base = poses.taking(sequence.cameras[camera], image.stamp_ns)
             if T_odom_base is None or image.stamp_ns - last_ns < settings.colour_every_s * 1e9:
                 continue
             last_ns = image.stamp_ns

@@ -46,7 +46,7 @@ def depth_maps(
     moved = 0
     for image, partner_image in frames(sequence, camera, other, settings):
         watch(image.stamp_ns)
-        T_odom_base = poses.at(image.stamp_ns)
+        T_odom_base = poses.taking(sequence.cameras[camera], image.stamp_ns)
         if T_odom_base is None:
             views.clear()  # what lies before a gap has moved by nobody knows how much
             continue

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
 from oysterbench.mapping.settings import MapSettings
+from oysterbench.sequence.export.ply import pixel_rays
 from oysterbench.sequence.types import CameraCalibration
 
 POINTS = 96  # of an oyster in a picture, at most: 5 mm apart on a shell of 80 x 60 mm
@@ -63,26 +63,32 @@ class Patch:
 
 
 class Lens:
-    """Rays of the pixels of a camera."""
+    """Rays of the pixels of a camera; NaN where its lens shows nothing."""
 
     def __init__(self, name: str, camera: CameraCalibration) -> None:
-        if camera.port_m is not None:
-            raise SequenceError(
-                f"{name} looks through a flat port, so its rays do not meet in one point: expected a camera calibrated "
-                "in water"
-            )
+        self.name, self.camera = name, camera
         self.shape = (camera.height, camera.width)
         self.pixel_sr = 1.0 / float(camera.matrix[0, 0] * camera.matrix[1, 1])  # of a pixel on the axis
-        x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-        pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2).astype(float)
-        lens = cv2.fisheye if camera.distortion_model == "equidistant" else cv2
-        found = lens.undistortPoints(pixels, camera.matrix, camera.distortion).reshape(*self.shape, 2)
-        self.rays: Array = np.concatenate([found, np.ones((*self.shape, 1))], axis=-1)
-        """(H, W, 3), z = 1, in the optical frame."""
+        self._rays = pixel_rays(camera)
+
+    @property
+    def rays(self) -> Array:
+        """(H, W, 3), z = 1, in the optical frame. Raises SequenceError behind a flat port, where they do not meet."""
+        if self.camera.port_m is not None:
+            raise SequenceError(
+                f"{self.name} looks through a flat port, so its rays do not meet in one point: expected a camera "
+                "calibrated in water"
+            )
+        return np.concatenate([self._rays[..., :2], np.ones((*self.shape, 1))], axis=-1)
 
     def points(self, depth_m: Array, T_odom_cam: Array) -> Array:
-        """(H, W, 3) m of a picture's pixels, from their depths (H, W) along the optical axis; NaN stays NaN."""
-        return (self.rays * depth_m[..., None]) @ T_odom_cam[:3, :3].T + T_odom_cam[:3, 3]
+        """(H, W, 3) m of a picture's pixels, from their depths (H, W) along the optical axis; NaN stays NaN.
+
+        T_odom_cam: (H, 4, 4) of each row, or (1, 4, 4) or (4, 4) of all.
+        """
+        across = self._rays[..., :2] * (depth_m - self._rays[..., 2])[..., None]
+        points = np.concatenate([across, depth_m[..., None]], axis=-1)
+        return points @ np.swapaxes(T_odom_cam[..., :3, :3], -1, -2) + T_odom_cam[..., None, :3, 3]
 
 
 def usable(depth_m: Array, settings: MapSettings) -> NDArray[np.bool_]:

@@ -21,7 +21,7 @@ from oysterbench.mapping.projection import Lens, Seen, patches, usable
 from oysterbench.mapping.settings import MapSettings
 from oysterbench.mapping.track import OysterTrack
 from oysterbench.mapping.unassociated import UnassociatedCount
-from oysterbench.mapping.views import PoseInterpolator, check_time
+from oysterbench.mapping.views import PoseInterpolator, check_time, shown_at
 from oysterbench.sequence.types import Sequence
 
 if TYPE_CHECKING:
@@ -116,19 +116,20 @@ def build_map(
 ) -> OysterMap:
     """The map. trajectory: poses of base_link at any stamps; seen: gives the oysters of pictures, in time order.
 
-    depth: one of `depth.DEPTHS`; of them only "layer" uses the truth. allow_none: make a map without an oyster, too.
+    depth: one of `depth.DEPTHS`; of them only "layer" uses the truth, of depths and of the camera's calibration.
+    allow_none: make a map without an oyster, too.
     Raises TrajectoryError where the trajectory is of another time, LabelError where the oysters are not of pictures of
     this camera or there are none, SequenceError where there is no depth.
     """
     settings = settings or MapSettings()
     if camera not in sequence.cameras:
         raise SequenceError(f"{sequence.name} has no camera {camera!r}; its cameras: {', '.join(sequence.cameras)}")
-    lens = Lens(camera, sequence.cameras[camera])
+    source = sequence.truly_calibrated() if depth == "layer" else sequence.for_method()
+    calibration = source.cameras[camera]
+    lens = Lens(camera, calibration)
     poses = PoseInterpolator(trajectory, settings.max_gap_s)
     check_time(sequence, trajectory)
-    source = sequence if depth == "layer" else sequence.for_method()
     depth_of = depth_source(depth, source, camera, lens, poses, settings)
-    T_base_cam = sequence.cameras[camera].T_base_cam
     cover = empty_cover(trajectory, settings)
     tracks = OysterTracks(settings)
     unassociated = UnassociatedCount(cover.raster)
@@ -136,8 +137,8 @@ def build_map(
     any_oyster = False
     for k, picture in enumerate(seen()):
         counts["pictures"] += 1
-        image = next(iter(sequence.images(camera, picture.stamp_ns, picture.stamp_ns + 1)), None)
-        if image is None:
+        shown = shown_at(sequence, camera, picture.stamp_ns)
+        if shown is None:
             raise LabelError(
                 f"{sequence.name}: {camera} took no picture at {picture.stamp_ns} ns: are the masks of another "
                 "sequence?"
@@ -148,22 +149,24 @@ def build_map(
                 f"pictures of {sequence.name}, got {picture.numbers.shape[1]} x {picture.numbers.shape[0]}"
             )
         any_oyster |= bool(picture.numbers.any())
-        T = poses.at(picture.stamp_ns)
-        if T is None:
+        image, first_ns = shown
+        T, T_odom_cam = (find(calibration, first_ns) for find in (poses.taking, poses.of_rows))
+        if T is None or T_odom_cam is None:
             counts["without_pose"] += 1
             continue
-        depth_m = depth_of(picture.stamp_ns)
+        depth_m = depth_of(picture.stamp_ns, first_ns)
         if depth_m is None:
             counts["without_depth"] += 1
             continue
-        points = lens.points(depth_m, T @ T_base_cam)
+        points = lens.points(depth_m, T_odom_cam)
+        depth_m = np.where(np.isfinite(points[..., 0]), depth_m, np.nan)
         near = usable(depth_m, settings)
         cover.add(points[near], depth_m[near], image.pixels[near])
-        eye = (T @ T_base_cam)[:3, 3]
+        eye = (T @ calibration.T_base_cam)[:3, 3]
         sigma = _pose_sigma(trajectory, picture.stamp_ns, settings), sigma_of(depth, settings)
-        shown = patches(k, picture, points, depth_m, eye, lens.pixel_sr, *sigma, settings)
-        tracks.add(shown)
-        unassociated.add(points[near], shown)
+        found = patches(k, picture, points, depth_m, eye, lens.pixel_sr, *sigma, settings)
+        tracks.add(found)
+        unassociated.add(points[near], found)
         places.append(T[:2, 3])
     _check(sequence, camera, depth, counts, len(places), any_oyster or allow_none)
     notes = []
@@ -172,9 +175,9 @@ def build_map(
     for key, what in (("without_pose", "pose"), ("without_depth", "depth")):
         if counts[key]:
             notes.append(f"{counts[key]} of {counts['pictures']} pictures have no {what} and are left out")
-    found = tracks.joined()
+    joined = tracks.joined()
     return OysterMap(
-        sequence.name, camera, depth, [_oyster(track) for track in found], found, cover, np.array(places), settings,
+        sequence.name, camera, depth, [_oyster(track) for track in joined], joined, cover, np.array(places), settings,
         **counts,
         notes=tuple(notes),
         unassociated=None if _exact(sequence, trajectory, depth, settings) else unassociated.count,

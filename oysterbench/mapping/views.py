@@ -23,6 +23,8 @@ Watch = Callable[[int], None]
 """Told the stamp, ns, of each measurement that was looked at."""
 
 
+REPEATS_NS = 500_000_000
+"""Before a frame, in which that is looked for which it repeats."""
 GRAVITY_SAMPLES = 2000
 MOST_TILT_DEG = 15.0
 """Between gravity as the inertial unit feels it and the vertical by a trajectory, in the median: surge and the best of
@@ -91,6 +93,21 @@ class PoseInterpolator:
             return None
         return np.asarray(self.trajectory.select(slice(after - 1, after + 1)).at(np.array([stamp_ns])).matrices[0])
 
+    def taking(self, camera: CameraCalibration, stamp_ns: int) -> Array | None:
+        """T_odom_base when a camera took the frame of a stamp; None as of `at`."""
+        return self.at(camera.taken_ns(stamp_ns))
+
+    def of_rows(self, camera: CameraCalibration, stamp_ns: int) -> Array | None:
+        """T_odom_cam when each row of a frame was taken: (H, 4, 4) of a rolling shutter, else (1, 4, 4); None where
+        there is none of the middle row, as of `at`. Rows beyond the ends of the trajectory have the pose there."""
+        middle = self.taking(camera, stamp_ns)
+        if middle is None or camera.readout_s == 0:
+            return None if middle is None else (middle @ camera.T_base_cam)[None]
+        stamps = self.trajectory.stamps_ns
+        taken = np.clip(camera.rows_taken_ns(stamp_ns), stamps[0], stamps[-1])
+        around = slice(int(np.searchsorted(stamps, taken[0], "right")) - 1, int(np.searchsorted(stamps, taken[-1])) + 1)
+        return np.asarray(self.trajectory.select(around).at(taken).matrices @ camera.T_base_cam)
+
 
 def check_time(sequence: Sequence, trajectory: Trajectory) -> None:
     """Refuse a trajectory of another time than the sequence's. Raises TrajectoryError."""
@@ -154,17 +171,41 @@ def partner(sequence: Sequence, camera: str, settings: CloudSettings) -> str | N
     return None
 
 
+def shown_at(sequence: Sequence, camera: str, stamp_ns: int) -> tuple[Image, int] | None:
+    """The frame of a camera at a stamp, and the stamp at which its picture came first: a video link that has lost one
+    repeats the last. None where there is no frame."""
+    earlier = list(sequence.images(camera, stamp_ns - REPEATS_NS, stamp_ns + 1))
+    if not earlier or earlier[-1].stamp_ns != stamp_ns:
+        return None
+    image, first_ns = earlier[-1], stamp_ns
+    for before in reversed(earlier[:-1]):
+        if not np.array_equal(before.pixels, image.pixels):
+            break
+        first_ns = before.stamp_ns
+    return image, first_ns
+
+
+def without_repeats(images: Iterator[Image]) -> Iterator[Image]:
+    """The frames whose picture is not that of the frame before."""
+    before: Image | None = None
+    for image in images:
+        if before is None or not np.array_equal(before.pixels, image.pixels):
+            yield image
+        before = image
+
+
 def frames(
     sequence: Sequence, camera: str, other: str | None, settings: CloudSettings
 ) -> Iterator[tuple[Image, Image | None]]:
-    """Frames of a camera, each with that of the other one at its stamp; of a pair, only whole ones."""
+    """New frames of a camera, each with that of the other one at its stamp; of a pair, only whole ones."""
+    own = without_repeats(sequence.images(camera))
     if other is None:
-        yield from ((image, None) for image in sequence.images(camera))
+        yield from ((image, None) for image in own)
         return
     tolerance = settings.pair_tolerance_s * 1e9
-    partners = sequence.images(other)
+    partners = without_repeats(sequence.images(other))
     second = next(partners, None)
-    for image in sequence.images(camera):
+    for image in own:
         while second is not None and second.stamp_ns < image.stamp_ns - tolerance:
             second = next(partners, None)
         if second is not None and second.stamp_ns <= image.stamp_ns + tolerance:

@@ -74,6 +74,12 @@ class CameraCalibration:
         """When a frame of a stamp was taken, as far as the calibration knows."""
         return stamp_ns - round(1e9 * self.time_offset_s)
 
+    def rows_taken_ns(self, stamp_ns: int) -> NDArray[np.int64]:
+        """(H,) when each row of a frame of a stamp was taken: a rolling shutter reads one after the other."""
+        after_s = (np.arange(self.height) - (self.height - 1) / 2) * (self.readout_s / self.height)
+        after_ns: NDArray[np.int64] = np.rint(1e9 * after_s).astype(np.int64)
+        return self.taken_ns(stamp_ns) + after_ns
+
 
 @dataclass(frozen=True)
 class CameraFrame:

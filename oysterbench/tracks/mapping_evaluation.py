@@ -21,14 +21,13 @@ from oysterbench.mapping import MapSettings, OysterMap, Seen, build_map, true_se
 from oysterbench.mapping.cover import Cover
 from oysterbench.mapping.grid import Grid, Oyster, make_grid
 from oysterbench.mapping.predicted import true_states
-from oysterbench.mapping.projection import usable
+from oysterbench.mapping.projection import Lens, usable
 from oysterbench.mapping.survey import empty_cover
-from oysterbench.mapping.views import PoseInterpolator
+from oysterbench.mapping.views import PoseInterpolator, shown_at
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report.density import DensityRun
 from oysterbench.results.records import ResultRecord
 from oysterbench.sequence import Sequence
-from oysterbench.sequence.export.ply import pixel_rays, points_at
 from oysterbench.tracks.slam import truth_digest
 from oysterbench.tracks.track import Announce, about_sequence
 
@@ -73,17 +72,17 @@ def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
     An oyster is shown where some picture has `least_px` of it within the greatest distance.
     """
     truth, calibration = sequence.truth(), sequence.truly_calibrated().cameras[camera]
-    interpolator, rays = PoseInterpolator(truth, settings.max_gap_s), pixel_rays(calibration)
+    poses, lens = PoseInterpolator(truth, settings.max_gap_s), Lens(camera, calibration)
     cover = empty_cover(truth, settings)
     most: Counter[int] = Counter()
     for depth, picture in zip(sequence.layer(camera, "depth"), true_seen(sequence, camera), strict=True):
-        T = interpolator.at(calibration.taken_ns(depth.stamp_ns))
-        if T is None:
+        frame = shown_at(sequence, camera, depth.stamp_ns)
+        T_map_cam = None if frame is None else poses.of_rows(calibration, frame[1])
+        if T_map_cam is None:
             continue
-        near = usable(depth.pixels, settings) & np.isfinite(rays[..., 0])
-        T_map_cam = T @ calibration.T_base_cam
-        points = points_at(rays[near], depth.pixels[near].astype(float)) @ T_map_cam[:3, :3].T + T_map_cam[:3, 3]
-        cover.add(points, depth.pixels[near], None)
+        points = lens.points(depth.pixels.astype(float), T_map_cam)
+        near = usable(depth.pixels, settings) & np.isfinite(points[..., 0])
+        cover.add(points[near], depth.pixels[near], None)
         numbers, pixels = np.unique(picture.numbers[near], return_counts=True)
         for number, count in zip(numbers.tolist(), pixels.tolist(), strict=True):
             most[number] = max(most[number], count)

@@ -49,23 +49,37 @@ def scattered(low: float, high: float, seed: int = 3) -> Discs:
 
 
 class FlatReef(Sequence):
-    """Flown at one height over places (T, 2) m, one picture a second at each, heading along x."""
+    """Flown at one height over places (T, 2) m, one picture a second at each, heading along x.
+
+    camera: that takes them; seconds: (T,) s, when it is at the places; repeats: pictures that show the one before.
+    """
 
     metadata = {}  # noqa: RUF012
     imu_calibration = None  # type: ignore[assignment]
 
-    def __init__(self, places: np.ndarray, discs: Discs, layers=("depth", "class", "instance"), name="flat") -> None:
+    def __init__(
+        self,
+        places: np.ndarray,
+        discs: Discs,
+        layers=("depth", "class", "instance"),
+        name="flat",
+        camera=CAMERA,
+        seconds=None,
+        repeats=(),
+    ) -> None:
         self.name, self.places, self.discs, self.layers = name, np.asarray(places, dtype=float), discs, layers
-        self.cameras = {"cam": CAMERA}
+        self.cameras = {"cam": camera}
+        self.seconds = np.arange(float(len(places))) if seconds is None else np.asarray(seconds)
+        self.repeats = repeats
         self._known: dict[int, np.ndarray] = {}
-        self.stamps = BEGIN + np.arange(len(places)) * 10**9
+        self.stamps = BEGIN + np.rint(self.seconds * 1e9).astype(np.int64)
         directions = np.array([[0.3, 0.0, -1.0], [-0.3, 0.0, -1.0], [0.0, 0.3, -1.0], [0.0, -0.3, -1.0]])
         self.beams = directions / np.linalg.norm(directions, axis=1)[:, None]
         self.dvl_calibration = DvlCalibration(np.eye(4), self.beams, 50.0)
 
     @property
     def duration_s(self) -> float:
-        return float(len(self.places) - 1)
+        return float(self.seconds[-1])
 
     def contents(self):
         return [(f"/cam/{layer}", "", len(self.places)) for layer in self.layers]
@@ -104,12 +118,17 @@ class FlatReef(Sequence):
 
     def numbers(self, k: int) -> np.ndarray:
         """(H, W) of picture k: the disc at each pixel, from 1; 0 for none."""
+        if k in self.repeats:
+            return self.numbers(k - 1)
         if k in self._known:
             return self._known[k]
         u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
         rays = np.stack([(u - (WIDTH - 1) / 2) / FOCAL, (v - (HEIGHT - 1) / 2) / FOCAL, np.ones(u.shape)], axis=-1)
         ground = ALTITUDE * rays @ DOWN.T
-        ground = ground[..., :2] + self.places[k]
+        rows_ns = self.cameras["cam"].rows_taken_ns(int(self.stamps[k]))
+        after_s = (rows_ns - self.cameras["cam"].taken_ns(int(self.stamps[k]))) * 1e-9
+        places = [np.interp(self.seconds[k] + after_s, self.seconds, axis) for axis in self.places.T]
+        ground = ground[..., :2] + np.column_stack(places)[:, None]
         numbers = np.zeros(u.shape, dtype=int)
         for i in np.flatnonzero(np.abs(self.discs.centres - self.places[k]).max(axis=1) < 0.8):
             away = ground - self.discs.centres[i]

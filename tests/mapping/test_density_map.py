@@ -16,7 +16,7 @@ from oysterbench.core.trajectory import write_tum
 from oysterbench.mapping import MapSettings, Seen, build_map, read_seen, true_seen
 from oysterbench.report.density_files import map_page, summary, write_map
 from oysterbench.tracks.mapping_evaluation import TRUE_POSES, MappedSequence, evaluate_maps, map_count, true_map
-from tests.helpers.flat_reef import BEGIN, BOTTOM, LANE, FlatReef, moved, scattered
+from tests.helpers.flat_reef import BEGIN, BOTTOM, CAMERA, LANE, FlatReef, moved, scattered
 
 DISCS = scattered(-1.2, 3.6)
 SETTINGS = MapSettings(cell_m=0.5)
@@ -85,6 +85,36 @@ def test_an_oyster_that_the_edge_always_cuts_counts_a_half():
     assert sorted(one.weight for one in found.oysters) == [0.5, 1.0]
     assert found.total.count == 1.5
     assert found.total.count_low < 1.5 < found.total.count_high
+
+
+def test_a_rolling_shutter_lays_each_row_where_the_camera_was_then(found):
+    # 0.2 s at 0.3 m/s: first and last rows are 3 cm away from where they would be at once.
+    rolling = map_of(FlatReef(LANE, DISCS, camera=replace(CAMERA, readout_s=0.2)))
+    assert rolling.total.count == pytest.approx(found.total.count, rel=0.03)
+    inner = [track for track in rolling.tracks if track.whole and 0.3 < track.centre[0] < 1.8]
+    assert len(inner) > 50
+    for track in inner:
+        assert np.linalg.norm(track.centre[:2] - DISCS.centres[track.patches[0].number - 1]) < 0.012
+
+
+def test_pictures_that_are_stamped_late_lie_where_they_were_taken(found):
+    late = FlatReef(LANE, DISCS, camera=replace(CAMERA, time_offset_s=0.2))
+    taken = replace(late.truth(), stamps_ns=late.stamps - 200_000_000)
+    assert [one.centre.tolist() for one in map_of(late, taken).oysters] == [
+        one.centre.tolist() for one in found.oysters
+    ]
+
+
+@pytest.mark.parametrize("depth", ["layer", "plane"])
+def test_a_picture_that_repeats_the_one_before_shows_nothing_elsewhere(depth):
+    places = np.insert(LANE, 4, LANE[3] + [0.12, 0.0], axis=0)
+    seconds = np.insert(np.arange(8.0), 4, 3.4)
+    once, repeated = (FlatReef(places, DISCS, seconds=seconds, repeats=these) for these in ((), (4,)))
+    maps = [map_of(reef, depth=depth) for reef in (once, repeated)]
+    assert maps[1].total.count == pytest.approx(maps[0].total.count, abs=1.0)
+    numbers = [min(patch.number for patch in track.patches) for track in maps[1].tracks]
+    assert len(set(numbers)) == len(numbers)
+    assert true_map(repeated, "cam", SETTINGS).count.shown == pytest.approx(maps[1].total.count, rel=0.05)
 
 
 def test_area_is_that_of_the_pictures(found):

@@ -68,13 +68,14 @@ def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[
     kept = [np.zeros(0, dtype=POINT)]
     known = np.zeros(0, dtype=np.int64)
     for image, found in steps.counted(frames_with_layers(sequence, camera, layers)):
-        taken_ns = calibration.taken_ns(image.stamp_ns)
-        if not _spans(path, taken_ns):
+        if not _spans(path, calibration.taken_ns(image.stamp_ns)):
             continue
         depth = found.pop("depth")
         seen = (depth > 0) & known_rays
         shown = points_at(rays[seen], depth[seen].astype(float))
-        points = _in_map(path, taken_ns, calibration.T_base_cam, shown)
+        taken = np.clip(calibration.rows_taken_ns(image.stamp_ns), path.stamps_ns[0], path.stamps_ns[-1])
+        poses = sensor_poses(path.at(taken), calibration.T_base_cam)[np.nonzero(seen)[0]]
+        points = (poses[:, :3, :3] @ shown[..., None])[..., 0] + poses[:, :3, 3]
         rows = _rows(points, POINT)
         for k, colour in enumerate(("red", "green", "blue")):
             rows[colour] = image.pixels[seen][:, k]
