@@ -33,6 +33,7 @@ def elapsed_s(sample) -> float:
     return (sample.stamp_ns - dive.START_NS) * 1e-9
 
 
+@pytest.mark.slow
 def test_a_gyroscope_that_warms_turns_the_vehicle_by_no_more_than_is_said():
     sequence = dive.SensorDive(0, dive.rig(*ALL), dive.survey_path(40.0))
     drift = np.array([6e-5, -6e-5, 8e-5])  # rad/s^2: 9e-4 rad/s per K, 0.1 K/s
@@ -42,6 +43,7 @@ def test_a_gyroscope_that_warms_turns_the_vehicle_by_no_more_than_is_said():
     assert np.abs(error[-1, 2]) < np.radians(2.7) < 0.8 * 0.5 * drift[2] * 40.0**2
 
 
+@pytest.mark.slow
 def test_a_compass_counts_for_less_beside_motors_that_come_and_go():
     calm, bent = (dive.SensorDive(0, dive.rig(*ALL), dive.survey_path(40.0)) for _ in range(2))
 

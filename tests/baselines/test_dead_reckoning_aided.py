@@ -218,6 +218,7 @@ def test_each_beam_that_is_left_helps():
     assert np.mean(values) < chi2.ppf(0.999, 6 * len(values)) / len(values)
 
 
+@pytest.mark.slow
 def test_waves_are_told_from_the_readings_and_do_not_pull_the_depth():
     """A swell of 8 cm and 5 s at the sensor, as a shallow reef has it, in the readings alone: no state knows of it."""
     sequence = make(3, ("dvl", "pressure"), 40.0)

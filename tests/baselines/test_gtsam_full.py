@@ -146,6 +146,7 @@ def test_the_smoothed_path_is_the_better_one_and_has_covariances_too():
     assert 0.3 < np.mean(nees(sequence, smoothed)) < 15
 
 
+@pytest.mark.slow
 def test_a_rig_with_depth_and_no_dvl_starts_from_pictures_and_keeps_its_height():
     sequence = dive.SensorDive(3, dive.rig("pressure"), dive.survey_path(20.0, resting=False))
     estimator = estimate(sequence, tracks(sequence, 3, (np.inf, np.inf)))
@@ -158,6 +159,7 @@ def test_a_rig_with_depth_and_no_dvl_starts_from_pictures_and_keeps_its_height()
     assert np.ptp(height) < 0.05
 
 
+@pytest.mark.slow
 def test_without_a_dvl_the_window_has_the_compass_that_the_filter_has():
     sequence = dive.SensorDive(0, dive.rig("pressure", "magnetometer"), dive.survey_path(20.0, resting=False))
     estimator = estimate(sequence, tracks(sequence, 0, (np.inf, np.inf)))

@@ -98,6 +98,7 @@ def test_pictures_carry_it_while_the_dvl_has_lost_the_bottom(keep):
     assert "restarts" not in estimator.info
 
 
+@pytest.mark.slow
 def test_ranges_count_only_where_the_dvl_gives_no_velocity():
     """From 6 s to 10 s it measures how far the bottom is, and not how fast it passes."""
     sequence = make(2, 12.0)
@@ -129,6 +130,7 @@ def test_neither_pictures_nor_a_dvl_for_five_seconds_leave_it_unsure_and_not_los
     assert np.linalg.norm(off[-1] - off[145]) < 0.05  # what is lost is lost, and no more
 
 
+@pytest.mark.slow
 def test_a_picture_that_stands_still_is_no_rest_while_the_vehicle_is_known_to_move():
     """A veil, or spots on the port: from 6 s to 12 s forty points stay where they are in the picture."""
     sequence, generator = make(6, 16.0), np.random.default_rng(6)
@@ -143,6 +145,7 @@ def test_a_picture_that_stands_still_is_no_rest_while_the_vehicle_is_known_to_mo
         assert off_m(sequence, trajectory).max() < 0.01 * sequence.truth().path_length
 
 
+@pytest.mark.slow
 def test_spikes_of_pressure_and_a_wreck_beside_the_compass_are_refused():
     generator = np.random.default_rng(0)
     sequence = make(4, 16.0)

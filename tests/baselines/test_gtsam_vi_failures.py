@@ -119,6 +119,7 @@ def test_the_covariance_grows_while_nothing_is_seen():
     assert within > 1.5 * before
 
 
+@pytest.mark.slow
 def test_no_pose_is_given_long_after_the_last_picture():
     def cut(seconds: float, pixels: Picture) -> Picture | None:
         return pixels if seconds < BEGIN_S else None

@@ -231,6 +231,7 @@ def test_nothing_to_learn_from_is_said(footage):
 # Training
 
 
+@pytest.mark.slow
 def test_a_short_training_lowers_the_loss(footage, tmp_path):
     found = train([footage], tmp_path / "one.pt", small(30, pairs=QUIET), 0)
     assert np.mean(found.losses[-10:]) < np.mean(found.losses[:10]) - 0.2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import pytest
 
 from oysterbench.core.geometry import align_yaw
 from oysterbench_baselines.gtsam_vi import GtsamVi
@@ -13,6 +14,7 @@ from tests.baselines.test_gtsam_vi import FlatBottom, position_error
 from tests.helpers import synthetic_dive as dive
 
 
+@pytest.mark.slow
 def test_landmarks_lie_on_the_ground_and_have_its_colours():
     sequence = FlatBottom(7.0)
     truth = sequence.truth()

@@ -249,6 +249,7 @@ def test_views_discounted_say_as_much_less_and_other_factors_as_much_as_before()
     np.testing.assert_allclose(less.marginalCovariance(1), full.marginalCovariance(1), rtol=1e-4, atol=1e-24)
 
 
+@pytest.mark.slow
 def test_what_is_reported_of_errors_does_not_change_the_estimate():
     measured = dive.make_dive(0, duration_s=8.0)
     sure, unsure = (

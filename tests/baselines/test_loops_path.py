@@ -142,6 +142,7 @@ def test_loops_lower_the_error_of_both_paths(lap_and_a_half, plain, closed):
     assert position_error(truth, closed.smoothed()) < 0.5 * position_error(truth, plain.smoothed())
 
 
+@pytest.mark.slow
 def test_loops_that_contradict_odometry_are_refused(lap_and_a_half, plain):
     estimator = estimate(lap_and_a_half, loops=True, false_m=0.8)
     assert estimator.loops is not None
@@ -208,6 +209,7 @@ def test_what_does_not_meet_in_a_point_stays_apart(plain):
     assert len(joined[second.index].observations.ids) <= len(second.observations.ids) + 1
 
 
+@pytest.mark.slow
 def test_passes_that_share_no_landmarks_are_tied_by_poses(lap_and_a_half, plain):
     """With no landmark shared it is the ties that close the lap."""
     estimator = estimate(lap_and_a_half, loops=True, merge_keyframes=1)
@@ -220,6 +222,7 @@ def test_passes_that_share_no_landmarks_are_tied_by_poses(lap_and_a_half, plain)
     assert position_error(truth, estimator.smoothed()) < 0.7 * position_error(truth, plain.smoothed())
 
 
+@pytest.mark.slow
 def test_pieces_of_a_long_path_share_no_landmark_and_ties_close_the_lap(lap_and_a_half, plain, closed):
     """In pieces it is as good as in one, and none of its pieces is much of it."""
     model, whole = closed.model, closed.model.settings

@@ -327,6 +327,7 @@ def test_the_checkpoint_is_an_option_of_the_method(checkpoint):
     assert predicted.probability.shape == (48, 64)
 
 
+@pytest.mark.slow
 def test_the_command_trains_and_says_where_the_checkpoint_is(home, tmp_path):
     small_set(tmp_path / "set", {"one": ("train", 2), "two": ("test", 1)})
     words = ["train", "unet", "--data", str(tmp_path / "set"), "--side", "train", "--steps", "1", "--threads", "1"]

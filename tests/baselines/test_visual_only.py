@@ -147,6 +147,7 @@ def test_after_a_long_time_without_sight_it_begins_again_where_it_would_have_gon
     assert metrics["ate_percent"] < 5.0  # 1.5 s at half a metre a second are guessed
 
 
+@pytest.mark.slow
 def test_one_camera_begins_again_in_the_unit_that_it_had():
     sequence = Bottom(ONE, 12.0, blind=(5.0, 6.5))
     estimate = VisualOnly().run(sequence)

@@ -7,6 +7,7 @@ import pytest
 from tests.helpers.kills import check, run
 
 
+@pytest.mark.slow
 def test_two_kills_lose_nothing_and_score_nothing_twice(tmp_path):
     check(run(tmp_path, 2), 2)
 

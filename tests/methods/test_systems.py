@@ -86,6 +86,7 @@ def test_a_system_is_built_and_run_by_name(toy, dive_file, tmp_path):
 
 
 @needs_tools
+@pytest.mark.slow
 def test_a_changed_configuration_or_recipe_is_another_run(toy, dive_file, tmp_path):
     building.build(find_system("toy"), [tmp_path / "upstream"], announce=lambda text: None)
     words = ("run", "toy", "--on", dive_file, "--out", tmp_path / "out")

@@ -104,6 +104,7 @@ def test_a_file_of_weights_is_known_by_its_content(toy, tmp_path, monkeypatch):
     assert changed.settings["weights"] != plain.settings["weights"]
 
 
+@pytest.mark.slow
 def test_other_weights_under_the_home_are_another_run(toy, pictures, tmp_path):
     words = ("run", "toy_masks", "--on", pictures, "--out", tmp_path / "out")
     assert oysterbench_command(*words).returncode == 0
@@ -113,6 +114,7 @@ def test_other_weights_under_the_home_are_another_run(toy, pictures, tmp_path):
     assert "another toy_masks (weights changed)" in changed.stderr
 
 
+@pytest.mark.slow
 def test_requirements_of_python_are_installed_beside_what_is_here(toy):
     """What this environment has already, torch among it, is shared and not installed again."""
     manifest = toy / "system.toml"

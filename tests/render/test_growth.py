@@ -106,6 +106,7 @@ def test_infill_hides_parts_of_oysters_and_shows_bottom_there(bare):
     assert np.mean(filled.classes[changed] == BOTTOM) > 0.95
 
 
+@pytest.mark.slow
 def test_algae_and_litter_are_plants_and_hide_what_is_under_them(bare):
     grown = frame_of(algae_per_m2=200.0, litter_per_m2=60.0)
     changed = grown.classes != bare.classes
@@ -125,6 +126,7 @@ def test_soft_shade_takes_light_away_in_patches(bare):
     assert blocks.std(axis=(1, 3)).mean() < 0.5 * blocks.mean(axis=(1, 3)).std(), "smooth over many pixels"
 
 
+@pytest.mark.slow
 def test_the_same_reef_is_covered_the_same_again():
     keys = {"drape": 0.5, "turf": 0.5, "grit": 0.5, "burrows": 0.5, "infill_mm": 10.0, "algae_per_m2": 20.0}
     assert np.array_equal(frame_of(**keys).colour, frame_of(**keys).colour)

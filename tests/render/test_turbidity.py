@@ -147,6 +147,7 @@ def test_caustics_fade_under_silt() -> None:
     assert 0.2 * clear.std() < under.std() < 0.75 * clear.std()
 
 
+@pytest.mark.slow
 def test_lamps_light_a_plume_and_not_what_is_behind_it() -> None:
     night = {"daylight": 0.0}
     place = (0.6, 0.0, -2.6)
@@ -159,6 +160,7 @@ def test_lamps_light_a_plume_and_not_what_is_behind_it() -> None:
     assert plume["direct"][middle].mean() < 0.2 * without["direct"][middle].mean()
 
 
+@pytest.mark.slow
 def test_detail_is_lost_in_silt_and_not_only_light() -> None:
     """What silt scatters forward arrives blurred, whatever forward_blur says of the water."""
     reef = {"bottom": "mud"}
