@@ -67,7 +67,8 @@ def labelled_camera(sequence: Sequence) -> str:
 
 
 def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
-    """Of the true poses and depths, and the table of oysters: middles that lie on what was seen.
+    """Of the true poses and depths, and the table of oysters: those with their middle on what was seen, and those that
+    a picture shows whole, as the reef's relief may hide the ground at their middle.
 
     An oyster is shown where some picture has `least_px` of it within the greatest distance.
     """
@@ -75,6 +76,9 @@ def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
     poses, lens = PoseInterpolator(truth, settings.max_gap_s), Lens(camera, calibration)
     cover = empty_cover(truth, settings)
     most: Counter[int] = Counter()
+    whole: set[int] = set()
+    edge = np.ones(lens.shape, dtype=bool)
+    edge[settings.border_px : -settings.border_px, settings.border_px : -settings.border_px] = False
     for depth, picture in zip(sequence.layer(camera, "depth"), true_seen(sequence, camera), strict=True):
         frame = shown_at(sequence, camera, depth.stamp_ns)
         T_map_cam = None if frame is None else poses.of_rows(calibration, frame[1])
@@ -86,9 +90,11 @@ def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
         numbers, pixels = np.unique(picture.numbers[near], return_counts=True)
         for number, count in zip(numbers.tolist(), pixels.tolist(), strict=True):
             most[number] = max(most[number], count)
+        enough = set(numbers[pixels >= settings.least_px].tolist())
+        whole |= enough.difference(np.unique(picture.numbers[edge | ~near]).tolist())
     table, states = sequence.oysters(), true_states(sequence)
     centres = oyster_centres(table)
-    there = cover.holds(centres[:, :2])
+    there = cover.holds(centres[:, :2]) | np.isin(table["id"], sorted(whole))
     shown = np.array([most[int(number)] >= settings.least_px for number in table["id"]], dtype=bool)
     oysters = [
         Oyster(centre, states[int(number)], 1)

@@ -154,6 +154,23 @@ def test_scores_take_a_map_of_the_truth_for_true(once):
     assert runs["turned"]["cell_mae_per_m2"] == pytest.approx(runs[TRUE_POSES]["cell_mae_per_m2"], abs=0.5)
 
 
+@pytest.mark.parametrize(
+    ("aside", "shown"), [(0.0, 1), (0.6, 0)]
+)  # whole in the middle of the picture, cut at its edge
+def test_an_oyster_that_is_shown_whole_counts_where_relief_hides_the_ground_at_its_middle(aside, shown):
+    class Hollow(FlatReef):
+        def layer(self, camera, layer, start_ns=None, end_ns=None):
+            for image in super().layer(camera, layer, start_ns, end_ns):
+                middle = np.array([59.5, 79.5 + 115 * aside])
+                hidden = np.hypot(*(np.indices(image.pixels.shape) - middle[:, None, None])) < 10
+                yield replace(image, pixels=np.where(hidden, 0, image.pixels))
+
+    one = replace(DISCS, centres=np.zeros((1, 2)), radii=np.array([0.2]), live=np.array([True]))
+    truth = true_map(Hollow(np.array([[0.0, aside]]), one), "cam", SETTINGS)
+    assert not truth.cover.holds(one.centres).any()
+    assert truth.count.shown == shown
+
+
 def test_a_path_that_cannot_be_mapped_is_a_failure_in_the_results(once):
     late = replace(once.truth(), stamps_ns=once.stamps + 10**12)
     runs = list(evaluate_maps(MappedSequence(once, "cam", {"late": late}), None, SETTINGS))

@@ -11,7 +11,7 @@ from oysterbench.evaluate.measures import Measures, Score
 
 __all__ = ["EVALUATOR", "METRICS", "Cell", "MapCount", "TrueCount", "score_density"]
 
-EVALUATOR = "density 1"
+EVALUATOR = "density 2"
 """Name and version of this evaluator; the version rises whenever a number may change."""
 
 CLASS_EDGES_PER_M2 = (15.0, 50.0)
