@@ -24,14 +24,14 @@ from oysterbench.report.geotiff import Place, geotiff
 from oysterbench.report.renderers.html import FOLDER
 from oysterbench.results.records import plain
 
-BANDS = ("live_per_m2", "low_per_m2", "high_per_m2", "seen_m2")
-"""Of density.tif, in their order."""
+BANDS = ("low_per_m2", "high_per_m2", "seen_m2")
+"""Of density.tif, in their order, after that of the density itself (`density_name`)."""
 
 FILES = {
     "grid.csv": "cells with counts, intervals and classes",
     "oysters.csv": "every oyster with its position",
     "summary.json": "totals, with the settings",
-    "density.tif": "cells as GeoTIFF: " + ", ".join(BANDS),
+    "density.tif": "cells as GeoTIFF: density, " + ", ".join(BANDS),
     "mosaic.tif": "the seen ground, from above, as GeoTIFF",
     "density.png": "cells as an image, with density.pgw",
     "mosaic.png": "the seen ground as an image, with mosaic.pgw",
@@ -82,8 +82,17 @@ def geotiffs(found: OysterMap, colours: NDArray[np.uint8]) -> dict[str, bytes]:
     seen = np.where(grid.area_m2 > 0, grid.area_m2, np.nan)
     return {
         "mosaic.tif": geotiff(colours, Place(raster.west_m, raster.north_m, raster.edge_m, frame)),
-        "density.tif": geotiff(np.dstack([bands, seen]), Place(grid.west_m, grid.north_m, grid.cell_m, frame), BANDS),
+        "density.tif": geotiff(
+            np.dstack([bands, seen]),
+            Place(grid.west_m, grid.north_m, grid.cell_m, frame),
+            (density_name(found), *BANDS),
+        ),
     }
+
+
+def density_name(found: OysterMap) -> str:
+    """What the density is of: live oysters, or, where no state is known, all of them."""
+    return "live_per_m2" if found.total.told else "oysters_per_m2"
 
 
 def world_file(found: OysterMap) -> bytes:
@@ -96,7 +105,7 @@ def world_file(found: OysterMap) -> bytes:
 
 def grid_rows(found: OysterMap) -> Iterable[dict[str, Any]]:
     """A line per cell of which anything was seen; no number where too little was."""
-    grid = found.grid
+    grid, density = found.grid, density_name(found)
     for row, column in zip(*np.nonzero(grid.area_m2 > 0), strict=True):
         at = (row, column)
         known = bool(grid.known[at])
@@ -106,7 +115,7 @@ def grid_rows(found: OysterMap) -> Iterable[dict[str, Any]]:
             "cell_m": grid.cell_m,
             "seen_m2": round(float(grid.area_m2[at]), 4),
             **{state: float(counts[at]) for state, counts in grid.counts.items()},
-            "live_per_m2": round(float(grid.density[at]), 3) if known else "",
+            density: round(float(grid.density[at]), 3) if known else "",
             "low_per_m2": round(float(grid.low[at]), 3) if known else "",
             "high_per_m2": round(float(grid.high[at]), 3) if known else "",
             "class": CLASSES[int(grid.classes[at])] if known else "",
@@ -152,8 +161,8 @@ def summary(found: OysterMap) -> dict[str, Any]:
                 "entries": len(found.oysters),
                 "cut": sum(one.weight < 1.0 for one in found.oysters),
             },
-            "states_known": total.told,  # if not, all are taken to be live
-            "live_per_m2": {
+            "states_known": total.told,  # if not, all count for the classes
+            density_name(found): {
                 "mean": total.live_per_m2,
                 "low": total.low_per_m2,
                 "high": total.high_per_m2,

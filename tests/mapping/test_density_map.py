@@ -14,7 +14,7 @@ import pytest
 from oysterbench.core.errors import LabelError, OysterbenchError, SequenceError, TrajectoryError
 from oysterbench.core.trajectory import write_tum
 from oysterbench.mapping import MapSettings, Seen, build_map, read_seen, true_seen
-from oysterbench.report.density_files import map_page, summary, write_map
+from oysterbench.report.density_files import geotiffs, grid_rows, map_page, summary, write_map
 from oysterbench.tracks.mapping_evaluation import TRUE_POSES, MappedSequence, evaluate_maps, map_count, true_map
 from tests.helpers.flat_reef import BEGIN, BOTTOM, CAMERA, LANE, FlatReef, moved, scattered
 
@@ -268,6 +268,13 @@ def test_masks_from_files_give_the_map_of_the_same_masks(once, found, tmp_path):
     assert all(words in page for words in ("Live or dead, per m", "oysters, live or dead unknown, per m"))
     assert not summary(read)["states_known"]
     assert summary(found)["states_known"]
+    for one, has, lacks in ((read, "oysters_per_m2", "live_per_m2"), (found, "live_per_m2", "oysters_per_m2")):
+        for names in (summary(one), next(iter(grid_rows(one)))):
+            assert has in names
+            assert lacks not in names
+        density = geotiffs(one, np.zeros((*one.cover.views.shape, 4), dtype=np.uint8))["density.tif"]
+        assert has.encode() in density
+        assert lacks.encode() not in density
     for k, stamp in enumerate(once.stamps):
         cv2.imwrite(str(folder / f"{stamp}.png"), ((once.numbers(k) > 0) * 255).astype(np.uint8))
     cut = map_of(once, seen=lambda: read_seen(tmp_path, once, "cam", "mask", 0.5))
