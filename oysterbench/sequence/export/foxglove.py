@@ -2,7 +2,7 @@
 
 The file is what the app writes under "Export layout to file" and reads under "Import from file": panels by their ids,
 `TYPE!NAME`, and a binary tree of where they stand. Keys of the panels are those of Foxglove's SDK (foxglove.layouts).
-Lichtblick reads the same.
+Lichtblick reads the same, but passes over `fixedFrame` and `axisScalesMode`, and has a key of its own for titles.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import Any
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.ros import BASE, IMAGE, MAP, POINTS
-from oysterbench.recipe import CLASSES
 from oysterbench.sensors.camera_messages import CAMERA_INFO, COLOUR, LAYERS
 from oysterbench.sensors.panels import white_of
 from oysterbench.sequence.export import mcap
@@ -31,11 +30,19 @@ PANEL_SCHEMAS = {
 }
 """Panel, or part of one -> the types of messages that it shows, of those that sequences hold; a plot takes all."""
 
-SHOWN_ENCODINGS = ("mono8", "16UC1", "32FC1")
-"""Of layers, those that the image panel can show: it takes no pictures of two or three floating-point numbers."""
+TITLES = ("foxglovePanelTitle", "lichtblickPanelTitle")
+"""Keys of a panel's title: Foxglove's, and Lichtblick's."""
 
-GREATEST = {"depth": 8000, "class": max(CLASSES), "instance": 2000, "dynamic": 1, "visibility": 1, "transmittance": 1}
-"""Layer -> value that is shown brightest; depth in mm."""
+KNOWN_LENSES = ("plumb_bob",)
+"""Distortion models whose calibration a panel can use. With that of another, the image panel shows no picture at all;
+with none it shows the picture as it was taken."""
+
+SHOWN_ENCODINGS = ("16UC1", "32FC1")
+"""Of layers, those that the image panel can show: it takes no pictures of two or three floating-point numbers, and
+mono8 it may draw as grey from 0 to 255, whatever the scale: classes, from 0 to 11, are black then."""
+
+GREATEST = {"depth": 8000, "visibility": 1, "transmittance": 1}
+"""Layer -> value that is shown in the last colour; depth in mm. That of instances is of the sequence."""
 
 PLOTS: dict[str, tuple[tuple[str, str, tuple[str, ...]], ...]] = {
     "sensor_msgs/msg/Imu": (
@@ -46,12 +53,19 @@ PLOTS: dict[str, tuple[tuple[str, str, tuple[str, ...]], ...]] = {
     "sensor_msgs/msg/FluidPressure": (("pressure, Pa", "fluid_pressure", ()),),
     "sensor_msgs/msg/Range": (("range, m", "range", ()),),
     "sensor_msgs/msg/MagneticField": (("magnetic field, T", "magnetic_field", ("x", "y", "z")),),
-    "nav_msgs/msg/Odometry": (("speed, m/s", "twist.twist.linear", ("x", "y", "z")),),
+    "nav_msgs/msg/Odometry": (("velocity, m/s", "twist.twist.linear", ("x", "y", "z")),),
 }
 """Type -> plots of a topic of it: unit, field, and the parts of that field that share the plot."""
 
+LIMITS = {"magnetic_field": 1e-4}
+"""Field -> limits of its plot, from minus to plus, in its unit: left alone, axes of Lichtblick end at a thousandth or
+more, and the Earth's field, of up to 67 µT, is a flat line."""
+
 COLOURS = ("#4e98e2", "#f5774d", "#2ecf9f")
 """Of x, y and z, as in the pages of `oysterbench view`."""
+
+LEGEND_PX = 60
+"""Width of a plot's legend, beside the curves: a floating one lies over them."""
 
 Node = str | dict[str, Any]
 
@@ -77,12 +91,12 @@ def layout(sequence: Sequence) -> dict[str, Any]:
             f"{sequence.name}: a layout needs the topics of a sequence file (.mcap), and this is not one"
         )
     panels: dict[str, Any] = {}
-    cameras = [_image(panels, name, f"/{name}/image", f"/{name}/camera_info") for name in sequence.cameras]
+    cameras = [_image(panels, name, f"/{name}/image", _calibration(sequence, name)) for name in sequence.cameras]
     sonars = [_sonar(panels, sequence, name) for name in sequence.sonars if f"/{name}/image" in types]
     layers = _layers(panels, sequence, types)
     left = [*cameras, *([layers] if layers else []), *sonars]
     right = [_scene(panels, sequence, types), *_from_above(panels, types)]
-    columns = [_stacked("column", left), _stacked("column", [_stacked("row", right), _plots(panels, types)])]
+    columns = [_pictures(left), _stacked("column", [_stacked("row", right), _plots(panels, types)])]
     return {
         "configById": panels,
         "globalVariables": {},
@@ -94,7 +108,12 @@ def layout(sequence: Sequence) -> dict[str, Any]:
 
 def _image(panels: dict[str, Any], name: str, topic: str, calibration: str | None = None, **shown: Any) -> str:
     mode = {"imageTopic": topic, **({"calibrationTopic": calibration} if calibration else {}), **shown}
-    return _panel(panels, f"Image!{name}", {"imageMode": mode, "foxglovePanelTitle": topic})
+    return _panel(panels, f"Image!{name}", {"imageMode": mode}, topic)
+
+
+def _calibration(sequence: Sequence, name: str) -> str | None:
+    """Topic of a camera's calibration; None where the panels do not know its lens."""
+    return f"/{name}/camera_info" if sequence.cameras[name].distortion_model in KNOWN_LENSES else None
 
 
 def _sonar(panels: dict[str, Any], sequence: Sequence, name: str) -> str:
@@ -110,68 +129,94 @@ def _scale(greatest: float) -> dict[str, Any]:
 
 def _layers(panels: dict[str, Any], sequence: Sequence, types: dict[str, str]) -> str | None:
     """A tab for each layer of truth; None without any."""
+    shown = [layer for layer, encoding in LAYERS.items() if encoding in SHOWN_ENCODINGS]
+    there = {name: [layer for layer in shown if f"/{name}/{layer}" in types] for name in sequence.cameras}
+    several = len([layers for layers in there.values() if layers]) > 1
     tabs = []
-    for name in sequence.cameras:
-        for layer, encoding in LAYERS.items():
-            topic = f"/{name}/{layer}"
-            if topic in types and encoding in SHOWN_ENCODINGS:
-                scale = _scale(GREATEST[layer])
-                panel = _image(panels, f"{name}_{layer}", topic, f"/{name}/camera_info", **scale)
-                tabs.append({"title": f"{name} {layer}", "layout": panel})
+    for name, layers in there.items():
+        for layer in layers:
+            topic, scale = f"/{name}/{layer}", _scale(_greatest(sequence, name, layer))
+            panel = _image(panels, f"{name}_{layer}", topic, _calibration(sequence, name), **scale)
+            tabs.append({"title": f"{layer} {name}" if several else layer, "layout": panel})
     return _panel(panels, "Tab!layers", {"activeTabIdx": 0, "tabs": tabs}) if tabs else None
+
+
+def _greatest(sequence: Sequence, name: str, layer: str) -> float:
+    """The value of a layer that is shown in the last colour.
+
+    Of instances, the number of the last oyster, or the greatest in the first picture where that is greater: stones and
+    shells come after the oysters, and can be most of what is seen.
+    """
+    if layer != "instance":
+        return GREATEST[layer]
+    first = next(sequence.layer(name, layer), None)
+    return int(max([1, *sequence.oysters()["id"], *([] if first is None else [first.pixels.max()])]))
 
 
 def _scene(panels: dict[str, Any], sequence: Sequence, types: dict[str, str]) -> str:
     """Frames by /tf and /tf_static, pose, clouds, and where the cameras look, in `map` or, without truth, in the
     body."""
     true = TF in types
-    topics: dict[str, Any] = {f"/{name}/camera_info": {"visible": True, "distance": 0.5} for name in sequence.cameras}
+    calibrations = [_calibration(sequence, name) for name in sequence.cameras]
+    topics: dict[str, Any] = {topic: {"visible": True, "distance": 0.5} for topic in calibrations if topic}
     if TRUTH_POSE in types:
         topics[TRUTH_POSE] = {"visible": True, "type": "arrow", "arrowScale": [0.6, 0.1, 0.1], "color": "#f5774dff"}
     for topic, kind in types.items():
         if kind == POINTS:
-            topics[topic] = {"visible": True, "pointSize": 3, "colorMode": "colormap", "colorMap": "turbo",
+            topics[topic] = {"visible": True, "pointSize": 5, "colorMode": "colormap", "colorMap": "turbo",
                              "colorField": "z", "decayTime": 5 if true else 0}  # fmt: skip
     grid = {"visible": True, "layerId": "foxglove.Grid", "instanceId": "grid", "label": "metres", "size": 20,
-            "divisions": 20, "lineWidth": 1, "color": "#80808066", "frameId": MAP if true else BASE}  # fmt: skip
+            "divisions": 20, "lineWidth": 1, "color": "#80808066", "frameId": MAP if true else BASE,
+            "position": [0, 0, _level(sequence) if true else 0]}  # fmt: skip
     return _panel(
         panels,
         "3D!scene",
         {
-            "foxglovePanelTitle": "path and frames" if true else "frames of the vehicle",
-            "cameraState": {"distance": 8, "perspective": True, "phi": 50, "thetaOffset": 45, "fovy": 45,
+            "cameraState": {"distance": 5, "perspective": True, "phi": 50, "thetaOffset": 45, "fovy": 45,
                             "near": 0.05, "far": 5000, "target": [0, 0, 0], "targetOffset": [0, 0, 0],
                             "targetOrientation": [0, 0, 0, 1]},
             "followMode": "follow-position",
             "followTf": BASE,
             **({"fixedFrame": MAP} if true else {}),
-            "scene": {"transforms": {"axisScale": 0.3, "showLabel": False}},
+            "scene": {"transforms": {"showLabel": False, "lineWidth": 1, "lineColor": "#80808080"}},
             "transforms": {f"frame:{BASE}": {"visible": True}},
             "layers": {"grid": grid},
             "topics": topics,
         },
+        "vehicle and frames" if true else "frames of the vehicle",
     )  # fmt: skip
 
 
+def _level(sequence: Sequence) -> float:
+    """Height in map at which the dive begins, in m: the origin of map is at the surface, metres above the vehicle."""
+    return round(float(sequence.truth().positions[0, 2]), 2)
+
+
 def _from_above(panels: dict[str, Any], types: dict[str, str]) -> list[str]:
-    """The whole path from above, as a plot of y over x."""
-    if TRUTH not in types:
+    """The whole path from above, as a plot of y over x.
+
+    Of two topics with the same stamps, paired one by one: Lichtblick 1.28 draws no curve whose x and y are of one.
+    """
+    if TRUTH not in types or TRUTH_POSE not in types:
         return []
-    at = f"{TRUTH}.pose.pose.position"
-    path = {"value": f"{at}.y", "enabled": True, "label": "true path", "timestampMethod": "headerStamp"}
-    config = {"paths": [path], "xAxisVal": "custom", "xAxisPath": {"value": f"{at}.x", "enabled": True},
+    x, y = f"{TRUTH_POSE}.pose.position.x", f"{TRUTH}.pose.pose.position.y"
+    path = {"value": y, "enabled": True, "label": "true path", "color": COLOURS[0], "timestampMethod": "headerStamp",
+            "showLine": True}  # fmt: skip
+    config = {"paths": [path], "xAxisVal": "custom", "xAxisPath": {"value": x, "enabled": True},
               "axisScalesMode": "lockedScales", "xAxisLabel": "east, m", "yAxisLabel": "north, m",
-              "showLegend": False, "foxglovePanelTitle": "path from above"}  # fmt: skip
-    return [_panel(panels, "Plot!from_above", config)]
+              "showLegend": False}  # fmt: skip
+    return [_panel(panels, "Plot!from_above", config, "path from above")]
 
 
 def _plots(panels: dict[str, Any], types: dict[str, str]) -> Node | None:
     """Curves over time, a tab for each topic that has some; those of a topic one under the other."""
+    topics = [topic for topic, kind in types.items() if kind in PLOTS]
+    sensors = [topic.split("/")[1] for topic in topics]
     tabs = []
-    for topic, kind in types.items():
-        made = [_plot(panels, topic, *plot) for plot in PLOTS.get(kind, ())]
-        if made:
-            tabs.append({"title": topic, "layout": _stacked("column", made)})
+    for topic, sensor in zip(topics, sensors, strict=True):
+        made = [_plot(panels, topic, *plot) for plot in PLOTS[types[topic]]]
+        title = sensor if sensors.count(sensor) == 1 else topic.strip("/")
+        tabs.append({"title": title, "layout": _stacked("column", made)})
     return _panel(panels, "Tab!plots", {"activeTabIdx": 0, "tabs": tabs}) if tabs else None
 
 
@@ -182,13 +227,23 @@ def _plot(panels: dict[str, Any], topic: str, unit: str, field: str, parts: tupl
         for part, colour in zip(parts or ("",), COLOURS, strict=False)
     ]  # fmt: skip
     config = {"paths": paths, "xAxisVal": "timestamp", "isSynced": True, "yAxisLabel": unit, "showLegend": bool(parts),
-              "legendDisplay": "floating", "foxglovePanelTitle": f"{topic} {unit}"}  # fmt: skip
-    return _panel(panels, f"Plot!{topic.strip('/').replace('/', '_')}_{field.replace('.', '_')}", config)
+              "legendDisplay": "left", "sidebarDimension": LEGEND_PX}  # fmt: skip
+    if field in LIMITS:
+        config |= {"minYValue": -LIMITS[field], "maxYValue": LIMITS[field]}
+    key = f"Plot!{topic.strip('/').replace('/', '_')}_{field.replace('.', '_')}"
+    return _panel(panels, key, config, f"{topic} {unit}")
 
 
-def _panel(panels: dict[str, Any], key: str, config: dict[str, Any]) -> str:
-    panels[key] = config
+def _panel(panels: dict[str, Any], key: str, config: dict[str, Any], title: str = "") -> str:
+    panels[key] = config | (dict.fromkeys(TITLES, title) if title else {})
     return key
+
+
+def _pictures(nodes: Several[Node]) -> Node | None:
+    """Two one under the other; more of them in rows of two, as one column would leave each a strip."""
+    if len(nodes) < 3:
+        return _stacked("column", nodes)
+    return _stacked("column", [_stacked("row", nodes[i : i + 2]) for i in range(0, len(nodes), 2)])
 
 
 def _stacked(direction: str, nodes: Several[Node | None]) -> Node | None:
