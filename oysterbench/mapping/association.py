@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from oysterbench.core.geometry import Array
 from oysterbench.mapping.overlap import overlaps, own_overlaps
 from oysterbench.mapping.projection import Patch
+from oysterbench.mapping.registration import FINEST_M, register
 from oysterbench.mapping.settings import MapSettings
 from oysterbench.mapping.track import OysterTrack
 
@@ -26,6 +27,7 @@ FORBIDDEN = 1e6
 FAR_COST = 0.3  # of two middles that are reach_m apart, beside an overlap of 1: it decides between equal overlaps
 ROUNDS = 5  # of putting parts together, each of which joins a part to one other at most
 SHIFT_FROM = 5  # pairs, for the common error of a picture to be taken out
+NEARLY_ALL = 0.9  # of pictures
 
 
 class OysterTracks:
@@ -34,23 +36,40 @@ class OysterTracks:
     def __init__(self, settings: MapSettings) -> None:
         self.settings = settings
         self.tracks: list[OysterTrack] = []
-        self.exact = True
+        self._sure: list[bool] = []
+
+    @property
+    def exact(self) -> bool:
+        """Whether places of nearly all pictures are sure enough for shells to be told apart by how far they overlap."""
+        return not self._sure or float(np.mean(self._sure)) >= NEARLY_ALL
 
     def add(self, found: Sequence[Patch]) -> None:
         """The oysters of one picture more."""
         if not found:
             return
-        self.exact = self.exact and float(np.mean([patch.sigma_m for patch in found])) <= self.settings.exact_m
         known = self._near(found)
-        pairs = self._assign(found, known)
-        if not self.exact and len(pairs) >= SHIFT_FROM:
+        found = self._laid(found, known)
+        exact = float(np.mean([patch.sigma_m for patch in found])) <= self.settings.exact_m
+        self._sure.append(exact)
+        pairs = self._assign(found, known, exact)
+        if not exact and len(pairs) >= SHIFT_FROM:
             shift = np.median([known[j].centre - found[i].centre for i, j in pairs], axis=0)
             found = [patch.moved(shift) for patch in found]
-            pairs = self._assign(found, known)
+            pairs = self._assign(found, known, exact)
         for i, j in pairs:
             known[j].add([found[i]], found[i].points)
         taken = {i for i, _ in pairs}
         self.tracks += [OysterTrack(patch) for i, patch in enumerate(found) if i not in taken]
+
+    def _laid(self, found: Sequence[Patch], known: Sequence[OysterTrack]) -> Sequence[Patch]:
+        """The oysters of a picture on the map, as far as they tell where it lies better than its pose; where nothing is
+        known near it, it begins a map of its own."""
+        if float(np.mean([patch.pose_sigma_m for patch in found])) <= FINEST_M:
+            return found
+        if not known:
+            return [patch.laid(np.zeros(3), 0.0) for patch in found]
+        on_map = register(found, known, self.settings)
+        return found if on_map is None else [patch.laid(on_map.shift, on_map.sigma_m) for patch in found]
 
     def _near(self, found: Sequence[Patch]) -> list[OysterTrack]:
         """Those that the picture may show."""
@@ -61,11 +80,11 @@ class OysterTracks:
         near = np.isfinite(np.asarray(tree.query(centres, distance_upper_bound=self.settings.reach_m)[0]))
         return [track for track, is_near in zip(self.tracks, near, strict=True) if is_near]
 
-    def _assign(self, found: Sequence[Patch], known: Sequence[OysterTrack]) -> list[tuple[int, int]]:
+    def _assign(self, found: Sequence[Patch], known: Sequence[OysterTrack], exact: bool) -> list[tuple[int, int]]:
         """Indices of those that are one."""
         if not known:
             return []
-        cost = self._overlap_cost(found, known) if self.exact else self._distance_cost(found, known)
+        cost = self._overlap_cost(found, known) if exact else self._distance_cost(found, known)
         rows, columns = linear_sum_assignment(cost)
         return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i, j] < FORBIDDEN]
 

@@ -42,7 +42,7 @@ class Patch:
     area_m2:       that it would have if it faced the camera
     cut:           whether the picture's edge or the greatest distance cuts it
     covariance:    (3, 3) m^2, of the centre: long along the ray, as the depth is least certain
-    sigma_m:       of where the points are, of pose and depth
+    sigma_m:       of where the points are, of pose and depth; pose_sigma_m: of the pose alone
     """
 
     frame: int
@@ -56,6 +56,17 @@ class Patch:
     sigma_m: float
     state: str = "unknown"
     score: float = 1.0
+    pose_sigma_m: float = 0.0
+
+    def laid(self, by: Array, sigma_m: float) -> Patch:
+        """The same elsewhere, where it is sure to 1 sigma but for its depth."""
+        less = self.pose_sigma_m**2 - sigma_m**2
+        return replace(
+            self.moved(by),
+            covariance=self.covariance - less * np.eye(3),
+            sigma_m=float(np.sqrt(self.sigma_m**2 - less)),
+            pose_sigma_m=sigma_m,
+        )
 
     def moved(self, by: Array) -> Patch:
         """The same elsewhere."""
@@ -149,6 +160,7 @@ def patches(
                 float(np.hypot(pose_sigma_m, depth_sigma * far)),
                 seen.states.get(number, "unknown"),
                 score,
+                pose_sigma_m,
             )
         )
     return found

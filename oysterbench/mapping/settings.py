@@ -31,7 +31,7 @@ class MapSettings:
 
     # Association.
     shell_m: float = 0.006  # 1 sigma between points of one shell in two pictures: half of their distance, and rounding
-    pose_sigma_m: float = 0.0  # 1 sigma of a pose against the map, where the trajectory has no covariances
+    pose_sigma_m: float | None = None  # 1 sigma of a pose against the map; by default of its covariance, or 5 cm
     depth_sigma: float | None = None  # 1 sigma of the depth, of the distance; by default as it is made (`depth.SIGMA`)
     middle_m: float = 0.012  # 1 sigma of the middle of what a picture shows of a shell: something hides a part of it
     cut_m: float = 0.03  # the same of a shell that the picture's edge cuts

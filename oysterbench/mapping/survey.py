@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 EXACT_PATH_M = 0.001  # that a file of the true path may differ from it
+UNSURE_M = 0.05  # 1 sigma of a path of which nobody says how sure it is, between two passes
 CUT_WEIGHT = 0.5  # of oysters that the edge of what was seen cuts, half have their middle inside
 
 
@@ -130,6 +131,7 @@ def build_map(
     poses = PoseInterpolator(trajectory, settings.max_gap_s)
     check_time(sequence, trajectory)
     depth_of = depth_source(depth, source, camera, lens, poses, settings)
+    exact = _exact(sequence, trajectory, depth, settings)
     cover = empty_cover(trajectory, settings)
     tracks = OysterTracks(settings)
     unassociated = UnassociatedCount(cover.raster)
@@ -163,7 +165,7 @@ def build_map(
         near = usable(depth_m, settings)
         cover.add(points[near], depth_m[near], image.pixels[near])
         eye = (T @ calibration.T_base_cam)[:3, 3]
-        sigma = _pose_sigma(trajectory, picture.stamp_ns, settings), sigma_of(depth, settings)
+        sigma = _pose_sigma(trajectory, picture.stamp_ns, settings, exact), sigma_of(depth, settings)
         found = patches(k, picture, points, depth_m, eye, lens.pixel_sr, *sigma, settings)
         tracks.add(found)
         unassociated.add(points[near], found)
@@ -180,7 +182,7 @@ def build_map(
         sequence.name, camera, depth, [_oyster(track) for track in joined], joined, cover, np.array(places), settings,
         **counts,
         notes=tuple(notes),
-        unassociated=None if _exact(sequence, trajectory, depth, settings) else unassociated.count,
+        unassociated=None if exact else unassociated.count,
         magnetic_north_rad=magnetic_north(source, poses),
     )  # fmt: skip
 
@@ -218,12 +220,13 @@ def empty_cover(trajectory: Trajectory, settings: MapSettings) -> Cover:
     return Cover(raster_around(trajectory.positions[:, :2], 1.5 * settings.far_m, edge, settings.cell_m))
 
 
-def _pose_sigma(trajectory: Trajectory, stamp_ns: int, settings: MapSettings) -> float:
+def _pose_sigma(trajectory: Trajectory, stamp_ns: int, settings: MapSettings, exact: bool) -> float:
     """1 sigma of the place of a pose, m: as its covariance says, or at least as the settings do."""
+    least = settings.pose_sigma_m
     if trajectory.covariances is None:
-        return settings.pose_sigma_m
+        return least if least is not None else 0.0 if exact else UNSURE_M
     k = int(np.abs(trajectory.stamps_ns - stamp_ns).argmin())
-    return max(settings.pose_sigma_m, float(np.sqrt(np.trace(trajectory.covariances[k][:3, :3]) / 3.0)))
+    return max(least or 0.0, float(np.sqrt(np.trace(trajectory.covariances[k][:3, :3]) / 3.0)))
 
 
 def _check(sequence: Sequence, camera: str, depth: str, counts: dict[str, int], used: int, any_oyster: bool) -> None:
