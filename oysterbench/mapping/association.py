@@ -1,11 +1,12 @@
 """Which oysters of different pictures are one: by where on the ground they lie, and by their shells' footprints.
 
-Picture by picture, its oysters are assigned to those that are known, each to one at most, at the least cost in all
-(Kuhn 1955). Where places are sure to a centimetre, a pair costs what their shells do not overlap; where they are not,
-the squared Mahalanobis distance of their middles, whose covariances are long along the rays, and of their sizes. What a
-picture's pose and depth err by all over it shows in its first assignment, and is taken out before the second. Then
-parts of one shell, that were never seen side by side, are put together: what hid the middle of it made two of it. Two
-oysters that one picture shows apart are never one.
+Picture by picture, its oysters lay it on the map (`mapping.registration`), and are then assigned to those that are
+known, each to one at most, at the least cost in all (Kuhn 1955). Where places are sure to a centimetre, a pair costs
+what their shells do not overlap; where they are not, the squared Mahalanobis distance of their middles, whose
+covariances are long along the rays, and of their sizes; what the picture's pose and depth then err by all over it
+shows in its first assignment, and is taken out before the second. Then parts of one shell, that were never seen side
+by side, are put together: what hid the middle of it made two of it. Two oysters that one picture shows apart are
+never one.
 """
 
 from __future__ import annotations
