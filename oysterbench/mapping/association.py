@@ -1,7 +1,7 @@
 """Which oysters of different pictures are one: by where on the ground they lie, and by their shells' footprints.
 
-Picture by picture, its oysters lay it on the map (`mapping.registration`), and are then assigned to those that are
-known, each to one at most, at the least cost in all (Kuhn 1955). Where places are sure to a centimetre, a pair costs
+Picture by picture, laid where they belong (`mapping.pose_graph`), their oysters are assigned to those that are known,
+each to one at most, at the least cost in all (Kuhn 1955). Where places are sure to a centimetre, a pair costs
 what their shells do not overlap; where they are not, the squared Mahalanobis distance of their middles, whose
 covariances are long along the rays, and of their sizes; what the picture's pose and depth then err by all over it
 shows in its first assignment, and is taken out before the second. Then parts of one shell, that were never seen side
@@ -20,7 +20,6 @@ from scipy.spatial import cKDTree
 from oysterbench.core.geometry import Array
 from oysterbench.mapping.overlap import overlaps, own_overlaps
 from oysterbench.mapping.projection import Patch
-from oysterbench.mapping.registration import FINEST_M, register
 from oysterbench.mapping.settings import MapSettings
 from oysterbench.mapping.track import OysterTrack
 
@@ -49,7 +48,6 @@ class OysterTracks:
         if not found:
             return
         known = self._near(found)
-        found = self._laid(found, known)
         exact = float(np.mean([patch.sigma_m for patch in found])) <= self.settings.exact_m
         self._sure.append(exact)
         pairs = self._assign(found, known, exact)
@@ -61,16 +59,6 @@ class OysterTracks:
             known[j].add([found[i]], found[i].points)
         taken = {i for i, _ in pairs}
         self.tracks += [OysterTrack(patch) for i, patch in enumerate(found) if i not in taken]
-
-    def _laid(self, found: Sequence[Patch], known: Sequence[OysterTrack]) -> Sequence[Patch]:
-        """The oysters of a picture on the map, as far as they tell where it lies better than its pose; where nothing is
-        known near it, it begins a map of its own."""
-        if float(np.mean([patch.pose_sigma_m for patch in found])) <= FINEST_M:
-            return found
-        if not known:
-            return [patch.laid(np.zeros(3), 0.0) for patch in found]
-        on_map = register(found, known, self.settings)
-        return found if on_map is None else [patch.laid(on_map.shift, on_map.sigma_m) for patch in found]
 
     def _near(self, found: Sequence[Patch]) -> list[OysterTrack]:
         """Those that the picture may show."""

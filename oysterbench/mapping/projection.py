@@ -58,14 +58,25 @@ class Patch:
     score: float = 1.0
     pose_sigma_m: float = 0.0
 
-    def laid(self, by: Array, sigma_m: float) -> Patch:
-        """The same elsewhere, where it is sure to 1 sigma but for its depth."""
+    def laid(self, move: Array, sigma_m: float) -> Patch:
+        """The same after a move (4, 4), where it is sure to 1 sigma but for its depth."""
         less = self.pose_sigma_m**2 - sigma_m**2
+        there = self.placed(move)
         return replace(
-            self.moved(by),
-            covariance=self.covariance - less * np.eye(3),
+            there,
+            covariance=there.covariance - less * np.eye(3),
             sigma_m=float(np.sqrt(self.sigma_m**2 - less)),
             pose_sigma_m=sigma_m,
+        )
+
+    def placed(self, move: Array) -> Patch:
+        """The same after a move (4, 4)."""
+        turn, by = move[:3, :3], move[:3, 3]
+        return replace(
+            self,
+            points=self.points @ turn.T + by,
+            centre=turn @ self.centre + by,
+            covariance=turn @ self.covariance @ turn.T,
         )
 
     def moved(self, by: Array) -> Patch:

@@ -1,9 +1,9 @@
-"""Where a picture lies on the map: the shift at which most of its oysters fall on known ones.
+"""How far two pictures are off each other: the shift at which most oysters of one fall on oysters of the other.
 
-Every pair of an oyster of the picture and a known one votes for the step between them, and the step with the most votes
-is the picture's (pose clustering, Stockman 1987; generalised Hough transform, Ballard 1981). Oysters are as near to
-each other as a path errs between two passes, so that the nearest known one is often a neighbour; but neighbours lie in
-all directions, and their votes do not add up.
+Every pair of an oyster of each votes for the step between them, and the step with the most votes is the pictures' (pose
+clustering, Stockman 1987; generalised Hough transform, Ballard 1981). Oysters are as near to each other as a path errs
+between two passes, so that the nearest one is often a neighbour; but neighbours lie in all directions, and their votes
+do not add up.
 """
 
 from __future__ import annotations
@@ -18,33 +18,40 @@ from scipy.ndimage import gaussian_filter
 from oysterbench.core.geometry import Array
 from oysterbench.mapping.projection import Patch
 from oysterbench.mapping.settings import MapSettings
-from oysterbench.mapping.track import OysterTrack
 
 Indices = NDArray[np.intp]
 
-FEWEST = 5
+FEWEST = 4
 """Pairs, for a picture to be laid by them."""
 BIN_M = 0.004  # of the table of votes
 LEAD = 4.0
 """Standard deviations by which the votes of a step exceed those of chance, which are of pairs that are none."""
-FINEST_M = 0.002  # 1 sigma of where a picture is laid, at least
+REFINED = 5  # times
+TURN_RAD = 0.05  # 1 sigma of the turn between two pictures
+FINEST_M = 0.001  # 1 sigma of a shift, at least
 
 
 @dataclass(frozen=True)
 class Registration:
-    """shift: (3,) m, of a picture onto the map; sigma_m: 1 sigma of it; pairs: that agree on it."""
+    """shift: (3,) m, of a picture onto the other, and its turn about the vertical at the point about (3,) m, each with
+    1 sigma; pairs: of oysters that agree on them."""
 
     shift: Array
+    turn_rad: float
+    about: Array
     sigma_m: float
+    sigma_rad: float
     pairs: int
 
 
-def register(found: Sequence[Patch], known: Sequence[OysterTrack], settings: MapSettings) -> Registration | None:
-    """The shift of a picture; None where its oysters do not tell, as they are too few or fall on none."""
+def register(found: Sequence[Patch], known: Sequence[Patch], settings: MapSettings) -> Registration | None:
+    """The shift of one picture onto another; None where their oysters do not tell, too few or of other ground."""
+    found, known = ([one for one in picture if not one.cut] for picture in (found, known))
     if min(len(found), len(known)) < FEWEST:
         return None
     spread = settings.middle_m
-    reach = min(settings.reach_m, 3.0 * float(np.mean([one.pose_sigma_m for one in found])) + 2.0 * spread)
+    sigma = np.sqrt(sum(float(np.mean([one.pose_sigma_m for one in picture])) ** 2 for picture in (found, known)))
+    reach = min(settings.reach_m, 3.0 * sigma + 2.0 * spread)
     between = np.array([one.centre for one in known])[None] - np.array([one.centre for one in found])[:, None]
     far = np.linalg.norm(between[..., :2], axis=2)
     rows, columns = np.nonzero((far < reach + 3.0 * spread) & (np.abs(between[..., 2]) < settings.reach_m))
@@ -64,14 +71,26 @@ def register(found: Sequence[Patch], known: Sequence[OysterTrack], settings: Map
     if votes[best] < chance + LEAD * np.sqrt(max(chance, 0.5)):
         return None
 
-    shift, agreed = np.array([axis[best[0]], axis[best[1]], 0.0]), steps[:0]
-    for _ in range(3):
-        agreed = steps[_pairs(rows, columns, np.linalg.norm(steps[:, :2] - shift[:2], axis=1), 2.5 * spread)]
+    own = np.array([one.centre for one in found])[rows]
+    shift, turn, about = np.array([axis[best[0]], axis[best[1]], 0.0]), 0.0, np.zeros(3)
+    for _ in range(REFINED):
+        left = steps - shift - turn * _across(own - about)
+        agreed = _pairs(rows, columns, np.linalg.norm(left[:, :2], axis=1), 2.5 * spread)
         if len(agreed) < FEWEST:
             return None
-        shift = np.median(agreed, axis=0)
-    scatter = 1.4826 * float(np.median(np.abs(agreed[:, :2] - shift[:2])))
-    return Registration(shift, max(FINEST_M, 1.25 * scatter / np.sqrt(len(agreed))), len(agreed))
+        about = own[agreed].mean(axis=0)
+        arms = _across(own[agreed] - about)
+        weight = 1.0 / float((arms**2).sum() + (spread / TURN_RAD) ** 2)
+        shift = np.median(steps[agreed] - turn * arms, axis=0)
+        turn = weight * float(((steps[agreed] - shift) * arms).sum())
+    scatter = 1.4826 * float(np.median(np.abs((steps[agreed] - shift - turn * arms)[:, :2])))
+    sigma = max(FINEST_M, 1.25 * scatter / np.sqrt(len(agreed)))
+    return Registration(shift, turn, about, sigma, float(max(FINEST_M, scatter) * np.sqrt(weight)), len(agreed))
+
+
+def _across(arms: Array) -> Array:
+    """(N, 3) m: where points at (N, 3) m go for each radian of a turn about the vertical."""
+    return np.column_stack([-arms[:, 1], arms[:, 0], np.zeros(len(arms))])
 
 
 def _pairs(rows: Indices, columns: Indices, off: Array, most: float) -> Indices:

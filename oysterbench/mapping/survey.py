@@ -17,7 +17,8 @@ from oysterbench.mapping.cover import Cover, raster_around
 from oysterbench.mapping.depth import SIGMA, depth_source
 from oysterbench.mapping.grid import Grid, Oyster, Total, make_grid, total
 from oysterbench.mapping.north import magnetic_north
-from oysterbench.mapping.projection import Lens, Seen, patches, usable
+from oysterbench.mapping.pose_graph import laid
+from oysterbench.mapping.projection import Lens, Patch, Seen, patches, usable
 from oysterbench.mapping.settings import MapSettings
 from oysterbench.mapping.track import OysterTrack
 from oysterbench.mapping.unassociated import UnassociatedCount
@@ -133,7 +134,7 @@ def build_map(
     depth_of = depth_source(depth, source, camera, lens, poses, settings)
     exact = _exact(sequence, trajectory, depth, settings)
     cover = empty_cover(trajectory, settings)
-    tracks = OysterTracks(settings)
+    pictures = list[list[Patch]]()
     unassociated = UnassociatedCount(cover.raster)
     places, counts = [], {"pictures": 0, "without_pose": 0, "without_depth": 0}
     any_oyster = False
@@ -167,9 +168,9 @@ def build_map(
         eye = (T @ calibration.T_base_cam)[:3, 3]
         sigma = _pose_sigma(trajectory, picture.stamp_ns, settings, exact), sigma_of(depth, settings)
         found = patches(k, picture, points, depth_m, eye, lens.pixel_sr, *sigma, settings)
-        tracks.add(found)
+        pictures.append(found)
         unassociated.add(points[near], found)
-        places.append(T[:2, 3])
+        places.append(T[:3, 3])
     _check(sequence, camera, depth, counts, len(places), any_oyster or allow_none)
     notes = []
     if depth == "layer":
@@ -177,9 +178,13 @@ def build_map(
     for key, what in (("without_pose", "pose"), ("without_depth", "depth")):
         if counts[key]:
             notes.append(f"{counts[key]} of {counts['pictures']} pictures have no {what} and are left out")
+    path = np.array(places)
+    tracks = OysterTracks(settings)
+    for found in laid(pictures, path, settings):
+        tracks.add(found)
     joined = tracks.joined()
     return OysterMap(
-        sequence.name, camera, depth, [_oyster(track) for track in joined], joined, cover, np.array(places), settings,
+        sequence.name, camera, depth, [_oyster(track) for track in joined], joined, cover, path[:, :2], settings,
         **counts,
         notes=tuple(notes),
         unassociated=None if exact else unassociated.count,

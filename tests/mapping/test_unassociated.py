@@ -46,7 +46,7 @@ def test_two_sources_of_depth_give_intervals_that_hold_each_others_count(exact, 
     assert rough.unassociated == pytest.approx(exact.total.count, rel=0.15)
 
 
-@pytest.mark.parametrize("off_m", [(0.05, -0.04, 0.0), (-0.025, 0.04, 0.01), (0.06, 0.05, 0.0), (-0.1, 0.1, 0.02)])
+@pytest.mark.parametrize("off_m", [(0.05, -0.04, 0.0), (-0.025, 0.04, 0.01), (0.06, 0.05, 0.0), (-0.15, 0.15, 0.02)])
 def test_a_path_that_is_off_by_centimetres_between_passes_gives_the_true_count(exact, off_m):
     reef = FlatReef(LANES, DISCS)
     path = moved(reef.truth(), np.array(off_m), slice(len(LANE), None))
@@ -55,13 +55,13 @@ def test_a_path_that_is_off_by_centimetres_between_passes_gives_the_true_count(e
     assert found.total.count_low <= exact.total.count <= found.total.count_high
 
 
-def test_a_path_that_is_off_by_more_than_is_looked_for_has_the_true_count_in_its_interval(exact):
+def test_a_path_that_is_off_by_more_than_is_looked_for_has_the_true_density_in_its_interval(exact):
     reef = FlatReef(LANES, DISCS)
-    path = moved(reef.truth(), np.array([0.17, 0.14, 0.0]), slice(len(LANE), None))
+    path = moved(reef.truth(), np.array([0.28, 0.24, 0.0]), slice(len(LANE), None))
     rough = map_of(reef, path, SETTINGS)
     assert rough.total.count > 1.1 * exact.total.count, "what the error does to association"
-    assert rough.total.count_low <= exact.total.count <= rough.total.count_high
     assert rough.total.low_per_m2 <= exact.total.live_per_m2 <= rough.total.high_per_m2
+    assert abs(rough.unassociated - exact.total.count) < abs(rough.total.count - exact.total.count)
 
 
 def test_only_true_depths_along_the_true_path_leave_nothing_open(exact):

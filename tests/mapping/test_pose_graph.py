@@ -1,0 +1,149 @@
+"""Pictures of a dive are laid where they belong together, whatever a path errs by between its passes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from oysterbench.mapping import MapSettings
+from oysterbench.mapping.pose_graph import Step, laid, overlapping, solve
+from oysterbench.mapping.projection import Patch
+
+SETTINGS = MapSettings()
+EDGE_M = 0.8  # of what a picture shows
+LENGTH_M = 4.0
+
+
+def reef(seed=0, per_m2=60):
+    """Places (N, 3) m and areas (N,) m^2 of oysters on 6 x 4 m."""
+    generator = np.random.default_rng(seed)
+    n = round(24 * per_m2)
+    places = np.column_stack([generator.uniform([-1.0, -1.0], [5.0, 3.0], (n, 2)), generator.normal(0.0, 0.01, n)])
+    return places, np.exp(generator.normal(np.log(4e-3), 0.4, n))
+
+
+def there_and_back(step_m=0.2, beside_m=0.3):
+    """Places (N, 3) m of a lane, and of its way back beside it."""
+    along = np.arange(0.0, LENGTH_M, step_m)
+    out, back = (
+        np.column_stack([x, np.full(len(x), y), np.ones(len(x))]) for x, y in ((along, 0), (along[::-1], beside_m))
+    )
+    return np.concatenate([out, back])
+
+
+def drift(n, metres, degrees):
+    """Moves (N, 4, 4) of a path that goes astray evenly, from the first of its pictures to the last."""
+    share = np.linspace(0.0, 1.0, n)[:, None]
+    moves = np.tile(np.eye(4), (n, 1, 1))
+    moves[:, :3, :3] = Rotation.from_euler("z", degrees * share, degrees=True).as_matrix()
+    moves[:, :3, 3] = share * metres
+    return moves
+
+
+def pictures_of(oysters, places, moves, sigma_m=0.05, noise_m=0.003, visible=None):
+    """What each picture shows, where a path that errs by `moves` lays it."""
+    generator = np.random.default_rng(7)
+    pictures = []
+    for k, (place, move) in enumerate(zip(places, moves, strict=True)):
+        shown = np.flatnonzero((np.abs(oysters[0][:, :2] - place[:2]) < EDGE_M / 2).all(axis=1))
+        shown = shown if visible is None or visible[k] else shown[:0]
+        seen = oysters[0][shown] + generator.normal(0.0, noise_m, (len(shown), 3))
+        seen = seen @ move[:3, :3].T + move[:3, 3]
+        covariance = (sigma_m**2 + 1e-4) * np.eye(3)
+        pictures.append(
+            [
+                Patch(k, int(n), at[None], at, 100, oysters[1][n], False, covariance, sigma_m, pose_sigma_m=sigma_m)
+                for n, at in zip(shown, seen, strict=True)
+            ]
+        )
+    return pictures
+
+
+def scatter_m(pictures):
+    """RMS of the places of an oyster in different pictures, horizontally."""
+    of_one = {}
+    for picture in pictures:
+        for patch in picture:
+            of_one.setdefault(patch.number, []).append(patch.centre[:2])
+    return float(
+        np.sqrt(np.mean(np.concatenate([(np.array(at) - np.mean(at, axis=0)).ravel() ** 2 for at in of_one.values()])))
+    )
+
+
+@pytest.mark.parametrize(("metres", "degrees"), [((0.12, -0.1, 0.03), 0.0), ((0.1, 0.1, 0.0), 2.0)])
+def test_two_passes_lie_on_one_another_whatever_the_path_drifts(metres, degrees):
+    places = there_and_back()
+    strayed = pictures_of(reef(), places, drift(len(places), metres, degrees))
+    assert scatter_m(strayed) > 0.02
+    found = laid(strayed, places, SETTINGS)
+    assert scatter_m(found) < 0.005
+    assert max(patch.pose_sigma_m for picture in found for patch in picture) < 0.003
+
+
+def test_heights_are_mended_too():
+    places = there_and_back()
+    found = laid(pictures_of(reef(), places, drift(len(places), (0.0, 0.0, 0.08), 0.0)), places, SETTINGS)
+    middles = [np.mean([patch.centre[2] for patch in picture]) for picture in found]
+    assert np.ptp(middles) < 0.01
+
+
+def test_nothing_moves_along_a_path_that_is_sure():
+    places = there_and_back()
+    exact = pictures_of(reef(), places, drift(len(places), (0.0, 0.0, 0.0), 0.0), sigma_m=0.0)
+    assert laid(exact, places, SETTINGS) == exact
+
+
+def test_pictures_of_bare_ground_stay_where_they_are_and_the_others_find_each_other():
+    places = there_and_back()
+    visible = np.arange(len(places)) % 10 < 7
+    strayed = pictures_of(reef(), places, drift(len(places), (0.1, -0.08, 0.0), 0.0), visible=visible)
+    found = laid(strayed, places, SETTINGS)
+    assert [bool(picture) for picture in found] == visible.tolist()
+    assert scatter_m(found) < 0.005
+
+
+def test_a_picture_that_shows_too_few_moves_with_its_neighbours_and_is_less_sure():
+    places = there_and_back()
+    pictures = pictures_of(reef(), places, drift(len(places), (0.12, -0.1, 0.0), 0.0))
+    k = 30
+    pictures[k] = pictures[k][:2]
+    found = laid(pictures, places, SETTINGS)
+    assert scatter_m(found) < 0.006
+    assert found[29][0].pose_sigma_m < 0.003 < found[k][0].pose_sigma_m < 0.01
+
+
+def test_no_oysters_or_one_picture_are_no_trouble():
+    places = there_and_back()[:3]
+    assert laid([], np.zeros((0, 3)), SETTINGS) == []
+    assert laid([[], [], []], places, SETTINGS) == [[], [], []]
+    alone = pictures_of(reef(), places[:1], drift(1, (0.0, 0.0, 0.0), 0.0))
+    (found,) = laid(alone, places[:1], SETTINGS)
+    assert np.allclose([patch.centre for patch in found], [patch.centre for patch in alone[0]])
+    assert found[0].pose_sigma_m == pytest.approx(0.05)
+
+
+def test_steps_of_the_wrong_oysters_lose_their_weight():
+    n, shift = 40, np.array([0.07, -0.05, 0.01])
+    middles = np.column_stack([0.2 * np.minimum(np.arange(n), n - 1 - np.arange(n)), np.zeros(n), np.zeros(n)])
+    own = [Step(k, k + 1, middles[k + 1], middles[k + 1], 0.0, 0.004, 0.002) for k in range(n - 1)]
+    # The way back shows the ground of the way out; a quarter of the steps between them are of other oysters.
+    wrong = np.random.default_rng(3).uniform(-0.15, 0.15, (10, 3)) * [1.0, 1.0, 0.1]
+    told = [
+        Step(j, k, middles[k] - (wrong[(j + k) % 10] if (j + k) % 4 == 0 else shift), middles[k], 0.0, 0.003, 0.003)
+        for k in range(30, n)
+        for j in range(n - k, n - k + 5)
+    ]
+    moves, sigmas = solve(own, told, middles, np.full(n, 0.05))
+    there = (moves @ np.column_stack([middles, np.ones(n)])[..., None])[:, :3, 0] - middles
+    assert np.allclose(there[32:38] - there[2], shift, atol=0.006)
+    assert sigmas[35] < 0.002
+
+
+def test_each_picture_has_so_many_partners_at_most():
+    still = np.zeros((60, 3))
+    pairs = list(overlapping(pictures_of(reef(), still, drift(60, (0.0, 0.0, 0.0), 0.0))))
+    of_last = [earlier for earlier, later in pairs if later == 59]
+    assert len(of_last) == 24
+    assert of_last[0] == 0
+    assert of_last[-1] == 58
