@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import shlex
+import signal
 import sys
+
+TERMINATED = 128 + signal.SIGTERM
 
 RESUMED = {
     "download": "downloaded data is kept",
@@ -28,13 +31,30 @@ BEGUN_ANEW = {
 """Command -> what is left of it, of those that do not go on."""
 
 
-def interruption(command: str) -> str:
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came, as from a scheduler or a service manager: what is under way is cleared up as after Ctrl-C."""
+
+
+def heed_sigterm() -> None:
+    """Let SIGTERM, unless somebody else heeds it, raise Terminated."""
+    if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, _terminated)
+
+
+def _terminated(number: int, frame: object) -> None:
+    signal.signal(number, signal.SIG_IGN)  # once is enough
+    raise Terminated
+
+
+def interruption(command: str, what: str = "interrupted") -> str:
     """A sentence for who has just interrupted a command of this name.
 
     >>> interruption("view")
     'interrupted; nothing was written'
+    >>> interruption("map", "terminated")
+    'terminated; nothing was written'
     """
     if command in RESUMED:
         typed = shlex.join(["oysterbench", *sys.argv[1:]])
-        return f"interrupted; {RESUMED[command]}, and the same command resumes from there: {typed}"
-    return f"interrupted; {BEGUN_ANEW.get(command, 'nothing was written')}"
+        return f"{what}; {RESUMED[command]}, and the same command resumes from there: {typed}"
+    return f"{what}; {BEGUN_ANEW.get(command, 'nothing was written')}"

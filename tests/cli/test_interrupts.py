@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+
 import click
 import pytest
 from click.testing import CliRunner
@@ -9,6 +13,7 @@ from click.testing import CliRunner
 from oysterbench.cli import main as module
 from oysterbench.cli.interrupts import BEGUN_ANEW, RESUMED, interruption
 from oysterbench.cli.main import main
+from tests.helpers.waiting import until
 
 
 def test_only_commands_that_there_are_have_a_sentence():
@@ -49,6 +54,28 @@ def test_an_interruption_is_one_line_and_130(words, said, home, monkeypatch):
     assert done.exit_code == 130
     assert done.stderr.startswith(f"oysterbench: {said}")
     assert done.stderr.count("\n") == 1
+
+
+SLOW_EXPORT = """
+import time
+import oysterbench.sequence.export as export
+from oysterbench.__main__ import main
+export.Room = lambda *folders: time.sleep(60)
+main()
+"""
+
+
+def test_sigterm_clears_up_as_ctrl_c_does(dive_file, tmp_path):
+    """An export fills a draft of its folder, which is gone when a scheduler ends it."""
+    out = tmp_path / "out"
+    words = ["export", dive_file, "--format", "euroc", "--out", out / "dive"]
+    process = subprocess.Popen([sys.executable, "-c", SLOW_EXPORT, *map(str, words)], stderr=subprocess.PIPE, text=True)
+    until((out / ".dive.draft").exists, process)
+    process.send_signal(signal.SIGTERM)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 143
+    assert stderr.splitlines()[-1] == "oysterbench: terminated; nothing was written"
+    assert list(out.iterdir()) == []
 
 
 def test_what_is_typed_again_is_what_was_typed(monkeypatch):
