@@ -45,24 +45,27 @@ def true_states(sequence: Sequence) -> dict[int, str]:
     return {number: "live" if alive else "dead" for number, alive in sequence.living().items()}
 
 
-def read_seen(place: Path, sequence: Sequence, camera: str, kind: str, threshold: float) -> Iterator[Seen]:
+def read_seen(
+    place: Path, sequence: Sequence, camera: str, kind: str, threshold: float, several: bool = False
+) -> Iterator[Seen]:
     """What files say of pictures of a camera of a sequence, in time order.
 
     A folder or .npz of masks, as `annotations.masks` reads them (of a mask, what hangs together is one oyster) or, by
-    kind "instances", of numbers of oysters; or COCO annotations (.json). Raises LabelError where they are of another
-    sequence, or not what they should be.
+    kind "instances", of numbers of oysters; or COCO annotations (.json). several: they are of several sequences, which
+    their names say; those of others are left out. Raises LabelError where they are of another sequence, or not what
+    they should be.
     """
     if kind not in FORMS:
         raise LabelError(f"kind of masks: expected one of {', '.join(FORMS)}, got {kind!r}")
     if place.suffix.lower() == ".json":
-        return _coco(place, sequence, camera, threshold)
+        return _coco(place, sequence, camera, threshold, several)
     form: Any = kind
     files = open_predictions(place, form)
-    stamps = _stamps(place, files.names, sequence, camera)
+    stamps = _stamps(place, files.names, sequence, camera, several)
     return _numbered(files, stamps, camera) if files.numbered else _components(files, stamps, camera, threshold)
 
 
-def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str) -> dict[int, str]:
+def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str, several: bool) -> dict[int, str]:
     """Names by the stamps of their pictures, in time order."""
     found: dict[int, str] = {}
     for name in names:
@@ -72,7 +75,14 @@ def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str
                 f"{place}: {name}: expected the name of a picture of {sequence.name}, e.g. "
                 f"{sequence.name}/{camera}/STAMP, {camera}_STAMP or STAMP, with the stamp in ns or s.nnnnnnnnn"
             )
+        if several and match["sequence"] is None:
+            raise LabelError(
+                f"{place}: {name}: expected the name of its sequence too, as there are several: "
+                f"{sequence.name}/{camera}/STAMP or {sequence.name}/STAMP"
+            )
         if match["sequence"] not in (None, sequence.name):
+            if several:
+                continue
             raise LabelError(
                 f"{place}: {name}: masks of another sequence: expected those of {sequence.name}, got "
                 f"{match['sequence']}"
@@ -85,7 +95,8 @@ def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str
                 f"{', '.join(sequence.cameras)}"
             )
     if not found:
-        raise LabelError(f"{place}: no masks for {camera}; expected some, or another --camera")
+        of = f"{camera} of {sequence.name}" if several else camera
+        raise LabelError(f"{place}: no masks for {of}; expected some, or another --camera")
     return dict(sorted(found.items()))
 
 
@@ -123,9 +134,9 @@ def stacked(found: ImageInstances) -> tuple[NDArray[np.int32], dict[int, float]]
     return numbers, scores
 
 
-def _coco(place: Path, sequence: Sequence, camera: str, threshold: float) -> Iterator[Seen]:
+def _coco(place: Path, sequence: Sequence, camera: str, threshold: float, several: bool) -> Iterator[Seen]:
     files = _categories(place)
-    stamps = _stamps(place, files[0][1].names, sequence, camera)
+    stamps = _stamps(place, files[0][1].names, sequence, camera, several)
     return _annotated(stamps, files, camera, threshold)
 
 

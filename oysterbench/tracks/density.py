@@ -23,7 +23,6 @@ from oysterbench.methods.outcomes import Job, Outcome
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report.density import DensityRun
 from oysterbench.report.density_figure import drawn
-from oysterbench.sequence import Sequence as SensorSequence
 from oysterbench.sequence import open_sequence
 from oysterbench.tracks.images import PictureSequence, instances_of
 from oysterbench.tracks.mapping_evaluation import MappedSequence, evaluate_maps, labelled_camera
@@ -48,7 +47,12 @@ class DensityTrack(Track):
     evaluator = EVALUATOR
     options = (
         Option("poses", "--poses", "Folder of SEQUENCE-METHOD.tum files, as written by `run`.", Path),
-        Option("masks", "--masks", "Oyster masks for the images.  [default: true]", Path),
+        Option(
+            "masks",
+            "--masks",
+            "Oyster masks for the images; of several sequences, a folder of each.  [default: true]",
+            Path,
+        ),
         Option("kind", "--masks-kind", "Meaning of the masks' values.  [default: auto]", FORMS),
         Option("depth", "--depth", "Source of depths.  [default: layer]", DEPTHS),
         Option("cell_m", "--cell", "Size of the grid cells, in m.  [default: 1]", float),
@@ -90,9 +94,13 @@ class DensityTrack(Track):
             opened = open_sequence(sequence.path)
             camera = labelled_camera(opened)
             paths = self._paths(sequence, [one for one in methods if one.track == "slam"], again)
-            mapped = MappedSequence(
-                opened, camera, paths, self._masks(sequence, opened, camera, images, again, settings)
-            )
+            if (place := options.get("masks")) is None:
+                masks = self._masks(sequence, camera, images, again, settings)
+            else:
+                kind, several = options.get("kind", "auto"), len(sequences) > 1
+                seen = partial(read_seen, place, opened, camera, kind, settings.threshold, several)
+                masks = {place.name: seen}
+            mapped = MappedSequence(opened, camera, paths, masks)
             depth, align = options.get("depth", "layer"), options.get("align", "posyaw")
             for run in evaluate_maps(mapped, sequence.split, settings, depth, align, request.announce):
                 runs.append(drawn(run))
@@ -123,22 +131,17 @@ class DensityTrack(Track):
     def _masks(
         self,
         sequence: SlamSequence,
-        opened: SensorSequence,
         camera: str,
         methods: Sequence[PythonMethod],
         request: Request,
         settings: MapSettings,
     ) -> dict[str, Callable[[], Iterator[Seen]]]:
-        """What gives the oysters of pictures, by name; nothing for the truth's own."""
-        threshold = settings.threshold
-        if (place := request.options.get("masks")) is not None:
-            kind = request.options.get("kind", "auto")
-            return {place.name: lambda: read_seen(place, opened, camera, kind, threshold)}
+        """What gives the oysters of pictures, by method; nothing for the truth's own."""
         within = replace(request, out=request.out / "masks")
         pictures = PictureSequence(labelled_sequence(sequence.path), [sequence.path], sequence.split)
         done = self.run([pictures], methods, settings, within) if methods else ()
         return {
-            each.job.adapter.name: partial(_seen, each.job, each.outcome, within.out, camera, threshold)
+            each.job.adapter.name: partial(_seen, each.job, each.outcome, within.out, camera, settings.threshold)
             for each in done
         }
 

@@ -208,6 +208,24 @@ def test_masks_of_another_sequence_are_refused_by_their_name(once, tmp_path):
         map_of(once, seen=lambda: read_seen(tmp_path, once, "cam", "auto", 0.5))
 
 
+def test_of_masks_of_several_sequences_those_of_the_others_are_left_out(once, tmp_path):
+    for name, value in (("flat", 7), ("other", 9)):
+        (tmp_path / name).mkdir()
+        cv2.imwrite(str(tmp_path / name / f"{BEGIN}.png"), np.full((120, 160), value, np.uint16))
+    (seen,) = read_seen(tmp_path, once, "cam", "instances", 0.5, several=True)
+    assert np.unique(seen.numbers).tolist() == [7]
+    (tmp_path / f"{BEGIN}.png").write_bytes((tmp_path / "flat" / f"{BEGIN}.png").read_bytes())
+    with pytest.raises(LabelError, match="expected the name of its sequence too"):
+        list(read_seen(tmp_path, once, "cam", "instances", 0.5, several=True))
+
+
+def test_masks_of_none_of_several_sequences_are_missed_by_name(once, tmp_path):
+    (tmp_path / "other").mkdir()
+    cv2.imwrite(str(tmp_path / "other" / f"{BEGIN}.png"), np.ones((120, 160), np.uint16))
+    with pytest.raises(LabelError, match="no masks for cam of flat"):
+        list(read_seen(tmp_path, once, "cam", "instances", 0.5, several=True))
+
+
 def test_masks_of_another_sequence_are_refused_by_their_stamps(once):
     foreign = [Seen(BEGIN + 5, "cam", np.ones((120, 160), int))]
     with pytest.raises(LabelError, match="took no picture at"):
