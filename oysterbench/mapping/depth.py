@@ -32,6 +32,7 @@ DepthOf = Callable[[int, int], Array | None]
 its pixels, NaN where not known; None where nothing is known."""
 
 FILL_PX = (1.5, 6.0, 24.0)  # of a picture of 320 columns: over how far depths are carried to pixels that have none
+FEWEST_OF_PLANE = 100  # pixels
 LEAST_KNOWN = 0.02  # of a picture, that must have a depth of its own for the others to be carried on
 SHARE = 0.16  # of the distance, between the first and the last of three pictures
 WINDOW_S = 2.0  # before and after a picture, in which the other two are looked for
@@ -148,22 +149,43 @@ class _Pictures:
 def carried_on(depth_m: Array) -> Array:
     """(H, W) m: depths where they are known, elsewhere those around, over FILL_PX at most; NaN beyond.
 
-    Means are of inverse depths, which of a plane are linear over a picture (normalised convolution, Knutsson & Westin
-    1993), each from the least distance at which there are enough.
+    Of inverse depths, which of a plane are linear over a picture, the plane of the picture is carried on, and the means
+    of what the depths around differ from it (normalised convolution, Knutsson & Westin 1993), each from the least
+    distance at which there are enough.
     """
     known = np.isfinite(depth_m)
-    inverse = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 0.0).astype(np.float32)
+    exact = np.where(known, 1.0 / np.where(known, depth_m, 1.0), np.nan)
+    plane = _plane_of(exact)
+    above = np.where(known, exact - plane, 0.0).astype(np.float32)
     weights = known.astype(np.float32)
-    found = np.where(known, inverse, np.nan)
+    found = exact.copy()
     for sigma in FILL_PX:
         missing = np.isnan(found)
         if not missing.any():
             break
-        sums: Any = cv2.GaussianBlur(inverse, (0, 0), sigma)
+        sums: Any = cv2.GaussianBlur(above, (0, 0), sigma)
         shares: Any = cv2.GaussianBlur(weights, (0, 0), sigma)
         enough = missing & (shares > 0.05)
-        found[enough] = sums[enough] / shares[enough]
-    return np.asarray(1.0 / found, dtype=float)
+        found[enough] = plane[enough] + sums[enough] / shares[enough]
+    return np.asarray(1.0 / np.where(found > 0.0, found, np.nan), dtype=float)
+
+
+def _plane_of(values: Array) -> Array:
+    """(H, W): the plane through values (H, W), NaN where not known, from which most of them differ little; their mean
+    where they are too few."""
+    rows, columns = np.nonzero(np.isfinite(values))
+    given = values[rows, columns]
+    if len(given) < FEWEST_OF_PLANE:
+        return np.full(values.shape, given.mean() if len(given) else 0.0)
+    design = np.column_stack([columns, rows, np.ones(len(rows))])
+    weights = np.ones(len(given))
+    for _ in range(4):
+        solution = np.linalg.lstsq(design * weights[:, None], given * weights, rcond=None)[0]
+        off = np.abs(given - design @ solution)
+        weights = 1.0 / np.sqrt(1.0 + (off / max(float(np.median(off)), 1e-9)) ** 2)
+    over_columns, over_rows, constant = solution
+    height, width = values.shape
+    return np.asarray(over_columns * np.arange(width) + over_rows * np.arange(height)[:, None] + constant)
 
 
 class _Plane:

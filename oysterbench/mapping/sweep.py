@@ -19,6 +19,7 @@ from oysterbench.mapping.views import View
 
 Picture = NDArray[np.float32]
 PEAK = 3  # planes to each side of the best that are its own peak
+LIKELY = 1.5  # times the median depth of a picture, or a part of it: where most of it lies
 
 
 @dataclass(frozen=True)
@@ -52,21 +53,37 @@ def sweep(view: View, sources: Sequence[View], settings: CloudSettings) -> Depth
     floor = settings.noise_grey**2
     mean: Any = cv2.blur(view.grey, window)
     deviation = _deviation(view.grey, mean, window, floor)
+    patches = [_whole_patches(one, settings) for one in (view, *sources)]
     scores = np.full((len(inverse_depths), *view.grey.shape), -1.0, dtype=np.float32)
+    seen_at = np.zeros(scores.shape, dtype=bool)
     for k, inverse_depth in enumerate(inverse_depths):
-        for source, T in zip(sources, relative, strict=True):
+        for source, T, whole in zip(sources, relative, patches[1:], strict=True):
             plane = T[:3, :3] + np.outer(T[:3, 3], [0.0, 0.0, inverse_depth])
             homography = source.matrix @ plane @ inverse_matrix
-            # Outside it is black, without texture, and correlates with nothing.
             warped: Any = cv2.warpPerspective(
                 source.grey, homography, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderValue=0.0
             )
+            # Where a picture ends it is black, and its edge would correlate with that of another.
+            seen: Any = cv2.warpPerspective(whole, homography, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
             other_mean: Any = cv2.blur(warped, window)
             covariance: Any = cv2.blur(view.grey * warped, window) - mean * other_mean
             correlation = covariance / (deviation * _deviation(warped, other_mean, window, floor))
             # What hides a point from one side leaves it to the other: the best source counts.
-            np.maximum(scores[k], correlation, out=scores[k])
-    return DepthMap(view, _peaks(scores, inverse_depths, settings))
+            np.maximum(scores[k], np.where(seen > 0, correlation, -1.0), out=scores[k])
+            seen_at[k] |= seen > 0
+    scores[:, patches[0] == 0] = -1.0
+    depth = _peaks(scores, inverse_depths, settings)
+    # Of a pixel that no source shows at its own depth, another one is the best: it must be shown at all likely ones.
+    typical = 1.0 / np.nanmedian(depth) if np.isfinite(depth).any() else inverse_depths[0]
+    likely = (inverse_depths > typical / LIKELY) & (inverse_depths < typical * LIKELY)
+    return DepthMap(view, np.where(seen_at[likely].all(axis=0), depth, np.nan))
+
+
+def _whole_patches(view: View, settings: CloudSettings) -> Any:
+    """(H, W) uint8, 0 where the patch about a pixel reaches beyond what the camera shows."""
+    shown = np.ones(view.grey.shape, np.uint8) if view.shown is None else view.shown.astype(np.uint8)
+    window = np.ones((settings.window_px, settings.window_px), np.uint8)
+    return cv2.erode(shown, window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
 
 
 def _deviation(grey: Picture, mean: Any, window: tuple[int, int], floor: float) -> Picture:
@@ -87,8 +104,6 @@ def _peaks(scores: Picture, inverse_depths: Array, settings: CloudSettings) -> A
     elsewhere = np.abs(np.arange(len(scores))[:, None, None] - best) > PEAK
     second = np.where(elsewhere, scores, -1.0).max(axis=0)
     good = (at_best > settings.min_correlation) & (at_best - second > settings.min_lead) & (best == inner)
-    edge = settings.window_px // 2
-    good[:edge], good[-edge:], good[:, :edge], good[:, -edge:] = False, False, False, False
     return np.where(good, depth, np.nan)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -37,12 +38,16 @@ def unwatched(stamp_ns: int) -> None:
 
 @dataclass(frozen=True)
 class View:
-    """A picture: colours (H, W, 3) uint8 RGB, matrix (3, 3) of the pinhole that took it, T_odom_cam (4, 4)."""
+    """A picture: colours (H, W, 3) uint8 RGB, matrix (3, 3) of the pinhole that took it, T_odom_cam (4, 4).
+
+    shown: (H, W), where the camera shows something: a lens fills a part of a pinhole's picture; None is all of it
+    """
 
     stamp_ns: int
     colours: NDArray[np.uint8]
     matrix: Array
     T_odom_cam: Array
+    shown: NDArray[np.bool_] | None = None
 
     @cached_property
     def grey(self) -> NDArray[np.float32]:
@@ -66,15 +71,22 @@ class Pinhole:
         sx, sy = self._size[0] / camera.width, self._size[1] / camera.height
         # A pixel's centre has whole numbers: its left edge, at -0.5, stays one.
         self.matrix = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1.0]]) @ camera.matrix
+        self._shown: NDArray[np.bool_] | None = None
+        if self._maps is not None:
+            whole = np.full((camera.height, camera.width), 255, dtype=np.uint8)
+            self._shown = self._resized(cv2.remap(whole, *self._maps, cv2.INTER_LINEAR)) == 255
 
     def view(self, image: Image, T_odom_base: Array) -> View:
         """Of an image, at a pose of base_link."""
         pixels = image.pixels
         if self._maps is not None:
             pixels = cv2.remap(pixels, *self._maps, cv2.INTER_LINEAR)
-        if self._size != pixels.shape[1::-1]:
-            pixels = cv2.resize(pixels, self._size, interpolation=cv2.INTER_AREA)
-        return View(image.stamp_ns, pixels, self.matrix, T_odom_base @ self.T_base_cam)
+        return View(image.stamp_ns, self._resized(pixels), self.matrix, T_odom_base @ self.T_base_cam, self._shown)
+
+    def _resized(self, pixels: Any) -> Any:
+        if self._size == pixels.shape[1::-1]:
+            return pixels
+        return cv2.resize(pixels, self._size, interpolation=cv2.INTER_AREA)
 
 
 class PoseInterpolator:

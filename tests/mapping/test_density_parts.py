@@ -66,6 +66,22 @@ def test_depths_are_carried_over_holes_as_on_a_plane():
     assert np.isnan(carried_on(np.full((60, 80), np.nan))).all()
 
 
+def test_depths_are_carried_beyond_the_edge_as_on_a_plane():
+    v, u = np.mgrid[:60, :80].astype(float)
+    inverse = 0.6 + 0.004 * u + 0.003 * v
+    depth = np.where(u < 12, np.nan, 1.0 / inverse)
+    depth[30:34, 40:44] = 0.3  # something near, by which the plane is not led astray
+    assert np.abs(carried_on(depth) * inverse - 1.0)[:, :12].max() < 0.03
+
+
+def test_few_depths_make_no_plane():
+    depth = np.full((60, 80), np.nan)
+    depth[30, 40:60] = np.linspace(1.0, 2.0, 20)
+    filled = carried_on(depth)
+    assert np.nanmin(filled) > 0.9
+    assert np.nanmax(filled) < 2.1
+
+
 def test_a_plane_is_found_through_echoes_with_some_from_fish():
     generator = np.random.default_rng(2)
     points = generator.uniform(-2, 2, (80, 3))
