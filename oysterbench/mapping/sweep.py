@@ -19,6 +19,7 @@ from oysterbench.mapping.views import View
 
 Picture = NDArray[np.float32]
 PEAK = 3  # planes to each side of the best that are its own peak
+SPECKLE_PX, SPECKLE_PLANES, SUBDIVIDED = 100, 2, 16  # two patches; between neighbours that hang together; steps of one
 LIKELY = 1.5  # times the median depth of a picture, or a part of it: where most of it lies
 
 
@@ -73,6 +74,7 @@ def sweep(view: View, sources: Sequence[View], settings: CloudSettings) -> Depth
             seen_at[k] |= seen > 0
     scores[:, patches[0] == 0] = -1.0
     depth = _peaks(scores, inverse_depths, settings)
+    depth = _without_speckles(depth, inverse_depths)
     # Of a pixel that no source shows at its own depth, another one is the best: it must be shown at all likely ones.
     typical = 1.0 / np.nanmedian(depth) if np.isfinite(depth).any() else inverse_depths[0]
     likely = (inverse_depths > typical / LIKELY) & (inverse_depths < typical * LIKELY)
@@ -105,6 +107,16 @@ def _peaks(scores: Picture, inverse_depths: Array, settings: CloudSettings) -> A
     second = np.where(elsewhere, scores, -1.0).max(axis=0)
     good = (at_best > settings.min_correlation) & (at_best - second > settings.min_lead) & (best == inner)
     return np.where(good, depth, np.nan)
+
+
+def _without_speckles(depth: Array, inverse_depths: Array) -> Array:
+    """The same, NaN where few pixels that hang together are off those around: false peaks are as large as a patch."""
+    known = np.isfinite(depth)
+    step = inverse_depths[1] - inverse_depths[0]
+    planes = np.where(known, (1.0 / np.where(known, depth, 1.0) - inverse_depths[0]) / step, -1.0)
+    kept = np.rint(SUBDIVIDED * planes).astype(np.int16)
+    cv2.filterSpeckles(kept, -SUBDIVIDED, SPECKLE_PX, SPECKLE_PLANES * SUBDIVIDED)
+    return np.where(kept >= 0, depth, np.nan)
 
 
 def agreeing(depths: DepthMap, others: Sequence[DepthMap], share: float) -> DepthMap:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -40,6 +42,16 @@ def test_a_wall_has_its_distance_and_what_one_view_does_not_show_has_none():
     assert known[:, 3 * SHIFT_PX : -8].mean() > 0.9
     assert np.abs(depth[known] / DISTANCE_M - 1.0).max() < 0.03
     assert not known[:, :SHIFT_PX].any()
+
+
+def test_what_one_picture_alone_shows_is_no_depth():
+    own, other = views()
+    colours = other.colours.copy()
+    # A patch that the other picture has elsewhere, by chance: a depth of its own, and none of the wall's.
+    colours[70:79, 120:129] = own.colours[70:79, 150:159]
+    depth = sweep(own, [replace(other, colours=colours)], SETTINGS).depth
+    known = np.isfinite(depth)
+    assert np.abs(depth[known] / DISTANCE_M - 1.0).max() < 0.05
 
 
 @pytest.mark.parametrize("swapped", [False, True])
