@@ -39,7 +39,10 @@ class DepthMap:
 
 
 def sweep(view: View, sources: Sequence[View], settings: CloudSettings) -> DepthMap:
-    """Depth of each pixel whose patch the sources show, at one depth better than at any other."""
+    """Depth of each pixel whose patch the sources show, at one depth better than at any other.
+
+    None where no source shows it at all likely depths, and of few pixels that are off those around.
+    """
     relative = [invert(source.T_odom_cam) @ view.T_odom_cam for source in sources]
     base = max(float(np.linalg.norm(T[:3, 3])) for T in relative)
     span = 1.0 / settings.near_m - 1.0 / settings.far_m
@@ -54,11 +57,11 @@ def sweep(view: View, sources: Sequence[View], settings: CloudSettings) -> Depth
     floor = settings.noise_grey**2
     mean: Any = cv2.blur(view.grey, window)
     deviation = _deviation(view.grey, mean, window, floor)
-    patches = [_whole_patches(one, settings) for one in (view, *sources)]
+    own_whole, *others_whole = (_whole_patches(one, settings) for one in (view, *sources))
     scores = np.full((len(inverse_depths), *view.grey.shape), -1.0, dtype=np.float32)
     seen_at = np.zeros(scores.shape, dtype=bool)
     for k, inverse_depth in enumerate(inverse_depths):
-        for source, T, whole in zip(sources, relative, patches[1:], strict=True):
+        for source, T, whole in zip(sources, relative, others_whole, strict=True):
             plane = T[:3, :3] + np.outer(T[:3, 3], [0.0, 0.0, inverse_depth])
             homography = source.matrix @ plane @ inverse_matrix
             warped: Any = cv2.warpPerspective(
@@ -72,7 +75,7 @@ def sweep(view: View, sources: Sequence[View], settings: CloudSettings) -> Depth
             # What hides a point from one side leaves it to the other: the best source counts.
             np.maximum(scores[k], np.where(seen > 0, correlation, -1.0), out=scores[k])
             seen_at[k] |= seen > 0
-    scores[:, patches[0] == 0] = -1.0
+    scores[:, own_whole == 0] = -1.0
     depth = _peaks(scores, inverse_depths, settings)
     depth = _without_speckles(depth, inverse_depths)
     # Of a pixel that no source shows at its own depth, another one is the best: it must be shown at all likely ones.
