@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import tempfile
-from collections import Counter
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import AsyncExitStack, contextmanager
 from typing import IO
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, Response
 
-from oysterbench.hub.addresses import network
 from oysterbench_leaderboard.submissions.database import Submission
+from oysterbench_leaderboard.submissions.places import Places
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.service import Service
 from oysterbench_leaderboard.submissions.tokens import Guesses, Holder, recognise
@@ -51,7 +50,7 @@ class Auth:
     def __init__(self, service: Service) -> None:
         self.service = service
         self.guesses = Guesses(service.settings)
-        self._receiving: Counter[str] = Counter()
+        self.places = Places(service.settings)
 
     async def holder(self, request: Request, token: str) -> Holder:
         """Who holds a token. Raises Refusal for a wrong one or none, and where too many of these came."""
@@ -70,25 +69,6 @@ class Auth:
             self.guesses.failed(address)
             raise Refusal("token", "the token is unknown or revoked; ask the operators of this board for one")
         return found
-
-    @asynccontextmanager
-    async def _slot(self, team: str, address: str) -> AsyncIterator[None]:
-        settings = self.service.settings
-        of_team, of_address = f"team {team}", f"address {network(address)}"
-        shares = {
-            "": settings.uploads_at_once,
-            of_team: settings.uploads_of_team,
-            of_address: settings.uploads_of_address,
-        }
-        for whose, most in shares.items():
-            if self._receiving[whose] >= most:
-                of = f" of this {whose.partition(' ')[0]}" if whose else ""
-                raise Refusal("busy", f"too many uploads{of} at once; try again in a minute", 60)
-        self._receiving.update(shares.keys())
-        try:
-            yield
-        finally:
-            self._receiving -= Counter(shares.keys())
 
     @contextmanager
     def _counting(self, team: str) -> Iterator[None]:
@@ -109,12 +89,14 @@ class Auth:
         settings, folder = self.service.settings, self.service.incoming
         check_headers(request, settings)
         fields = dict(request.query_params)
-        async with self._slot(team, address_of(request)), AsyncExitStack() as stack:
+        async with AsyncExitStack() as stack:
+            place = stack.enter_context(self.places.hold(team, address_of(request)))
             with tempfile.TemporaryFile(dir=folder) as body:
                 file: IO[bytes] = body
                 if request.headers.get("content-type", "").lower().startswith("multipart/"):
                     with self._counting(team):
-                        form = await receive_form(request, settings)
+                        async with place.receiving():
+                            form = await receive_form(request, settings)
                     stack.push_async_callback(form.close)
                     fields |= texts_of(form)
                     check_fields(fields)
@@ -129,7 +111,8 @@ class Auth:
                         if known is not None:
                             return known, False
                     with self._counting(team):
-                        await receive_file(request, body, settings)
+                        async with place.receiving():
+                            await receive_file(request, body, settings)
 
                 def take_in() -> tuple[Submission, bool]:
                     with kept(file, folder) as upload:

@@ -39,6 +39,8 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     reads_per_day:      uploads of a team that are read in 24 hours, those that are refused or came too slowly included
     per_day, per_split: submissions that are accepted of a team in 24 hours, and of a team on one split in all
     uploads_at_once, checks_at_once: of all clients; uploads_of_team, uploads_of_address: of one
+    upload_safe_s:      of a team's time in places for uploads (`places`); then it gives way to who has had less, where
+                        all places are taken
     idle_s:             after which a client that sends nothing is sent away; upload_s: an upload takes at most
     upload_grace_s, upload_bytes_per_s: seconds after which what has come of an upload must be as much as a line of this
                         rate would have brought since: whoever trickles holds a place among `uploads_at_once` no longer
@@ -68,8 +70,9 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     per_day: Count = 10
     per_split: Count = 100
     uploads_at_once: Count = 8
-    uploads_of_team: Count = 2
+    uploads_of_team: Count = 1
     uploads_of_address: Count = 4
+    upload_safe_s: Annotated[float, msgspec.Meta(ge=0)] = 600.0
     checks_at_once: Count = 2
     idle_s: Seconds = 30.0
     upload_s: Seconds = 3600.0

@@ -59,8 +59,12 @@ async def paced(stream: AsyncIterator[bytes], settings: SubmissionSettings, most
         # By what has come, whatever length was promised: so a promise of much buys no time.
         due_s = min(settings.upload_s, settings.upload_grace_s + size / settings.upload_bytes_per_s)
         left_s = begun + due_s - time.monotonic()
+        if left_s <= 0:
+            raise _too_slow(settings, size, time.monotonic() - begun, left_s)
         try:
-            chunk = await asyncio.wait_for(anext(stream), min(settings.idle_s, left_s))
+            # Not wait_for, which in Python 3.11 loses the end that `places` may set meanwhile.
+            async with asyncio.timeout(min(settings.idle_s, left_s)):
+                chunk = await anext(stream)
         except StopAsyncIteration:
             return
         except TimeoutError:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import shutil
-from contextlib import AsyncExitStack
 from dataclasses import replace
 
 import msgspec
@@ -12,7 +10,6 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 from oysterbench_leaderboard.submissions import queue, sandbox
-from oysterbench_leaderboard.submissions.auth import Auth
 from oysterbench_leaderboard.submissions.database import Database, find, submissions
 from oysterbench_leaderboard.submissions.estimates import upload_of
 from oysterbench_leaderboard.submissions.rates import DailyReads
@@ -248,27 +245,3 @@ def test_what_is_refused_is_read_so_often_a_day_and_no_more(service, tmp_path):
     assert reasons == ["name", "name", "name", "quota"]
     service.clock.now += 86_401
     assert send(service, tmp_path)[1]
-
-
-def test_no_team_and_no_address_takes_all_uploads(service):
-    auth = Auth(service)
-    most = service.settings
-
-    async def at_once(*uploads: tuple[str, str]) -> None:
-        async with AsyncExitStack() as stack:
-            for team, address in uploads:
-                await stack.enter_async_context(auth._slot(team, address))
-
-    def refused(*uploads: tuple[str, str]) -> str:
-        with pytest.raises(Refusal) as caught:
-            asyncio.run(at_once(*uploads))
-        return caught.value.reason
-
-    of_team = [("reef lab", f"10.0.0.{k}") for k in range(most.uploads_of_team + 1)]
-    assert "too many uploads of this team at once" in refused(*of_team)
-    of_address = [(f"team {k}", f"2001:db8::{k}") for k in range(most.uploads_of_address + 1)]
-    assert "too many uploads of this address at once" in refused(*of_address)
-    of_all = [(f"team {k}", f"10.0.0.{k}") for k in range(most.uploads_at_once + 1)]
-    assert refused(*of_all).startswith("too many uploads at once")
-    asyncio.run(at_once(*of_team[:-1], *of_address[:-1]))
-    assert not auth._receiving, "all slots were given back"

@@ -57,8 +57,14 @@ def test_silence_and_a_whole_time_have_their_limits_too(tmp_path):
 
 def test_trickles_leave_their_places_to_others_and_are_counted_as_reads(tmp_path):
     tokens = lay(
-        tmp_path, uploads_at_once=2, upload_grace_s=1.0, upload_bytes_per_s=RATE, reads_per_day=2, idle_s=20.0
-    )  # fmt: skip
+        tmp_path,
+        uploads_at_once=2,
+        uploads_of_team=2,
+        upload_grace_s=1.0,
+        upload_bytes_per_s=RATE,
+        reads_per_day=2,
+        idle_s=20.0,
+    )
     head = "POST /api/submissions?method=slow&split=pool-test HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\n"
     head += f"Authorization: Bearer {tokens['others']}\r\nContent-Length: 100000000\r\n\r\nPK\x03\x04"
     with running(tmp_path) as server, ExitStack() as stack:
@@ -82,3 +88,19 @@ def test_trickles_leave_their_places_to_others_and_are_counted_as_reads(tmp_path
         assert server.send(tokens["reef lab"], answers(tmp_path))[0] == 201
         status, answer = server.send(tokens["others"], answers(tmp_path))
         assert (status, answer["error"]) == (429, "quota"), "each of the two was an upload of the day"
+
+
+def test_an_upload_that_is_fast_enough_gives_its_place_to_a_team_that_has_had_less_time(tmp_path):
+    tokens = lay(tmp_path, uploads_at_once=1, upload_safe_s=0)
+    head = "POST /api/submissions?method=slow&split=pool-test HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\n"
+    head += f"Authorization: Bearer {tokens['others']}\r\nContent-Length: 100000000\r\n\r\nPK\x03\x04"
+    with running(tmp_path) as server, closing(socket.create_connection(("127.0.0.1", server.port))) as slow:
+        slow.sendall(head.encode())
+        until(lambda: server.send(tokens["others"], b"a", "image/png")[0] == 503)  # as a team sends one at a time
+        assert server.send(tokens["reef lab"], answers(tmp_path))[0] == 201
+        slow.settimeout(20.0)
+        said = slow.recv(4000).decode()
+        assert said.startswith("HTTP/1.1 503 "), said
+        assert "retry-after: 60" in said.lower()
+        slow.close()
+        assert server.send(tokens["others"], answers(tmp_path))[0] == 201
