@@ -31,7 +31,7 @@ def doubts(
     quadrat_m2: float = math.nan,
 ) -> Iterator[str]:
     """A sentence for each. length_mm: mean of all, NaN where it is not known; scale: its kind, empty for none; copies:
-    names of files with those of others that hold the same bytes; quadrat_m2: area of a whole quadrat, if there are
+    names of files with those of others that are the same; quadrat_m2: area of a whole quadrat, if there are
     any."""
     if copies:
         listed = ", ".join(f"{name} is {first}" for name, first in copies[:3]) + ", ..." * (len(copies) > 3)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError, MethodError, OysterbenchError, SequenceError
 from oysterbench.core.text import in_one_line
+from oysterbench.counting.copies import Copies, thumbnail
 from oysterbench.counting.film import film_rate, write_film
 from oysterbench.counting.identity import file_digest, key_of
 from oysterbench.counting.least import Least
@@ -53,7 +54,7 @@ class Settings:
 class Counted:
     """What came of it. pictures: in the order of their names; made: how many of them in this run; failures: by name of
     a picture or video; films: by name of a video; cpu_s: of the method, in this run; copies: names of files, each with
-    that of an earlier one of the same bytes."""
+    that of an earlier one that is the same (`copies`)."""
 
     pictures: list[PictureCount] = field(default_factory=list)
     made: int = 0
@@ -65,7 +66,7 @@ class Counted:
 
 @dataclass(frozen=True)
 class _Work:
-    """A picture that is to be counted. place: of its source."""
+    """A picture that is to be counted. place: of its source; small: its thumbnail, of a frame none."""
 
     place: int
     name: str
@@ -74,6 +75,7 @@ class _Work:
     scale: Scale | None
     index: int | None = None
     time_s: float | None = None
+    small: NDArray[np.float32] | None = None
 
 
 class Counting:
@@ -92,7 +94,7 @@ class Counting:
         self.sources, self.method, self.identity = sources, method, identity
         self.store, self.settings, self.progress = store, settings, progress
         self.result = Counted()
-        self._named: dict[str, str] = {}  # name of a file by the digest of its bytes
+        self._copies = Copies()
         self._found: dict[str, tuple[int, PictureCount]] = {}
         self._made: set[str] = set()
         self._expected = {source.name: 1 for source in sources}
@@ -119,7 +121,7 @@ class Counting:
                 raise MethodError(f"method {self.method.name!r} failed on {where}: {error}")
             self.result.failures.update(dict.fromkeys(waiting, f"the method failed on it: {error}"))
             self._tell()
-        self.result.made, self.result.cpu_s = len(self._made), watch.cpu_s
+        self.result.made, self.result.cpu_s, self.result.copies = len(self._made), watch.cpu_s, self._copies.found
         in_order = sorted(self._found.values(), key=lambda found: (found[0], found[1].index or 0))
         self.result.pictures = [picture for _, picture in in_order]
         self._films()
@@ -160,7 +162,7 @@ class Counting:
         picture = replace(picture, index=work.index, time_s=work.time_s)
         region = work.scale.region((height, width)) if isinstance(work.scale, QuadratScale) else None
         drawn = overlay(work.pixels, found.numbers, rows, picture, region)
-        self.store.write(work.key, picture, rows, found.numbers, jpeg(drawn))
+        self.store.write(work.key, picture, rows, found.numbers, jpeg(drawn), work.small)
         self._made.add(work.name)
         self._keep(work.place, picture)
 
@@ -179,24 +181,24 @@ class Counting:
     def _picture(self, place: int, source: Source) -> Iterator[_Work]:
         data = source.path.read_bytes()
         digest = hashlib.sha256(data).hexdigest()
-        self._compare(source, digest)
+        again = self._copies.bytes_of(source.name, digest)
         key, scale = self._key(source, source.name, digest)
         done = self.store.finished(source.name, key)
         if done is not None:
+            small = self.store.small(source.name)
+            if small is not None and not again:
+                self._copies.picture(source.name, source.path, (done.height, done.width), small)
             self._keep(place, done)
             return
         pixels = decode(data, str(source.path))
-        yield self._work(place, source.name, key, pixels, scale)
-
-    def _compare(self, source: Source, digest: str) -> None:
-        """Whether an earlier file had the same bytes."""
-        first = self._named.setdefault(digest, source.name)
-        if first != source.name:
-            self.result.copies.append((source.name, first))
+        small = thumbnail(pixels)
+        if not again:
+            self._copies.picture(source.name, source.path, pixels.shape[:2], small)
+        yield replace(self._work(place, source.name, key, pixels, scale), small=small)
 
     def _frames(self, place: int, source: Source) -> Iterator[_Work]:
         sampling, digest = self.settings.sampling, file_digest(source.path)
-        self._compare(source, digest)
+        self._copies.bytes_of(source.name, digest)
         whole = key_of({"video": digest, "every": sampling.every, "per_second": sampling.per_second})
         known = self.store.frames(source.name, whole)
         if known is not None and self._all_kept(place, source, digest, *known):

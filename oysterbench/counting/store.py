@@ -20,15 +20,20 @@ from numpy.typing import NDArray
 
 from oysterbench.annotations.folders import write_picture
 from oysterbench.core.files import write_atomically
+from oysterbench.counting.copies import SIDE
 from oysterbench.counting.measure import OysterRow, PictureCount
+
+UNITS = 256
+"""Of a thumbnail as it is kept, in a grey level."""
 
 
 class _Finished(msgspec.Struct, frozen=True):
-    """A picture that is counted."""
+    """A picture that is counted. small: its thumbnail, in units of 1/256 grey level, little-endian; none of a frame."""
 
     key: str
     picture: PictureCount
     oysters: list[OysterRow]
+    small: bytes = b""
 
 
 class _Frames(msgspec.Struct, frozen=True):
@@ -69,13 +74,15 @@ class Store:
         oysters: Sequence[OysterRow],
         numbers: NDArray[np.uint16] | None,
         overlay: bytes,
+        small: NDArray[np.float32] | None = None,
     ) -> None:
-        """Keep a picture; what says that it is finished comes last."""
+        """Keep a picture, with its thumbnail (`copies`); what says that it is finished comes last."""
         self._record(picture.name).unlink(missing_ok=True)
         if numbers is not None:
             write_picture(self.mask(picture.name), numbers)
         write_atomically(self.overlay(picture.name), overlay)
-        content = msgspec.json.encode(_Finished(key, picture, list(oysters)))
+        kept = b"" if small is None else np.round(UNITS * small).astype("<u2").tobytes()
+        content = msgspec.json.encode(_Finished(key, picture, list(oysters), kept))
         write_atomically(self._record(picture.name), content)
 
     def finished(self, name: str, key: str) -> PictureCount | None:
@@ -84,6 +91,13 @@ class Store:
         if held is None or held.key != key or not self.overlay(name).is_file():
             return None
         return held.picture if held.picture.cover is None or self.mask(name).is_file() else None
+
+    def small(self, name: str) -> NDArray[np.float32] | None:
+        """The thumbnail of a picture that is finished, if it was kept."""
+        held = self._read(name)
+        if held is None or len(held.small) != 2 * SIDE**2:
+            return None
+        return np.frombuffer(held.small, "<u2").reshape(SIDE, SIDE).astype(np.float32) / UNITS
 
     def others(self, names: Collection[str]) -> list[str]:
         """Pictures and frames that are counted in it, and not among these names: of earlier counts."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 
+import cv2
 import pytest
 
 from oysterbench.results.records import ResultRecord, write_results
@@ -85,6 +86,18 @@ def test_copies_of_pictures_are_warned_of(folder, tmp_path):
     said = "1 file is a copy of another and counted as often, which makes intervals too narrow: copy/3 is 3"
     assert said in done.stderr
     assert said in (tmp_path / "out" / "index.html").read_text()
+
+
+def test_a_picture_in_two_formats_is_warned_of_and_counted_when_the_count_is_resumed_too(folder, tmp_path):
+    (folder / "copy").mkdir()
+    pixels = cv2.resize(discs((40, 40), (100, 60)), None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
+    write(folder / "mine.png", pixels)
+    assert cv2.imwrite(str(folder / "copy" / "IMG_1.jpg"), pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
+    said = "1 file is a copy of another and counted as often, which makes intervals too narrow: mine is copy/IMG_1"
+    for _ in range(2):
+        done = run("segment", folder, *DISCS, "--out", "out")
+        assert said in done.stderr
+        assert "in 8 images" in done.stdout
 
 
 def test_a_quadrat_in_another_unit_is_one_line(folder, tmp_path):
