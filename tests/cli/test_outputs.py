@@ -51,3 +51,13 @@ def test_a_board_keeps_rank_score_and_record_whole_in_80_columns():
     (row,) = [line.split() for line in found if " dead_reckoning " in line]
     assert (row[0], row[2], row[-1]) == (whole[0], whole[3], whole[-1])
     assert any(line.startswith("Left out at this width: team, ") for line in found)
+
+
+def test_every_file_that_is_named_gets_the_folders_that_are_not_there(trajectories, tmp_path):
+    truth, estimate = map(str, trajectories)
+    files = {form: tmp_path / form / "new" / f"r.{form}" for form in ("csv", "tex", "md")}
+    words = [word for form, path in files.items() for word in (f"--{form}", str(path))]
+    report, key = tmp_path / "report" / "new" / "r.html", tmp_path / "key" / "new" / "k.pem"
+    lines("eval", "slam", "--truth", truth, "--estimate", estimate, *words, "--report", str(report))
+    lines("keygen", str(key))
+    assert all(path.is_file() for path in (*files.values(), report, key))
