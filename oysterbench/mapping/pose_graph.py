@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import block_array, coo_array, csr_array, diags_array, eye_array, vstack
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
@@ -52,17 +53,19 @@ class Step:
     sigma_rad: float
 
 
-def laid(pictures: Sequence[Picture], places: Array, settings: MapSettings) -> list[list[Patch]]:
-    """The oysters of all pictures, in time order, where they lie to each other.
+def laid(pictures: Sequence[Picture], places: Array, settings: MapSettings) -> tuple[list[list[Patch]], Array]:
+    """The oysters of all pictures, in time order, where they lie to each other, and the moves (N, 4, 4) of the pictures
+    there, each about the vertical.
 
     places: (N, 3) m, where the vehicle was. Where the path is sure to FINEST_M nothing is moved. A picture that is
-    registered with none is as sure as the path's own steps from the nearest one that is, or as its pose.
+    registered with none is as sure as the path's own steps from the nearest one that is, or as its pose. One that shows
+    no oyster is moved as those before and after it.
     """
     kept = [k for k, picture in enumerate(pictures) if picture]
     some = [pictures[k] for k in kept]
     poses_m = np.array([picture[0].pose_sigma_m for picture in some])
     if poses_m.max(initial=0.0) <= FINEST_M:
-        return [list(picture) for picture in pictures]
+        return [list(picture) for picture in pictures], np.tile(np.eye(4), (len(pictures), 1, 1))
     middles = np.array([np.mean([patch.centre for patch in picture], axis=0) for picture in some])
     gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])[kept]
     own = [
@@ -80,7 +83,31 @@ def laid(pictures: Sequence[Picture], places: Array, settings: MapSettings) -> l
     result = [list[Patch]() for _ in pictures]
     for k, picture, move, sigma in zip(kept, some, moves, np.hypot(sigmas, np.sqrt(away)).tolist(), strict=True):
         result[k] = [patch.laid(move, min(max(FINEST_M, sigma), patch.pose_sigma_m)) for patch in picture]
-    return result
+    return result, _of_all(np.array(kept), moves, places)
+
+
+def _of_all(kept: NDArray[np.int64], moves: Array, places: Array) -> Array:
+    """Moves (N, 4, 4) of all pictures, at places (N, 3) m, from those (M, 4, 4) of some: in between, of the one before
+    and the one after by how many pictures they are away; at the ends, of the nearest."""
+    numbers = np.arange(len(places))
+    before, after = (
+        np.clip(at, 0, len(kept) - 1)
+        for at in (np.searchsorted(kept, numbers, "right") - 1, np.searchsorted(kept, numbers))
+    )
+    share = ((numbers - kept[before]) / np.maximum(kept[after] - kept[before], 1))[:, None]
+    headings = Rotation.from_matrix(moves[:, :3, :3]).as_rotvec()[:, 2:]
+    heading = (1.0 - share) * headings[before] + share * headings[after]
+    there = (1.0 - share) * _placed(places, moves[before]) + share * _placed(places, moves[after])
+    found = np.tile(np.eye(4), (len(places), 1, 1))
+    found[:, :3, :3] = Rotation.from_euler("z", heading).as_matrix()
+    found[:, :3, 3] = there - _placed(places, found)
+    found[kept] = moves
+    return found
+
+
+def _placed(places: Array, moves: Array) -> Array:
+    """(N, 3) m: places (N, 3) m, each after its move (N, 4, 4)."""
+    return np.asarray((moves[:, :3, :3] @ places[..., None])[..., 0] + moves[:, :3, 3])
 
 
 def _registered(

@@ -180,7 +180,7 @@ def build_map(
             notes.append(f"{counts[key]} of {counts['pictures']} pictures have no {what} and are left out")
     path = np.array(places)
     tracks = OysterTracks(settings)
-    for found in laid(pictures, path, settings):
+    for found in laid(pictures, path, settings)[0]:
         tracks.add(found)
     joined = tracks.joined()
     return OysterMap(

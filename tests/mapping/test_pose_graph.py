@@ -76,14 +76,14 @@ def test_two_passes_lie_on_one_another_whatever_the_path_drifts(metres, degrees)
     places = there_and_back()
     strayed = pictures_of(reef(), places, drift(len(places), metres, degrees))
     assert scatter_m(strayed) > 0.02
-    found = laid(strayed, places, SETTINGS)
+    found, _ = laid(strayed, places, SETTINGS)
     assert scatter_m(found) < 0.005
     assert max(patch.pose_sigma_m for picture in found for patch in picture) < 0.003
 
 
 def test_heights_are_mended_too():
     places = there_and_back()
-    found = laid(pictures_of(reef(), places, drift(len(places), (0.0, 0.0, 0.08), 0.0)), places, SETTINGS)
+    found, _ = laid(pictures_of(reef(), places, drift(len(places), (0.0, 0.0, 0.08), 0.0)), places, SETTINGS)
     middles = [np.mean([patch.centre[2] for patch in picture]) for picture in found]
     assert np.ptp(middles) < 0.01
 
@@ -91,16 +91,34 @@ def test_heights_are_mended_too():
 def test_nothing_moves_along_a_path_that_is_sure():
     places = there_and_back()
     exact = pictures_of(reef(), places, drift(len(places), (0.0, 0.0, 0.0), 0.0), sigma_m=0.0)
-    assert laid(exact, places, SETTINGS) == exact
+    found, moves = laid(exact, places, SETTINGS)
+    assert found == exact
+    assert np.array_equal(moves, np.tile(np.eye(4), (len(places), 1, 1)))
 
 
 def test_pictures_of_bare_ground_stay_where_they_are_and_the_others_find_each_other():
     places = there_and_back()
     visible = np.arange(len(places)) % 10 < 7
     strayed = pictures_of(reef(), places, drift(len(places), (0.1, -0.08, 0.0), 0.0), visible=visible)
-    found = laid(strayed, places, SETTINGS)
+    found, _ = laid(strayed, places, SETTINGS)
     assert [bool(picture) for picture in found] == visible.tolist()
     assert scatter_m(found) < 0.005
+
+
+def test_pictures_of_bare_ground_are_moved_as_those_before_and_after():
+    places, metres = there_and_back(), np.array([0.1, -0.08, 0.0])
+    visible = np.arange(len(places)) % 10 % 8 > 2  # among others neither the first nor the last
+    assert not visible[[0, -1]].any()
+    strays = drift(len(places), metres, 2.0)
+    shown = np.column_stack([places, np.ones(len(places))])[..., None]
+    moves = laid(pictures_of(reef(), places, strays, visible=visible), (strays @ shown)[:, :3, 0], SETTINGS)[1]
+    # Where each is laid by its own move, and by those of the nearest that show oysters.
+    undone = moves @ strays
+    for k in np.flatnonzero(~visible):
+        near = [side[0] for side in (np.flatnonzero(visible[:k])[::-1], k + np.flatnonzero(visible[k:])) if len(side)]
+        by_near = np.mean([undone[j] @ shown[k] for j in near], axis=0)
+        assert np.linalg.norm((undone[k] @ shown[k] - by_near)[:3]) < (0.004 if len(near) == 2 else 0.02)
+    assert np.ptp((strays @ shown - shown)[:, 1]) > 0.08
 
 
 def test_a_picture_that_shows_too_few_moves_with_its_neighbours_and_is_less_sure():
@@ -108,17 +126,17 @@ def test_a_picture_that_shows_too_few_moves_with_its_neighbours_and_is_less_sure
     pictures = pictures_of(reef(), places, drift(len(places), (0.12, -0.1, 0.0), 0.0))
     k = 30
     pictures[k] = pictures[k][:2]
-    found = laid(pictures, places, SETTINGS)
+    found, _ = laid(pictures, places, SETTINGS)
     assert scatter_m(found) < 0.006
     assert found[29][0].pose_sigma_m < 0.003 < found[k][0].pose_sigma_m < 0.01
 
 
 def test_no_oysters_or_one_picture_are_no_trouble():
     places = there_and_back()[:3]
-    assert laid([], np.zeros((0, 3)), SETTINGS) == []
-    assert laid([[], [], []], places, SETTINGS) == [[], [], []]
+    assert laid([], np.zeros((0, 3)), SETTINGS)[0] == []
+    assert laid([[], [], []], places, SETTINGS)[0] == [[], [], []]
     alone = pictures_of(reef(), places[:1], drift(1, (0.0, 0.0, 0.0), 0.0))
-    (found,) = laid(alone, places[:1], SETTINGS)
+    (found,), _ = laid(alone, places[:1], SETTINGS)
     assert np.allclose([patch.centre for patch in found], [patch.centre for patch in alone[0]])
     assert found[0].pose_sigma_m == pytest.approx(0.05)
 
