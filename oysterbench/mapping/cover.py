@@ -1,7 +1,12 @@
-"""What of the ground was seen: a raster from above, with colours."""
+"""What of the ground was seen: a raster from above, with colours, laid picture by picture.
+
+Each picture makes a tile of its own first, along the path as it is; where it is laid is known once all of them are laid
+to each other (`mapping.pose_graph`).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +14,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
 
 from oysterbench.core.errors import TrajectoryError
-from oysterbench.core.geometry import Array
+from oysterbench.core.geometry import Array, invert
 from oysterbench.mapping.settings import MapSettings
 
 CLOSED_M = 0.05  # gaps of the cover up to here are what lies between pixels, and behind single shells
 MOST = 60_000_000  # squares: 0.7 GB
+
+Squares = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""Rows and columns of a raster."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +44,54 @@ class Raster:
         inside = (rows >= 0) & (rows < self.rows) & (columns >= 0) & (columns < self.columns)
         return rows, columns, inside
 
+    def part(self, rows: slice, columns: slice) -> Raster:
+        """Some of its squares, as a raster."""
+        west_m, north_m = self.west_m + columns.start * self.edge_m, self.north_m - rows.start * self.edge_m
+        return Raster(west_m, north_m, self.edge_m, rows.stop - rows.start, columns.stop - columns.start)
+
+    def between(self, low: Array, high: Array) -> tuple[slice, slice]:
+        """Rows and columns of its squares whose middles lie between two corners (2,) m."""
+        (last, first), (left, right), _ = self.index(np.array([low, high]) + self.edge_m * np.array([[0.5], [-0.5]]))
+        rows, columns = (
+            slice(max(0, int(begin)), max(0, min(n, int(end) + 1)))
+            for begin, end, n in ((first, last, self.rows), (left, right, self.columns))
+        )
+        return rows, columns
+
+    def bounds(self, move: Array) -> tuple[Array, Array]:
+        """(2,) m, the least x and y and the greatest, of its outer corners after a move (4, 4) about the vertical."""
+        east_m, south_m = self.west_m + self.columns * self.edge_m, self.north_m - self.rows * self.edge_m
+        corners = np.array([(x, y) for x in (self.west_m, east_m) for y in (south_m, self.north_m)])
+        there = corners @ move[:2, :2].T + move[:2, 3]
+        return there.min(axis=0), there.max(axis=0)
+
+    def holding(self, others: Iterable[tuple[Raster, Array]], whole_m: float) -> Raster:
+        """The same, or larger by multiples of `whole_m`: with the middles of the squares that are within other rasters
+        of this edge after their moves (4, 4).
+
+        Raises TrajectoryError as `raster_around`.
+        """
+        ends = [raster.bounds(move) for raster, move in others if raster.rows]
+        if not ends:
+            return self
+        own_low, own_high = self.bounds(np.eye(4))
+        half = 0.5 * self.edge_m
+        beyond = [
+            own_low - np.min([low for low, _ in ends], axis=0),
+            np.max([high for _, high in ends], axis=0) - own_high,
+        ]
+        (west, south), (east, north) = np.ceil(np.maximum(np.array(beyond) - half, 0.0) / whole_m).astype(int).tolist()
+        per_whole = round(whole_m / self.edge_m)
+        return _fitting(
+            Raster(
+                self.west_m - west * whole_m,
+                self.north_m + north * whole_m,
+                self.edge_m,
+                self.rows + (south + north) * per_whole,
+                self.columns + (west + east) * per_whole,
+            )
+        )
+
 
 def raster_around(places: Array, margin_m: float, edge_m: float, whole_m: float) -> Raster:
     """The squares around places (N, 2) m and a margin; its outer edges are at multiples of `whole_m`.
@@ -45,12 +101,58 @@ def raster_around(places: Array, margin_m: float, edge_m: float, whole_m: float)
     low = np.floor((places.min(axis=0) - margin_m) / whole_m) * whole_m
     high = np.ceil((places.max(axis=0) + margin_m) / whole_m) * whole_m
     columns, rows = (int(n) for n in np.rint((high - low) / edge_m))
-    if not np.isfinite(places).all() or rows * columns > MOST:
+    return _fitting(Raster(float(low[0]), float(high[1]), edge_m, rows, columns))
+
+
+def _fitting(raster: Raster) -> Raster:
+    """The same. Raises TrajectoryError where it does not fit into memory."""
+    if raster.rows * raster.columns > MOST:
         raise TrajectoryError(
-            f"the pictures' poses lie within {high[0] - low[0]:.0f} x {high[1] - low[1]:.0f} m: expected an area of at "
-            f"most {MOST * edge_m**2:.0f} m^2 at a raster of {edge_m:g} m; has the trajectory diverged?"
+            f"the pictures' poses lie within {raster.columns * raster.edge_m:.0f} x {raster.rows * raster.edge_m:.0f} "
+            f"m: expected an area of at most {MOST * raster.edge_m**2:.0f} m^2 at a raster of {raster.edge_m:g} m; has "
+            "the trajectory diverged?"
         )
-    return Raster(float(low[0]), float(high[1]), edge_m, rows, columns)
+    return raster
+
+
+@dataclass(frozen=True)
+class Tile:
+    """What one picture shows of the ground.
+
+    raster: around it, along the path as it is; seen: (rows, columns), which of its squares the picture shows;
+    distances_m, colours: (N,) and (N, 3) uint8 RGB, of these the nearest pixel's, row by row
+    """
+
+    raster: Raster
+    seen: NDArray[np.bool_]
+    distances_m: Array
+    colours: NDArray[np.uint8]
+
+    @property
+    def numbers(self) -> NDArray[np.int64]:
+        """(rows, columns) of the squares: which of the N each is, -1 of those not seen."""
+        return np.where(self.seen, np.cumsum(self.seen).reshape(self.seen.shape) - 1, -1)
+
+
+def tile_of(raster: Raster, points: Array, distances_m: Array, colours: NDArray[np.uint8] | None = None) -> Tile:
+    """Of points (N, 3) m of a picture's pixels, their distances (N,) m, colours (N, 3), or none; what lies beyond the
+    raster is left out."""
+    if colours is None:
+        colours = np.zeros((len(points), 3), dtype=np.uint8)
+    rows, columns, inside = raster.index(points[:, :2])
+    if not inside.all():
+        rows, columns, distances_m, colours = (each[inside] for each in (rows, columns, distances_m, colours))
+    if len(rows) == 0:
+        return Tile(raster.part(slice(0, 0), slice(0, 0)), np.zeros((0, 0), dtype=bool), np.zeros(0), colours)
+    part = raster.part(slice(int(rows.min()), int(rows.max()) + 1), slice(int(columns.min()), int(columns.max()) + 1))
+    at = (rows - rows.min()) * part.columns + (columns - columns.min())
+    nearest = np.full(part.rows * part.columns, np.inf)
+    np.minimum.at(nearest, at, distances_m)
+    stays = np.flatnonzero(distances_m == nearest[at])
+    pixels = np.full(len(nearest), -1)
+    pixels[at[stays]] = stays  # of several pixels as near, the last one stays
+    seen = pixels >= 0
+    return Tile(part, seen.reshape(part.rows, part.columns), nearest[seen], colours[pixels[seen]])
 
 
 class Cover:
@@ -63,19 +165,29 @@ class Cover:
         self.colours: NDArray[np.uint8] = np.zeros((*shape, 3), dtype=np.uint8)
         self._nearest = np.full(shape, np.inf, dtype=np.float32)
 
-    def add(self, points: Array, distances_m: Array, colours: NDArray[np.uint8] | None) -> None:
-        """A picture: points (N, 3) m of its pixels, their distances (N,), colours (N, 3)."""
-        rows, columns, inside = self.raster.index(points[:, :2])
-        order = np.argsort(-distances_m[inside], kind="stable")  # of several pixels on a square, the nearest stays
-        rows, columns, near = rows[inside][order], columns[inside][order], distances_m[inside][order]
-        seen = np.zeros_like(self.views, dtype=bool)
-        seen[rows, columns] = True
-        self.views += seen
-        if colours is not None:
-            better = near <= self._nearest[rows, columns]
-            at = rows[better], columns[better]
-            self.colours[at] = colours[inside][order][better]
-            self._nearest[at] = near[better]
+    def lay(self, tile: Tile, move: Array) -> Squares:
+        """A picture's tile, after a move (4, 4) about the vertical; returns the squares that it shows.
+
+        Each square of the raster is what the tile has at its middle: moved squares would leave gaps where the tile is
+        turned, and lie on one another beside them.
+        """
+        among, along = self.raster.between(*tile.raster.bounds(move))
+        x = self.raster.west_m + self.raster.edge_m * (np.arange(along.start, along.stop) + 0.5)
+        y = self.raster.north_m - self.raster.edge_m * (np.arange(among.start, among.stop) + 0.5)
+        back = invert(move)
+        middles = np.stack([way[0] * x + way[1] * y[:, None] + way[3] for way in back[:2]], axis=-1)
+        rows, columns, inside = tile.raster.index(middles.reshape(-1, 2))
+        shown = np.full(len(rows), -1)
+        shown[inside] = tile.numbers[rows[inside], columns[inside]]
+        there = np.flatnonzero(shown >= 0)
+        at = among.start + there // len(x), along.start + there % len(x)
+        self.views[at] += 1
+        distances_m = tile.distances_m[shown[there]]
+        better = distances_m <= self._nearest[at]
+        best = at[0][better], at[1][better]
+        self.colours[best] = tile.colours[shown[there[better]]]
+        self._nearest[best] = distances_m[better]
+        return at
 
     def closed(self) -> NDArray[np.bool_]:
         """(rows, columns) that count as seen: small gaps are closed."""

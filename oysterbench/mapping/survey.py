@@ -13,13 +13,14 @@ from oysterbench.core.errors import LabelError, SequenceError, TrajectoryError
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.mapping.association import OysterTracks
-from oysterbench.mapping.cover import Cover, raster_around
+from oysterbench.mapping.cover import Cover, Raster, raster_around, tile_of
 from oysterbench.mapping.depth import SIGMA, depth_source
 from oysterbench.mapping.grid import Grid, Oyster, Total, make_grid, total
 from oysterbench.mapping.north import magnetic_north
 from oysterbench.mapping.pose_graph import laid
 from oysterbench.mapping.projection import Lens, Patch, Seen, patches, usable
 from oysterbench.mapping.settings import MapSettings
+from oysterbench.mapping.tiles import Tiles
 from oysterbench.mapping.track import OysterTrack
 from oysterbench.mapping.unassociated import UnassociatedCount
 from oysterbench.mapping.views import PoseInterpolator, check_time, shown_at
@@ -38,7 +39,8 @@ class OysterMap:
     """A map of a sequence, in the world frame of its trajectory.
 
     tracks:  behind each oyster, what pictures show of it
-    path:    (N, 2) m, where the pictures were taken
+    cover:   what of the ground the pictures show, laid with their oysters (`mapping.pose_graph`)
+    path:    (N, 2) m, where the pictures were taken, by the trajectory
     pictures, without_pose, without_depth: how many were given, and how many of them had none
     unassociated: what the pictures show without association (`mapping.unassociated`); None where path and depths are
              the truth's
@@ -133,54 +135,54 @@ def build_map(
     check_time(sequence, trajectory)
     depth_of = depth_source(depth, source, camera, lens, poses, settings)
     exact = _exact(sequence, trajectory, depth, settings)
-    cover = empty_cover(trajectory, settings)
+    raster = raster_of(trajectory, settings)
     pictures = list[list[Patch]]()
-    unassociated = UnassociatedCount(cover.raster)
     places, counts = [], {"pictures": 0, "without_pose": 0, "without_depth": 0}
     any_oyster = False
-    for k, picture in enumerate(seen()):
-        counts["pictures"] += 1
-        shown = shown_at(sequence, camera, picture.stamp_ns)
-        if shown is None:
-            raise LabelError(
-                f"{sequence.name}: {camera} took no picture at {picture.stamp_ns} ns: are the masks of another "
-                "sequence?"
-            )
-        if picture.numbers.shape != lens.shape:
-            raise LabelError(
-                f"mask of {camera} at {picture.stamp_ns} ns: expected {lens.shape[1]} x {lens.shape[0]} px, as the "
-                f"pictures of {sequence.name}, got {picture.numbers.shape[1]} x {picture.numbers.shape[0]}"
-            )
-        any_oyster |= bool(picture.numbers.any())
-        image, first_ns = shown
-        T, T_odom_cam = (find(calibration, first_ns) for find in (poses.taking, poses.of_rows))
-        if T is None or T_odom_cam is None:
-            counts["without_pose"] += 1
-            continue
-        depth_m = depth_of(picture.stamp_ns, first_ns)
-        if depth_m is None:
-            counts["without_depth"] += 1
-            continue
-        points = lens.points(depth_m, T_odom_cam)
-        depth_m = np.where(np.isfinite(points[..., 0]), depth_m, np.nan)
-        near = usable(depth_m, settings)
-        cover.add(points[near], depth_m[near], image.pixels[near])
-        eye = (T @ calibration.T_base_cam)[:3, 3]
-        sigma = _pose_sigma(trajectory, picture.stamp_ns, settings, exact), sigma_of(depth, settings)
-        found = patches(k, picture, points, depth_m, eye, lens.pixel_sr, *sigma, settings)
-        pictures.append(found)
-        unassociated.add(points[near], found)
-        places.append(T[:3, 3])
-    _check(sequence, camera, depth, counts, len(places), any_oyster or allow_none)
+    with Tiles() as tiles:
+        for k, picture in enumerate(seen()):
+            counts["pictures"] += 1
+            shown = shown_at(sequence, camera, picture.stamp_ns)
+            if shown is None:
+                raise LabelError(
+                    f"{sequence.name}: {camera} took no picture at {picture.stamp_ns} ns: are the masks of another "
+                    "sequence?"
+                )
+            if picture.numbers.shape != lens.shape:
+                raise LabelError(
+                    f"mask of {camera} at {picture.stamp_ns} ns: expected {lens.shape[1]} x {lens.shape[0]} px, as the "
+                    f"pictures of {sequence.name}, got {picture.numbers.shape[1]} x {picture.numbers.shape[0]}"
+                )
+            any_oyster |= bool(picture.numbers.any())
+            image, first_ns = shown
+            T, T_odom_cam = (find(calibration, first_ns) for find in (poses.taking, poses.of_rows))
+            if T is None or T_odom_cam is None:
+                counts["without_pose"] += 1
+                continue
+            depth_m = depth_of(picture.stamp_ns, first_ns)
+            if depth_m is None:
+                counts["without_depth"] += 1
+                continue
+            points = lens.points(depth_m, T_odom_cam)
+            depth_m = np.where(np.isfinite(points[..., 0]), depth_m, np.nan)
+            near = usable(depth_m, settings)
+            tiles.add(tile_of(raster, points[near], depth_m[near], image.pixels[near]))
+            eye = (T @ calibration.T_base_cam)[:3, 3]
+            sigma = _pose_sigma(trajectory, picture.stamp_ns, settings, exact), sigma_of(depth, settings)
+            pictures.append(patches(k, picture, points, depth_m, eye, lens.pixel_sr, *sigma, settings))
+            places.append(T[:3, 3])
+        _check(sequence, camera, depth, counts, len(places), any_oyster or allow_none)
+        path = np.array(places)
+        pictures, moves = laid(pictures, path, settings)
+        cover, unassociated = _ground(raster, tiles, moves, pictures, settings)
     notes = []
     if depth == "layer":
         notes.append("depths are the truth's (layer depth): no real survey has them")
     for key, what in (("without_pose", "pose"), ("without_depth", "depth")):
         if counts[key]:
             notes.append(f"{counts[key]} of {counts['pictures']} pictures have no {what} and are left out")
-    path = np.array(places)
     tracks = OysterTracks(settings)
-    for found in laid(pictures, path, settings)[0]:
+    for found in pictures:
         tracks.add(found)
     joined = tracks.joined()
     return OysterMap(
@@ -190,6 +192,17 @@ def build_map(
         unassociated=None if exact else unassociated.count,
         magnetic_north_rad=magnetic_north(source, poses),
     )  # fmt: skip
+
+
+def _ground(
+    raster: Raster, tiles: Tiles, moves: Array, pictures: Iterable[list[Patch]], settings: MapSettings
+) -> tuple[Cover, UnassociatedCount]:
+    """What the pictures show of the ground where their moves (N, 4, 4) lay them, on a raster that has room for it."""
+    cover = Cover(raster.holding(zip(tiles.rasters, moves, strict=True), settings.cell_m))
+    unassociated = UnassociatedCount(cover.raster)
+    for tile, move, found in zip(tiles, moves, pictures, strict=True):
+        unassociated.add(cover.lay(tile, move), found)
+    return cover, unassociated
 
 
 def _exact(sequence: Sequence, trajectory: Trajectory, depth: str, settings: MapSettings) -> bool:
@@ -218,11 +231,11 @@ def _oyster(track: OysterTrack) -> Oyster:
     return Oyster(track.centre, track.state, len(track.frames), weight, track.doubt, track.score)
 
 
-def empty_cover(trajectory: Trajectory, settings: MapSettings) -> Cover:
-    """A raster around a trajectory, of which nothing was seen yet."""
+def raster_of(trajectory: Trajectory, settings: MapSettings) -> Raster:
+    """Of what is seen along a trajectory."""
     edge = settings.cell_m / round(settings.cell_m / settings.raster_m)  # cells are whole numbers of squares
     # What is seen lies within the greatest depth, and a little more at the picture's corners.
-    return Cover(raster_around(trajectory.positions[:, :2], 1.5 * settings.far_m, edge, settings.cell_m))
+    return raster_around(trajectory.positions[:, :2], 1.5 * settings.far_m, edge, settings.cell_m)
 
 
 def _pose_sigma(trajectory: Trajectory, stamp_ns: int, settings: MapSettings, exact: bool) -> float:

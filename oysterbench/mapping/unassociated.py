@@ -15,10 +15,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
-from oysterbench.mapping.cover import CLOSED_M, Raster
+from oysterbench.mapping.cover import CLOSED_M, Raster, Squares
 from oysterbench.mapping.projection import Patch
 
 
@@ -31,12 +30,12 @@ class UnassociatedCount:
         self._views = np.zeros((raster.rows // self._per_square + 1, raster.columns // self._per_square + 1), np.uint16)
         self._centres: list[Array] = []
 
-    def add(self, points: Array, found: Sequence[Patch]) -> None:
-        """A picture: the points (N, 3) m of its pixels, and its oysters. Of those that its edge cuts, half have their
+    def add(self, squares: Squares, found: Sequence[Patch]) -> None:
+        """A picture: the raster's squares that it shows, and its oysters. Of those that its edge cuts, half have their
         middle inside."""
-        rows, columns, _ = self._squares(points)
+        rows, columns = squares
         seen = np.zeros(self._views.shape, dtype=bool)
-        seen[rows, columns] = True
+        seen[rows // self._per_square, columns // self._per_square] = True
         self._views += seen
         self._centres += [np.append(one.centre[:2], 0.5 if one.cut else 1.0) for one in found]
 
@@ -45,10 +44,7 @@ class UnassociatedCount:
         """So many oysters."""
         if not self._centres:
             return 0.0
-        rows, columns, inside = self._squares(np.array(self._centres))
-        weights = np.array(self._centres)[inside, 2]
-        return float((weights / np.maximum(self._views[rows, columns], 1)).sum())
-
-    def _squares(self, places: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-        rows, columns, inside = self._raster.index(places[:, :2])
-        return rows[inside] // self._per_square, columns[inside] // self._per_square, inside
+        centres = np.array(self._centres)
+        rows, columns, inside = self._raster.index(centres[:, :2])
+        views = self._views[rows[inside] // self._per_square, columns[inside] // self._per_square]
+        return float((centres[inside, 2] / np.maximum(views, 1)).sum())

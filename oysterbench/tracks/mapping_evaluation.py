@@ -18,11 +18,11 @@ from oysterbench.evaluate.density.scoring import EVALUATOR, Cell, MapCount, True
 from oysterbench.evaluate.slam.alignment import meet
 from oysterbench.evaluate.slam.settings import Align, SlamSettings
 from oysterbench.mapping import MapSettings, OysterMap, Seen, build_map, true_seen
-from oysterbench.mapping.cover import Cover
+from oysterbench.mapping.cover import Cover, tile_of
 from oysterbench.mapping.grid import Grid, Oyster, make_grid
 from oysterbench.mapping.predicted import true_states
 from oysterbench.mapping.projection import Lens, usable
-from oysterbench.mapping.survey import empty_cover
+from oysterbench.mapping.survey import raster_of
 from oysterbench.mapping.views import PoseInterpolator, shown_at
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report.density import DensityRun
@@ -74,7 +74,7 @@ def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
     """
     truth, calibration = sequence.truth(), sequence.truly_calibrated().cameras[camera]
     poses, lens = PoseInterpolator(truth, settings.max_gap_s), Lens(camera, calibration)
-    cover = empty_cover(truth, settings)
+    cover = Cover(raster_of(truth, settings))
     most: Counter[int] = Counter()
     whole: set[int] = set()
     edge = np.ones(lens.shape, dtype=bool)
@@ -86,7 +86,7 @@ def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
             continue
         points = lens.points(depth.pixels.astype(float), T_map_cam)
         near = usable(depth.pixels, settings) & np.isfinite(points[..., 0])
-        cover.add(points[near], depth.pixels[near], None)
+        cover.lay(tile_of(cover.raster, points[near], depth.pixels[near]), np.eye(4))
         numbers, pixels = np.unique(picture.numbers[near], return_counts=True)
         for number, count in zip(numbers.tolist(), pixels.tolist(), strict=True):
             most[number] = max(most[number], count)
