@@ -6,6 +6,8 @@
 
 PYTHON ?= python3
 VENV ?= .venv
+# Images of containers often forbid it: then every process compiles all that it imports anew, seconds of each.
+export PYTHONDONTWRITEBYTECODE :=
 # What nobody imports need not be compiled: that is most of torch, and a third of the time of installing.
 PIP = $(VENV)/bin/pip install --no-compile --quiet --disable-pip-version-check --constraint .ci/constraints.txt
 
