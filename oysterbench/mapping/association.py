@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from oysterbench.core.geometry import Array
@@ -71,6 +70,8 @@ class OysterTracks:
 
     def _assign(self, found: Sequence[Patch], known: Sequence[OysterTrack], exact: bool) -> list[tuple[int, int]]:
         """Indices of those that are one."""
+        from scipy.optimize import linear_sum_assignment  # a third of a second, where nothing is mapped
+
         if not known:
             return []
         cost = self._overlap_cost(found, known) if exact else self._distance_cost(found, known)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse import block_array, coo_array, csr_array, diags_array, eye_array, vstack
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from oysterbench.core.geometry import Array, invert
 from oysterbench.mapping.projection import Patch
@@ -139,7 +139,7 @@ def _as_sure_as_told(own: Sequence[Step], told: Sequence[Step]) -> list[Step]:
     )
     turn2 = np.array([step.turn_rad**2 / (way.sigma_rad**2 + step.sigma_rad**2) for way, step in pairs])
     times, turn_times = (
-        float(np.sqrt(max(1.0, np.median(squares) / chi2.median(freedom))))
+        float(np.sqrt(max(1.0, np.median(squares) / (2.0 * gammaincinv(freedom / 2.0, 0.5)))))
         for squares, freedom in ((off2, 2), (turn2, 1))
     )
     return [replace(way, sigma_m=times * way.sigma_m, sigma_rad=turn_times * way.sigma_rad) for way in own]

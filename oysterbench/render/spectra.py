@@ -9,7 +9,6 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq, nnls
 
 from oysterbench.core.geometry import Array
 from oysterbench.recipe import WaterRecipe
@@ -121,6 +120,7 @@ def water_constituents(recipe: WaterRecipe) -> Constituents:
 
 def scale_to_secchi(water: Constituents, secchi_m: float) -> Constituents:
     """So much of a mixture that a Secchi disc vanishes at secchi_m."""
+    from scipy.optimize import brentq  # a third of a second, for commands that render nothing
 
     def scaled(factor: float) -> Constituents:
         parts = {name: getattr(water, name) * factor for name in ("cdom", "nap", "algae", "scattering")}
@@ -172,6 +172,8 @@ def jerlov_constituents(kind: str) -> Constituents:
     Absorption above that of pure water: non-negative least squares of relative residuals over the three absorbers;
     scattering: a straight line in logarithms.
     """
+    from scipy.optimize import nnls  # as brentq
+
     a, b, _ = (np.array(row) for row in JERLOV[kind])
     a[0] -= RED_TABLE_OFFSET
     excess = np.maximum(a - np.interp(TABLE_WAVELENGTHS, WAVELENGTHS, WATER_ABSORPTION), 0.0)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from oysterbench.core.geometry import Array
 from oysterbench.recipe import CameraRecipe
@@ -44,6 +43,8 @@ def fit_in_water(camera: CameraRecipe) -> InWater:
     for one another, so that the fit leaves digits of them to a processor's rounding: each is rounded in turn, from k4
     on, and what is left is fitted again, which makes up for it.
     """
+    from scipy.optimize import least_squares  # a third of a second, where no camera is behind a port
+
     from oysterbench.render.lens import distort, pixel_rays
 
     columns, rows = np.meshgrid(*(np.linspace(0, n - 1, k) for n, k in zip(_size(camera), GRID, strict=True)))

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import Array, rotation_angle
@@ -140,6 +139,8 @@ def _refine(truth: Array, estimate: Array, lag: int) -> tuple[float, float]:
     The deviation is that of least squares, sqrt(s^2 / sum(v'^2)) of the residuals' deviation s and the slope v', with
     the number of independent residuals counted by their correlation from one sample to the next.
     """
+    from scipy.optimize import minimize_scalar  # as scipy.signal
+
     index = np.arange(max(1, 1 - lag), min(len(estimate) - 1, len(truth) - 1 - lag))
     known = np.arange(len(truth))
 
