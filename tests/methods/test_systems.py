@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
 
 import pytest
 
@@ -16,7 +14,7 @@ from oysterbench.methods.systems import building, find_system, split_reference, 
 from oysterbench.methods.systems.container import containerfile
 from oysterbench.methods.systems.manifest import read_system
 from oysterbench.results.records import read_results
-from tests.helpers.paths import COMMAND
+from tests.helpers.command import run
 from tests.helpers.toy_system import forget, toy_package, toy_repository
 
 needs_tools = pytest.mark.skipif(
@@ -46,26 +44,21 @@ def toy(tmp_path, answer, monkeypatch):
     forget()
 
 
-def oysterbench_command(*words):
-    found = [COMMAND, *map(str, words)]
-    return subprocess.run(found, capture_output=True, text=True, check=False, env=os.environ)
-
-
 @needs_tools
 def test_a_system_is_built_and_run_by_name(toy, dive_file, tmp_path):
-    refused = oysterbench_command("run", "toy", "--on", dive_file, "--out", tmp_path / "out")
+    refused = run("run", "toy", "--on", dive_file, "--out", tmp_path / "out")
     assert refused.returncode == 1
     assert refused.stderr == "oysterbench: toy is not built here; type: oysterbench systems build toy\n"
 
-    done = oysterbench_command("systems", "build", "toy", "--source", tmp_path / "upstream")
+    done = run("systems", "build", "toy", "--source", tmp_path / "upstream")
     assert done.returncode == 0, done.stderr
     place = find_system("toy").place
     assert "ready" in (place / "build" / "toy").read_text()
     assert not (place / "source" / "unused").exists()
-    listed = json.loads(oysterbench_command("systems", "--json").stdout)
+    listed = json.loads(run("systems", "--json").stdout)
     assert next(row for row in listed if row["method"] == "toy")["state"].startswith("built")
 
-    done = oysterbench_command("run", "toy", "--on", dive_file, "--out", tmp_path / "out")
+    done = run("run", "toy", "--on", dive_file, "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     (record,) = read_results(tmp_path / "out" / "results.json")
     assert record.settings["align"] == "sim3"  # as its manifest says
@@ -77,7 +70,7 @@ def test_a_system_is_built_and_run_by_name(toy, dive_file, tmp_path):
     assert list(record.info["configuration_sha256"]) == ["word.txt"]
 
     others = ("--align", "posyaw", "--timeout", 60)
-    given = oysterbench_command("run", "toy", "--on", dive_file, "--out", tmp_path / "se3", *others)
+    given = run("run", "toy", "--on", dive_file, "--out", tmp_path / "se3", *others)
     assert given.returncode == 0, given.stderr
     (record,) = read_results(tmp_path / "se3" / "results.json")
     assert record.settings["align"] == "posyaw"
@@ -90,22 +83,22 @@ def test_a_system_is_built_and_run_by_name(toy, dive_file, tmp_path):
 def test_a_changed_configuration_or_recipe_is_another_run(toy, dive_file, tmp_path):
     building.build(find_system("toy"), [tmp_path / "upstream"], announce=lambda text: None)
     words = ("run", "toy", "--on", dive_file, "--out", tmp_path / "out")
-    assert oysterbench_command(*words).returncode == 0
+    assert run(*words).returncode == 0
     with open(toy / "configure.py", "a") as file:
         file.write("# changed\n")
-    changed = oysterbench_command(*words)
+    changed = run(*words)
     assert changed.returncode == 1
     assert "rerun it with --again" in changed.stderr
     with open(toy / "CMakeLists.txt", "a") as file:
         file.write("# changed\n")
-    assert "is not built here" in oysterbench_command(*words).stderr
+    assert "is not built here" in run(*words).stderr
 
 
 @needs_tools
 def test_what_a_build_says_last_is_told_with_its_log(toy, tmp_path):
     with open(toy / "CMakeLists.txt", "a") as file:
         file.write('message(FATAL_ERROR "no such library")\n')
-    done = oysterbench_command("systems", "build", "toy", "--source", tmp_path / "upstream")
+    done = run("systems", "build", "toy", "--source", tmp_path / "upstream")
     assert done.returncode == 1
     last = done.stderr.splitlines()[-1]
     assert "no such library" in last
@@ -183,7 +176,7 @@ def test_a_system_that_fails_has_its_last_words(toy, dive_file, tmp_path):
     if not (shutil.which("git") and shutil.which("cmake")):
         pytest.skip("git and cmake are not installed")
     building.build(find_system("toy"), [tmp_path / "upstream"], announce=lambda text: None)
-    done = oysterbench_command("run", "toy[word=wrong]", "--on", dive_file, "--out", tmp_path / "out")
+    done = run("run", "toy[word=wrong]", "--on", dive_file, "--out", tmp_path / "out")
     assert done.returncode == 1
     assert "toy begins" in done.stderr
 

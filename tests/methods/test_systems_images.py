@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 
@@ -17,8 +16,8 @@ from oysterbench.methods.systems.adapter import SystemAdapter
 from oysterbench.methods.systems.manifest import read_system
 from oysterbench.report.tuning import best_of
 from oysterbench.results.records import ResultRecord, read_results
+from tests.helpers.command import run
 from tests.helpers.labelled_folders import image
-from tests.helpers.paths import COMMAND
 from tests.helpers.toy_system import forget, toy_image_package
 
 
@@ -50,27 +49,22 @@ def pictures(tmp_path):
     return tmp_path / "pictures"
 
 
-def oysterbench_command(*words):
-    found = [COMMAND, *map(str, words)]
-    return subprocess.run(found, capture_output=True, text=True, check=False, env=os.environ)
-
-
 def test_it_runs_by_name_on_the_track_of_its_manifest(toy, pictures, tmp_path):
-    done = oysterbench_command("run", "toy_masks", "--on", pictures, "--out", tmp_path / "out")
+    done = run("run", "toy_masks", "--on", pictures, "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     (record,) = read_results(tmp_path / "out" / "results.json")
     assert (record.track, record.metrics["iou"]) == ("segmentation", 1.0)
     assert len(record.method_settings["weights"]) == 64  # what it is, not where
     assert record.info["method"] == {"title": "Toy", "paper": "A. Author: Toy. 2020", "code": "https://toy.example"}
     assert list(record.info["configuration_sha256"]) == ["channel.txt"]
-    listed = json.loads(oysterbench_command("systems", "--json").stdout)
+    listed = json.loads(run("systems", "--json").stdout)
     row = next(row for row in listed if row["method"] == "toy_masks")
     assert (row["track"], row["sensors"], row["state"]) == ("segmentation", "pictures", "built, package")
 
 
 def test_one_of_detection_leaves_coco_annotations(toy, pictures, tmp_path):
     pytest.importorskip("pycocotools", reason="single oysters are matched by pycocotools")
-    done = oysterbench_command("run", "toy_oysters", "--on", pictures, "--out", tmp_path / "out")
+    done = run("run", "toy_oysters", "--on", pictures, "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     (record,) = read_results(tmp_path / "out" / "results.json")
     assert (record.track, record.metrics["ap_box"]) == ("detection", pytest.approx(1.0))
@@ -107,9 +101,9 @@ def test_a_file_of_weights_is_known_by_its_content(toy, tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_other_weights_under_the_home_are_another_run(toy, pictures, tmp_path):
     words = ("run", "toy_masks", "--on", pictures, "--out", tmp_path / "out")
-    assert oysterbench_command(*words).returncode == 0
+    assert run(*words).returncode == 0
     (tmp_path / "home" / "models" / "toy.txt").write_text("9")
-    changed = oysterbench_command(*words)
+    changed = run(*words)
     assert changed.returncode == 1
     assert "another toy_masks (weights changed)" in changed.stderr
 
