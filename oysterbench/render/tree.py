@@ -7,8 +7,8 @@ ray/triangle intersection").
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import warp as wp
@@ -128,8 +128,9 @@ def upload_tree(low: NDArray[np.float32], high: NDArray[np.float32], device: str
     return tree
 
 
-def upload_library(meshes: Sequence[Mesh], device: str) -> tuple[Library, NDArray[np.int32]]:
-    """Meshes on a device, and the root (M,) of each one's tree."""
+@lru_cache(maxsize=1)
+def upload_library(meshes: tuple[Mesh, ...], device: str) -> tuple[Library, NDArray[np.int32]]:
+    """Meshes on a device, and the root (M,) of each one's tree: once for all cameras and sonars of a reef."""
     corners = np.concatenate([mesh.vertices[mesh.faces] for mesh in meshes])
     counts = [len(mesh.faces) for mesh in meshes]
     forest = build_forest(corners.min(axis=1), corners.max(axis=1), counts, WIDTH)

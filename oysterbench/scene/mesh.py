@@ -14,7 +14,7 @@ POSITION_STEP_M = 2.0**-20
 """Vertices are rounded to this step (about 1 um), so that the last bits of a CPU's sin() or exp() do not show."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mesh:
     """Triangles: vertices (V, 3) float32, faces (F, 3) int32 counter-clockwise from outside, normals (V, 3) float32.
 

@@ -41,6 +41,11 @@ def bare():
     return frame_of()
 
 
+@pytest.fixture(scope="module")
+def close():
+    return frame_of(camera=CLOSE)
+
+
 def roughness(frame, where):
     """Mean step of brightness between neighbours that are both of a kind of pixel."""
     level = frame.colour.astype(float).mean(axis=2)
@@ -49,17 +54,16 @@ def roughness(frame, where):
 
 
 @pytest.mark.parametrize("key", ["drape", "turf", "fouling", "grit", "burrows"])
-def test_what_covers_thinly_changes_looks_and_no_truth(bare, key):
-    covered = frame_of(**{key: 0.9})
-    if key in ("grit", "burrows"):  # too fine for the wide view
-        bare, covered = frame_of(camera=CLOSE), frame_of(camera=CLOSE, **{key: 0.9})
+def test_what_covers_thinly_changes_looks_and_no_truth(bare, close, key):
+    fine = key in ("grit", "burrows")  # too fine for the wide view
+    bare, covered = (close, frame_of(camera=CLOSE, **{key: 0.9})) if fine else (bare, frame_of(**{key: 0.9}))
     assert not np.array_equal(covered.colour, bare.colour)
     for name in ("depth", "classes", "instances"):
         assert np.array_equal(getattr(covered, name), getattr(bare, name)), "what lies thinly on an oyster is oyster"
 
 
-def test_a_drape_smooths_shells_and_bottom_and_brings_them_to_one_colour(bare):
-    close, smooth = frame_of(camera=CLOSE), frame_of(camera=CLOSE, drape=1.0)
+def test_a_drape_smooths_shells_and_bottom_and_brings_them_to_one_colour(close):
+    smooth = frame_of(camera=CLOSE, drape=1.0)
     for kind in (OYSTER, BOTTOM):
         assert (close.classes == kind).sum() > 500
         assert roughness(smooth, close.classes == kind) < 0.8 * roughness(close, close.classes == kind)

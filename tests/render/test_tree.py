@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from oysterbench.render.camera import CameraRenderer
+from oysterbench.render.rays import RayCaster
 from oysterbench.render.tree import WIDTH, Forest, build_forest
+from tests.helpers.reefs import CAMERA, small_reef, world_of
 
 
 def items_below(forest: Forest, low: np.ndarray, high: np.ndarray, node: int) -> list[int]:
@@ -46,3 +49,11 @@ def test_boxes_that_are_all_one_are_divided_all_the_same() -> None:
     low = np.zeros((100, 3), dtype=np.float32)
     forest = build_forest(low, low, [100], 1)
     assert sorted(items_below(forest, low, low, 0)) == list(range(100))
+
+
+def test_cameras_and_sonars_of_a_reef_share_its_meshes() -> None:
+    recipe = small_reef({})
+    world, other = (world_of(recipe) for _ in range(2))
+    camera, sonar, elsewhere = CameraRenderer(world, CAMERA, recipe), RayCaster(world), RayCaster(other)
+    assert camera._geometry.library.planes.ptr == sonar._geometry.library.planes.ptr
+    assert camera._geometry.library.planes.ptr != elsewhere._geometry.library.planes.ptr
