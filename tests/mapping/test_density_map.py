@@ -325,8 +325,13 @@ def test_annotations_tell_live_from_dead(once, tmp_path):
         list(read_seen(tmp_path / "a.json", once, "cam", "auto", 0.5))
 
 
-def test_what_is_written_says_what_was_found(found, tmp_path):
-    written = {path.name: path for path in write_map(found, tmp_path / "map")}
+@pytest.fixture(scope="module")
+def written(found, tmp_path_factory):
+    """The files of the map, by their names."""
+    return {path.name: path for path in write_map(found, tmp_path_factory.mktemp("written") / "map")}
+
+
+def test_what_is_written_says_what_was_found(found, written):
     facts = json.loads(written["summary.json"].read_text())
     assert facts["oysters"]["count"] == found.total.count
     rows = written["grid.csv"].read_text().splitlines()
@@ -344,10 +349,9 @@ def test_what_is_written_says_what_was_found(found, tmp_path):
     assert "<svg" in written["map.html"].read_text()
 
 
-def test_the_same_input_gives_the_same_bytes(once, found, tmp_path):
-    first = [path.read_bytes() for path in write_map(found, tmp_path / "a")]
-    again = [path.read_bytes() for path in write_map(map_of(once), tmp_path / "b")]
-    assert first == again
+def test_the_same_input_gives_the_same_bytes(once, written, tmp_path):
+    again = write_map(map_of(once), tmp_path / "again")
+    assert [path.read_bytes() for path in again] == [path.read_bytes() for path in written.values()]
 
 
 def test_a_trajectory_file_is_as_good_as_its_poses(once, found, tmp_path):
@@ -357,10 +361,9 @@ def test_a_trajectory_file_is_as_good_as_its_poses(once, found, tmp_path):
     assert map_of(once, read_trajectory(tmp_path / "poses.tum")).total.count == found.total.count
 
 
-def test_geotiffs_lie_where_the_grid_does_and_hold_its_numbers(found, tmp_path):
+def test_geotiffs_lie_where_the_grid_does_and_hold_its_numbers(found, written):
     tifffile = pytest.importorskip("tifffile", reason="needs tifffile: pip install 'oysterbench[maps]'")
-    write_map(found, tmp_path)
-    with tifffile.TiffFile(tmp_path / "density.tif") as file:
+    with tifffile.TiffFile(written["density.tif"]) as file:
         density, low, high, seen = file.asarray()
         keys = file.geotiff_metadata
     grid = found.grid
@@ -372,7 +375,7 @@ def test_geotiffs_lie_where_the_grid_does_and_hold_its_numbers(found, tmp_path):
     assert keys["ModelTiepoint"][3:5] == [grid.west_m, grid.north_m]
     assert keys["GTModelTypeGeoKey"] == 32767, "of no register: nobody knows where on the Earth"
     assert "local frame of the path of flat" in keys["GTCitationGeoKey"]
-    with tifffile.TiffFile(tmp_path / "mosaic.tif") as file:
+    with tifffile.TiffFile(written["mosaic.tif"]) as file:
         colours, keys = file.asarray(), file.geotiff_metadata
     x, y = found.oysters[0].centre[:2]
     (edge, _, _), (_, _, _, west, north, _) = keys["ModelPixelScale"], keys["ModelTiepoint"]
