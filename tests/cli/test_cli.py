@@ -57,7 +57,7 @@ def test_help_loads_no_numpy():
 
 def test_eval_renders_runs_and_prints_json_and_nothing_else(recipe, kept_home, tmp_path):
     arguments = ("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", "--json")
-    first = start(*arguments, "--out", tmp_path / "out", home=kept_home)
+    first = start(*arguments, "--workers", 1, "--out", tmp_path / "out", home=kept_home)
     assert first.returncode == 0, first.stderr
     assert "rendering tiny: 25 of 25 frames" in first.stderr
     document = json.loads(first.stdout)
@@ -80,7 +80,7 @@ def test_eval_renders_runs_and_prints_json_and_nothing_else(recipe, kept_home, t
     assert json.loads((tmp_path / "out" / "results.json").read_text()) == document
     assert "<svg" in (tmp_path / "out" / "report.html").read_text()
 
-    second = start(*arguments, home=kept_home)
+    second = run(*arguments, home=kept_home)
     assert "rendering" not in second.stderr, "the second run renders nothing"
     again = json.loads(second.stdout)["results"][0]["metrics"]
     assert again["ate_rmse_m"] == metrics["ate_rmse_m"]

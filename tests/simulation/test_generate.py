@@ -82,7 +82,7 @@ from oysterbench.simulation.generate import generate_split
 from oysterbench.recipe import parse_split
 split = parse_split(Path(sys.argv[1]).read_text(), "tiny.toml", rig_source=Path(sys.argv[2]).read_text())
 if __name__ == "__main__":
-    generate_split(split, Path(sys.argv[3]), workers=2)
+    generate_split(split, Path(sys.argv[3]), workers=int(sys.argv[4]))
 """
 
 
@@ -93,7 +93,7 @@ def test_a_render_killed_again_and_again_ends_in_the_same_bytes(tiny_file, tmp_p
     script.write_text(RENDER)
     recipe.write_text(TINY_SPLIT)
     rig.write_text(TINY_RIG)
-    command = [sys.executable, script, recipe, rig, out]
+    command = [sys.executable, script, recipe, rig, out, "2"]
     finished = out / "tiny-01.mcap"
     parts_seen = 0
     for wanted in kills:
@@ -120,7 +120,7 @@ def test_workers_leave_with_a_parent_that_is_killed(tmp_path):
     script.write_text(RENDER)
     recipe.write_text(TINY_SPLIT.replace("duration_s = 2.5", "duration_s = 600.0"))
     rig.write_text(TINY_RIG)
-    process = subprocess.Popen([sys.executable, script, recipe, rig, out], start_new_session=True)
+    process = subprocess.Popen([sys.executable, script, recipe, rig, out, "2"], start_new_session=True)
     try:
         until(lambda: list(out.glob(".parts/*/*.part")), process)
         process.kill()  # the parent alone: its workers notice
@@ -158,7 +158,8 @@ def test_another_processor_gives_the_same_bytes(tiny_file, tmp_path):
     script.write_text(RENDER)
     recipe.write_text(TINY_SPLIT)
     rig.write_text(TINY_RIG)
-    subprocess.run([sys.executable, script, recipe, rig, out], env={**os.environ, **PLAIN_PROCESSOR}, check=True)
+    command = [sys.executable, script, recipe, rig, out, "1"]
+    subprocess.run(command, env={**os.environ, **PLAIN_PROCESSOR}, check=True)
     assert sha256(out / "tiny-01.mcap") == sha256(tiny_file)
 
 
