@@ -140,8 +140,7 @@ def tile_of(raster: Raster, points: Array, distances_m: Array, colours: NDArray[
     if colours is None:
         colours = np.zeros((len(points), 3), dtype=np.uint8)
     rows, columns, inside = raster.index(points[:, :2])
-    if not inside.all():
-        rows, columns, distances_m, colours = (each[inside] for each in (rows, columns, distances_m, colours))
+    rows, columns, distances_m, colours = rows[inside], columns[inside], distances_m[inside], colours[inside]
     if len(rows) == 0:
         return Tile(raster.part(slice(0, 0), slice(0, 0)), np.zeros((0, 0), dtype=bool), np.zeros(0), colours)
     part = raster.part(slice(int(rows.min()), int(rows.max()) + 1), slice(int(columns.min()), int(columns.max()) + 1))
