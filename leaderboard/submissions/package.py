@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ import msgspec
 
 from oysterbench.core.documents import read_json
 from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.core.files import scratch
 from oysterbench.core.names import did_you_mean, listed, nearest
 from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench_leaderboard.submissions.archive import Limits, pack
@@ -162,11 +162,11 @@ def wanted_of(split: str, track: str, known: dict[str, Any]) -> Wanted:
 @contextmanager
 def packed(found: Found, wanted: Wanted, limits: dict[str, int]) -> Iterator[Package]:
     """One file of what was found, checked as the server will check it. Raises Refusal by file and line."""
-    with tempfile.TemporaryDirectory(prefix="oysterbench-submit-") as folder:
+    with scratch() as folder:
         if found.file is not None:
             path, kind = found.file, KINDS[found.file.suffix.lower()]
         else:
-            path, kind = Path(folder) / "predictions.zip", KINDS[".zip"]
+            path, kind = folder / "predictions.zip", KINDS[".zip"]
             with open(path, "wb") as target:
                 pack(found.files, target)
         size = path.stat().st_size

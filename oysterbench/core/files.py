@@ -24,6 +24,8 @@ def home() -> Path:
 
 
 MODELS = "OYSTERBENCH_MODELS"
+SCRATCH = "oysterbench-run-"
+"""How the names of temporary folders begin that are cleared when their process was killed."""
 
 
 def models() -> Path:
@@ -88,6 +90,52 @@ def appearing_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         except BaseException:
             shutil.rmtree(draft, ignore_errors=True)
             raise
+    finally:
+        os.close(handle)
+
+
+@contextlib.contextmanager
+def scratch() -> Iterator[Path]:
+    """A temporary folder for as long as the block runs. What killed processes of this user left of the same kind is
+    cleared first: each folder is locked by its process, and the system frees the lock of one that dies."""
+    root = Path(tempfile.gettempdir())
+    for left in root.glob(f"{SCRATCH}*"):
+        with contextlib.suppress(OSError), _held(left) as mine:
+            if mine:
+                shutil.rmtree(left, ignore_errors=True)
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=SCRATCH))
+        with _held(folder, wait=True) as mine:
+            if not mine:  # cleared by another process before it was locked
+                continue
+            try:
+                yield folder
+            finally:
+                shutil.rmtree(folder, ignore_errors=True)
+            return
+
+
+@contextlib.contextmanager
+def _held(folder: Path, wait: bool = False) -> Iterator[bool]:
+    """Lock a folder; whether it is locked now, and still there under its name and this user's. Where a disk has no
+    locks, a folder is nobody's to clear, and its own process's all the same."""
+    try:
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        yield False
+        return
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            free = True
+        except OSError:
+            free = wait
+        there = os.fstat(handle)
+        try:
+            same = os.path.samestat(there, os.lstat(folder))
+        except FileNotFoundError:
+            same = False
+        yield free and same and there.st_uid == os.geteuid()
     finally:
         os.close(handle)
 

@@ -12,16 +12,14 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
-from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
 from oysterbench.core.errors import MethodError, OysterbenchError
-from oysterbench.core.files import home
+from oysterbench.core.files import home, scratch
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.interfaces.steering import task_of
 from oysterbench.methods.policy import commands
@@ -44,8 +42,8 @@ class PolicyProcess:
 
     def run(self, views: Views) -> Iterator[Steering]:
         """A command at each view. Raises MethodError where the policy fails."""
-        with tempfile.TemporaryDirectory(prefix="oysterbench-") as scratch:
-            report, log = Path(scratch) / "process.json", Path(scratch) / "stderr.txt"
+        with scratch() as folder:
+            report, log = folder / "process.json", folder / "stderr.txt"
             words = [sys.executable, "-m", __name__, self.reference]
             command = supervised_command(words, LIMIT_S, report, [home() / "splits"])
             with open(log, "wb") as err:
@@ -63,7 +61,7 @@ class PolicyProcess:
                 yield from self._commands(views, process.stdin, process.stdout)
             except (BrokenPipeError, EOFError):
                 process.wait()
-                failure = failure_of(report, LIMIT_S, Path(scratch)) or "it ended without output"
+                failure = failure_of(report, LIMIT_S, folder) or "it ended without output"
                 raise MethodError(f"method {self.name!r}: {failure}") from None
             finally:
                 process.terminate()  # its supervisor ends all that it started

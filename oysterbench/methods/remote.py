@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import shutil
 import socket
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -19,7 +18,7 @@ from typing import Any
 
 from oysterbench.core.cluster import Results, find_withdrawn, run_on_cluster
 from oysterbench.core.errors import MethodError, OysterbenchError
-from oysterbench.core.files import write_atomically
+from oysterbench.core.files import scratch, write_atomically
 from oysterbench.methods.inputs import Inputs
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome
 from oysterbench.methods.processes import Processes
@@ -74,11 +73,11 @@ def run_asked(asked: Asked, hardware: Hardware) -> tuple[Outcome, dict[str, byte
         raise OysterbenchError(f"worker {socket.gethostname()}: {error}; {NEEDED}") from None
     if here != asked.identity:
         raise OysterbenchError(f"worker {socket.gethostname()}: expected {asked.identity}, got {here}; {NEEDED}")
-    with tempfile.TemporaryDirectory(prefix="oysterbench-") as folder:
-        root, scratch, processes = Path(folder) / "results", Path(folder) / "scratch", Processes()
-        scratch.mkdir()
+    with scratch() as folder:
+        root, inputs, processes = folder / "results", folder / "inputs", Processes()
+        inputs.mkdir()
         with _stopped_when_withdrawn(processes):
-            outcome = run_job(job, root, Inputs(scratch, [job], processes), processes, hardware())
+            outcome = run_job(job, root, Inputs(inputs, [job], processes), processes, hardware())
         kept = job.folder(root)
         files = [path for path in kept.rglob("*") if path.is_file() and path != kept / OUTCOME]
         return outcome, {str(path.relative_to(kept)): path.read_bytes() for path in files}

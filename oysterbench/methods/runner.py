@@ -8,7 +8,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import LabelError, MachineError, MethodError, SequenceError
-from oysterbench.core.files import home
+from oysterbench.core.files import home, scratch
 from oysterbench.methods.hearing import Told, hear
 from oysterbench.methods.inputs import Announce, Inputs
 from oysterbench.methods.interfaces import Predicted
@@ -122,8 +122,9 @@ def _run(
     told: Told | None,
 ) -> Iterator[tuple[Job, Outcome]]:
     processes = Processes()
-    scratch = Path(tempfile.mkdtemp(prefix="oysterbench-"))  # says nothing of where the truth is
-    inputs = Inputs(scratch, jobs, processes, exports, announce)
+    held = ExitStack()
+    # A temporary folder says nothing of where the truth is.
+    inputs = Inputs(held.enter_context(scratch()), jobs, processes, exports, announce)
     peaks = _known_peaks(jobs, root)
     budget = available_bytes()
     waiting, running = list(jobs), dict[Future[Outcome], Job]()
@@ -151,7 +152,7 @@ def _run(
         processes.stop()
         pool.shutdown(wait=True, cancel_futures=True)
         inputs.close()
-        shutil.rmtree(scratch, ignore_errors=True)
+        held.close()
 
 
 def run_job(
