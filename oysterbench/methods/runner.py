@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import shutil
@@ -22,12 +23,15 @@ from oysterbench.methods.inputs import Announce, Inputs
 from oysterbench.methods.interfaces import Predicted
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, read_outcome
 from oysterbench.methods.processes import Processes, raise_if_full
+from oysterbench.methods.reach import SETTING
 from oysterbench.methods.sandbox import can_hide
 
 ASSUMED_BYTES = 2 * 2**30
 """What a method is taken to need as long as none of its runs has been measured."""
 LOOK_S = 1.0
 """How often those that run are listened to."""
+NO_ENTRY = os.strerror(errno.EACCES)
+ADVICE = f"; a method opens nothing but what belongs to the system, to itself and to its input: let {SETTING} name more"
 MARGIN = 1.2
 """Of a method's greatest peak so far, for the next of its runs."""
 
@@ -121,6 +125,8 @@ def _run(
     announce: Announce,
     told: Told | None,
 ) -> Iterator[tuple[Job, Outcome]]:
+    if not can_hide():
+        announce("this kernel cannot keep methods from ground truth (no Landlock, Linux 5.13): not `contained`")
     processes = Processes()
     held = ExitStack()
     # A temporary folder says nothing of where the truth is.
@@ -192,12 +198,13 @@ def run_job(
         job.adapter.check(job.sequence)
         given = inputs.of(job)
         command += job.adapter.command(given, folder, job.number)
-        ended = processes.run(command, job.limit_s, folder, hidden, visible=[given])
+        ended = processes.run(command, job.limit_s, folder, hidden, visible=[given], unread=_results(root))
         process = {key: getattr(ended, key) for key in outcome.process}
         outcome = replace(outcome, wall_s=ended.wall_s, cpu_s=ended.cpu_s, process=process)
         _move(folder, kept)
         if ended.failure is not None:
-            outcome = replace(outcome, failure=job.adapter.own_failure(kept) or f"{who}: {ended.failure}")
+            failure = job.adapter.own_failure(kept) or f"{who}: {ended.failure}"
+            outcome = replace(outcome, failure=failure + (ADVICE if can_hide() and NO_ENTRY in failure else ""))
         else:
             outcome = _with_predictions(outcome, job, job.adapter.take(job.sequence, given, kept))
     except (MethodError, SequenceError, LabelError) as error:
@@ -216,6 +223,13 @@ def run_job(
     if outcome.finished:
         outcome.write(kept)
     return outcome
+
+
+def _results(root: Path) -> list[Path]:
+    """What holds or shows the truth of a folder of results: all of it, but where methods may live in it, too."""
+    if not Path.cwd().is_relative_to(root.resolve()):
+        return [root]
+    return [root / "runs", root / "report.html", *root.glob("results.*"), *root.glob("*-truth.tum")]
 
 
 def _move(source: Path, target: Path) -> None:
