@@ -109,4 +109,4 @@ class Places:
         now = self._clock()
         seconds, at = self._had.get(team, (0.0, -math.inf))
         since = [max(place.since, at) for place in self._held if place.team == team]
-        return seconds * 0.5 ** ((now - at) / DAY_S) + sum(now - begun for begun in since)
+        return seconds * math.exp2((at - now) / DAY_S) + sum(now - begun for begun in since)

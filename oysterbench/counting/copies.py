@@ -23,7 +23,7 @@ SAME = {".jpeg": ".jpg", ".tiff": ".tif"}
 def thumbnail(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
     """(SIDE, SIDE) mean grey levels of a picture (H, W, 3) RGB."""
     grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
-    return cv2.resize(grey.astype(np.float32), (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(grey.astype(np.float32), (SIDE, SIDE), interpolation=cv2.INTER_AREA), np.float32)
 
 
 class Copies:

@@ -17,10 +17,10 @@ SIZE = (480, 640)
 def ground(seed: int = 0):
     """(480, 640, 3) of a bottom with detail of all sizes, grey levels around 120."""
     draw = stream(seed, b"", "ground")
-    levels = sum(
-        (40 / k) * cv2.resize(draw.standard_normal((6 * k, 8 * k)).astype(np.float32), SIZE[::-1])
-        for k in (1, 2, 4, 8, 16)
-    )
+    levels = np.zeros(SIZE, np.float32)
+    for k in (1, 2, 4, 8, 16):
+        coarse = draw.standard_normal((6 * k, 8 * k)).astype(np.float32)
+        levels += (40 / k) * np.asarray(cv2.resize(coarse, SIZE[::-1]))
     return levels[..., None] / 2 + np.array([110, 125, 120], np.float32)
 
 
@@ -33,7 +33,7 @@ def taken(scene, number: int, light: float = 0.0):
 def as_jpeg(pixels, quality: int):
     done, data = cv2.imencode(".jpg", pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     assert done
-    return np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1])
+    return np.ascontiguousarray(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR))[..., ::-1])
 
 
 def found(*pictures):
