@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,7 +30,11 @@ ASSUMED_BYTES = 2 * 2**30
 """What a method is taken to need as long as none of its runs has been measured."""
 LOOK_S = 1.0
 """How often those that run are listened to."""
-NO_ENTRY = os.strerror(errno.EACCES)
+UNOPENED = re.compile(
+    r"permission denied|no such file|wrong path|(can't|cannot|couldn't|could not|failed to|unable to) (open|read|load)",
+    re.IGNORECASE,
+)
+"""What programs say of a file that they may not open, such as one that only their configuration names."""
 ADVICE = f"; a method opens nothing but what belongs to the system, to itself and to its input: let {SETTING} name more"
 MARGIN = 1.2
 """Of a method's greatest peak so far, for the next of its runs."""
@@ -204,7 +208,7 @@ def run_job(
         _move(folder, kept)
         if ended.failure is not None:
             failure = job.adapter.own_failure(kept) or f"{who}: {ended.failure}"
-            outcome = replace(outcome, failure=failure + (ADVICE if can_hide() and NO_ENTRY in failure else ""))
+            outcome = replace(outcome, failure=failure + (ADVICE if can_hide() and UNOPENED.search(failure) else ""))
         else:
             outcome = _with_predictions(outcome, job, job.adapter.take(job.sequence, given, kept))
     except (MethodError, SequenceError, LabelError) as error:

@@ -246,13 +246,16 @@ def test_neither_a_home_nor_what_holds_it_is_in_reach_as_a_whole(tmp_path, monke
 
 
 @pytest.mark.skipif(not can_hide(), reason="needs Landlock: Linux 5.13 or later")
-def test_who_is_kept_out_is_told_what_to_type(labelled, tmp_path):
+@pytest.mark.parametrize("said", ["", "Wrong path to vocabulary.", "could not open vocabulary"])
+def test_who_is_kept_out_is_told_what_to_type(labelled, tmp_path, said):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "vocabulary.txt").write_text("its own")
-    (tmp_path / "code" / "needs.py").write_text(f"open({str(tmp_path / 'other' / 'vocabulary.txt')!r})")
+    opens = f"open({str(tmp_path / 'other' / 'vocabulary.txt')!r})"
+    own = f"try:\n    {opens}\nexcept OSError:\n    raise SystemExit({said!r})" if said else opens
+    (tmp_path / "code" / "needs.py").write_text(own)
     adapter = ExternalCommand(f"{sys.executable} {tmp_path}/code/needs.py {{images}} {{out}}", "needs", "segmentation")
     done = run(labelled, tmp_path, adapter)
-    assert "Permission denied" in done.failure
+    assert (said or "Permission denied") in done.failure
     assert done.failure.endswith("to itself and to its input: let OYSTERBENCH_ALLOW name more")
 
 
