@@ -97,7 +97,7 @@ class Store:
         held = self._read(name)
         if held is None or len(held.small) != 2 * SIDE**2:
             return None
-        return np.frombuffer(held.small, "<u2").reshape(SIDE, SIDE).astype(np.float32) / UNITS
+        return np.frombuffer(held.small, "<u2").reshape(SIDE, SIDE).astype(np.float32) / np.float32(UNITS)
 
     def others(self, names: Collection[str]) -> list[str]:
         """Pictures and frames that are counted in it, and not among these names: of earlier counts."""
