@@ -13,8 +13,8 @@ SIDE = 32
 MOST_DIFFERENCE = 0.12
 """Grey levels of 255, root mean square over the small pictures, up to which two formats hold one picture. Measured
 between PNG and JPEG 90: 0.054 at most on frames of slam-mini (640 x 480), 0.062 on 40 photos of oysters (416 x 416),
-0.104 there at JPEG 85. Between frames of slam-mini while the vehicle is at rest, where the light of waves and noise alone
-differ, 0.25 at least at 10 Hz and 0.157 at 20 Hz; between neighbouring photos of a reef 2.7."""
+and 0.104 there at JPEG 85. Between frames of slam-mini while the vehicle is at rest, where the light of waves and noise
+alone differ, 0.25 at least at 10 Hz and 0.157 at 20 Hz; between neighbouring photos of a reef 2.7."""
 LEAST_CONTRAST = 1.0
 """Grey levels, standard deviation of a small picture, below which all pictures look the same, as in the dark."""
 SAME = {".jpeg": ".jpg", ".tiff": ".tif"}
