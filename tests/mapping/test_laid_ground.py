@@ -9,6 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from oysterbench.mapping import MapSettings, survey
+from oysterbench.mapping.pose_graph import laid
+from oysterbench.mapping.projection import Lens
 from oysterbench.report.density_files import write_map
 from tests.helpers.flat_reef import LANE, FlatReef, moved, scattered
 from tests.mapping.test_cover import PixelCover
@@ -36,9 +38,6 @@ def without_moves(*arguments):
     """The oysters where they belong, and the ground where the path has it."""
     pictures, moves = laid(*arguments)
     return pictures, np.tile(np.eye(4), (len(moves), 1, 1))
-
-
-laid = survey.laid
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +110,7 @@ def test_along_a_sure_path_every_file_is_as_of_pixels_laid_one_by_one(tmp_path):
     """Nothing moves, so that tiles make no difference."""
     one = map_of(REEF, settings=SETTINGS)
     cover = PixelCover(one.cover.raster)
-    calibration, lens = REEF.cameras["cam"], survey.Lens("cam", REEF.cameras["cam"])
+    calibration, lens = REEF.cameras["cam"], Lens("cam", REEF.cameras["cam"])
     for image, pose in zip(REEF.images("cam"), REEF.truth().matrices, strict=True):
         points = lens.points(np.ones(lens.shape), pose @ calibration.T_base_cam)
         cover.add(points.reshape(-1, 3), np.ones(points[..., 0].size), image.pixels.reshape(-1, 3))
