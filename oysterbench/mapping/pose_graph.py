@@ -30,6 +30,7 @@ ROUNDS = 2  # of registering: what was out of reach along the path may be within
 OWN_STEP = 0.02  # 1 sigma of the path's step from a picture to the next, of its length, at least
 OWN_TURN_RAD = 0.002  # the same of the turn between them
 HEADING_RAD = 0.05  # 1 sigma of the path's heading
+LEAST_SPREAD_M = 0.5  # of the vehicle about the middle of its path, root mean square, from which on that has a turn
 UNEVEN_M = 0.003  # 1 sigma of a step over the ground of two pictures: their tilts and depths err, too
 UNEVEN_RAD = 0.003
 OUTLIER = 3.0  # sigma, from where a step loses its weight
@@ -77,13 +78,33 @@ def laid(pictures: Sequence[Picture], places: Array, settings: MapSettings) -> t
         told += _registered(some, moves, {(step.start, step.to) for step in told}, settings)
         own = _as_sure_as_told(own, told)
         moves, sigmas = solve(own, told, middles, poses_m)
+    of_all = _of_all(np.array(kept), moves, places)
+    common = _onto_path(_placed(places, of_all), places)
+    moves, of_all = common @ moves, common @ of_all
     ends = sorted({k for step in told for k in (step.start, step.to)})
     since = np.concatenate([[0.0], np.cumsum([step.sigma_m**2 for step in own])])
     away = np.abs(since[:, None] - since[ends]).min(axis=1, initial=np.inf)
     result = [list[Patch]() for _ in pictures]
     for k, picture, move, sigma in zip(kept, some, moves, np.hypot(sigmas, np.sqrt(away)).tolist(), strict=True):
         result[k] = [patch.laid(move, min(max(FINEST_M, sigma), patch.pose_sigma_m)) for patch in picture]
-    return result, _of_all(np.array(kept), moves, places)
+    return result, of_all
+
+
+def _onto_path(there: Array, places: Array) -> Array:
+    """(4, 4), about the vertical, by which moved places (N, 3) m lie on those of the path in the least squares.
+
+    What oysters tell is how pictures lie to each other, and the path as a whole, where all of it lies: its headings,
+    which hold each picture as it is, err otherwise than its places do. The turn is left where the vehicle hardly moved.
+    """
+    middle, own = places.mean(axis=0), there.mean(axis=0)
+    x, y = (there - own)[:, :2].T
+    east, north = (places - middle)[:, :2].T
+    spread_m = np.sqrt((east**2 + north**2).mean())
+    turn_rad = float(np.arctan2((x * north - y * east).sum(), (x * east + y * north).sum()))
+    found = np.eye(4)
+    found[:3, :3] = Rotation.from_euler("z", turn_rad if spread_m >= LEAST_SPREAD_M else 0.0).as_matrix()
+    found[:3, 3] = middle - found[:3, :3] @ own
+    return found
 
 
 def _of_all(kept: NDArray[np.int64], moves: Array, places: Array) -> Array:

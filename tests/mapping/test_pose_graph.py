@@ -121,6 +121,42 @@ def test_pictures_of_bare_ground_are_moved_as_those_before_and_after():
     assert np.ptp((strays @ shown - shown)[:, 1]) > 0.08
 
 
+def fitted(there, places):
+    """The shift (m) and turn (rad) by which moved places lie off those of the path, in the least squares."""
+    a, b = (one[:, 0] + 1j * one[:, 1] for one in (there, places))
+    return abs(b.mean() - a.mean()), np.angle(((b - b.mean()) * np.conj(a - a.mean())).sum())
+
+
+def test_the_map_as_a_whole_lies_on_the_path_whose_headings_err_otherwise_than_its_places():
+    """A path that turns more and more while it goes on, as one with a gyroscope's bias."""
+    places = there_and_back()
+    strays = drift(len(places), (0.25, -0.2, 0.05), 0.0)
+    turned = [Rotation.from_euler("z", 1.5 * share, degrees=True) for share in np.linspace(0.0, 1.0, len(places))]
+    path = places + strays[:, :3, 3]
+    for k, turn in enumerate(turned):  # about where the vehicle is
+        strays[k, :3, :3] = turn.as_matrix()
+        strays[k, :3, 3] = path[k] - turn.apply(places[k])
+    found, moves = laid(pictures_of(reef(), places, strays), path, SETTINGS)
+    assert scatter_m(found) < 0.006
+    there = (moves[:, :3, :3] @ path[..., None])[..., 0] + moves[:, :3, 3]
+    shift_m, turn_rad = fitted(there, path)
+    assert shift_m < 1e-9
+    assert abs(turn_rad) < 1e-9
+    # And so it does on the truth: by as much as the path itself, however it is aligned.
+    assert abs(fitted(there, places)[1] - fitted(path, places)[1]) < 1e-3
+
+
+def test_a_vehicle_that_stays_where_it_is_turns_nothing():
+    """Its path is noise."""
+    generator = np.random.default_rng(1)
+    places = np.array([0.3, 0.2, 1.0]) + generator.normal(0.0, 0.02, (12, 3))
+    strays = drift(len(places), (0.0, 0.0, 0.0), 0.0)
+    strays[:, :2, 3] = generator.normal(0.0, 0.03, (12, 2))
+    moves = laid(pictures_of(reef(), places, strays), places + strays[:, :3, 3], SETTINGS)[1]
+    assert abs(fitted(places, places + strays[:, :3, 3])[1]) > 0.1
+    assert np.abs(Rotation.from_matrix(moves[:, :3, :3]).as_rotvec()[:, 2]).max() < 0.01
+
+
 def test_a_picture_that_shows_too_few_moves_with_its_neighbours_and_is_less_sure():
     places = there_and_back()
     pictures = pictures_of(reef(), places, drift(len(places), (0.12, -0.1, 0.0), 0.0))
