@@ -124,7 +124,6 @@ def run_command(
     first where a hub is set: `oysterbench models`. After any interruption, even a kill, the same command resumes.
     Temporary files go to the folder that TMPDIR names; folders given to programs are kept under the home folder for
     other runs, up to OYSTERBENCH_EXPORTS_GB (20). A program's lines `progress 120 of 700` are shown as a bar.
-    Methods open only what belongs to the system, to themselves and to their input: OYSTERBENCH_ALLOW names more.
     """
     if (split_name is None) == (not places):
         raise click.UsageError("expected either --split SPLIT or --on SEQUENCE")

@@ -53,7 +53,7 @@ class PolicyProcess:
                     stdout=subprocess.PIPE,
                     stderr=err,
                     start_new_session=True,
-                    env=environment(folder),
+                    env=environment(),
                 )
             try:
                 assert process.stdin is not None

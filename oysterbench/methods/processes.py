@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -17,13 +16,10 @@ from typing import Any
 
 from oysterbench.core.errors import MachineError
 from oysterbench.core.files import MODELS, free_bytes, models
-from oysterbench.methods.reach import reach
 from oysterbench.methods.sandbox import Sandbox, can_hide
 
 SUPERVISOR = Path(__file__).with_name("supervise.py")
 STDOUT, STDERR, REPORT = "stdout.txt", "stderr.txt", "process.json"
-TEMPORARY = "tmp"
-"""Folder of a run's temporary files, in that of its output."""
 LEAST_FREE = 1 << 20
 """Bytes; where a disk has less, whatever fails beside it fails for that."""
 KILLED_STATUS = 128 + signal.SIGKILL
@@ -67,19 +63,16 @@ class Processes:
         folder: Path,
         hidden: Iterable[Path] = (),
         visible: Iterable[Path] = (),
-        unread: Iterable[Path] = (),
     ) -> Ended:
         """Run a command to its end; its output goes to stdout.txt and stderr.txt in a folder. Stopped by `stop`.
 
-        hidden: what it cannot open, where the kernel can hide it (`sandbox`); then nothing tells it where that is, and
-        it opens nothing else but what is in its `reach`. visible: what it can read besides, and not write; unread:
-        what it cannot read of its reach.
+        hidden: what it cannot open, where the kernel can hide it (`sandbox`); then nothing tells it where that is.
+        visible: what it can read of that, and not write.
         Raises MachineError where it was killed from outside: by the kernel for memory, or by a person.
         """
-        report, temporary = folder / REPORT, folder / TEMPORARY
+        report = folder / REPORT
         report.unlink(missing_ok=True)
-        temporary.mkdir(exist_ok=True)
-        supervised = supervised_command(command, limit_s, report, hidden, visible, unread)
+        supervised = supervised_command(command, limit_s, report, hidden, visible)
         with open(folder / STDOUT, "wb") as out, open(folder / STDERR, "wb") as err:
             with self._lock:
                 if self._stopped:
@@ -91,7 +84,7 @@ class Processes:
                     stdout=out,
                     stderr=err,
                     start_new_session=True,
-                    env=environment(temporary) if hidden else None,
+                    env=environment() if hidden else None,
                 )
                 self._running.add(process)
             try:
@@ -99,7 +92,6 @@ class Processes:
             finally:
                 with self._lock:
                     self._running.discard(process)
-                shutil.rmtree(temporary, ignore_errors=True)
         self.raise_if_stopped()
         if not report.is_file():
             raise MachineError(
@@ -124,36 +116,22 @@ class Processes:
 
 
 def supervised_command(
-    command: Sequence[str],
-    limit_s: float,
-    report: Path,
-    hidden: Iterable[Path],
-    visible: Iterable[Path] = (),
-    unread: Iterable[Path] = (),
+    command: Sequence[str], limit_s: float, report: Path, hidden: Iterable[Path], visible: Iterable[Path] = ()
 ) -> list[str]:
-    """The command line that runs a command under the supervisor, in its reach and that of the folder of the report, but
-    for what is hidden and not visible, or unread."""
+    """The command line that runs a command under the supervisor, out of reach of what is hidden and not visible."""
     places = [os.path.realpath(path) for path in hidden if path.exists()]
     if places and can_hide():
-        shown = tuple(os.path.realpath(path) for path in visible)
         names = {os.path.realpath(path or os.curdir) for path in [os.curdir, *sys.path]}
-        sandbox = Sandbox(
-            hidden=tuple(places),
-            unread=tuple(os.path.realpath(path) for path in unread),
-            allowed=(*reach(command, shown), os.path.realpath(report.parent)),
-            visible=shown,
-            listed=tuple(sorted(names)),
-        )
-        command = sandbox.command(command)
+        shown = tuple(os.path.realpath(path) for path in visible)
+        command = Sandbox(hidden=tuple(places), visible=shown, listed=tuple(sorted(names))).command(command)
     return [sys.executable, "-I", "-S", str(SUPERVISOR), repr(float(limit_s)), str(report), *command]
 
 
-def environment(temporary: Path) -> dict[str, str]:
-    """What a method is told of this process's environment: all but where data is kept, and the salts; and where its
-    temporary files go. Weights that were trained here are part of it: OYSTERBENCH_MODELS is their folder, and other
-    variables may name a file of them."""
+def environment() -> dict[str, str]:
+    """What a method is told of this process's environment: all but where data is kept, and the salts. Weights that were
+    trained here are part of it: OYSTERBENCH_MODELS is their folder, and other variables may name a file of them."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith("OYSTERBENCH_") or v.endswith(WEIGHTS)}
-    return kept | {MODELS: str(models()), "TMPDIR": str(temporary)}
+    return kept | {MODELS: str(models())}
 
 
 def _ended(report: dict[str, Any], limit_s: float, folder: Path) -> Ended:

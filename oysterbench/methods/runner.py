@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,19 +22,12 @@ from oysterbench.methods.inputs import Announce, Inputs
 from oysterbench.methods.interfaces import Predicted
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, read_outcome
 from oysterbench.methods.processes import Processes, raise_if_full
-from oysterbench.methods.reach import SETTING
 from oysterbench.methods.sandbox import can_hide
 
 ASSUMED_BYTES = 2 * 2**30
 """What a method is taken to need as long as none of its runs has been measured."""
 LOOK_S = 1.0
 """How often those that run are listened to."""
-UNOPENED = re.compile(
-    r"permission denied|no such file|wrong path|(can't|cannot|couldn't|could not|failed to|unable to) (open|read|load)",
-    re.IGNORECASE,
-)
-"""What programs say of a file that they may not open, such as one that only their configuration names."""
-ADVICE = f"; a method opens nothing but what belongs to the system, to itself and to its input: let {SETTING} name more"
 MARGIN = 1.2
 """Of a method's greatest peak so far, for the next of its runs."""
 
@@ -129,8 +121,6 @@ def _run(
     announce: Announce,
     told: Told | None,
 ) -> Iterator[tuple[Job, Outcome]]:
-    if not can_hide():
-        announce("this kernel cannot keep methods from ground truth (no Landlock, Linux 5.13): not `contained`")
     processes = Processes()
     held = ExitStack()
     # A temporary folder says nothing of where the truth is.
@@ -202,13 +192,12 @@ def run_job(
         job.adapter.check(job.sequence)
         given = inputs.of(job)
         command += job.adapter.command(given, folder, job.number)
-        ended = processes.run(command, job.limit_s, folder, hidden, visible=[given], unread=_results(root))
+        ended = processes.run(command, job.limit_s, folder, hidden, visible=[given])
         process = {key: getattr(ended, key) for key in outcome.process}
         outcome = replace(outcome, wall_s=ended.wall_s, cpu_s=ended.cpu_s, process=process)
         _move(folder, kept)
         if ended.failure is not None:
-            failure = job.adapter.own_failure(kept) or f"{who}: {ended.failure}"
-            outcome = replace(outcome, failure=failure + (ADVICE if can_hide() and UNOPENED.search(failure) else ""))
+            outcome = replace(outcome, failure=job.adapter.own_failure(kept) or f"{who}: {ended.failure}")
         else:
             outcome = _with_predictions(outcome, job, job.adapter.take(job.sequence, given, kept))
     except (MethodError, SequenceError, LabelError) as error:
@@ -227,13 +216,6 @@ def run_job(
     if outcome.finished:
         outcome.write(kept)
     return outcome
-
-
-def _results(root: Path) -> list[Path]:
-    """What holds or shows the truth of a folder of results: all of it, but where methods may live in it, too."""
-    if not Path.cwd().is_relative_to(root.resolve()):
-        return [root]
-    return [root / "runs", root / "report.html", *root.glob("results.*"), *root.glob("*-truth.tum")]
 
 
 def _move(source: Path, target: Path) -> None:

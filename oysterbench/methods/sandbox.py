@@ -4,9 +4,8 @@ time, files. A program of its own, for Linux, that imports the standard library 
     python -I -S sandbox.py '{"hidden": ["/srv/truth"], "network": false, "cpu_s": 60}' COMMAND...
 
 Folders are hidden by Landlock (Linux 5.13 and later; `can_hide` tells), which needs no privilege, holds root as well,
-is inherited by every child and cannot be undone. Landlock grants and never denies, so what is allowed is granted, all
-files where nothing is said, and of that only what is beside a hidden path: the folders above it can be walked through,
-but not listed, and what is made in them later is out of reach.
+is inherited by every child and cannot be undone. Landlock grants and never denies, so everything beside a hidden path
+is granted: the folders above it can be walked through, but not listed, and what is made in them later is out of reach.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import signal
 import stat
 import struct
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 
 PR_SET_PDEATHSIG, PR_SET_NO_NEW_PRIVS = 1, 38  # linux/prctl.h
@@ -30,8 +29,6 @@ VERSION, PATH_BENEATH = 1, 1  # linux/landlock.h, like all that follows
 EXECUTE, WRITE_FILE, READ_FILE, READ_DIR, TRUNCATE, IOCTL_DEV = (1 << bit for bit in (0, 1, 2, 3, 14, 15))
 OF_FILES = EXECUTE | WRITE_FILE | READ_FILE | TRUNCATE | IOCTL_DEV
 READ = READ_FILE | READ_DIR | EXECUTE
-READS_BACK = READ_FILE | EXECUTE | 1 << 13
-"""By which what is written can be read, there or, by the last, where it was moved to."""
 RIGHTS = {1: (1 << 13) - 1, 2: (1 << 14) - 1, 3: (1 << 15) - 1, 4: (1 << 15) - 1, 5: (1 << 16) - 1}
 """Version of Landlock -> all rights over files that it knows; later ones know the last."""
 
@@ -44,8 +41,6 @@ class Sandbox:
     """What a process may not do. None: no limit but that of whoever starts it.
 
     hidden:       files and folders that cannot be opened
-    unread:       those that cannot be read; new files beside them can be written, unlike those beside hidden ones
-    allowed:      files and folders that alone can be opened, but what is hidden of them; all of them by default
     visible:      files and folders inside of these that can be read nevertheless
     listed:       folders above hidden ones whose names can be listed, and with them those of what is hidden
     network:      whether it has one; without it the process can neither signal nor trace any process outside
@@ -54,8 +49,6 @@ class Sandbox:
     """
 
     hidden: tuple[str, ...] = ()
-    unread: tuple[str, ...] = ()
-    allowed: tuple[str, ...] = ("/",)
     visible: tuple[str, ...] = ()
     listed: tuple[str, ...] = ()
     network: bool = True
@@ -87,7 +80,7 @@ class Sandbox:
         if self.cpu_s is not None:
             resource.setrlimit(resource.RLIMIT_CPU, (self.cpu_s, self.cpu_s + 2))
         if self.hidden or not self.network:
-            _restrict(libc, self)
+            _restrict(libc, self.hidden, self.visible, self.listed, self.network)
 
 
 def can_hide() -> bool:
@@ -100,55 +93,45 @@ def _version(libc: ctypes.CDLL) -> int:
     return int(libc.syscall(CREATE_RULESET, None, ctypes.c_size_t(0), ctypes.c_uint32(VERSION)))
 
 
-def _restrict(libc: ctypes.CDLL, sandbox: Sandbox) -> None:
-    """Landlock: all rights over what is allowed and beside the hidden paths, those of reading over what is visible, no
-    others."""
+def _restrict(
+    libc: ctypes.CDLL, hidden: Iterable[str], visible: Iterable[str], listed: Iterable[str], network: bool
+) -> None:
+    """Landlock: all rights over all that is beside the hidden paths, those of reading over `visible`, no others."""
     version = _version(libc)
     if version <= 0:
         return
-    paths, unread = ({os.path.realpath(path) for path in some} for some in (sandbox.hidden, sandbox.unread))
+    paths = {os.path.realpath(path) for path in hidden}
     rights = RIGHTS[min(version, max(RIGHTS))] if paths else 0
-    tcp = TCP if not sandbox.network and version >= SINCE_TCP else 0
-    outside = OUTSIDE if not sandbox.network and version >= SINCE_OUTSIDE else 0
+    tcp = TCP if not network and version >= SINCE_TCP else 0
+    outside = OUTSIDE if not network and version >= SINCE_OUTSIDE else 0
     if not rights | tcp | outside:
         return
     attributes = struct.pack("=QQQ", rights, tcp, outside)
     rules = _done(libc.syscall(CREATE_RULESET, attributes, ctypes.c_size_t(len(attributes)), ctypes.c_uint32(0)))
-    if paths:
-        for place in sandbox.allowed:
-            for path, whole in _beside(paths, unread, os.path.realpath(place)):
-                _grant(libc, rules, path, rights if whole else rights & ~READS_BACK)
-        for path in sandbox.visible:
-            _grant(libc, rules, os.path.realpath(path), rights & READ)
-    for path in (os.path.realpath(path) for path in sandbox.listed):
-        if any(_below(other, path) for other in paths):
+    for path in _beside(paths) if paths else ():
+        _grant(libc, rules, path, rights)
+    for path in visible if paths else ():
+        _grant(libc, rules, os.path.realpath(path), rights & READ)
+    for path in (os.path.realpath(path) for path in listed):
+        if any(other.startswith(path.rstrip("/") + "/") for other in paths):
             _grant(libc, rules, path, READ_DIR)
     _done(libc.syscall(RESTRICT_SELF, rules, ctypes.c_uint32(0)))
     os.close(rules)
 
 
-def _beside(hidden: set[str], unread: set[str], place: str) -> Iterator[tuple[str, bool]]:
-    """The fewest paths that hold all of a place but what is hidden or unread of it, and whether all may be done there:
-    in a folder that has unread ones below it, files may be made and written."""
-    if any(place == other or _below(place, other) for other in hidden | unread):
-        return
-    inside = any(_below(other, place) for other in hidden)
-    if not inside:
-        whole = not any(_below(other, place) for other in unread)
-        yield place, whole
-        if whole:
-            return
+def _beside(hidden: set[str], folder: str = "/") -> Iterator[str]:
+    """The fewest paths that hold all files but the hidden ones."""
     try:
-        names = os.listdir(place)
+        names = os.listdir(folder)
     except OSError:
         return
-    for path in (os.path.join(place, name) for name in names):
-        if not os.path.islink(path):  # where it leads is granted, or hidden, by its own path
-            yield from _beside(hidden, unread, path)
-
-
-def _below(path: str, folder: str) -> bool:
-    return path.startswith(folder.rstrip("/") + "/")
+    for path in (os.path.join(folder, name) for name in names):
+        if path in hidden:
+            continue
+        if any(other.startswith(path + "/") for other in hidden):
+            yield from _beside(hidden, path)
+        elif not os.path.islink(path):  # where it leads is granted, or hidden, by its own path
+            yield path
 
 
 def _grant(libc: ctypes.CDLL, rules: int, path: str, rights: int) -> None:

@@ -173,14 +173,14 @@ class SlamTrack(Track):
     def run(
         self, sequences: Sequence[RunSequence], adapters: Sequence[MethodAdapter], settings: Any, request: Request
     ) -> Iterator[Finished]:
-        """As every track; with the first result of a sequence, `out` gets SEQUENCE-truth.tum."""
-        written: set[str] = set()
-        for each in super().run(sequences, adapters, settings, request):
-            sequence = each.job.sequence
-            if sequence.name not in written and isinstance(sequence, SlamSequence) and sequence.truth is not None:
-                write_tum(request.out / f"{sequence.name}-truth.tum", sequence.truth)
-                written.add(sequence.name)
-            yield each
+        """As every track; in the end, when no method runs any more, `out` gets SEQUENCE-truth.tum."""
+        truths = {request.out / f"{one.name}-truth.tum": one for one in sequences if isinstance(one, SlamSequence)}
+        for path in truths:
+            path.unlink(missing_ok=True)
+        yield from super().run(sequences, adapters, settings, request)
+        for path, sequence in truths.items():
+            if sequence.truth is not None:
+                write_tum(path, sequence.truth)
 
     def score_files(self, truth: Path, estimate: Path, options: Mapping[str, Any]) -> Evaluation:
         """Score one trajectory file against another; the options say what the files leave open."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 
 import cv2
@@ -13,7 +12,6 @@ import pytest
 from oysterbench.annotations import open_truth
 from oysterbench.methods.adapters import ExternalCommand
 from oysterbench.methods.policy_process import PolicyProcess
-from oysterbench.methods.reach import reach
 from oysterbench.methods.sandbox import can_hide
 from oysterbench.tracks import TRACKS
 from oysterbench.tracks.images import PictureSequence
@@ -180,92 +178,3 @@ def test_a_link_to_the_truth_is_no_prediction(labelled, tmp_path, monkeypatch):
     adapter = ExternalCommand(f"{sys.executable} {tmp_path}/code/links.py {{images}} {{out}}", "links", "segmentation")
     done = run(labelled, tmp_path, adapter)
     assert "wrote no masks or COCO annotations to {out}" in done.failure
-
-
-READER = """
-import pathlib, sys
-import cv2
-given, out, *places = map(pathlib.Path, sys.argv[1:])
-read = []
-for place in map(pathlib.Path, PLACES):
-    try:
-        read.append(place.read_text())
-    except PermissionError as error:
-        print("no", error.filename)
-print("read", read, "of", sorted(path.name for path in given.iterdir()))
-cv2.imwrite(str(given / "mine.png"), cv2.imread(str(given / "one.png"))) or print("not written")
-sys.exit(1)
-"""
-
-
-def words_of(labelled, tmp_path, places) -> str:
-    """What a program prints that tries to read these files."""
-    script = READER.replace("PLACES", repr([str(place) for place in places]))
-    (tmp_path / "code" / "reader.py").write_text(script)
-    adapter = ExternalCommand(
-        f"{sys.executable} {tmp_path}/code/reader.py {{images}} {{out}}", "reader", "segmentation"
-    )
-    run(labelled, tmp_path, adapter)
-    return next((tmp_path / "out" / "runs").rglob("stdout.txt")).read_text()
-
-
-@pytest.mark.skipif(not can_hide(), reason="needs Landlock: Linux 5.13 or later")
-def test_a_program_opens_nothing_but_the_system_itself_and_its_input(labelled, tmp_path, monkeypatch):
-    for name in ("exports", "out", "user"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "one-truth.tum").write_text(f"1.5 {name}")
-    (tmp_path / "code" / "vocabulary.txt").write_text("its own")
-    places = [
-        *(tmp_path / name / "one-truth.tum" for name in ("exports", "out", "user")),
-        tmp_path / "code/vocabulary.txt",
-    ]
-    monkeypatch.setenv("HOME", str(tmp_path / "user"))
-    said = words_of(labelled, tmp_path, places)
-    assert "read ['its own'] of ['images.txt', 'one.png']" in said
-    assert said.count("no /") == 3
-    assert "not written" in said
-    monkeypatch.setenv("OYSTERBENCH_ALLOW", os.pathsep.join([str(tmp_path / "exports"), str(tmp_path / "out")]))
-    shutil.rmtree(tmp_path / "out" / "runs")
-    said = words_of(labelled, tmp_path, places)
-    assert "read ['1.5 exports', 'its own']" in said, "of results nothing can be allowed"
-
-
-def test_neither_a_home_nor_what_holds_it_is_in_reach_as_a_whole(tmp_path, monkeypatch):
-    home = tmp_path / "home" / "ann"
-    (home / "slam" / "bin").mkdir(parents=True)
-    (home / "slam" / "bin" / "run").touch()
-    (home / "run.py").touch()
-    monkeypatch.setenv("HOME", str(home))
-    for here in (home, tmp_path):
-        monkeypatch.chdir(here)
-        found = reach([str(home / "slam" / "bin" / "run"), f"--config={home / 'run.py'}", str(home)])
-        assert {str(home / "slam"), str(home / "run.py"), "/usr", sys.prefix} <= set(found)
-        assert not {str(home), str(tmp_path), str(tmp_path / "home"), "/"} & set(found)
-    monkeypatch.setenv("OYSTERBENCH_ALLOW", "~")
-    assert str(home) in reach(["run"])
-
-
-@pytest.mark.skipif(not can_hide(), reason="needs Landlock: Linux 5.13 or later")
-@pytest.mark.parametrize("said", ["", "Wrong path to vocabulary.", "could not open vocabulary"])
-def test_who_is_kept_out_is_told_what_to_type(labelled, tmp_path, said):
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "vocabulary.txt").write_text("its own")
-    opens = f"open({str(tmp_path / 'other' / 'vocabulary.txt')!r})"
-    own = f"try:\n    {opens}\nexcept OSError:\n    raise SystemExit({said!r})" if said else opens
-    (tmp_path / "code" / "needs.py").write_text(own)
-    adapter = ExternalCommand(f"{sys.executable} {tmp_path}/code/needs.py {{images}} {{out}}", "needs", "segmentation")
-    done = run(labelled, tmp_path, adapter)
-    assert (said or "Permission denied") in done.failure
-    assert done.failure.endswith("to itself and to its input: let OYSTERBENCH_ALLOW name more")
-
-
-def test_where_nothing_can_be_hidden_one_line_says_so(labelled, tmp_path, monkeypatch):
-    for module in ("runner", "inputs", "processes"):
-        monkeypatch.setattr(f"oysterbench.methods.{module}.can_hide", lambda: False)
-    (tmp_path / "code" / "program.py").write_text(PROGRAM)
-    adapter = ExternalCommand(f"{sys.executable} {tmp_path}/code/program.py {{images}} {{out}}", "mine", "segmentation")
-    track, said = TRACKS["segmentation"], []
-    sequences = [PictureSequence(one, [labelled]) for one in open_truth(labelled)]
-    (done,) = finished_of(track, sequences, [adapter], track.settings({}), tmp_path / "out", announce=said.append)
-    assert (done.failure, done.outcome.contained) == (None, False)
-    assert said[0] == "this kernel cannot keep methods from ground truth (no Landlock, Linux 5.13): not `contained`"

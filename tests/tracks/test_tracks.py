@@ -89,20 +89,6 @@ def test_a_perfect_estimate_has_no_error_and_a_failing_method_a_record_that_says
     assert (tmp_path / "out" / "tiny-01-truth.tum").exists()
 
 
-def test_the_truth_is_beside_the_results_from_the_first_on_and_stays_while_they_are_resumed(evaluate, truth, tmp_path):
-    kept = tmp_path / "out" / "tiny-01-truth.tum"
-    begun: list[bool] = []
-
-    def announce(text):
-        begun.append(kept.exists())
-
-    evaluate("Perfect", "Raises", announce=announce)
-    assert begun == [False, True], "there when the second run begins"
-    evaluate("Perfect", "Raises", announce=announce, again=True)
-    assert begun[2:] == [True, True]
-    assert np.allclose(read_trajectory(kept).positions, truth.positions, atol=1e-9)
-
-
 @pytest.mark.slow
 def test_several_runs_are_recorded_each_with_its_seed(evaluate, tmp_path):
     runs = evaluate("Noisy", "Perfect", runs=2)

@@ -151,7 +151,7 @@ def look_at_containment() -> Iterator[Finding]:
     """What keeps methods, and programs of strangers, from what is not theirs."""
     if can_hide():
         yield Finding(
-            "running", "hidden truth", "ok", "by Landlock: methods open only what is theirs; results say `contained`"
+            "running", "hidden truth", "ok", "by Landlock: methods cannot open splits; results say `contained`"
         )
     else:
         detail = "no Landlock in this kernel, which Linux has from 5.13 on: results do not say `contained`"
