@@ -52,8 +52,10 @@ lint: $(VENV)/.dev
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
 
+# The pip that comes with Python 3.11 takes twice as long as today's to find out which versions go together.
 $(VENV)/bin/pip:
 	$(PYTHON) -m venv $(VENV)
+	$(PIP) --upgrade pip
 
 $(VENV)/.demo: $(VENV)/bin/pip pyproject.toml .ci/constraints.txt
 	@echo "installing oysterbench and what the demo needs into $(VENV)"

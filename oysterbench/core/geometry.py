@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def poses_to_matrices(positions: ArrayLike, quaternions: ArrayLike) -> Array:
     """(N, 4, 4) transforms from (N, 3) positions in m and (N, 4) unit quaternions."""
     positions = np.asarray(positions, dtype=float).reshape(-1, 3)
     matrices = np.zeros((len(positions), 4, 4))
-    matrices[:, :3, :3] = Rotation.from_quat(np.asarray(quaternions).reshape(-1, 4)).as_matrix()
+    matrices[:, :3, :3] = scipy.spatial.transform.Rotation.from_quat(np.asarray(quaternions).reshape(-1, 4)).as_matrix()
     matrices[:, :3, 3] = positions
     matrices[:, 3, 3] = 1.0
     return matrices
@@ -139,7 +139,11 @@ class Similarity:
     def rotate(self, quaternions: Array) -> Array:
         """Attitudes (N, 4) turned from the left: body to the estimate's world becomes body to the reference's."""
         return np.asarray(
-            np.einsum("ij,kj->ik", quaternions, left_product(Rotation.from_matrix(self.rotation).as_quat()))
+            np.einsum(
+                "ij,kj->ik",
+                quaternions,
+                left_product(scipy.spatial.transform.Rotation.from_matrix(self.rotation).as_quat()),
+            )
         )
 
 
@@ -230,7 +234,7 @@ def align_yaw(reference: Array, estimate: Array) -> Similarity:
     sine = float(products[1, 0] - products[0, 1])
     if np.hypot(cosine, sine) <= np.finfo(float).eps * level * flat:
         raise ValueError("the points have no horizontal direction in common: yaw is not determined")
-    rotation = Rotation.from_euler("z", np.arctan2(sine, cosine)).as_matrix()
+    rotation = scipy.spatial.transform.Rotation.from_euler("z", np.arctan2(sine, cosine)).as_matrix()
     return Similarity(rotation, mean_reference - rotation @ mean_estimate)
 
 

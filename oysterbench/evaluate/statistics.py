@@ -19,8 +19,8 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr, stdtrit
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.streams import stream
@@ -221,7 +221,7 @@ def resampled_interval(values: Array, n: int) -> Interval:
 @lru_cache(maxsize=64)
 def _tails(n: int) -> tuple[float, float]:
     """Between which quantiles of the resamples of n sequences the mean lies: expanded percentiles (Hesterberg 2015)."""
-    tail = float(ndtr(-math.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 + LEVEL / 2)))
+    tail = float(scipy.special.ndtr(-math.sqrt(n / (n - 1)) * scipy.special.stdtrit(n - 1, 0.5 + LEVEL / 2)))
     return tail, 1 - tail
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
@@ -28,7 +28,9 @@ def position_errors(result: SlamResult) -> Array:
 def attitude_errors_deg(result: SlamResult) -> Array:
     """(N, 3) deg: the rotation vector that takes the true body into the estimated one, about the true body's own axes x
     forward (roll), y left (pitch), z up (yaw); its length is the angle between them."""
-    between = Rotation.from_quat(result.truth.quaternions).inv() * Rotation.from_quat(result.estimate.quaternions)
+    between = scipy.spatial.transform.Rotation.from_quat(
+        result.truth.quaternions
+    ).inv() * scipy.spatial.transform.Rotation.from_quat(result.estimate.quaternions)
     return np.asarray(between.as_rotvec(degrees=True), dtype=float)
 
 

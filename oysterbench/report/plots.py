@@ -12,8 +12,8 @@ from html import escape
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import gammaincinv
 
 from oysterbench.core.geometry import Array
 from oysterbench.report.axes import Axis
@@ -129,7 +129,7 @@ def nees_plot(
 
     freedom: of the chi-square distribution that they then have.
     """
-    low, high = 2.0 * gammaincinv(freedom / 2.0, [0.025, 0.975])
+    low, high = 2.0 * scipy.special.gammaincinv(freedom / 2.0, [0.025, 0.975])
     top = max([100.0, *(float(np.max(_known(curve.y))) for curve in curves)])
     x_axis = _time_axis(span)
     y_axis = Axis(0.01, 10.0 ** math.ceil(math.log10(min(top, 1e6))), TOP + 190.0, TOP, logarithmic=True)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array
 from oysterbench.exploration.labelled_views import LabelledViews
@@ -78,11 +78,13 @@ def bow_pixels(dive: LabelledViews, view: View) -> tuple[Array, Array]:
     """
     task, camera = dive.task, dive.sequence.cameras[dive.camera]
     pitch = view.state.pitch
-    level = Rotation.from_euler("y", pitch).inv()
+    level = scipy.spatial.transform.Rotation.from_euler("y", pitch).inv()
     yaw, dip = np.meshgrid(np.radians(task.yaw_deg), np.radians(task.pitch_deg), indexing="ij")
     limit = math.radians(task.max_pitch_deg)
     angles = np.stack([yaw.ravel(), np.clip(pitch + dip.ravel(), -limit, limit)], axis=-1)
-    bows = (level * Rotation.from_euler("ZY", np.concatenate([angles, [[0.0, pitch]]]))).apply([1.0, 0.0, 0.0])
+    bows = (level * scipy.spatial.transform.Rotation.from_euler("ZY", np.concatenate([angles, [[0.0, pitch]]]))).apply(
+        [1.0, 0.0, 0.0]
+    )
     rays = bows @ np.asarray(camera.T_base_cam)[:3, :3]
     lens = cv2.fisheye if camera.distortion_model == "equidistant" else cv2
     at = np.asarray(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array, transform
 from oysterbench.recipe import CLASSES, SiteRecipe
@@ -90,7 +90,9 @@ def aperture(width: float) -> float:
 
 def mount_pose(recipe: AcousticRecipe) -> Array:
     """T_base_sensor (4, 4) of a frame with x along the sensor's axis, y left, z up."""
-    turn = Rotation.from_euler("ZY", [recipe.yaw_deg, recipe.pitch_deg], degrees=True).as_matrix()
+    turn = scipy.spatial.transform.Rotation.from_euler(
+        "ZY", [recipe.yaw_deg, recipe.pitch_deg], degrees=True
+    ).as_matrix()
     return transform(turn, recipe.position_m)
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import RecipeError
 from oysterbench.core.geometry import Array, transform
@@ -141,7 +141,7 @@ def measure(
     twist = np.radians(recipe.misalignment_deg) * branch.generator("misalignment").standard_normal(3)
     beams = beam_directions(recipe)
     mount = mount_rotation(recipe)
-    true_beams = beams @ (mount @ Rotation.from_rotvec(twist).as_matrix()).T  # in base_link
+    true_beams = beams @ (mount @ scipy.spatial.transform.Rotation.from_rotvec(twist).as_matrix()).T  # in base_link
     velocity_noise = recipe.beam_noise_m_s * branch.generator("velocity").standard_normal((n, 4))
     range_noise = 1.0 + recipe.range_noise_share * branch.generator("range").standard_normal((n, 4))
 
@@ -180,7 +180,7 @@ def beam_directions(recipe: DvlRecipe) -> Array:
 
 def mount_rotation(recipe: DvlRecipe) -> Array:
     """R_base_dvl (3, 3) as calibrated."""
-    return Rotation.from_euler("Z", recipe.yaw_deg, degrees=True).as_matrix()
+    return scipy.spatial.transform.Rotation.from_euler("Z", recipe.yaw_deg, degrees=True).as_matrix()
 
 
 def solve(beams: Array, along: Array, valid: NDArray[np.bool_], noise: float) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from oysterbench.core.geometry import GRAVITY, Array, transform
 from oysterbench.core.measurements import ImuMeasurement
@@ -163,7 +163,9 @@ def with_grade(unit: Any) -> Any:
 
 def imu_pose(recipe: ImuRecipe | MagnetometerRecipe) -> Array:
     """T_base_imu (4, 4), or that of a magnetometer."""
-    return transform(Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True).as_matrix(), recipe.position_m)
+    return transform(
+        scipy.spatial.transform.Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True).as_matrix(), recipe.position_m
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

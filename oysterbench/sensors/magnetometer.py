@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import MagneticMeasurement
@@ -99,7 +99,10 @@ def measure(
     b = A R^T B + h + noise, with soft iron A and hard iron h (Gebre-Egziabher et al. 2006), in the steps of the
     digital reading. iron: in the place of the recipe's. bending: fields (N, 3) T in `map` beside the Earth's.
     """
-    rotation = path.at(times_s).rotation @ Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True).as_matrix()
+    rotation = (
+        path.at(times_s).rotation
+        @ scipy.spatial.transform.Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True).as_matrix()
+    )
     earth = np.einsum("nji,j->ni", rotation, earth_field(site))
     if bending is not None:
         earth = earth + np.einsum("nji,nj->ni", rotation, bending)

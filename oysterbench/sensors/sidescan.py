@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array, transform
 from oysterbench.core.ros import IMAGE, Message, echo_image, read_echo_image
@@ -161,7 +161,10 @@ class SidescanSonar:
 
 def fan_pose(recipe: SidescanRecipe, side: str) -> Array:
     """T_mount_fan (4, 4) of a side's fan: x along its axis, out and down, y along the track."""
-    return transform(Rotation.from_euler("ZY", [SIDES[side], recipe.tilt_deg], degrees=True).as_matrix(), np.zeros(3))
+    return transform(
+        scipy.spatial.transform.Rotation.from_euler("ZY", [SIDES[side], recipe.tilt_deg], degrees=True).as_matrix(),
+        np.zeros(3),
+    )
 
 
 def _of_side(branch: Streams, side: str, index: int) -> Streams:
@@ -199,7 +202,7 @@ def write_waterfall(sequence: Any, name: str, folder: File, truth: bool) -> list
         path = sequence.truth()
         known = path.at(np.clip(stamps, path.stamps_ns[0], path.stamps_ns[-1]))
         poses = known.matrices @ calibration.T_base_sensor
-        quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+        quaternions = scipy.spatial.transform.Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
         rows = [[*row, *p, *q] for row, p, q in zip(rows, poses[:, :3, 3].tolist(), quaternions.tolist(), strict=True)]
         header += ["x", "y", "z", "qx", "qy", "qz", "qw"]
     with open(folder / f"{name}.csv", "w", encoding="utf-8", newline="") as file:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from oysterbench.annotations import labelled_sequence
 from oysterbench.annotations.masks import FORMS
@@ -14,22 +14,22 @@ from oysterbench.core.errors import MachineError, MethodError, TrajectoryError
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.evaluate.density.scoring import EVALUATOR
 from oysterbench.evaluate.slam.settings import SlamSettings
-from oysterbench.mapping import MapSettings, Seen, read_seen
-from oysterbench.mapping.predicted import stacked
 from oysterbench.methods.adapters import PythonMethod
 from oysterbench.methods.interfaces import RunSequence
 from oysterbench.methods.interfaces.images import read_predictions
 from oysterbench.methods.outcomes import Job, Outcome
 from oysterbench.recipe import SplitRecipe
-from oysterbench.report.density import DensityRun
-from oysterbench.report.density_figure import drawn
 from oysterbench.sequence import open_sequence
 from oysterbench.tracks.images import PictureSequence, instances_of
-from oysterbench.tracks.mapping_evaluation import MappedSequence, evaluate_maps, labelled_camera
 from oysterbench.tracks.slam import TRACK as SLAM
 from oysterbench.tracks.slam import SlamSequence
 from oysterbench.tracks.slam_options import SETTINGS
 from oysterbench.tracks.track import Evaluation, Option, Request, Track, shown_tables
+
+# What maps are made with is imported where it is used: all commands know of the track, and few make a map.
+if TYPE_CHECKING:
+    from oysterbench.mapping import MapSettings, Seen
+    from oysterbench.report.density import DensityRun
 
 IMAGES = ("segmentation", "detection")
 DEPTHS = ("stereo", "motion", "plane", "layer")
@@ -64,6 +64,8 @@ class DensityTrack(Track):
 
     def settings(self, options: Mapping[str, Any]) -> MapSettings:
         """Of the maps."""
+        from oysterbench.mapping import MapSettings
+
         return MapSettings(**{key: options[key] for key in ("cell_m",) if key in options})
 
     def run_sequences(
@@ -77,6 +79,10 @@ class DensityTrack(Track):
 
     def evaluate(self, request: Request) -> Evaluation:
         """Map, and score. Methods of the track SLAM give paths, those of images give masks."""
+        from oysterbench.mapping import read_seen
+        from oysterbench.report.density_figure import drawn
+        from oysterbench.tracks.mapping_evaluation import MappedSequence, evaluate_maps, labelled_camera
+
         self.check(request)
         options, settings = request.options, self.settings(request.options)
         if request.template is not None or request.runs > 1:
@@ -155,6 +161,9 @@ def _failure(outcome: Outcome) -> str | None:
 
 def _seen(job: Job, outcome: Outcome, out: Path, camera: str, threshold: float) -> Iterator[Seen]:
     """The oysters that a method found in the pictures of a camera. Raises MethodError where it failed."""
+    from oysterbench.mapping import Seen
+    from oysterbench.mapping.predicted import stacked
+
     if (failed := _failure(outcome)) is not None:
         raise MethodError(failed)
     assert isinstance(job.sequence, PictureSequence)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from oysterbench.core.errors import LabelError, OysterbenchError
 from oysterbench.core.geometry import Array
@@ -112,7 +112,9 @@ def oyster_centres(table: Any) -> Array:
     umbos, heights = table[["x", "y", "z"]].to_numpy(), table["height_m"].to_numpy()
     if len(umbos) == 0:
         return np.zeros((0, 3))
-    return np.asarray(umbos + 0.5 * heights[:, None] * Rotation.from_quat(quaternions).as_matrix()[:, :, 0])
+    return np.asarray(
+        umbos + 0.5 * heights[:, None] * scipy.spatial.transform.Rotation.from_quat(quaternions).as_matrix()[:, :, 0]
+    )
 
 
 def cells_of(grid: Grid) -> dict[tuple[int, int], Cell]:

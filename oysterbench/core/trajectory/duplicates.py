@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import Array, rotation_angle
@@ -87,7 +87,7 @@ def _means(trajectory: Trajectory, first: NDArray[np.intp], count: NDArray[np.in
     for k in np.flatnonzero(count > 1):
         part = trajectory.select(slice(first[k], first[k] + count[k]))
         positions[k] = part.positions.mean(axis=0)
-        quaternions[k] = Rotation.from_quat(part.quaternions).mean().as_quat()
+        quaternions[k] = scipy.spatial.transform.Rotation.from_quat(part.quaternions).mean().as_quat()
         if covariances is not None and part.covariances is not None:
             covariances[k] = part.covariances.mean(axis=0)
     return replace(mean, positions=positions, quaternions=quaternions, covariances=covariances)

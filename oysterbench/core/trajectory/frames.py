@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from oysterbench.core.geometry import Array, invert, transform
 from oysterbench.core.trajectory.poses import Trajectory
@@ -28,7 +28,7 @@ def poses_of_body(trajectory: Trajectory, T_body_estimate: Array) -> Trajectory:
     """
     T_estimate_body = invert(T_body_estimate)
     earlier = trajectory.T_body_estimate
-    rotations = Rotation.from_quat(trajectory.quaternions)
+    rotations = scipy.spatial.transform.Rotation.from_quat(trajectory.quaternions)
     levers = rotations.apply(T_estimate_body[:3, 3])
     covariances = trajectory.covariances
     if covariances is not None:
@@ -40,7 +40,7 @@ def poses_of_body(trajectory: Trajectory, T_body_estimate: Array) -> Trajectory:
     return replace(
         trajectory,
         positions=trajectory.positions + levers,
-        quaternions=(rotations * Rotation.from_matrix(T_estimate_body[:3, :3])).as_quat(),
+        quaternions=(rotations * scipy.spatial.transform.Rotation.from_matrix(T_estimate_body[:3, :3])).as_quat(),
         covariances=covariances,
         T_body_estimate=T_body_estimate if earlier is None else T_body_estimate @ earlier,
     )
@@ -67,7 +67,7 @@ def inverted(trajectory: Trajectory) -> Trajectory:
 
     Covariances are left out, and that is noted: they are about axes that no longer are the world's.
     """
-    rotations = Rotation.from_quat(trajectory.quaternions).inv()
+    rotations = scipy.spatial.transform.Rotation.from_quat(trajectory.quaternions).inv()
     notes = trajectory.notes
     if trajectory.covariances is not None:
         notes = (*notes, "the covariances are left out: they are those of inverted poses")

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import NoStampsError, TrajectoryError
 from oysterbench.core.geometry import Array
@@ -274,7 +274,7 @@ def _kitti(table: NumberTable, path: Path, options: ReadOptions) -> Trajectory:
             f"{table.where(i)}: expected the columns 1-3, 5-7, 9-11 to be a rotation matrix, got one that is off by "
             f"{off[i]:.2g}{others(wrong)}"
         )
-    quaternions = Rotation.from_matrix(rotations).as_quat()
+    quaternions = scipy.spatial.transform.Rotation.from_matrix(rotations).as_quat()
     notes = (f"{path.name}: its {len(table)} poses carry no timestamps and take the given times one to one",)
     stamps_ns = np.asarray(options.times, dtype=np.int64)
     trajectory = Trajectory(stamps_ns, table.values[:, [3, 7, 11]].copy(), quaternions, notes=notes)

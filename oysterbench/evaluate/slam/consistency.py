@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-from scipy.special import gammaincinv
+import scipy
 
 from oysterbench.core.geometry import BLOCK, Array, Similarity, align_origin
 from oysterbench.core.trajectory import Trajectory
@@ -59,7 +58,7 @@ class Nees:
 
 def _chi2_quantile(probability: float | Array, freedom: int) -> Any:
     """As scipy.stats has it, which takes every command half a second to import."""
-    return 2.0 * gammaincinv(freedom / 2.0, probability)
+    return 2.0 * scipy.special.gammaincinv(freedom / 2.0, probability)
 
 
 def nees(truth: Trajectory, estimate: Trajectory, align: Align, fit: Similarity) -> dict[str, Nees]:
@@ -76,7 +75,7 @@ def nees(truth: Trajectory, estimate: Trajectory, align: Align, fit: Similarity)
     by_first = align not in ("none", "scale")
     change = _by_first(truth, estimate, align, fit.scale) if by_first else fit
     aligned = Trajectory(truth.stamps_ns, change.apply(estimate.positions), change.rotate(estimate.quaternions))
-    turn = Rotation.from_quat(absolute_errors(truth, aligned).turn).as_rotvec()
+    turn = scipy.spatial.transform.Rotation.from_quat(absolute_errors(truth, aligned).turn).as_rotvec()
     # The error in the estimate's axes, with its covariance as it was given, is the same number and costs less.
     error = np.column_stack([(aligned.positions - truth.positions) / change.scale, turn])
     error = np.einsum("nkj,ji->nki", error.reshape(-1, 2, 3), change.rotation).reshape(-1, 6)
@@ -96,7 +95,7 @@ def _by_first(truth: Trajectory, estimate: Trajectory, align: Align, scale: floa
     if align == "posyaw":
         # The turn about z that is nearest to it.
         angle = np.arctan2(first[1, 0] - first[0, 1], first[0, 0] + first[1, 1])
-        first = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+        first = scipy.spatial.transform.Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
     return Similarity(first, truth.positions[0] - scale * first @ estimate.positions[0], scale)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import Array, align_umeyama, spread
@@ -304,29 +304,29 @@ def _lag(truth: Array) -> int:
 
 def _turns(quaternions: Array, lag: int) -> Array:
     """Vectors (N - lag, 3) in rad of the turns from each attitude to that `lag` further on."""
-    rotations = Rotation.from_quat(quaternions)
+    rotations = scipy.spatial.transform.Rotation.from_quat(quaternions)
     return np.asarray((rotations[:-lag].inv() * rotations[lag:]).as_rotvec())
 
 
-def _constant_turn(true_turns: Array, turns: Array) -> Rotation | None:
+def _constant_turn(true_turns: Array, turns: Array) -> scipy.spatial.transform.Rotation | None:
     """The rotation X with turns = X^T true_turns that fits best (Wahba 1965), or None where one axis has them all."""
     u, d, vt = np.linalg.svd(true_turns.T @ turns)
     if d[1] < MIN_AXES**2 * d[0]:
         return None
     sign = np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    return Rotation.from_matrix(u @ np.diag([1.0, 1.0, sign]) @ vt)
+    return scipy.spatial.transform.Rotation.from_matrix(u @ np.diag([1.0, 1.0, sign]) @ vt)
 
 
 def _level(truth: Array, estimate: Array) -> list[Finding]:
     """What the direction of up says of attitudes that hardly turn; both worlds must have z up for that."""
-    up = Rotation.from_quat(truth).inv().apply([0.0, 0.0, 1.0])
+    up = scipy.spatial.transform.Rotation.from_quat(truth).inv().apply([0.0, 0.0, 1.0])
     tilts = {}
     for name, quaternions, fixed in (
         ("as they are", estimate, np.eye(3)),
         ("as w x y z", estimate[:, [1, 2, 3, 0]], np.eye(3)),
         ("as those of an optical frame", estimate, ROTATION_BODY_OPTICAL),
     ):
-        its_up = Rotation.from_quat(quaternions).inv().apply([0.0, 0.0, 1.0]) @ fixed.T
+        its_up = scipy.spatial.transform.Rotation.from_quat(quaternions).inv().apply([0.0, 0.0, 1.0]) @ fixed.T
         tilts[name] = float(np.median(np.arccos(np.clip(np.einsum("ij,ij->i", up, its_up), -1.0, 1.0))))
     (_, as_is), *others = tilts.items()
     if as_is < TILTED_RAD:

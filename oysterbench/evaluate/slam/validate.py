@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import Array, Similarity, align_umeyama, align_yaw, rotation_angle, spread
@@ -123,7 +123,9 @@ def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list
             f"the attitudes err by {np.rad2deg(error):.1f} deg as they are and by {np.rad2deg(reordered):.1f} deg when "
             "read as w x y z: were they written in that order? x y z w is expected"
         ]
-    turns = Rotation.from_quat(truth).inv() * Rotation.from_quat(aligned)
+    turns = scipy.spatial.transform.Rotation.from_quat(truth).inv() * scipy.spatial.transform.Rotation.from_quat(
+        aligned
+    )
     turn = turns.mean()
     rest = _rms(np.asarray((turns * turn.inv()).magnitude()))
     # A turn about the vertical alone is what a wrong alignment of a level vehicle looks like.

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.export.kalibr import write_calibration
@@ -109,7 +109,7 @@ def _write_state(sequence: Sequence, folder: Path) -> None:
     T_base_imu = sequence.imu_calibration.T_base_imu
     truth = sequence.truth()
     poses = sensor_poses(truth, T_base_imu)
-    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    quaternions = scipy.spatial.transform.Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
     velocities = _velocities(sequence, T_base_imu[:3, 3], truth.matrices[:, :3, :3])
     rows = [
         ",".join(

@@ -9,8 +9,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array, invert
@@ -94,7 +94,7 @@ def stereo_partner(sequence: Sequence, camera: str) -> str | None:
         if (
             name != camera
             and (left.width, left.height) == (right.width, right.height)
-            and Rotation.from_matrix(T_left_right[:3, :3]).magnitude() < PAIR_RAD
+            and scipy.spatial.transform.Rotation.from_matrix(T_left_right[:3, :3]).magnitude() < PAIR_RAD
             and offset[0] > 1e-3
             and np.hypot(*offset[1:]) < PAIR_RAD * offset[0]
         ):

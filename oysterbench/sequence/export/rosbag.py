@@ -14,9 +14,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+import scipy
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
-from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Image, ImuMeasurement
@@ -72,7 +72,7 @@ class Pose:
 def _truth(sequence: Sequence) -> Iterator[Pose]:
     truth = sequence.truth()
     poses = sensor_poses(truth, sequence.imu_calibration.T_base_imu)
-    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    quaternions = scipy.spatial.transform.Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
     return map(Pose, map(int, truth.stamps_ns), poses[:, :3, 3], quaternions)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds, write_tum
 from oysterbench.sequence.export.parts import any_camera, port_notes, sensor_poses, write_lines, write_png
@@ -50,7 +50,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
         notes.append(f"{far} pixels of depth beyond {65535 / DEPTH_STEPS:g} m do not fit the format: they are 0")
     path = sequence.truth()
     poses = sensor_poses(path, sequence.truly_calibrated().cameras[name].T_base_cam)
-    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    quaternions = scipy.spatial.transform.Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
     write_tum(folder / "groundtruth.txt", Trajectory(path.stamps_ns, poses[:, :3, 3], quaternions))
     return notes
 
