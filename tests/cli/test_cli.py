@@ -55,6 +55,15 @@ def test_help_loads_no_numpy():
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
+@pytest.mark.parametrize("words", [["run", "--help"], ["eval", "--help"], ["systems", "--json"]])
+def test_what_only_the_work_needs_is_not_loaded_to_tell_of_it(words):
+    code = f"import sys; sys.argv = {['oysterbench', *words]}; from oysterbench.cli.main import main\n"
+    code += "try: main()\nexcept SystemExit: pass\n"
+    code += "heavy = {'scipy.spatial', 'scipy.special', 'scipy.ndimage', 'oysterbench.mapping', 'pandas'}\n"
+    code += "assert not heavy & set(sys.modules), heavy & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
 def test_eval_renders_runs_and_prints_json_and_nothing_else(recipe, kept_home, tmp_path):
     arguments = ("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", "--json")
     first = start(*arguments, "--workers", 1, "--out", tmp_path / "out", home=kept_home)
