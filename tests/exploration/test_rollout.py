@@ -36,7 +36,7 @@ class Ahead:
 
 @pytest.fixture(scope="module")
 def logs():
-    return {policy: explore(SPLIT, REEF, policy, seconds=25.0)[0] for policy in REFERENCES}
+    return {policy: explore(SPLIT, REEF, policy, seconds=16.0)[0] for policy in REFERENCES}
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import re
 import shutil
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from posixpath import dirname, normpath
@@ -55,13 +56,18 @@ def exported(made, tmp_path_factory) -> Path:
     return folder
 
 
-def crawl(client, start="/", pairs=3):
-    """Every address that pages lead to, with its answer; of the many pairs a few."""
-    todo, seen = [start], {}
+def crawl(client, start="/", alike=4):
+    """What pages lead to, with its answer; of addresses that differ in a name or a digest alone, so many."""
+    todo, seen, of_kind = [start], {}, Counter()
     while todo:
-        address = todo.pop()
-        if address in seen or (address.startswith("/compare") and sum(a.startswith("/compare") for a in seen) >= pairs):
+        address = todo.pop(0)
+        path, _, query = address.partition("?")
+        parts = path.split("/")
+        asked = sorted(part.partition("=")[0] for part in query.split("&"))
+        kind = parts[1], len(parts), Path(parts[-1]).suffix, *asked
+        if address in seen or of_kind[kind] >= alike:
             continue
+        of_kind[kind] += 1
         answer = seen[address] = client.get(address)
         if answer.headers.get("content-type", "").startswith("text/html"):
             links = [link.partition("#")[0] for link in Reading(answer.text).links()]

@@ -273,7 +273,8 @@ def test_several_sequences_begin_with_the_standings_and_end_with_conditions():
 
 
 def test_points_over_a_condition_are_drawn_from_six_sequences_on():
-    few = [run_ for run_ in many() if run_.record.sequence != many()[-1].record.sequence]
+    all_of_them = many()
+    few = [run_ for run_ in all_of_them if run_.record.sequence != all_of_them[-1].record.sequence]
     names = sorted({run_.record.sequence for run_ in few})
     assert len(names) == 6
     assert "Over conditions on" in html_report(few, "x")
