@@ -23,7 +23,7 @@ MODELS = {
 
 def command(launch: Launch) -> list[str]:
     """Write configuration and calibration; the command line."""
-    cameras = list(launch.sequence.cameras.values())[: 2 if "stereo" in launch.about.sensors else 1]
+    cameras = list(launch.cameras.values())
     authors = (launch.source / "data" / "euroc_config.json").read_text(encoding="utf-8")
     options = dict(launch.options)
     noise = options.pop("noise_factor")

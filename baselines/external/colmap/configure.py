@@ -14,7 +14,7 @@ MODELS = {"plumb_bob": "OPENCV", "equidistant": "OPENCV_FISHEYE"}
 
 def command(launch: Launch) -> list[str]:
     """Write options and camera as JSON; the command line of the script, under the interpreter that has pycolmap."""
-    name, camera = next(iter(launch.sequence.cameras.items()))
+    name, camera = next(iter(launch.cameras.items()))
     K = camera.matrix
     distortion = np.append(camera.distortion, np.zeros(4))[:4]
     task = {

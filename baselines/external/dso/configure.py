@@ -15,7 +15,7 @@ LEVELS = 16
 
 def command(launch: Launch) -> list[str]:
     """Write the camera; the command line."""
-    camera = next(iter(launch.sequence.cameras.values()))
+    camera = next(iter(launch.cameras.values()))
     (launch.folder / CAMERA).write_text(camera_file(camera), encoding="utf-8")
     shift_s = 0.0 - camera.time_offset_s
     program = [launch.build / "dso", launch.folder / CAMERA, launch.given, launch.out, shift_s]

@@ -22,7 +22,7 @@ WINDOWS = {"display_matches": False, "display_overhead": False}
 
 def command(launch: Launch) -> list[str]:
     """Write the configuration; the command line."""
-    cameras = list(launch.sequence.cameras.values())[: 2 if "stereo" in launch.about.sensors else 1]
+    cameras = list(launch.cameras.values())
     authors = (launch.source / "config" / "euroc.yaml").read_text(encoding="utf-8")
     written = launch.folder / CONFIGURATION
     written.write_text(configuration(authors, launch.sequence, cameras, launch.options), encoding="utf-8")

@@ -18,7 +18,7 @@ MODELS = {"plumb_bob": "radtan", "equidistant": "equidistant"}
 
 def command(launch: Launch) -> list[str]:
     """Write the three files that OpenVINS reads; its command line."""
-    cameras = list(launch.sequence.cameras)[: 2 if "stereo" in launch.about.sensors else 1]
+    cameras = list(launch.cameras)
     authors = (launch.source / "config" / "euroc_mav" / ESTIMATOR).read_text(encoding="utf-8")
     (launch.folder / ESTIMATOR).write_text(
         estimator(authors, launch.sequence, cameras, launch.options), encoding="utf-8"

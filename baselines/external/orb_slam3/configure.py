@@ -33,12 +33,13 @@ EVERY = 4
 
 def command(launch: Launch) -> list[str]:
     """Write the settings; the command line."""
+    first = next(iter(launch.cameras.values()))
     mode = next(mode for mode in sorted(EXAMPLES, key=len, reverse=True) if f"_{mode}" in launch.method)
     example = launch.source / "Examples" / EXAMPLES[mode] / "EuRoC.yaml"
     text = settings(example.read_text(encoding="utf-8"), launch.sequence, mode, launch.options)
     (launch.folder / SETTINGS).write_text(text, encoding="utf-8")
     words = launch.options["vocabulary"] or launch.build.parent / VOCABULARY
-    shift_s = 0.0 - next(iter(launch.sequence.cameras.values())).time_offset_s
+    shift_s = 0.0 - first.time_offset_s
     program = [launch.build / "orb_slam3", mode, launch.folder / SETTINGS, words]
     return [str(word) for word in (*program, launch.given, launch.out, shift_s, launch.number)]
 

@@ -24,7 +24,7 @@ EUROC_NOISE = {"acc_n": 2.0e-3, "acc_w": 3.0e-3, "gyr_n": 1.6968e-4, "gyr_w": 1.
 
 def command(launch: Launch) -> list[str]:
     """Write what VINS-Fusion reads; its command line."""
-    cameras = list(launch.sequence.cameras.values())[: 2 if "stereo" in launch.about.sensors else 1]
+    cameras = list(launch.cameras.values())
     example = f"euroc_{'stereo' if len(cameras) > 1 else 'mono'}_imu_config.yaml"
     authors = (launch.source / "config" / "euroc" / example).read_text(encoding="utf-8")
     text = configuration(authors, launch.sequence, cameras, launch.options)

@@ -20,7 +20,7 @@ from typing import Any
 from oysterbench.core.errors import MethodError, OysterbenchError
 from oysterbench.methods.interfaces import interface_of
 from oysterbench.methods.systems.manifest import SystemMethod, split_reference
-from oysterbench.sequence import Sequence, open_sequence
+from oysterbench.sequence import CameraCalibration, Sequence, open_sequence
 
 CONFIGURATION = "configuration"
 
@@ -48,6 +48,21 @@ class Launch:
     def sequence(self) -> Sequence:
         """The same as a sequence, of the track slam: its calibration, above all."""
         return open_sequence(self.given)
+
+    @cached_property
+    def cameras(self) -> dict[str, CameraCalibration]:
+        """The first two of the sequence where the method uses a pair, and else its first, by name.
+
+        Raises MethodError where the sequence has fewer: with one camera a system for two is another method.
+        """
+        wanted = 2 if "stereo" in self.about.sensors else 1
+        found = dict(list(self.sequence.cameras.items())[:wanted])
+        if len(found) < wanted:
+            raise MethodError(
+                f"{self.method}: expected a sequence with {wanted} camera{'s' if wanted > 1 else ''}, got "
+                f"{self.sequence.name} with {', '.join(found) or 'none'}; 'oysterbench systems' lists sensors"
+            )
+        return found
 
 
 def launch_of(reference: str, place: Path, given: Path, folder: Path, number: int) -> tuple[Launch, list[str]]:
