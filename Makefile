@@ -52,7 +52,8 @@ lint: $(VENV)/.dev
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
 
-# The pip that comes with Python 3.11 takes twice as long as today's to find out which versions go together.
+# The pip that comes with Python 3.11 takes twice as long to find out which versions go together; those from 26 on
+# print a thousand lines of the build's warnings.
 $(VENV)/bin/pip:
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --upgrade pip
