@@ -95,6 +95,7 @@ def test_it_holds_its_place_when_nothing_moves():
     assert np.abs(trajectory.positions - trajectory.positions[0]).max() < 0.05
 
 
+@pytest.mark.slow
 def test_it_carries_on_when_it_sees_nothing_for_three_seconds():
     measured = dive.make_dive(2, blind=(9.0, 12.0))
     estimator = estimate(measured)

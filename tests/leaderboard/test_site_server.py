@@ -386,6 +386,7 @@ def test_an_export_that_fails_leaves_the_old_one(made, exported, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["site"]
 
 
+@pytest.mark.slow
 def test_build_writes_the_board_that_it_is_told(made, tmp_path):
     store = made[0].store.folder
     result = CliRunner().invoke(
