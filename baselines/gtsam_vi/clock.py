@@ -6,7 +6,7 @@ as good as those up to the picture, and every sample is used once.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -18,17 +18,33 @@ from oysterbench_baselines.gtsam_vi.states import Rates, State
 
 def moved_on(state: State, time: float, rates: Rates, gravity: float) -> State:
     """The state after some ms, the turn rate and the specific force being what the unit reads."""
-    rate, velocity, accel = _rates(state, rates, gravity)
-    # A tangent of GTSAM's navigation state: turn, way and gain in velocity, in the axes of the pose.
-    step = np.concatenate([rate * time, (velocity + 0.5 * time * accel) * time, accel * time])
-    return State(state.nav.retract(step), state.bias)
+    return _moved(state, time, _motion(state, rates, gravity))
 
 
-def _rates(state: State, rates: Rates, gravity: float) -> tuple[Array, Array, Array]:
-    """Turn rate rad/s, velocity m/s and acceleration m/s^2, (3,) each in the axes of the pose."""
-    to_body = state.nav.attitude().matrix().T
+class _Motion(NamedTuple):
+    """Of a state: R_odom_imu (3, 3); and (3,) each in the axes of the pose, turn rate rad/s, velocity m/s, specific
+    force and acceleration m/s^2."""
+
+    rotation: Array
+    rate: Array
+    velocity: Array
+    force: Array
+    accel: Array
+
+
+def _motion(state: State, rates: Rates, gravity: float) -> _Motion:
+    rotation = state.nav.attitude().matrix()
     force = rates.accel - state.bias.accelerometer()
-    return rates.gyro - state.bias.gyroscope(), to_body @ state.nav.velocity(), force - gravity * to_body[:, 2]
+    rate, velocity = rates.gyro - state.bias.gyroscope(), rotation.T @ state.nav.velocity()
+    return _Motion(rotation, rate, velocity, force, force - gravity * rotation[2])
+
+
+def _moved(state: State, time: float, motion: _Motion) -> State:
+    # A tangent of GTSAM's navigation state: turn, way and gain in velocity, in the axes of the pose.
+    step = np.empty(9)
+    step[:3], step[6:] = motion.rate * time, motion.accel * time
+    step[3:6] = (motion.velocity + 0.5 * time * motion.accel) * time
+    return State(state.nav.retract(step), state.bias)
 
 
 def moved_on_slopes(state: State, time: float, rates: Rates, gravity: float) -> tuple[State, Array, Array]:
@@ -36,17 +52,21 @@ def moved_on_slopes(state: State, time: float, rates: Rates, gravity: float) -> 
 
     All in GTSAM's tangents: rotation and position in the axes of the pose, velocity in odom's.
     """
-    after = moved_on(state, time, rates, gravity)
-    before, now = state.nav.attitude().matrix(), after.nav.attitude().matrix()
-    rate, _, accel = _rates(state, rates, gravity)
-    force = rates.accel - state.bias.accelerometer()
-    slope = np.zeros((9, 9))
-    slope[:3, :3] = slope[3:6, 3:6] = now.T @ before
-    slope[6:, :3] = -before @ cross(force) * time
-    slope[3:6, :3] = 0.5 * time * now.T @ slope[6:, :3]
-    slope[3:6, 6:] = now.T * time
-    slope[6:, 6:] = np.eye(3)
-    return after, slope, np.concatenate([rate, now.T @ after.nav.velocity(), before @ accel])
+    motion = _motion(state, rates, gravity)
+    after = _moved(state, time, motion)
+    to_now = after.nav.attitude().matrix().T
+    slope, by_time = np.zeros((9, 9)), np.empty(9)
+    slope[:3, :3] = slope[3:6, 3:6] = to_now @ motion.rotation
+    slope[6:, :3] = -motion.rotation @ cross(motion.force) * time
+    slope[3:6, :3] = 0.5 * time * to_now @ slope[6:, :3]
+    slope[3:6, 6:] = to_now * time
+    slope[6, 6] = slope[7, 7] = slope[8, 8] = 1.0
+    by_time[:3], by_time[3:6], by_time[6:] = motion.rate, to_now @ after.nav.velocity(), motion.rotation @ motion.accel
+    return after, slope, by_time
+
+
+COLUMNS = [slice(start, start + width) for start, width in ((0, 6), (6, 3), (9, 6), (15, 3), (18, 6), (24, 6))]
+"""Of poses, velocities and biases, in the order in which GTSAM's factor takes them."""
 
 
 def clocked(
@@ -73,15 +93,17 @@ def clocked(
             off: Array = root @ factor.evaluateError(*_arguments(moved))
             return off
         slopes = [moved_on_slopes(state, time, end[3], gravity) for state, end in zip(states, ends, strict=True)]
-        parts = [np.zeros((15, width), order="F") for width in (6, 3, 6, 3, 6, 6)]
+        whole = np.zeros((15, 30), order="F")
+        parts = [whole[:, columns] for columns in COLUMNS]
         found = factor.evaluateError(*_arguments([after for after, *_ in slopes]), *parts)
+        whole = root @ whole
         by_time = np.zeros(15)
         for n, (_after, slope, of_time) in enumerate(slopes):
-            at = root @ np.hstack(parts[2 * n : 2 * n + 2])
-            jacobians[2 * n] = np.asfortranarray(at @ slope[:, :6])
-            jacobians[2 * n + 1] = np.asfortranarray(at @ slope[:, 6:])
+            at = whole[:, 9 * n : 9 * n + 9]
+            by_state = np.asfortranarray(at @ slope)
+            jacobians[2 * n], jacobians[2 * n + 1] = by_state[:, :6], by_state[:, 6:]
             by_time += at @ of_time
-        jacobians[4], jacobians[5] = (np.asfortranarray(root @ part) for part in parts[4:])
+        jacobians[4], jacobians[5] = (np.asfortranarray(whole[:, columns]) for columns in COLUMNS[4:])
         jacobians[6] = np.asfortranarray(by_time[:, None])
         weighted: Array = root @ found
         return weighted

@@ -24,9 +24,10 @@ class DataAssociation:
     def __init__(self, settings: GtsamViSettings, R_imu_cam: Array) -> None:
         self._settings, self._R_imu_cam = settings, R_imu_cam
         self._R_start_imu = np.eye(3)
-        self._first: dict[int, tuple[int, Array]] = {}  # landmark, and direction of its first ray, by track
         self._count = 0
-        self._ids = np.empty(0, dtype=np.int64)  # of the last frame's tracks
+        # Of the last frame's tracks: ids (N,), landmarks (N,), and directions (N, 3) of the landmarks' first rays.
+        self._ids = self._landmarks = np.empty(0, dtype=np.int64)
+        self._first = np.empty((0, 3))
         self._kept: list[float] = []  # share of the tracks that each frame since the last key frame left
 
     def landmarks(self, ids: NDArray[np.int64], rays: Array, segment: Segment, gyro_bias: Array) -> NDArray[np.int64]:
@@ -34,19 +35,19 @@ class DataAssociation:
         self._R_start_imu = self._R_start_imu @ relative_rotation(segment, gyro_bias)
         if len(ids) == 0:
             return ids
+        _, before, now = np.intersect1d(self._ids, ids, assume_unique=True, return_indices=True)
         if len(self._ids):
-            self._kept.append(float(np.isin(self._ids, ids).mean()))
-        self._ids = ids
+            self._kept.append(len(before) / len(self._ids))
         directions = homogeneous(rays) @ (self._R_start_imu @ self._R_imu_cam).T
         directions /= np.linalg.norm(directions, axis=1)[:, None]
-        least = np.cos(np.radians(self._settings.landmarks.max_turn_deg))
-        known, self._first = self._first, {}
-        for track, direction in zip(ids.tolist(), directions, strict=True):
-            first = known.get(track)
-            if first is None or first[1] @ direction < least:
-                first, self._count = (self._count, direction), self._count + 1
-            self._first[track] = first
-        return np.array([self._first[track][0] for track in ids.tolist()], dtype=np.int64)
+        landmarks, first = np.zeros(len(ids), dtype=np.int64), np.zeros((len(ids), 3))
+        landmarks[now], first[now] = self._landmarks[before], self._first[before]
+        new = (first * directions).sum(axis=1) < np.cos(np.radians(self._settings.landmarks.max_turn_deg))
+        new |= ~first.any(axis=1)  # of a track that was not there before
+        landmarks[new], first[new] = self._count + np.arange(np.count_nonzero(new)), directions[new]
+        self._count += int(np.count_nonzero(new))
+        self._ids, self._landmarks, self._first = ids, landmarks, first
+        return landmarks
 
     def inflation(self) -> float:
         """How much less certain than usual the tracks since the last call are: where light moves over the bottom, most

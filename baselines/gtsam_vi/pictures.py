@@ -13,16 +13,22 @@ def without_veil(grey: NDArray[np.uint8], settings: FrontEndSettings) -> NDArray
     """A grey picture (H, W) less the mean around each pixel: the veil of scattered light, the slower part of caustics,
     and a lamp's cone."""
     picture = grey.astype(np.float32)
-    return np.asarray(picture - cv2.blur(picture, (settings.veil_px, settings.veil_px)), dtype=np.float32)
+    picture -= cv2.blur(picture, (settings.veil_px, settings.veil_px))
+    return picture
 
 
 def even_contrast(detail: NDArray[np.float32], settings: FrontEndSettings) -> NDArray[np.uint8]:
     """A picture (H, W) without its veil, with the same contrast everywhere: divided by its own spread in a wider
     surrounding, and by no less than the sensor's noise."""
     square = cv2.sqrBoxFilter(detail, cv2.CV_32F, (settings.contrast_px, settings.contrast_px))
-    spread = np.sqrt(np.maximum(square, 0.0))  # its running sums leave a little less than nothing where all is black
-    even = 128 + settings.contrast_grey * detail / (spread + settings.contrast_floor_grey)
-    return cv2.convertScaleAbs(np.maximum(even, 0.0)).astype(np.uint8, copy=False)
+    # In place, as pictures do not fit into the processor's cache. Its running sums leave a little less than nothing
+    # where all is black.
+    spread = np.sqrt(np.maximum(square, 0.0, out=square), out=square)
+    spread += settings.contrast_floor_grey
+    even = settings.contrast_grey * detail
+    even /= spread
+    even += 128
+    return cv2.convertScaleAbs(np.maximum(even, 0.0, out=even)).astype(np.uint8, copy=False)
 
 
 class FixedPattern:
@@ -52,9 +58,18 @@ class FixedPattern:
         self._moved_px = 0.0
         self._count += 1
         share = 1.0 / min(self._count, limits.pattern_pictures)
-        self._mean = self._mean + share * (detail - self._mean)
-        self._square = self._square + share * (detail * detail - self._square)
+        change = detail - self._mean
+        change *= share
+        self._mean = self._mean + change
+        change = detail * detail
+        change -= self._square
+        change *= share
+        self._square = self._square + change
         if self._count < limits.pattern_pictures // 2:
             return
-        error = np.sqrt(np.maximum(self._square - self._mean * self._mean, 0.0) * share)
-        self._pattern = np.where(np.abs(self._mean) > limits.pattern_sigmas * error, self._mean, 0.0)
+        error = self._mean * self._mean
+        np.maximum(np.subtract(self._square, error, out=error), 0.0, out=error)
+        error *= share
+        np.sqrt(error, out=error)
+        error *= limits.pattern_sigmas
+        self._pattern = np.where(np.abs(self._mean) > error, self._mean, 0.0)

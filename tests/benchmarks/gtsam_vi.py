@@ -18,15 +18,18 @@ import cv2
 
 import oysterbench
 from oysterbench.sequence.types import Sequence
-from oysterbench_baselines.gtsam_vi import GtsamVi, estimator
+from oysterbench_baselines.gtsam_vi import GtsamVi, estimator, frontend
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import FrontEnd
 from oysterbench_baselines.gtsam_vi.loops import LoopCloser
+from oysterbench_baselines.gtsam_vi.pictures import FixedPattern
 from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher
 from oysterbench_baselines.gtsam_vi.window import Window
 
 STAGES: tuple[tuple[Any, str, str], ...] = (
-    (FrontEnd, "equalise", "equalise"),
+    (frontend, "without_veil", "equalise"),
+    (frontend, "even_contrast", "equalise"),
+    (FixedPattern, "add", "equalise"),
     (FrontEnd, "_follow", "track"),
     (FrontEnd, "_replenish", "find corners"),
     (StereoMatcher, "match", "match left to right"),
