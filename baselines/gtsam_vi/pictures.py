@@ -28,7 +28,7 @@ def even_contrast(detail: NDArray[np.float32], settings: FrontEndSettings) -> ND
     even = settings.contrast_grey * detail
     even /= spread
     even += 128
-    return cv2.convertScaleAbs(np.maximum(even, 0.0, out=even)).astype(np.uint8, copy=False)
+    return np.asarray(cv2.convertScaleAbs(np.maximum(even, 0.0, out=even)), dtype=np.uint8)
 
 
 class FixedPattern:
