@@ -138,13 +138,8 @@ class Similarity:
 
     def rotate(self, quaternions: Array) -> Array:
         """Attitudes (N, 4) turned from the left: body to the estimate's world becomes body to the reference's."""
-        return np.asarray(
-            np.einsum(
-                "ij,kj->ik",
-                quaternions,
-                left_product(scipy.spatial.transform.Rotation.from_matrix(self.rotation).as_quat()),
-            )
-        )
+        turn = scipy.spatial.transform.Rotation.from_matrix(self.rotation)
+        return np.asarray(np.einsum("ij,kj->ik", quaternions, left_product(turn.as_quat())))
 
 
 IDENTITY = Similarity(np.eye(3), np.zeros(3))

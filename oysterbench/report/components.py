@@ -28,9 +28,8 @@ def position_errors(result: SlamResult) -> Array:
 def attitude_errors_deg(result: SlamResult) -> Array:
     """(N, 3) deg: the rotation vector that takes the true body into the estimated one, about the true body's own axes x
     forward (roll), y left (pitch), z up (yaw); its length is the angle between them."""
-    between = scipy.spatial.transform.Rotation.from_quat(
-        result.truth.quaternions
-    ).inv() * scipy.spatial.transform.Rotation.from_quat(result.estimate.quaternions)
+    from_quat = scipy.spatial.transform.Rotation.from_quat
+    between = from_quat(result.truth.quaternions).inv() * from_quat(result.estimate.quaternions)
     return np.asarray(between.as_rotvec(degrees=True), dtype=float)
 
 

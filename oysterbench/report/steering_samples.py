@@ -78,13 +78,12 @@ def bow_pixels(dive: LabelledViews, view: View) -> tuple[Array, Array]:
     """
     task, camera = dive.task, dive.sequence.cameras[dive.camera]
     pitch = view.state.pitch
-    level = scipy.spatial.transform.Rotation.from_euler("y", pitch).inv()
+    from_euler = scipy.spatial.transform.Rotation.from_euler
     yaw, dip = np.meshgrid(np.radians(task.yaw_deg), np.radians(task.pitch_deg), indexing="ij")
     limit = math.radians(task.max_pitch_deg)
     angles = np.stack([yaw.ravel(), np.clip(pitch + dip.ravel(), -limit, limit)], axis=-1)
-    bows = (level * scipy.spatial.transform.Rotation.from_euler("ZY", np.concatenate([angles, [[0.0, pitch]]]))).apply(
-        [1.0, 0.0, 0.0]
-    )
+    turns = from_euler("ZY", np.concatenate([angles, [[0.0, pitch]]]))
+    bows = (from_euler("y", pitch).inv() * turns).apply([1.0, 0.0, 0.0])
     rays = bows @ np.asarray(camera.T_base_cam)[:3, :3]
     lens = cv2.fisheye if camera.distortion_model == "equidistant" else cv2
     at = np.asarray(

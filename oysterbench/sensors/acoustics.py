@@ -90,9 +90,8 @@ def aperture(width: float) -> float:
 
 def mount_pose(recipe: AcousticRecipe) -> Array:
     """T_base_sensor (4, 4) of a frame with x along the sensor's axis, y left, z up."""
-    turn = scipy.spatial.transform.Rotation.from_euler(
-        "ZY", [recipe.yaw_deg, recipe.pitch_deg], degrees=True
-    ).as_matrix()
+    from_euler = scipy.spatial.transform.Rotation.from_euler
+    turn = from_euler("ZY", [recipe.yaw_deg, recipe.pitch_deg], degrees=True).as_matrix()
     return transform(turn, recipe.position_m)
 
 

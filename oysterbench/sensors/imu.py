@@ -163,9 +163,8 @@ def with_grade(unit: Any) -> Any:
 
 def imu_pose(recipe: ImuRecipe | MagnetometerRecipe) -> Array:
     """T_base_imu (4, 4), or that of a magnetometer."""
-    return transform(
-        scipy.spatial.transform.Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True).as_matrix(), recipe.position_m
-    )
+    turn = scipy.spatial.transform.Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True)
+    return transform(turn.as_matrix(), recipe.position_m)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -99,10 +99,8 @@ def measure(
     b = A R^T B + h + noise, with soft iron A and hard iron h (Gebre-Egziabher et al. 2006), in the steps of the
     digital reading. iron: in the place of the recipe's. bending: fields (N, 3) T in `map` beside the Earth's.
     """
-    rotation = (
-        path.at(times_s).rotation
-        @ scipy.spatial.transform.Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True).as_matrix()
-    )
+    mount = scipy.spatial.transform.Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True)
+    rotation = path.at(times_s).rotation @ mount.as_matrix()
     earth = np.einsum("nji,j->ni", rotation, earth_field(site))
     if bending is not None:
         earth = earth + np.einsum("nji,nj->ni", rotation, bending)

@@ -161,10 +161,8 @@ class SidescanSonar:
 
 def fan_pose(recipe: SidescanRecipe, side: str) -> Array:
     """T_mount_fan (4, 4) of a side's fan: x along its axis, out and down, y along the track."""
-    return transform(
-        scipy.spatial.transform.Rotation.from_euler("ZY", [SIDES[side], recipe.tilt_deg], degrees=True).as_matrix(),
-        np.zeros(3),
-    )
+    turn = scipy.spatial.transform.Rotation.from_euler("ZY", [SIDES[side], recipe.tilt_deg], degrees=True)
+    return transform(turn.as_matrix(), np.zeros(3))
 
 
 def _of_side(branch: Streams, side: str, index: int) -> Streams:

@@ -123,9 +123,8 @@ def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list
             f"the attitudes err by {np.rad2deg(error):.1f} deg as they are and by {np.rad2deg(reordered):.1f} deg when "
             "read as w x y z: were they written in that order? x y z w is expected"
         ]
-    turns = scipy.spatial.transform.Rotation.from_quat(truth).inv() * scipy.spatial.transform.Rotation.from_quat(
-        aligned
-    )
+    from_quat = scipy.spatial.transform.Rotation.from_quat
+    turns = from_quat(truth).inv() * from_quat(aligned)
     turn = turns.mean()
     rest = _rms(np.asarray((turns * turn.inv()).magnitude()))
     # A turn about the vertical alone is what a wrong alignment of a level vehicle looks like.
