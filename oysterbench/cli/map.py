@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -241,7 +241,7 @@ def _oysters(
     kind: str,
     chosen: dict[str, Any],
 ) -> dict[str, Any]:
-    from oysterbench.cli.progress import late_bar
+    from oysterbench.cli.progress import LATE_S, late_bars
     from oysterbench.mapping import MapSettings, build_map, default_depth, read_seen, true_seen
     from oysterbench.report.density_figure import numbers
     from oysterbench.report.density_files import summary, write_map
@@ -270,10 +270,12 @@ def _oysters(
             yield picture
             watch(picture.stamp_ns)
 
-    with late_bar(f"map of {opened.name}", "s of the sequence") as progress:
-        watch = _watching(opened, 1, progress)
-        found = build_map(opened, poses, seen, first, depth, settings)
+    with late_bars(f"map of {opened.name}") as progress:
+        watch = _watching(opened, 1, partial(progress, "s of the sequence"))
+        found = build_map(opened, poses, seen, first, depth, settings, progress=progress)
     command = shlex.join(["oysterbench", *sys.argv[1:]])
+    if time.process_time() >= start + LATE_S:
+        message(f"writing the map of {opened.name}")
     written = write_map(found, out, command)
     facts = {**summary(found), "files": [str(path) for path in written]}
     facts["cpu_s"] = round(time.process_time() - start, 1)

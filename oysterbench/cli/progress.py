@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from oysterbench.cli.echo import message
@@ -115,5 +115,23 @@ def late_bar(title: str, unit: str) -> Iterator[Progress]:
         def tell(done: int, total: int) -> None:
             if time.monotonic() >= began + LATE_S:
                 progress(done, total)
+
+        yield tell
+
+
+@contextmanager
+def late_bars(title: str) -> Iterator[Callable[[str, int, int], None]]:
+    """A `late_bar` for each unit that is told of, one after the other."""
+    with ExitStack() as stack:
+        units = list[str]()
+        shown: Progress = lambda done, total: None  # noqa: E731
+
+        def tell(unit: str, done: int, total: int) -> None:
+            nonlocal shown
+            if unit not in units[-1:]:
+                stack.close()
+                units.append(unit)
+                shown = stack.enter_context(late_bar(title, unit))
+            shown(done, total)
 
         yield tell

@@ -9,8 +9,9 @@ their weight by that of Geman and McClure (1985), which comes in by and by (grad
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,9 @@ from oysterbench.mapping.settings import MapSettings
 
 PARTNERS = 24
 """Earlier pictures that one is registered with, at most: spread evenly over all that overlap with it."""
-ROUNDS = 2  # of registering: what was out of reach along the path may be within it once pictures are laid
+ROUNDS = ("pictures registered", "pictures registered again")
+"""Of registering, by what is counted in each: what was out of reach along the path may be within it once pictures are
+laid."""
 OWN_STEP = 0.02  # 1 sigma of the path's step from a picture to the next, of its length, at least
 OWN_TURN_RAD = 0.002  # the same of the turn between them
 HEADING_RAD = 0.05  # 1 sigma of the path's heading
@@ -38,6 +41,9 @@ GRADUAL = np.concatenate([np.geomspace(64.0, 1.0, 13), np.ones(4)])
 """By how much more a step may be off before it loses its weight, from solution to solution."""
 
 Picture = Sequence[Patch]
+
+Progress = Callable[[str, int, int], None]
+"""To be told what is counted, how many of them are done, and of how many."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,12 @@ class Step:
     sigma_rad: float
 
 
-def laid(pictures: Sequence[Picture], places: Array, settings: MapSettings) -> tuple[list[list[Patch]], Array]:
+def laid(
+    pictures: Sequence[Picture],
+    places: Array,
+    settings: MapSettings,
+    progress: Progress = lambda what, done, total: None,
+) -> tuple[list[list[Patch]], Array]:
     """The oysters of all pictures, in time order, where they lie to each other, and the moves (N, 4, 4) of the pictures
     there, each about the vertical.
 
@@ -74,8 +85,9 @@ def laid(pictures: Sequence[Picture], places: Array, settings: MapSettings) -> t
         for k, (at, length) in enumerate(zip(middles[1:], np.diff(gone), strict=True))
     ]
     moves, told = np.tile(np.eye(4), (len(some), 1, 1)), list[Step]()
-    for _ in range(ROUNDS):
-        told += _registered(some, moves, {(step.start, step.to) for step in told}, settings)
+    for counted in ROUNDS:
+        known = {(step.start, step.to) for step in told}
+        told += _registered(some, moves, known, settings, partial(progress, counted))
         own = _as_sure_as_told(own, told)
         moves, sigmas = solve(own, told, middles, poses_m)
     of_all = _of_all(np.array(kept), moves, places)
@@ -132,12 +144,17 @@ def _placed(places: Array, moves: Array) -> Array:
 
 
 def _registered(
-    pictures: Sequence[Picture], moves: Array, but: set[tuple[int, int]], settings: MapSettings
+    pictures: Sequence[Picture],
+    moves: Array,
+    but: set[tuple[int, int]],
+    settings: MapSettings,
+    progress: Callable[[int, int], None],
 ) -> Iterator[Step]:
     """Steps between pictures that overlap where they were moved to, but those that are known."""
     moved = [[patch.placed(move) for patch in picture] for picture, move in zip(pictures, moves, strict=True)]
     headings = Rotation.from_matrix(moves[:, :3, :3]).as_rotvec()[:, 2]
     for start, to in overlapping(moved):
+        progress(to + 1, len(pictures))
         found = None if (start, to) in but else register(moved[to], moved[start], settings)
         if found is None:
             continue

@@ -17,7 +17,7 @@ from oysterbench.mapping.cover import Cover, Raster, raster_around, tile_of
 from oysterbench.mapping.depth import SIGMA, depth_source
 from oysterbench.mapping.grid import Grid, Oyster, Total, make_grid, total
 from oysterbench.mapping.north import magnetic_north
-from oysterbench.mapping.pose_graph import laid
+from oysterbench.mapping.pose_graph import Progress, laid
 from oysterbench.mapping.projection import Lens, Patch, Seen, patches, usable
 from oysterbench.mapping.settings import MapSettings
 from oysterbench.mapping.tiles import Tiles
@@ -117,11 +117,12 @@ def build_map(
     depth: str,
     settings: MapSettings | None = None,
     allow_none: bool = False,
+    progress: Progress = lambda what, done, total: None,
 ) -> OysterMap:
     """The map. trajectory: poses of base_link at any stamps; seen: gives the oysters of pictures, in time order.
 
     depth: one of `depth.DEPTHS`; of them only "layer" uses the truth, of depths and of the camera's calibration.
-    allow_none: make a map without an oyster, too.
+    allow_none: make a map without an oyster, too. progress: is told how far it is once all pictures have been given.
     Raises TrajectoryError where the trajectory is of another time, LabelError where the oysters are not of pictures of
     this camera or there are none, SequenceError where there is no depth.
     """
@@ -173,7 +174,7 @@ def build_map(
             places.append(T[:3, 3])
         _check(sequence, camera, depth, counts, len(places), any_oyster or allow_none)
         path = np.array(places)
-        pictures, moves = laid(pictures, path, settings)
+        pictures, moves = laid(pictures, path, settings, progress)
         cover, unassociated = _ground(raster, tiles, moves, pictures, settings)
     notes = []
     if depth == "layer":
@@ -182,8 +183,9 @@ def build_map(
         if counts[key]:
             notes.append(f"{counts[key]} of {counts['pictures']} pictures have no {what} and are left out")
     tracks = OysterTracks(settings)
-    for found in pictures:
+    for k, found in enumerate(pictures, start=1):
         tracks.add(found)
+        progress("pictures counted", k, len(pictures))
     joined = tracks.joined()
     return OysterMap(
         sequence.name, camera, depth, [_oyster(track) for track in joined], joined, cover, path[:, :2], settings,

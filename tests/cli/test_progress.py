@@ -7,7 +7,7 @@ import re
 import pytest
 
 from oysterbench.cli import progress
-from oysterbench.cli.progress import plain_runs, runs_shown
+from oysterbench.cli.progress import late_bars, plain_runs, runs_shown
 from oysterbench.methods import runner
 from oysterbench.methods.hearing import Heard
 from tests.helpers.command import run
@@ -26,6 +26,20 @@ def test_off_a_terminal_each_run_tells_its_tenths_of_every_pass(capsys, monkeypa
     assert lines.count("other: 1 of 3") == 1
     expected = [f"{RUN}: {done} of 100" for done in [*range(0, 101, 10), 0, 10]]
     assert [line for line in lines if line.startswith(RUN)] == expected
+
+
+def test_work_of_several_stages_has_a_bar_for_each_that_takes_long(capsys, monkeypatch):
+    now = [1000.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    with late_bars("map of mini-01") as tell:
+        for stage, step_s in (("pictures", 1.0), ("pictures registered", 0.1), ("pictures counted", 1.0)):
+            for done in range(11):
+                now[0] += step_s
+                tell(stage, done, 10)
+    lines = [line.partition(",")[0] for line in capsys.readouterr().err.splitlines()]
+    for stage in ("pictures", "pictures counted"):
+        assert f"map of mini-01: 10 of 10 {stage}" in lines
+    assert not [line for line in lines if "registered" in line]
 
 
 def test_off_a_terminal_other_lines_are_told_now_and_then(capsys, monkeypatch):

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from oysterbench.mapping import MapSettings
-from oysterbench.mapping.pose_graph import Step, laid, overlapping, solve
+from oysterbench.mapping.pose_graph import ROUNDS, Step, laid, overlapping, solve
 from oysterbench.mapping.projection import Patch
 
 SETTINGS = MapSettings()
@@ -79,6 +79,17 @@ def test_two_passes_lie_on_one_another_whatever_the_path_drifts(metres, degrees)
     found, _ = laid(strayed, places, SETTINGS)
     assert scatter_m(found) < 0.005
     assert max(patch.pose_sigma_m for picture in found for patch in picture) < 0.003
+
+
+def test_it_tells_how_far_it_is():
+    places, told = there_and_back(), []
+    strayed = pictures_of(reef(), places, drift(len(places), (0.12, -0.1, 0.03), 0.0))
+    laid(strayed, places, SETTINGS, lambda *far: told.append(far))
+    assert list(dict.fromkeys(what for what, _, _ in told)) == list(ROUNDS)
+    for counted in ROUNDS:
+        done = [done for what, done, total in told if what == counted and total == len(places)]
+        assert done == sorted(done)
+        assert done[-1] == len(places)
 
 
 def test_heights_are_mended_too():
