@@ -180,17 +180,18 @@ def _cloud(
     far_m: float | None,
 ) -> dict[str, Any]:
     from oysterbench.cli.progress import late_bar
-    from oysterbench.mapping import CloudSettings, build_cloud
     from oysterbench.sequence import open_sequence
 
     if out.suffix.lower() != ".ply":
         raise OysterbenchError(f"{out}: expected the name of a .ply file, or --masks and the name of a folder")
+    opened = open_sequence(sequence)  # before what takes longer to load than to refuse it
+    from oysterbench.mapping import CloudSettings, build_cloud
+
     settings = CloudSettings()
     if voxel_m is not None:
         settings = replace(settings, voxel_m=voxel_m)
     if far_m is not None:
         settings = replace(settings, far_m=far_m)
-    opened = open_sequence(sequence)
     poses = _poses(opened, trajectory, options)
     start = time.process_time()
     looks = max(len(cameras), 1)
@@ -242,15 +243,16 @@ def _oysters(
     chosen: dict[str, Any],
 ) -> dict[str, Any]:
     from oysterbench.cli.progress import LATE_S, late_bars
-    from oysterbench.mapping import MapSettings, build_map, default_depth, read_seen, true_seen
-    from oysterbench.report.density_figure import numbers
-    from oysterbench.report.density_files import summary, write_map
     from oysterbench.sequence import open_sequence
 
     if out.exists() and not out.is_dir():
         raise OysterbenchError(f"{out}: expected the name of a folder, got a file")
+    opened = open_sequence(sequence)  # before what takes longer to load than to refuse it
+    from oysterbench.mapping import MapSettings, build_map, default_depth, read_seen, true_seen
+    from oysterbench.report.density_figure import numbers
+    from oysterbench.report.density_files import summary, write_map
+
     settings = MapSettings(**chosen)
-    opened = open_sequence(sequence)
     poses = _poses(opened, trajectory, options)
     first = camera or next(iter(opened.cameras), None)
     if first is None or first not in opened.cameras:
