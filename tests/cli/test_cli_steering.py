@@ -120,7 +120,8 @@ def test_reefs_and_seconds_are_as_many_as_asked_for(recipe, tmp_path):
     assert {one["metrics"]["rollout_s"] for one in records} == {5}
 
 
-@pytest.mark.parametrize("closed", [(), pytest.param(("--closed-loop",), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("closed", [(), ("--closed-loop",)])
 def test_a_failure_is_said_and_the_others_are_there(recipe, tmp_path, closed):
     methods = ("--method", "tests.helpers.exploring_policies:Broken", "--method", "straight")
     result = run("--split", recipe, *closed, *methods, "--workers", 1, "--out", tmp_path / "out")

@@ -87,7 +87,7 @@ def test_no_more_is_kept_than_was_asked_for(dive_file):
     assert len(chunks._kept) == 1
 
 
-@pytest.mark.parametrize("method", ["spawn", "fork"])
+@pytest.mark.parametrize("method", [pytest.param("spawn", marks=pytest.mark.slow), "fork"])
 def test_workers_give_the_same_items(dive_file, method):
     frames = FrameDataset(dive_file, layers=("oyster",), transform=mean_of_image)
     frames[0]  # what is kept here is no hindrance to other processes
