@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
@@ -22,6 +22,9 @@ from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.reef import place_oysters, state_names
 from oysterbench.scene.terrain import Terrain, build_terrain, sample_grid
 from oysterbench.scene.weeds import place_algae, place_litter
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 ENVELOPE_CELL_M = 0.025
 MAX_ENVELOPE_CELLS = 2000  # per side: bounds the memory of a large reef
@@ -76,6 +79,8 @@ class World:
         that it displaces (a live one's with what is in it, a dead one's of its shell alone). x, y, z: of its umbo in
         `map`, m. qx, qy, qz, qw: from the shell's frame (x to the bill, z out of the right valve) to `map`.
         """
+        import pandas as pd
+
         oysters = self.oysters
         shells = self.library.shells
         scales = oysters.scales.astype(float)

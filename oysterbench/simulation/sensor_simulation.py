@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
@@ -95,6 +94,8 @@ def frames_csv(simulated: SimulatedSequence) -> bytes | None:
 
     stamp_ns: the frame's; shown_ns: that of the frame whose picture it shows.
     """
+    import pandas as pd
+
     tables = []
     for camera in simulated.rig.camera:
         if not camera.auto_exposure and not camera.repeats:

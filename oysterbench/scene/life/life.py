@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -22,6 +22,9 @@ from oysterbench.scene.life.sway import Sway, build_sway, life_waves
 from oysterbench.scene.mesh import Mesh, round_positions
 from oysterbench.scene.path import Path
 from oysterbench.scene.world import MAX_INSTANCES, World
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,8 @@ class Life:
     def table(self) -> pd.DataFrame:
         """Who moves, a row each. id: as in instance images; class; kind: species or material; group: number of its
         school, alone in it or not; size_m: length of fish and debris, width of crabs, of the tether its radius."""
+        import pandas as pd
+
         rows = []
         first = self.first_id
         for number, group in enumerate(self.groups, start=1):
@@ -86,6 +91,8 @@ class Life:
     def poses(self, times_s: Array, stamps_ns: NDArray[np.int64]) -> pd.DataFrame:
         """Where they are at times (N,) s, a row for each thing and stamp: stamp_ns, id; x, y, z m, qx, qy, qz, qw: of
         its frame in `map` (x to the nose, z to the back). Of a tether, its first piece's: the stern's end."""
+        import pandas as pd
+
         tables = []
         first = np.unique(self.ids, return_index=True)[1]
         for time, stamp in zip(times_s.tolist(), stamps_ns.tolist(), strict=True):
