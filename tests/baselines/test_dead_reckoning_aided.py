@@ -41,8 +41,7 @@ def drift(sequence: dive.SensorDive, trajectory: Trajectory) -> float:
     return float(np.linalg.norm(errors(sequence, trajectory)[-1, :3]) / sequence.truth().path_length)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("resting", "seed"), [(True, 0), (False, 1)])
+@pytest.mark.parametrize(("resting", "seed"), [pytest.param(True, 0, marks=pytest.mark.slow), (False, 1)])
 def test_with_a_dvl_the_path_drifts_by_less_than_a_hundredth_in_two_minutes(resting, seed):
     sequence = make(seed, ("dvl", "pressure"), 120.0, resting)
     trajectory = reckon(sequence)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gzip
 import json
+from collections import Counter
 from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
@@ -23,6 +24,9 @@ LITERATURE = (
     ),
     Literature("slam", "scheme", "ATE, m", "9", "lake", "Nobody 2021", "javascript:alert(1)"),
 )
+
+PAIRS = 3
+"""Of records, whose comparisons are followed."""
 
 
 def make_site(folder: Path) -> tuple[Site, dict[str, str]]:
@@ -142,3 +146,23 @@ class Reading(HTMLParser):
         """Where this page leads to, and what it loads."""
         pairs = (("a", "href"), ("link", "href"), ("script", "src"), ("img", "src"), ("form", "action"))
         return [str(one[key]) for tag, key in pairs for one in self.all(tag) if one.get(key) is not None]
+
+
+def crawl(client: Client, alike: int) -> dict[str, Answer]:
+    """What pages lead to from the first one, with its answer; of addresses that differ in a name or a digest alone, so
+    many; and of pairs, which are too many, PAIRS."""
+    todo, seen, of_kind = ["/"], dict[str, Answer](), Counter[tuple[str, ...]]()
+    while todo:
+        address = todo.pop(0)
+        path, _, query = address.partition("?")
+        parts = path.split("/")
+        asked = sorted(part.partition("=")[0] for part in query.split("&"))
+        kind = parts[1], str(len(parts)), Path(parts[-1]).suffix, *asked
+        if address in seen or of_kind[kind] >= (min(alike, PAIRS) if path.startswith("/compare") else alike):
+            continue
+        of_kind[kind] += 1
+        answer = seen[address] = client.get(address)
+        if answer.headers.get("content-type", "").startswith("text/html"):
+            links = [link.partition("#")[0] for link in Reading(answer.text).links()]
+            todo += [link for link in links if link.startswith("/") and link != "/compare"]  # a form, sent empty
+    return seen

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import re
 import shutil
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from posixpath import dirname, normpath
@@ -27,7 +26,7 @@ from oysterbench_leaderboard.site.render import page_html
 from oysterbench_leaderboard.site.running import Watch
 from oysterbench_leaderboard.site.server import SECURITY, application
 from tests.helpers.records_made import NASTY, record_made
-from tests.helpers.site_made import Client, Reading, make_site
+from tests.helpers.site_made import Client, Reading, crawl, make_site
 
 BOARD = "/boards/slam/slam-val"
 
@@ -56,27 +55,9 @@ def exported(made, tmp_path_factory) -> Path:
     return folder
 
 
-def crawl(client, start="/", alike=4):
-    """What pages lead to, with its answer; of addresses that differ in a name or a digest alone, so many."""
-    todo, seen, of_kind = [start], {}, Counter()
-    while todo:
-        address = todo.pop(0)
-        path, _, query = address.partition("?")
-        parts = path.split("/")
-        asked = sorted(part.partition("=")[0] for part in query.split("&"))
-        kind = parts[1], len(parts), Path(parts[-1]).suffix, *asked
-        if address in seen or of_kind[kind] >= alike:
-            continue
-        of_kind[kind] += 1
-        answer = seen[address] = client.get(address)
-        if answer.headers.get("content-type", "").startswith("text/html"):
-            links = [link.partition("#")[0] for link in Reading(answer.text).links()]
-            todo += [link for link in links if link.startswith("/") and link != "/compare"]  # a form, sent empty
-    return seen
-
-
-def test_every_link_of_the_site_leads_somewhere_and_every_answer_is_secured(client):
-    seen = crawl(client)
+@pytest.mark.parametrize("alike", [4, pytest.param(1_000_000, marks=pytest.mark.slow)])
+def test_every_link_of_the_site_leads_somewhere_and_every_answer_is_secured(client, alike):
+    seen = crawl(client, alike)
     assert len(seen) > 100
     for address, answer in seen.items():
         assert answer.status == 200, address
@@ -386,7 +367,6 @@ def test_an_export_that_fails_leaves_the_old_one(made, exported, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["site"]
 
 
-@pytest.mark.slow
 def test_build_writes_the_board_that_it_is_told(made, tmp_path):
     store = made[0].store.folder
     result = CliRunner().invoke(
