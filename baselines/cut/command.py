@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -33,6 +33,28 @@ clip_option = click.option(
     metavar="NAME",
     help="Only targets of this clip, for one kind of water; repeatable.",
 )
+
+
+def judge_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Who says whether labels still hold, and what follows from it."""
+    for option in (
+        click.option(
+            "--keep",
+            type=click.FloatRange(0, 1),
+            metavar="SHARE",
+            help="Only images on which the judge's IoU is at least this share of that before, such as 0.8.  "
+            "[default: all]",
+        ),
+        click.option(
+            "--judge",
+            type=click.Path(path_type=Path, dir_okay=False),
+            metavar="FILE",
+            help="Weights of `oysterbench train unet`, which say what has become of the oysters; 'unet' for those "
+            "under the home folder.",
+        ),
+    ):
+        command = option(command)
+    return command
 
 
 @click.command("cut", short_help="Make rendered images look like real ones, without pairs.")
@@ -109,18 +131,25 @@ def train_command(
 @click.argument("checkpoint", metavar="[CHECKPOINT]", required=False, type=click.Path(path_type=Path))
 @source_option
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write.")
+@judge_options
 @device_option("cpu")
-def cut_command(checkpoint: Path | None, sources: tuple[str, ...], out: Path, device: str) -> None:
-    """Translate labelled images at their own size. Their labels stay; the error this causes is measured and printed.
+def cut_command(
+    checkpoint: Path | None, sources: tuple[str, ...], out: Path, judge: Path | None, keep: float | None, device: str
+) -> None:
+    """Translate labelled images at their own size. Their labels stay; the error this causes is measured, printed, and
+    written to drift.csv image by image.
 
     \b
     Examples:
       oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated
       oysterbench translate cut --source seg-closeup --out translated
+      oysterbench translate cut cut/checkpoint.pt --source seg-closeup --judge unet.pt \\
+        --keep 0.8 --out translated
 
-    Without CHECKPOINT, the weights of `oysterbench download cut` are used, and downloaded if a hub is set.
+    Without CHECKPOINT, the weights of `oysterbench download cut` are used, and downloaded if a hub is set. A judge is a
+    segmentation network that was trained on other images: it says how well it finds the labels before and after, which
+    oysters it no longer sees, and where it sees new ones.
     """
-    from oysterbench.cli.labelled import open_all
     from oysterbench.cli.render import frames_bar
     from oysterbench.methods.weights import have_weights
     from oysterbench_baselines.cut.translation import load_generator, translated
@@ -131,7 +160,7 @@ def cut_command(checkpoint: Path | None, sources: tuple[str, ...], out: Path, de
         have_weights({"cut": checkpoint}, message, frames_bar)
     generator, settings = load_generator(checkpoint)
     generator.to(pick_device(device))
-    _write(open_all(sources), lambda images: translated(generator, settings, images), out)
+    _write(sources, lambda images: translated(generator, settings, images), out, judge, keep, device)
 
 
 def _recolour(name: str) -> click.Command:
@@ -142,14 +171,22 @@ def _recolour(name: str) -> click.Command:
     @clip_option
     @seed_option
     @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write.")
+    @judge_options
     def command(
-        sources: tuple[str, ...], target: str, side: str | None, clips: tuple[str, ...], seed: int, out: Path
+        sources: tuple[str, ...],
+        target: str,
+        side: str | None,
+        clips: tuple[str, ...],
+        seed: int,
+        out: Path,
+        judge: Path | None,
+        keep: float | None,
     ) -> None:
-        from oysterbench.cli.labelled import open_all, open_data
+        from oysterbench.cli.labelled import open_data
         from oysterbench_baselines.cut.colour import TRANSFERS, recoloured
 
         models = targets(open_data(target), side, clips)
-        _write(open_all(sources), lambda images: recoloured(images, models, TRANSFERS[name], seed), out)
+        _write(sources, lambda images: recoloured(images, models, TRANSFERS[name], seed), out, judge, keep)
 
     command.help = f"""Give labelled images the colours of real ones ({name}): for each, a clip and then one of its
     images is drawn. No edge moves; this is the control that a learned translation has to beat.
@@ -182,29 +219,32 @@ def targets(labelled: LabelledSet, side: str | None, clips: tuple[str, ...]) -> 
     return chosen.where(lambda entry: not clips or entry.clip in clips)
 
 
-def _write(source: LabelledSet, change: Callable[[LabelledSet], Iterator[LabelledImage]], out: Path) -> None:
+def _write(
+    sources: tuple[str, ...],
+    change: Callable[[LabelledSet], Iterator[LabelledImage]],
+    out: Path,
+    judge: Path | None,
+    keep: float | None,
+    device: str = "cpu",
+) -> None:
     """Write what `change` makes of the images as a folder of masks, and say how far masks have drifted."""
-    import numpy as np
-
-    from oysterbench.annotations import write_folder
+    if keep is not None and judge is None:
+        raise click.UsageError("--keep goes by what a judge sees: expected --judge beside it")
+    from oysterbench.cli.labelled import open_all
     from oysterbench.cli.render import frames_bar
-    from oysterbench_baselines.cut.drift import Drift, mask_drift
+    from oysterbench.methods.weights import have_weights
+    from oysterbench_baselines.cut.judge import Judge
+    from oysterbench_baselines.cut.writing import sentences, write_translated
+    from oysterbench_baselines.learning.loop import pick_device
 
-    drifts: list[Drift] = []
-
-    def measured() -> Iterator[LabelledImage]:
-        for before, after in zip(source, change(source), strict=True):
-            drifts.append(mask_drift(before.pixels, after.pixels, before.oysters))
-            yield after
-
+    judging = None
+    if judge is not None:
+        named = checkpoint_path("unet") if judge == Path("unet") else judge
+        have_weights({"unet": named}, message, frames_bar)
+        judging = Judge(named, pick_device(device))
+    source = open_all(sources)
     with frames_bar(f"translating {source.name}", "images") as bar:
-        write_folder(measured(), out, progress=lambda done: bar(done, len(source)))
-    rows = np.array([(drift.edges, drift.kept, drift.flow, drift.offset) for drift in drifts], dtype=float)
-    known = rows[~np.isnan(rows).any(axis=1)]
-    if len(known):
-        edges, kept, flow, offset = np.median(known, axis=0)
-        message(
-            f"mask drift, medians of {len(known)} images: edges correlate {edges:.2f}, {100 * kept:.0f} % of the "
-            f"strongest are kept, flow {flow:.1f} px, best offset {offset:.0f} px"
-        )
+        found = write_translated(source, change, out, judging, keep or 0.0, bar)
+    for line in sentences(found):
+        message(line)
     echo(out)

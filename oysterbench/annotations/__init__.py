@@ -2,7 +2,7 @@
 
 from oysterbench.annotations.coco import CocoFile, read_coco
 from oysterbench.annotations.duplicates import Duplicate, check_leakage, near_duplicates
-from oysterbench.annotations.folders import write_folder
+from oysterbench.annotations.folders import remove_image, write_folder
 from oysterbench.annotations.image import OYSTER, Entry, LabelledImage, LabelledSet, joined
 from oysterbench.annotations.masks import FORMS, MaskFiles, open_predictions
 from oysterbench.annotations.opening import open_labelled
@@ -26,5 +26,6 @@ __all__ = [
     "open_predictions",
     "open_truth",
     "read_coco",
+    "remove_image",
     "write_folder",
 ]

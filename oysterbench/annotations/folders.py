@@ -80,6 +80,12 @@ def write_folder(
     return len(rows)
 
 
+def remove_image(folder: Path, name: str) -> None:
+    """Remove an image that `write_folder` wrote, where it is there; the folder's table is left to the next writing."""
+    for layer in ("images", "masks", "instances", "ignore"):
+        (folder / layer / f"{name.replace('/', '-')}.png").unlink(missing_ok=True)
+
+
 def write_picture(path: Path, pixels: NDArray[Any]) -> None:
     """(H, W, 3) uint8 RGB, or (H, W) uint8 or uint16, as PNG, whole or not at all."""
     done, data = cv2.imencode(".png", pixels[..., ::-1] if pixels.ndim == 3 else pixels)

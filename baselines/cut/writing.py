@@ -1,0 +1,102 @@
+"""Translated pictures as a folder of masks, with what was measured of each in `drift.csv`."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from oysterbench.annotations import LabelledImage, LabelledSet, remove_image, write_folder
+from oysterbench.core.errors import MethodError
+from oysterbench.core.files import write_atomically
+from oysterbench_baselines.cut.drift import Drift, mask_drift
+from oysterbench_baselines.cut.judge import Judge, Verdict, together
+
+FILE = "drift.csv"
+JUDGED = ("iou", "iou_after", "vanished", "appeared")
+"""Columns of `FILE` beyond those of a Drift: of a Verdict, its shares."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was measured of one picture; verdict: None without a judge; kept: whether it was written."""
+
+    name: str
+    drift: Drift
+    verdict: Verdict | None
+    kept: bool
+
+
+def write_translated(
+    source: LabelledSet,
+    change: Callable[[LabelledSet], Iterator[LabelledImage]],
+    out: Path,
+    judge: Judge | None,
+    share: float,
+    progress: Callable[[int, int], None],
+) -> list[Measured]:
+    """Write what `change` makes of the images into `out`, and what was measured of each into `FILE` there.
+
+    share: pictures on which the judge's IoU is less than this share of what it was are left out; 0 keeps all. Raises
+    MethodError where none is left.
+    """
+    found: list[Measured] = []
+
+    def kept() -> Iterator[LabelledImage]:
+        for before, after in zip(source, change(source), strict=True):
+            verdict = None if judge is None else judge.verdict(before, after)
+            drift = mask_drift(before.pixels, after.pixels, before.oysters)
+            found.append(Measured(before.name, drift, verdict, verdict is None or verdict.holds(share)))
+            if found[-1].kept:
+                yield after
+            else:
+                remove_image(out, after.name)  # what an earlier translation may have left there
+            progress(len(found), len(source))
+
+    written = write_folder(kept(), out)
+    write_atomically(out / FILE, _table(found).encode())
+    if not written:
+        raise MethodError(
+            f"{out}: on all {len(found)} images the judge's IoU fell below {share:g} of what it was, so none was "
+            f"written; {FILE} there has the numbers: lower --keep, or translate less"
+        )
+    return found
+
+
+def sentences(found: list[Measured]) -> Iterator[str]:
+    """What was measured, for whoever waits for it."""
+    rows = np.array([[getattr(one.drift, key.name) for key in fields(Drift)] for one in found], dtype=float)
+    known = rows[~np.isnan(rows).any(axis=1)]
+    if len(known):
+        edges, kept, flow, offset = np.median(known, axis=0)
+        yield (
+            f"mask drift, medians of {len(known)} images: edges correlate {edges:.2f}, {100 * kept:.0f} % of the "
+            f"strongest are kept, flow {flow:.1f} px, best offset {offset:.0f} px"
+        )
+    if verdicts := [one.verdict for one in found if one.verdict is not None]:
+        whole = together(verdicts)
+        yield (
+            f"the judge, over {len(verdicts)} images: IoU with the labels {whole.iou:.3f} before and "
+            f"{whole.iou_after:.3f} after; {100 * whole.vanished_share:.1f} % of the oyster that it recognised has "
+            f"vanished, {100 * whole.appeared_share:.1f} % of the rest now looks like oyster"
+        )
+    if left_out := sum(not one.kept for one in found):
+        yield f"left out: {left_out} of {len(found)} images, on which it no longer finds the labels"
+
+
+def _table(found: list[Measured]) -> str:
+    text = io.StringIO()
+    keys = [key.name for key in fields(Drift)]
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["id", *keys, *JUDGED, "kept"])
+    for one in found:
+        seen = one.verdict
+        judged = [None] * 4 if seen is None else [seen.iou, seen.iou_after, seen.vanished_share, seen.appeared_share]
+        numbers = [*(getattr(one.drift, key) for key in keys), *judged]
+        told = ["" if value is None or np.isnan(value) else f"{value:.4f}" for value in numbers]
+        writer.writerow([one.name.replace("/", "-"), *told, int(one.kept)])
+    return text.getvalue()
