@@ -5,6 +5,8 @@ Conventions and coefficients are OpenCV's (`cv2.projectPoints`, `cv2.fisheye.pro
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -80,8 +82,10 @@ def undistort(images: Array, camera: CameraRecipe) -> Array:
     return points
 
 
+@lru_cache(maxsize=4)
 def pixel_rays(camera: CameraRecipe) -> NDArray[np.float32]:
-    """Rays (H + 2, W + 2, 3) float32 in water through the pixels' centres and a border of one pixel around.
+    """Rays (H + 2, W + 2, 3) float32 in water through the pixels' centres and a border of one pixel around; not to be
+    written to, as they are kept for whoever asks next.
 
     x and y at z = 1 in the optical frame, and z at which the ray meets the optical axis: 0 but behind a flat port
     (Snell's law; the port is thin), where every ray has its own centre (Treibitz et al. 2012).
@@ -99,7 +103,9 @@ def pixel_rays(camera: CameraRecipe) -> NDArray[np.float32]:
         shift = camera.port_mm * 1e-3 * (1.0 - 1.0 / shrink)
         points = points * shrink[:, None]
     rays = np.concatenate([points, shift[:, None]], axis=1).reshape(*columns.shape, 3)
-    return (np.round(rays / RAY_STEP) * RAY_STEP).astype(np.float32)
+    found = (np.round(rays / RAY_STEP) * RAY_STEP).astype(np.float32)
+    found.flags.writeable = False
+    return found
 
 
 def project(points: Array, camera: CameraRecipe) -> Array:

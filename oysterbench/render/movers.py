@@ -72,7 +72,7 @@ class Movers:
         self._shapes = len(world.meshes)
         self.first = len(rows) if life.sway is None else int(life.sway.rows[0])
         self._still = rows[self.first :]
-        lowers, uppers = (corner[self.first :].astype(float) for corner in world.boxes())
+        lowers, uppers = (corner[self.first :].astype(float) for corner in world.boxes)
         self._low, self._high = (c - self._still["position"].astype(float) for c in (lowers, uppers))
         bounds = [(mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)) for mesh in life.meshes]
         self._boxes = np.array(bounds, dtype=float).reshape(-1, 2, 3)

@@ -68,7 +68,7 @@ def upload_geometry(world: World, device: str, life: Life | None = None) -> tupl
     movers = None if life is None else Movers(geometry, world, life, meshes, placed, device)
     geometry.count = len(instances) if movers is None else movers.first
     if geometry.count:
-        lowers, uppers = (corner[: geometry.count] for corner in world.boxes())
+        lowers, uppers = (corner[: geometry.count] for corner in world.boxes)
         geometry.tree = upload_tree(lowers, uppers, device)
         boxes = wp.Bvh(wp.array(lowers, dtype=wp.vec3, device=device), wp.array(uppers, dtype=wp.vec3, device=device))
         geometry.boxes = boxes.id

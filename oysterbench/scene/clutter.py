@@ -170,9 +170,9 @@ def _covered(places: Array, things: Instances, meshes: Sequence[Mesh]) -> NDArra
     shape = np.floor(places.max(axis=0) / FOOTPRINT_CELL_M).astype(np.int64) - corner + 1
     taken = np.zeros(shape, dtype=bool)
     for _, vertices in placed_vertices(meshes, things):
-        cell = np.floor(vertices[..., :2].reshape(-1, 2) / FOOTPRINT_CELL_M).astype(np.int64) - corner
-        cell = cell[np.all((cell >= 0) & (cell < shape), axis=1)]
-        taken[cell[:, 0], cell[:, 1]] = True
+        x, y = (np.floor(vertices[..., k] / FOOTPRINT_CELL_M).astype(np.int64) - corner[k] for k in (0, 1))
+        inside = (x >= 0) & (x < shape[0]) & (y >= 0) & (y < shape[1])
+        taken[x[inside], y[inside]] = True
     cell = np.floor(places / FOOTPRINT_CELL_M).astype(np.int64) - corner
     return np.asarray(taken[cell[:, 0], cell[:, 1]])
 

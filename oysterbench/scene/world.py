@@ -99,8 +99,10 @@ class World:
         }
         return pd.DataFrame(columns)
 
+    @cached_property
     def boxes(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Lower and upper corners (N, 3) of the instances' boxes in `map`, m, a hair wider than the shapes."""
+        """Lower and upper corners (N, 3) of the instances' boxes in `map`, m, a hair wider than the shapes; not to be
+        written to, as every camera and sonar takes them."""
         lowers = np.empty((len(self.instances), 3), dtype=np.float32)
         uppers = np.empty_like(lowers)
         for chosen, vertices in placed_vertices(self.meshes, self.instances, hulls=True):

@@ -55,7 +55,7 @@ def _surface(world: World, centre: tuple[float, float], side: float) -> tuple[ND
     ground = world.ground_height(*np.meshgrid(low[0] + lines, low[1] + lines))
     surface = ground.copy()
     solid = world.instances.take(world.instances.classes != CLASS_NUMBERS["plant"])
-    lowers, uppers = world.boxes()
+    lowers, uppers = world.boxes
     boxes = world.instances.classes != CLASS_NUMBERS["plant"]
     near = np.all((uppers[boxes, :2] > low) & (lowers[boxes, :2] < low + side), axis=1)
     solid = solid.take(near)

@@ -179,14 +179,14 @@ def test_plants_are_no_obstacle_but_shade(full: World) -> None:
 
 def test_plants_root_beside_what_is_hard(full: World) -> None:
     hard = full.instances.take(np.isin(full.instances.classes, [2, 3]))
-    around = [full.boxes()[k][: len(hard), :2] for k in (0, 1)]
+    around = [full.boxes[k][: len(hard), :2] for k in (0, 1)]
     roots = full.of_class("plant").positions[:, :2]
     within = np.all((roots[:, None] > around[0]) & (roots[:, None] < around[1]), axis=2).any(axis=1)
     assert within.mean() < 0.02  # boxes are wider than what they hold
 
 
 def test_boxes_hold_their_shapes(full: World) -> None:
-    lowers, uppers = full.boxes()
+    lowers, uppers = full.boxes
     for i in range(0, len(full.instances), 11):
         vertices = full.instances.vertices(full.meshes, i)
         assert np.all(vertices >= lowers[i])
