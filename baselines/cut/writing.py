@@ -23,12 +23,12 @@ JUDGED = ("iou", "iou_after", "vanished", "appeared")
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured of one picture; verdict: None without a judge; kept: whether it was written."""
+    """What was measured of one picture; verdict: None without a judge; written: whether it is in the folder."""
 
     name: str
     drift: Drift
     verdict: Verdict | None
-    kept: bool
+    written: bool
 
 
 def write_translated(
@@ -51,15 +51,15 @@ def write_translated(
             verdict = None if judge is None else judge.verdict(before, after)
             drift = mask_drift(before.pixels, after.pixels, before.oysters)
             found.append(Measured(before.name, drift, verdict, verdict is None or verdict.holds(share)))
-            if found[-1].kept:
+            if found[-1].written:
                 yield after
             else:
                 remove_image(out, after.name)  # what an earlier translation may have left there
             progress(len(found), len(source))
 
-    written = write_folder(kept(), out)
+    number = write_folder(kept(), out)
     write_atomically(out / FILE, _table(found).encode())
-    if not written:
+    if not number:
         raise MethodError(
             f"{out}: on all {len(found)} images the judge's IoU fell below {share:g} of what it was, so none was "
             f"written; {FILE} there has the numbers: lower --keep, or translate less"
@@ -84,7 +84,7 @@ def sentences(found: list[Measured]) -> Iterator[str]:
             f"{whole.iou_after:.3f} after; {100 * whole.vanished_share:.1f} % of the oyster that it recognised has "
             f"vanished, {100 * whole.appeared_share:.1f} % of the rest now looks like oyster"
         )
-    if left_out := sum(not one.kept for one in found):
+    if left_out := sum(not one.written for one in found):
         yield f"left out: {left_out} of {len(found)} images, on which it no longer finds the labels"
 
 
@@ -92,11 +92,11 @@ def _table(found: list[Measured]) -> str:
     text = io.StringIO()
     keys = [key.name for key in fields(Drift)]
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["id", *keys, *JUDGED, "kept"])
+    writer.writerow(["id", *keys, *JUDGED, "written"])
     for one in found:
         seen = one.verdict
         judged = [None] * 4 if seen is None else [seen.iou, seen.iou_after, seen.vanished_share, seen.appeared_share]
         numbers = [*(getattr(one.drift, key) for key in keys), *judged]
         told = ["" if value is None or np.isnan(value) else f"{value:.4f}" for value in numbers]
-        writer.writerow([one.name.replace("/", "-"), *told, int(one.kept)])
+        writer.writerow([one.name.replace("/", "-"), *told, int(one.written)])
     return text.getvalue()

@@ -102,7 +102,10 @@ def test_an_oyster_that_is_painted_over_has_vanished_and_a_new_one_has_appeared(
 
 
 def rows(folder):
-    return {row["id"]: row for row in csv.DictReader((folder / FILE).read_text().splitlines())}
+    lines = (folder / FILE).read_text().splitlines()
+    columns = lines[0].split(",")
+    assert len({*columns}) == len(columns)
+    return {row["id"]: row for row in csv.DictReader(lines)}
 
 
 def test_images_on_which_the_labels_no_longer_hold_are_left_out(judge, tmp_path):
@@ -121,7 +124,7 @@ def test_images_on_which_the_labels_no_longer_hold_are_left_out(judge, tmp_path)
     assert [entry.name for entry in open_labelled(tmp_path).entries] == ["reef-0", "reef-2", "reef-3", "reef-5"]
     assert not (tmp_path / "images" / "reef-1.png").exists(), "which the first translation had left there"
     table = rows(tmp_path)
-    assert [table[f"reef-{k}"]["kept"] for k in range(6)] == ["1", "0", "1", "1", "0", "1"]
+    assert [table[f"reef-{k}"]["written"] for k in range(6)] == ["1", "0", "1", "1", "0", "1"]
     assert float(table["reef-1"]["vanished"]) > 0.2
     assert float(table["reef-0"]["iou"]) == float(table["reef-0"]["iou_after"])
     *_, judged, left_out = sentences(found)
