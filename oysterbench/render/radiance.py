@@ -8,6 +8,7 @@ Atmos. Sci. 34, 1977). One wavelength at a time; the surface is level and matche
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
@@ -66,12 +67,11 @@ def solve_daylight(
 
     molecular: the part of scattering, 1/m, that is the water's own and goes to all sides.
     """
-    cosines, weights = _quadrature()
+    cosines, weights, basis = _quadrature()
     moments, peak = _moments(asymmetry, molecular / scattering)
     b = (1.0 - peak) * scattering
     c = absorption + b
     degree = len(moments) - 1
-    basis = legvander(cosines, degree)
     towards = (basis * moments) @ basis.T  # azimuth mean of 4 pi times the phase function
     gain = 0.5 * b * towards * weights
     values, vectors = np.linalg.eig((gain - c * np.eye(len(cosines))) / cosines[:, None])
@@ -98,11 +98,17 @@ def solve_daylight(
     )
 
 
-def _quadrature() -> tuple[Array, Array]:
-    """Double Gauss: nodes rising from -1 to 1, and weights (2N,), each hemisphere by itself."""
+@cache
+def _quadrature() -> tuple[Array, Array, Array]:
+    """Double Gauss: nodes rising from -1 to 1, and weights (2N,), each hemisphere by itself; Legendre's polynomials of
+    degree below 2N at the nodes (2N, 2N)."""
     nodes, weights = leggauss(STREAMS)
     half, share = 0.5 * (nodes + 1.0), 0.5 * weights
-    return np.concatenate([-half[::-1], half]), np.concatenate([share[::-1], share])
+    cosines = np.concatenate([-half[::-1], half])
+    found = cosines, np.concatenate([share[::-1], share]), legvander(cosines, 2 * STREAMS - 1)
+    for shared in found:
+        shared.setflags(write=False)
+    return found
 
 
 def _above(cosine: float, weights: Array) -> Array:

@@ -15,6 +15,7 @@ ray with the zenith. Integrated through a camera's response, attenuation falls w
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -99,6 +100,7 @@ class Water:
         return surface + self.veiling(camera_depth_m, range_m, cosine)
 
 
+@lru_cache(maxsize=8)  # of every camera, sonar and rollout of a reef; solving it takes half a second
 def build_water(recipe: WaterRecipe, daylight: Daylight | None = None, deepest_m: float = 10.0) -> Water:
     """Tables of a recipe's water under a daylight, for cameras and surfaces down to deepest_m."""
     water = water_constituents(recipe)

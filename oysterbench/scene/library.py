@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,12 +47,9 @@ class Library:
 
 def build_library(reef: ReefRecipe, streams: Streams) -> Library:
     """The meshes that a recipe needs."""
-    shells: list[Shell] = []
-    first, count = {}, {}
+    first, count, shells = {}, dict(SHELLS), 0
     for state, number in SHELLS.items():
-        first[state], count[state] = len(shells), number
-        for k in range(number):
-            shells.append(build_oyster(streams.generator("shell", state, k), state, (k + 0.5) / number)[1])
+        first[state], shells = shells, shells + number
     wanted = {
         "stone": reef.stones > 0,
         "rock": reef.rocks > 0,
@@ -64,21 +61,40 @@ def build_library(reef: ReefRecipe, streams: Streams) -> Library:
     }
     props: list[Mesh] = []
     for kind, number in PROPS.items():
-        first[kind], count[kind] = len(shells) + len(props), number if wanted[kind] else 0
-        for k in range(count[kind]):
-            generator = streams.generator(kind, k)
-            if kind == "stone":
-                props.append(build_stone(generator))
-            elif kind == "rock":
-                props.append(build_stone(generator, ROCK_SUBDIVISIONS))
-            elif kind == "fragment":
-                props.append(build_fragment(generator))
-            elif kind == "tuft":
-                props.append(build_tuft(generator, broad=k < BROAD_SHARE * number))
-            elif kind == "bunch":
-                props.append(build_bunch(generator))
-            elif kind == "strand":
-                props.append(build_strand(generator, thread=k >= THREADS_FROM * number))
-            else:
-                props.append(build_sponge(generator))
-    return Library(tuple(shells), tuple(props), first, count)
+        first[kind], count[kind] = shells + len(props), number if wanted[kind] else 0
+        if wanted[kind]:
+            props += build_props(kind, streams)
+    return Library(build_shells(streams), tuple(props), first, count)
+
+
+@lru_cache(maxsize=2)
+def build_shells(streams: Streams) -> tuple[Shell, ...]:
+    """All shells. They depend on no recipe: reefs of the same streams share them, and their trees on a device."""
+    return tuple(
+        build_oyster(streams.generator("shell", state, k), state, (k + 0.5) / number)[1]
+        for state, number in SHELLS.items()
+        for k in range(number)
+    )
+
+
+@lru_cache(maxsize=2 * len(PROPS))
+def build_props(kind: str, streams: Streams) -> tuple[Mesh, ...]:
+    """All meshes of a kind, shared likewise."""
+    return tuple(_build_prop(kind, k, streams.generator(kind, k)) for k in range(PROPS[kind]))
+
+
+def _build_prop(kind: str, k: int, generator: np.random.Generator) -> Mesh:
+    """One of a kind, the k-th."""
+    if kind == "stone":
+        return build_stone(generator)
+    if kind == "rock":
+        return build_stone(generator, ROCK_SUBDIVISIONS)
+    if kind == "fragment":
+        return build_fragment(generator)
+    if kind == "tuft":
+        return build_tuft(generator, broad=k < BROAD_SHARE * PROPS[kind])
+    if kind == "bunch":
+        return build_bunch(generator)
+    if kind == "strand":
+        return build_strand(generator, thread=k >= THREADS_FROM * PROPS[kind])
+    return build_sponge(generator)

@@ -120,7 +120,8 @@ class World:
         """
         bound = sample_grid(self.envelope_lines, self._highest_around, x, y)
         inside = np.maximum(np.abs(x), np.abs(y)) <= self.envelope_lines[-1]
-        return np.where(inside, np.maximum(bound, self.ground_height(x, y)), self.ground_height(x, y))
+        ground = self.ground_height(x, y)
+        return np.where(inside, np.maximum(bound, ground), ground)
 
     @cached_property
     def _highest_around(self) -> NDArray[np.float32]:

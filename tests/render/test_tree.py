@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from oysterbench.core.streams import Streams
 from oysterbench.render.camera import CameraRenderer
 from oysterbench.render.rays import RayCaster
 from oysterbench.render.tree import WIDTH, Forest, build_forest
+from oysterbench.scene.world import build_world
 from tests.helpers.reefs import CAMERA, small_reef, world_of
 
 
@@ -53,7 +55,8 @@ def test_boxes_that_are_all_one_are_divided_all_the_same() -> None:
 
 def test_cameras_and_sonars_of_a_reef_share_its_meshes() -> None:
     recipe = small_reef({})
-    world, other = (world_of(recipe) for _ in range(2))
-    camera, sonar, elsewhere = CameraRenderer(world, CAMERA, recipe), RayCaster(world), RayCaster(other)
+    world, again, other = world_of(recipe), world_of(recipe), build_world(recipe, Streams(5))
+    camera, sonar, same, elsewhere = CameraRenderer(world, CAMERA, recipe), *map(RayCaster, (world, again, other))
     assert camera._geometry.library.planes.ptr == sonar._geometry.library.planes.ptr
+    assert camera._geometry.library.planes.ptr == same._geometry.library.planes.ptr, "its shells are the same"
     assert camera._geometry.library.planes.ptr != elsewhere._geometry.library.planes.ptr

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.errors import RecipeError
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import load_split
+from oysterbench.scene import library
 from oysterbench.scene.oyster import STATES
 from oysterbench.scene.world import World, build_world
 
@@ -45,7 +46,11 @@ GROWN = recipe(infill_mm=10.0, algae_per_m2=4.0, litter_per_m2=2.0, shell_spread
 
 @pytest.mark.parametrize("of", [SMALL, FULL, GROWN])
 def test_same_recipe_and_streams_give_the_same_arrays(of) -> None:
-    one, again = build_world(of, Streams(9)), build_world(of, Streams(9))
+    one = build_world(of, Streams(9))
+    library.build_shells.cache_clear()
+    library.build_props.cache_clear()
+    again = build_world(of, Streams(9))
+    assert one.meshes[0] is not again.meshes[0]
     for field in dataclasses.fields(one.instances):
         assert np.array_equal(getattr(one.instances, field.name), getattr(again.instances, field.name)), field.name
     assert np.array_equal(one.terrain.heights, again.terrain.heights)
