@@ -128,11 +128,11 @@ class FlatReef(Sequence):
         rows_ns = self.cameras["cam"].rows_taken_ns(int(self.stamps[k]))
         after_s = (rows_ns - self.cameras["cam"].taken_ns(int(self.stamps[k]))) * 1e-9
         places = [np.interp(self.seconds[k] + after_s, self.seconds, axis) for axis in self.places.T]
-        ground = ground[..., :2] + np.column_stack(places)[:, None]
+        x, y = (ground[..., axis] + along[:, None] for axis, along in enumerate(places))
         numbers = np.zeros(u.shape, dtype=int)
         for i in np.flatnonzero(np.abs(self.discs.centres - self.places[k]).max(axis=1) < 0.8):
-            away = ground - self.discs.centres[i]
-            numbers[(away**2).sum(axis=-1) < self.discs.radii[i] ** 2] = i + 1
+            centre, radius = self.discs.centres[i], self.discs.radii[i]
+            numbers[(x - centre[0]) ** 2 + (y - centre[1]) ** 2 < radius**2] = i + 1
         self._known[k] = numbers
         return numbers
 
