@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -44,8 +45,7 @@ def lacking(extras: Iterable[str]) -> set[str]:
     assert set(extras) <= names, f"expected extras, some of {sorted(names)}, got {sorted(extras)}"
     known = _distributions(PROJECT["dependencies"]) | {name for extra in extras for name in brought(extra)}
     others = {name for extra in names for name in brought(extra)} - known
-    modules = packages_distributions().items()
-    return {module for module, of in modules if {canonicalize_name(one) for one in of} <= others}
+    return {module for module, of in _installed().items() if {canonicalize_name(one) for one in of} <= others}
 
 
 def brought(extra: str) -> set[str]:
@@ -57,6 +57,12 @@ def brought(extra: str) -> set[str]:
         else:
             found.add(canonicalize_name(requirement.name))
     return found
+
+
+@cache
+def _installed() -> Mapping[str, list[str]]:
+    """Modules of all that is installed, with the distributions that hold them: it takes a second to read."""
+    return packages_distributions()
 
 
 def _distributions(requirements: Iterable[str]) -> set[str]:

@@ -24,6 +24,9 @@ from tests.helpers.paths import ROOT
 from tests.helpers.pool import lay_split
 from tests.helpers.waiting import until
 
+POLL_S = 0.1
+"""Between two questions: each is a connection, and milliseconds of the server, which has work to do meanwhile."""
+
 FAST: dict[str, Any] = {"per_day": 1000, "per_split": 1000}
 """SubmissionSettings of the tests' servers, unless they ask for others."""
 
@@ -131,7 +134,7 @@ class Server:
     def start(self) -> None:
         """Returns when it answers."""
         process = self.begin()
-        until(lambda: self.alive() or process.poll() is not None)
+        until(lambda: self.alive() or process.poll() is not None, poll_s=POLL_S)
         assert process.poll() is None, (self.folder / "server.log").read_text()
 
     def alive(self) -> bool:
@@ -167,7 +170,7 @@ class Server:
             found.update(json.loads(self.ask("GET", f"/api/submissions/{id}", token=token)[2]))
             return found["state"] not in ("queued", "running")
 
-        until(scored)
+        until(scored, poll_s=POLL_S)
         return found
 
     def stop(self) -> None:

@@ -18,14 +18,20 @@ NEVER = threading.Event()
 
 
 def until(
-    condition: Callable[[], object], process: subprocess.Popen[Any] | None = None, patience_s: float = PATIENCE_S
+    condition: Callable[[], object],
+    process: subprocess.Popen[Any] | None = None,
+    patience_s: float = PATIENCE_S,
+    poll_s: float = POLL_S,
 ) -> None:
-    """Return when a condition holds. Fails where it never does, or the process that is to bring it about has ended."""
+    """Return when a condition holds. Fails where it never does, or the process that is to bring it about has ended.
+
+    poll_s: between two looks; longer where a look itself is work
+    """
     end = time.monotonic() + patience_s
     while not condition():
         assert process is None or process.poll() is None, f"ended with {process.returncode}: {process.args!r}"
         assert time.monotonic() < end, f"not so after {patience_s:g} s"
-        NEVER.wait(POLL_S)
+        NEVER.wait(poll_s)
 
 
 def run_for(process: subprocess.Popen[Any], seconds: float) -> None:

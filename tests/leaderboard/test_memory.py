@@ -9,6 +9,7 @@ import pytest
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.board import Query
 from oysterbench_leaderboard.memory import MemoryIndex
+from oysterbench_leaderboard.store import RecordStore
 from tests.helpers.boards_opened import ALL, opened
 from tests.helpers.extras import only
 from tests.helpers.paths import COMMAND
@@ -17,16 +18,20 @@ from tests.helpers.records_made import fill
 SORTS = ("rank", "method", "team", "created", "score", "coverage", "data_set")
 
 
-@pytest.fixture
-def both(store):
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    """The same records by way of the database, and without one."""
+    store = RecordStore(tmp_path_factory.mktemp("memory") / "board")
     fill(store)
     return opened(store), MemoryIndex(store)
 
 
-def test_boards_methods_and_problems_are_the_same(both, store):
+def test_boards_methods_and_problems_are_the_same(store):
+    fill(store)
+    index = opened(store)
     (store.folder / "records" / f"{'0' * 64}.json").write_text("{}")
-    index, memory = both[0], MemoryIndex(store)
     index.refresh()
+    memory = MemoryIndex(store)
     assert memory.boards() == index.boards()
     assert memory.boards("slam") == index.boards("slam")
     assert memory.methods() == index.methods()
