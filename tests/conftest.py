@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from oysterbench.core.errors import MethodError, OysterbenchError
+from oysterbench.methods.interfaces import slam
 from oysterbench.simulation.generate import generate_split
 from tests.helpers.paths import SHARED_DATA
 from tests.helpers.tiny import make_split
@@ -34,6 +36,19 @@ def home(tmp_path, monkeypatch) -> Path:
     """An empty OYSTERBENCH_HOME."""
     monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "home"))
     return tmp_path / "home"
+
+
+@pytest.fixture
+def inputs_here(monkeypatch):
+    """Inputs of methods are written in this process, not in one each, whose start takes most of the time of a run."""
+
+    def write(sequence, form, out, processes):
+        try:
+            slam.write_input(sequence.path, form, out)
+        except OysterbenchError as error:
+            raise MethodError(f"its input {{{form}}} could not be made: {error}") from None
+
+    monkeypatch.setattr(slam.SequencePath, "write_input", write)
 
 
 @pytest.fixture(scope="module")

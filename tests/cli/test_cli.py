@@ -22,6 +22,8 @@ from tests.helpers.command import assert_one_line, run, start
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 from tests.helpers.waiting import until
 
+pytestmark = pytest.mark.usefixtures("inputs_here")
+
 
 @pytest.fixture(scope="module")
 def recipe(tmp_path_factory):

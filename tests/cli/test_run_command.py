@@ -20,6 +20,8 @@ from tests.helpers.programs import command
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 from tests.helpers.waiting import until
 
+pytestmark = pytest.mark.usefixtures("inputs_here")
+
 
 def start(*arguments, **options):
     words = [COMMAND, "run", *map(str, arguments)]
@@ -214,7 +216,7 @@ def test_variants_of_a_method_stand_in_one_table(dive_file, tmp_path):
 
 def test_a_frame_that_a_sequence_does_not_have_is_refused_before_anything_runs(dive_file, answer, tmp_path):
     words = ("--command", command(tmp_path, "copies", answer), "--on", dive_file, "--out", tmp_path / "out")
-    done = run("mine", *words, "--poses-of", "moon")
+    done = run_here("run", "mine", *words, "--poses-of", "moon")
     assert done.returncode != 0
     assert "--poses-of moon: sequence hand-made has no such frame; expected base, imu, camera or" in done.stderr
     assert "running" not in done.stderr

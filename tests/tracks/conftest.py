@@ -12,7 +12,7 @@ NAME = "hand-made"
 
 
 @pytest.fixture
-def run(dive_file, tmp_path):
+def run_apart(dive_file, tmp_path):
     """Run methods on the hand-made dive; the list of what was finished."""
 
     def call(*methods, **options):
@@ -20,3 +20,9 @@ def run(dive_file, tmp_path):
         return finished_of(TRACK, [SlamSequence(NAME, dive_file)], methods, SlamSettings(), tmp_path / "out", **options)
 
     return call
+
+
+@pytest.fixture
+def run(run_apart, inputs_here):
+    """The same without a process for each input."""
+    return run_apart

@@ -49,14 +49,16 @@ def moved(truth: Trajectory, T_base_frame: np.ndarray) -> Trajectory:
 @pytest.mark.parametrize(
     "form", [form if form in ("mcap", "euroc") else pytest.param(form, marks=pytest.mark.slow) for form in FORMS]
 )
-def test_a_program_that_answers_in_the_frame_of_its_input_is_right_to_the_digit(form, run, truth, dive_file, tmp_path):
+def test_a_program_that_answers_in_the_frame_of_its_input_is_right_to_the_digit(
+    form, run_apart, truth, dive_file, tmp_path
+):
     sequence = oysterbench.open(dive_file)
     frame = {"euroc": "imu", "tum": "cam_left", "kitti": "cam_left", "rosbag": "imu", "mcap": "base"}[form]
     given = moved(truth, frame_pose(sequence, frame, form))
     if form == "kitti":  # stamps as KITTI has them: from the first image
         given = Trajectory(given.stamps_ns - truth.stamps_ns[0], given.positions, given.quaternions)
     write_tum(tmp_path / "given.tum", given)
-    (done,) = run(ExternalCommand(command(tmp_path, "copies", tmp_path / "given.tum", form), "copies"))
+    (done,) = run_apart(ExternalCommand(command(tmp_path, "copies", tmp_path / "given.tum", form), "copies"))
     record = done.scored.record
     assert record.failure is None
     assert record.metrics["ate_rmse_m"] < 1e-9
@@ -161,7 +163,7 @@ def test_what_a_program_is_given_holds_no_truth(form, dive_file, tmp_path, truth
             content.truth()
 
 
-def test_an_input_is_made_once_for_all_runs(run, answer, tmp_path, monkeypatch):
+def test_an_input_is_made_once_for_all_runs(run_apart, answer, tmp_path, monkeypatch):
     made = []
     original = runner.Processes.run
 
@@ -170,7 +172,7 @@ def test_an_input_is_made_once_for_all_runs(run, answer, tmp_path, monkeypatch):
         return original(self, words, *rest, **options)
 
     monkeypatch.setattr(runner.Processes, "run", spy)
-    run(ExternalCommand(command(tmp_path, "copies", answer), "copies"), runs=3, jobs=2)
+    run_apart(ExternalCommand(command(tmp_path, "copies", answer), "copies"), runs=3, jobs=2)
     assert (made.count(True), made.count(False)) == (1, 3)
 
 
