@@ -30,6 +30,8 @@ GYRO_WARMING, ACCEL_WARMING = 1e-4, 1e-3
 rad/s and 0.005 to 0.01 m/s^2 per K, as MEMS without compensation have them: no data sheet counts it as noise."""
 CORE = 15
 """Rows of the error: attitude (rad), velocity (m/s), position (m), both biases (rad/s, m/s^2); then the aiding's."""
+UNTURNED = np.eye(3)
+UNTURNED.setflags(write=False)
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ class InvariantFilter:
             self.propagate(dt, gyro, accel)
 
     def _propagate_covariance(self, dt: float, middle: Array) -> None:
-        noise, eye = self.noise, np.eye(3)
+        noise, eye = self.noise, UNTURNED
         g, v, p = cross(self.down), cross(self.velocity), cross(self.position)
         step = np.eye(CORE)
         turned = dt * middle
@@ -158,28 +160,28 @@ class InvariantFilter:
 
 def cross(vector: Array) -> Array:
     """(3, 3) matrix of the cross product with a vector (3,) on its left."""
-    x, y, z = vector
+    x, y, z = vector.tolist()  # of numbers of Python's own an array is made twice as fast
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def rotation_exp(turn: Array) -> Array:
     """Rotation matrix (3, 3) of a rotation vector (3,) rad (Rodrigues)."""
-    angle = float(np.sqrt(turn @ turn))
+    angle = math.sqrt(turn @ turn)
     matrix = cross(turn)
     if angle < 1e-4:  # the next terms are below 1e-9 of it
-        return np.eye(3) + (1 - angle**2 / 6) * matrix + 0.5 * matrix @ matrix
+        return UNTURNED + (1 - angle**2 / 6) * matrix + 0.5 * matrix @ matrix
     sine, cosine = float(np.sin(angle)), float(np.cos(angle))
-    return np.eye(3) + sine / angle * matrix + (1 - cosine) / angle**2 * (matrix @ matrix)
+    return UNTURNED + sine / angle * matrix + (1 - cosine) / angle**2 * (matrix @ matrix)
 
 
 def left_jacobian(turn: Array) -> Array:
     """Left Jacobian (3, 3) of SO(3) at a rotation vector (3,) (Sola et al. 2018, eq. 145)."""
-    angle = float(np.sqrt(turn @ turn))
+    angle = math.sqrt(turn @ turn)
     matrix = cross(turn)
     if angle < 1e-4:
-        return np.eye(3) + 0.5 * matrix + matrix @ matrix / 6
+        return UNTURNED + 0.5 * matrix + matrix @ matrix / 6
     share = (angle - float(np.sin(angle))) / angle**3
-    return np.eye(3) + (1 - float(np.cos(angle))) / angle**2 * matrix + share * (matrix @ matrix)
+    return UNTURNED + (1 - float(np.cos(angle))) / angle**2 * matrix + share * (matrix @ matrix)
 
 
 def orthonormal(rotation: Array) -> Array:
