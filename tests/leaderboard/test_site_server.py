@@ -25,6 +25,7 @@ from oysterbench_leaderboard.site.paths import method_path
 from oysterbench_leaderboard.site.render import page_html
 from oysterbench_leaderboard.site.running import Watch
 from oysterbench_leaderboard.site.server import SECURITY, application
+from oysterbench_leaderboard.store import RecordStore
 from tests.helpers.records_made import NASTY, record_made
 from tests.helpers.site_made import Client, Reading, crawl, make_site
 
@@ -367,10 +368,11 @@ def test_an_export_that_fails_leaves_the_old_one(made, exported, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["site"]
 
 
-def test_build_writes_the_board_that_it_is_told(made, tmp_path):
-    store = made[0].store.folder
+def test_build_writes_the_board_that_it_is_told(tmp_path):
+    store = RecordStore(tmp_path / "board")
+    store.add(record_made("carp"))
     result = CliRunner().invoke(
-        build_command, [str(tmp_path / "out"), "--board", str(store), "--index", str(store / "index.sqlite")]
+        build_command, [str(tmp_path / "out"), "--board", str(store.folder), "--index", str(tmp_path / "index.sqlite")]
     )
     assert result.exit_code == 0, result.output
     assert "files; open" in result.output
