@@ -177,7 +177,11 @@ class Board:
             chosen = [record for record in entry.records if record.sequence in self.sequences]
             summaries = {key: entry.summary(key, self.sequences) for key in self.keys}
             failures = sum(record.failure is not None for record in chosen)
-            over = {key: entry.over(key, self.sequences) for key in self.keys}
+            errors = TRACKS[self.track].errors
+            over = {
+                key: entry.over(key, self.sequences) if key in errors else summary.mean
+                for key, summary in summaries.items()
+            }
             lost = lost_of(chosen)
             count = None if lost is None else len(lost)
             found.append(RankedMethod(entry.label, standing, summaries, over, len(chosen), failures, count))
@@ -350,6 +354,11 @@ def few(values: Sequence[str]) -> str:
     return ", ".join(values) if more <= 0 else f"{', '.join(values[:MOST_LISTED])} and {more} more"
 
 
+def per_sequence(board: Board) -> list[dict[str, Any]]:
+    """What each method has on each sequence, with its conditions, as in `as_plain`."""
+    return [{**asdict(cell), "conditions": board.conditions(cell.sequence)} for cell in board.cells()]
+
+
 def as_plain(board: Board) -> dict[str, Any]:
     """A board for JSON; numbers that do not exist are null, with the reason beside."""
 
@@ -384,7 +393,7 @@ def as_plain(board: Board) -> dict[str, Any]:
                 for condition in STRATA
                 for value, label, summary in board.strata(condition)
             ],
-            "per_sequence": [{**asdict(cell), "conditions": board.conditions(cell.sequence)} for cell in board.cells()],
+            "per_sequence": per_sequence(board),
         }
     )
     return document

@@ -12,7 +12,7 @@ from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.evaluate.statistics import Comparison
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, lost_note, metric_column
 from oysterbench.report.table import Cell, Column, Table, TableRow, Value
-from oysterbench.results.comparison import Board, MethodPair, as_plain
+from oysterbench.results.comparison import Board, MethodPair, per_sequence
 from oysterbench.results.comparison import boards as boards_of
 from oysterbench.results.records import ResultRecord, lost_of, plain
 from oysterbench.results.remarks import remarks
@@ -85,7 +85,7 @@ def compare_page(site: Site, a: str, b: str) -> Page:
         "pairs": [{"condition": pair.condition, "value": pair.value, **asdict(pair.comparison)} for pair in pairs],
         "records": [asdict(side.row) for side in sides],
         "means": means_of(board, sides),
-        "per_sequence": as_plain(board)["per_sequence"],
+        "per_sequence": per_sequence(board),
     }
     query = {"a": rows[0].digest, "b": rows[1].digest}
     return Page("/compare", title, "compare.html", context, tables, plain(data), query)
