@@ -30,8 +30,8 @@ GYRO_WARMING, ACCEL_WARMING = 1e-4, 1e-3
 rad/s and 0.005 to 0.01 m/s^2 per K, as MEMS without compensation have them: no data sheet counts it as noise."""
 CORE = 15
 """Rows of the error: attitude (rad), velocity (m/s), position (m), both biases (rad/s, m/s^2); then the aiding's."""
-UNTURNED = np.eye(3)
-UNTURNED.setflags(write=False)
+IDENTITY = np.eye(3)
+IDENTITY.setflags(write=False)
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class InvariantFilter:
             self.propagate(dt, gyro, accel)
 
     def _propagate_covariance(self, dt: float, middle: Array) -> None:
-        noise, eye = self.noise, UNTURNED
+        noise, eye = self.noise, IDENTITY
         g, v, p = cross(self.down), cross(self.velocity), cross(self.position)
         step = np.eye(CORE)
         turned = dt * middle
@@ -169,9 +169,9 @@ def rotation_exp(turn: Array) -> Array:
     angle = math.sqrt(turn @ turn)
     matrix = cross(turn)
     if angle < 1e-4:  # the next terms are below 1e-9 of it
-        return UNTURNED + (1 - angle**2 / 6) * matrix + 0.5 * matrix @ matrix
+        return IDENTITY + (1 - angle**2 / 6) * matrix + 0.5 * matrix @ matrix
     sine, cosine = float(np.sin(angle)), float(np.cos(angle))
-    return UNTURNED + sine / angle * matrix + (1 - cosine) / angle**2 * (matrix @ matrix)
+    return IDENTITY + sine / angle * matrix + (1 - cosine) / angle**2 * (matrix @ matrix)
 
 
 def left_jacobian(turn: Array) -> Array:
@@ -179,9 +179,9 @@ def left_jacobian(turn: Array) -> Array:
     angle = math.sqrt(turn @ turn)
     matrix = cross(turn)
     if angle < 1e-4:
-        return UNTURNED + 0.5 * matrix + matrix @ matrix / 6
+        return IDENTITY + 0.5 * matrix + matrix @ matrix / 6
     share = (angle - float(np.sin(angle))) / angle**3
-    return UNTURNED + (1 - float(np.cos(angle))) / angle**2 * matrix + share * (matrix @ matrix)
+    return IDENTITY + (1 - float(np.cos(angle))) / angle**2 * matrix + share * (matrix @ matrix)
 
 
 def orthonormal(rotation: Array) -> Array:

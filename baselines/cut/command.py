@@ -14,6 +14,7 @@ from oysterbench_baselines.learning.trained import checkpoint_path, device_optio
 
 if TYPE_CHECKING:
     from oysterbench.annotations import LabelledImage, LabelledSet
+    from oysterbench_baselines.cut.judge import Judge
 
 SAMPLES = 4
 """Rows of a sample sheet."""
@@ -150,6 +151,8 @@ def cut_command(
     segmentation network that was trained on other images: it says how well it finds the labels before and after, which
     oysters it no longer sees, and where it sees new ones.
     """
+    judging = _judge(judge, keep, device)
+    from oysterbench.cli.labelled import open_all
     from oysterbench.cli.render import frames_bar
     from oysterbench.methods.weights import have_weights
     from oysterbench_baselines.cut.translation import load_generator, translated
@@ -160,7 +163,7 @@ def cut_command(
         have_weights({"cut": checkpoint}, message, frames_bar)
     generator, settings = load_generator(checkpoint)
     generator.to(pick_device(device))
-    _write(sources, lambda images: translated(generator, settings, images), out, judge, keep, device)
+    _write(open_all(sources), lambda images: translated(generator, settings, images), out, judging, keep)
 
 
 def _recolour(name: str) -> click.Command:
@@ -182,11 +185,12 @@ def _recolour(name: str) -> click.Command:
         judge: Path | None,
         keep: float | None,
     ) -> None:
-        from oysterbench.cli.labelled import open_data
+        judging = _judge(judge, keep)
+        from oysterbench.cli.labelled import open_all, open_data
         from oysterbench_baselines.cut.colour import TRANSFERS, recoloured
 
         models = targets(open_data(target), side, clips)
-        _write(sources, lambda images: recoloured(images, models, TRANSFERS[name], seed), out, judge, keep)
+        _write(open_all(sources), lambda images: recoloured(images, models, TRANSFERS[name], seed), out, judging, keep)
 
     command.help = f"""Give labelled images the colours of real ones ({name}): for each, a clip and then one of its
     images is drawn. No edge moves; this is the control that a learned translation has to beat.
@@ -219,32 +223,36 @@ def targets(labelled: LabelledSet, side: str | None, clips: tuple[str, ...]) -> 
     return chosen.where(lambda entry: not clips or entry.clip in clips)
 
 
-def _write(
-    sources: tuple[str, ...],
-    change: Callable[[LabelledSet], Iterator[LabelledImage]],
-    out: Path,
-    judge: Path | None,
-    keep: float | None,
-    device: str = "cpu",
-) -> None:
-    """Write what `change` makes of the images as a folder of masks, and say how far masks have drifted."""
-    if keep is not None and judge is None:
-        raise click.UsageError("--keep goes by what a judge sees: expected --judge beside it")
-    from oysterbench.cli.labelled import open_all
+def _judge(weights: Path | None, keep: float | None, device: str = "cpu") -> Judge | None:
+    """Who was asked for, before anything long begins. Raises MethodError for weights that are not there, or are none of
+    a segmentation network."""
+    if weights is None:
+        if keep is not None:
+            raise click.UsageError("--keep goes by what a judge sees: expected --judge beside it")
+        return None
     from oysterbench.cli.render import frames_bar
     from oysterbench.methods.weights import have_weights
     from oysterbench_baselines.cut.judge import Judge
-    from oysterbench_baselines.cut.writing import sentences, write_translated
     from oysterbench_baselines.learning.loop import pick_device
 
-    judging = None
-    if judge is not None:
-        named = checkpoint_path("unet") if judge == Path("unet") else judge
-        have_weights({"unet": named}, message, frames_bar)
-        judging = Judge(named, pick_device(device))
-    source = open_all(sources)
+    named = checkpoint_path("unet") if weights == Path("unet") else weights
+    have_weights({"unet": named}, message, frames_bar)
+    return Judge(named, pick_device(device))
+
+
+def _write(
+    source: LabelledSet,
+    change: Callable[[LabelledSet], Iterator[LabelledImage]],
+    out: Path,
+    judge: Judge | None,
+    keep: float | None,
+) -> None:
+    """Write what `change` makes of the images as a folder of masks, and say how far masks have drifted."""
+    from oysterbench.cli.render import frames_bar
+    from oysterbench_baselines.cut.writing import sentences, write_translated
+
     with frames_bar(f"translating {source.name}", "images") as bar:
-        found = write_translated(source, change, out, judging, keep or 0.0, bar)
+        found = write_translated(source, change, out, judge, keep or 0.0, bar)
     for line in sentences(found):
         message(line)
     echo(out)

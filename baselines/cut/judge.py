@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from oysterbench.annotations import LabelledImage
 from oysterbench_baselines.unet.method import DEFAULT_VIEWS
-from oysterbench_baselines.unet.model import UNetModel, read_unet
+from oysterbench_baselines.unet.model import read_unet
 
 Mask = NDArray[np.bool_]
 
@@ -71,7 +71,7 @@ class Judge:
     """
 
     def __init__(self, path: Path, device: torch.device | None = None) -> None:
-        self._model: UNetModel = read_unet(path, device, DEFAULT_VIEWS)
+        self._model = read_unet(path, device, DEFAULT_VIEWS)
 
     def sees(self, pixels: NDArray[np.uint8]) -> Mask:
         """(H, W): what it calls oyster of a picture (H, W, 3) RGB."""

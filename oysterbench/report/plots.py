@@ -322,7 +322,7 @@ def _path(curve: Curve, x_axis: Axis, y_axis: Axis) -> str:
     x, y = np.clip(x, -5000, 5000), np.clip(y, -5000, 5000)
     drawn = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     lifted = np.diff(drawn, prepend=-2) > 1
-    # One format for all numbers: half of the time of a site with paths of thousands of poses goes into this.
+    # One format for all numbers, not one for each: a board's site has millions.
     form = "".join(["M%.2f %.2f" if up else "L%.2f %.2f" for up in lifted.tolist()])
     return form % tuple(np.column_stack([x[drawn], y[drawn]]).ravel().tolist())
 

@@ -67,12 +67,13 @@ class MethodRuns:
         names = list(sequences)
         return summarise(self.sample(key, names), self.weights(key, names))
 
-    def over(self, key: str, sequences: Iterable[str]) -> float:
-        """What a metric is over some sequences: its mean, or of an error the median over those that are not lost."""
+    def over(self, key: str, sequences: Iterable[str], summary: Summary | None = None) -> float:
+        """What a metric is over some sequences: its mean, or of an error the median over those that are not lost.
+        summary: that of the same metric and sequences, where it is known."""
         names = list(sequences)
         if key in TRACKS[self.records[0].track].errors:
             return kept_median(self.sample(key, names), lost_of(self.records) or ())
-        return self.summary(key, names).mean
+        return (self.summary(key, names) if summary is None else summary).mean
 
     def scores(self, key: str, sequences: Iterable[str]) -> SequenceScores:
         """What ranks it by a metric on some sequences."""
@@ -177,11 +178,7 @@ class Board:
             chosen = [record for record in entry.records if record.sequence in self.sequences]
             summaries = {key: entry.summary(key, self.sequences) for key in self.keys}
             failures = sum(record.failure is not None for record in chosen)
-            errors = TRACKS[self.track].errors
-            over = {
-                key: entry.over(key, self.sequences) if key in errors else summary.mean
-                for key, summary in summaries.items()
-            }
+            over = {key: entry.over(key, self.sequences, summary) for key, summary in summaries.items()}
             lost = lost_of(chosen)
             count = None if lost is None else len(lost)
             found.append(RankedMethod(entry.label, standing, summaries, over, len(chosen), failures, count))

@@ -107,6 +107,8 @@ class World:
         uppers = np.empty_like(lowers)
         for chosen, vertices in placed_vertices(self.meshes, self.instances, hulls=True):
             lowers[chosen], uppers[chosen] = vertices.min(axis=1) - 1e-4, vertices.max(axis=1) + 1e-4
+        for shared in (lowers, uppers):
+            shared.setflags(write=False)
         return lowers, uppers
 
     def ground_height(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:

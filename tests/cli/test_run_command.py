@@ -200,7 +200,8 @@ def test_a_request_that_contradicts_itself_is_a_usage_error(arguments, message):
 @pytest.mark.slow
 def test_variants_of_a_method_stand_in_one_table(dive_file, tmp_path):
     arguments = ("dead_reckoning", "--set", "imu_inflation=2", "--ablate", "start.level_s=0.5", "--on", dive_file)
-    done = run(*arguments, "--out", tmp_path / "out")
+    wide = {**os.environ, "COLUMNS": "160"}  # or names are wrapped
+    done = run(*arguments, "--out", tmp_path / "out", env=wide)
     assert done.returncode == 0, done.stderr
     plain, ablated = read_results(tmp_path / "out/results.json")
     assert plain.method == "dead_reckoning[imu_inflation=2]"
