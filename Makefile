@@ -8,8 +8,8 @@ PYTHON ?= python3
 VENV ?= .venv
 # Images of containers often forbid it: then every process compiles all that it imports anew, seconds of each.
 export PYTHONDONTWRITEBYTECODE :=
-# What nobody imports need not be compiled: that is most of torch, and a third of the time of installing.
-PIP = $(VENV)/bin/pip install --no-compile --quiet --disable-pip-version-check --constraint .ci/constraints.txt
+INSTALL = $(VENV)/bin/python .ci/install.py
+PINS = pyproject.toml .ci/constraints.txt .ci/install.py
 
 .PHONY: hub demo test unit kernels test-slow docs coverage lint clean
 
@@ -52,25 +52,22 @@ lint: $(VENV)/.dev
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
 
-# The pip that comes with Python 3.11 takes twice as long to find out which versions go together; those from 26 on
-# print a thousand lines of the build's warnings.
 $(VENV)/bin/pip:
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) --upgrade pip
 
-$(VENV)/.demo: $(VENV)/bin/pip pyproject.toml .ci/constraints.txt
+$(VENV)/.demo: $(VENV)/bin/pip $(PINS)
 	@echo "installing oysterbench and what the demo needs into $(VENV)"
-	$(PIP) --editable ".[render,slam]"
+	$(INSTALL) ".[render,slam]"
 	@touch $@
 
-$(VENV)/.dev: $(VENV)/bin/pip pyproject.toml .ci/constraints.txt
+$(VENV)/.dev: $(VENV)/bin/pip $(PINS)
 	@echo "installing oysterbench and what the tests need into $(VENV)"
-	$(PIP) --editable ".[dev]"
+	$(INSTALL) ".[dev]"
 	@touch $@
 
-$(VENV)/.docs: $(VENV)/bin/pip pyproject.toml .ci/constraints.txt
+$(VENV)/.docs: $(VENV)/bin/pip $(PINS)
 	@echo "installing oysterbench and what the site needs into $(VENV)"
-	$(PIP) --editable ".[docs]"
+	$(INSTALL) ".[docs]"
 	@touch $@
 
 clean:
