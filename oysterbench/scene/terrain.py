@@ -103,7 +103,8 @@ def build_terrain(reef: ReefRecipe, generator: np.random.Generator) -> Terrain:
     share = np.clip(position - low, 0.0, 1.0)
     rows = relief[low % cells] * (1 - share[:, None]) + relief[(low + 1) % cells] * share[:, None]
     heights = (rows[:, low % cells] * (1 - share) + rows[:, (low + 1) % cells] * share) * fade - reef.depth_m
-    return Terrain(round_positions(coordinates).astype(float), round_positions(heights), rim)
+    # Rows that were taken by columns lie as columns; heights are sampled from rows, and would be copied each time.
+    return Terrain(round_positions(coordinates).astype(float), np.ascontiguousarray(round_positions(heights)), rim)
 
 
 def _relief(cells: int, size: float, rms: float, bottom: str, generator: np.random.Generator) -> Array:
