@@ -68,9 +68,10 @@ def test_a_set_in_which_nothing_moves_is_refused_in_one_line():
 def weights(tmp_path_factory):
     """Of a network that has seen enough to tell green things from light ones."""
     settings = MovingSettings(network=UNetworkSettings(depth=3, base=4, scale=0.5))
-    fit = dataclasses.replace(settings.fit, steps=120, learning_rate=1e-2, threads=1)
+    fit = dataclasses.replace(settings.fit, steps=100, learning_rate=3e-2, warm_up=10, threads=1)
+    crops = dataclasses.replace(settings.augmentation, crop=64)  # a thing and as much around it
     path = tmp_path_factory.mktemp("moving") / "moving.pt"
-    settings = dataclasses.replace(settings, batch=4, fit=fit)
+    settings = dataclasses.replace(settings, batch=4, augmentation=crops, fit=fit)
     train(moving_set(pictures(*["fish"] * 6)), path, settings, 0, torch.device("cpu"))
     return path
 
