@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,9 @@ from oysterbench.core.trajectory import Trajectory
 from oysterbench.core.trajectory.checks import checked_poses
 from oysterbench.methods.health import check_health
 from oysterbench.methods.map import LandmarkMap
-from oysterbench.sequence.types import Sequence
+
+if TYPE_CHECKING:  # it loads every kind of sensor, which a method of pictures does without
+    from oysterbench.sequence.types import Sequence
 
 PATH_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]*")
 
