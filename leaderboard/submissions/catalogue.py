@@ -15,7 +15,6 @@ import msgspec
 
 from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.core.files import write_atomically
-from oysterbench.core.ros import EPOCH_NS
 from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench_leaderboard.submissions.refusals import Refusal
@@ -181,6 +180,8 @@ def serve_split(name_or_path: str, truth: Path | None = None, cache: Path | None
 
 def spans_of(split: SplitRecipe) -> dict[str, tuple[int, int]]:
     """Sequence -> begin and end of its recording, ns."""
+    from oysterbench.core.ros import EPOCH_NS  # which a reader of uploads would load all of ROS's messages for
+
     return {one.name: (EPOCH_NS, EPOCH_NS + round(1e9 * one.duration_s)) for one in split.sequence}
 
 

@@ -21,7 +21,6 @@ from oysterbench_leaderboard.submissions.database import Database, log
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.tokens import issue
 from tests.helpers.paths import ROOT
-from tests.helpers.pool import lay_split
 from tests.helpers.waiting import until
 
 POLL_S = 0.1
@@ -33,6 +32,8 @@ FAST: dict[str, Any] = {"per_day": 1000, "per_split": 1000}
 
 def lay(folder: Path, **settings: Any) -> dict[str, str]:
     """Lay out a server: four splits, and two teams with a token each, which are returned."""
+    from tests.helpers.pool import lay_split  # a server does without
+
     splits = folder / "splits"
     for name, track, hidden in (
         ("pool-test", "slam", True),
