@@ -109,7 +109,7 @@ def _saved(figure: Figure, form: str, metadata: dict[str, Any], **settings: str)
         if figure.get_layout_engine() is not None:  # each pass moves the parts a little: settle them for all formats
             figure.draw_without_rendering()
             figure.draw_without_rendering()
-            figure.set_layout_engine("none")
+            figure.set_layout_engine(None)
         figure.savefig(file, format=form, dpi=DPI, metadata=metadata)
     return file.getvalue()
 
