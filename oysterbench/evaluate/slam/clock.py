@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import TrajectoryError
@@ -108,13 +109,10 @@ def _fit(truth: Array, estimate: Array, step_s: float, signal: str) -> Offset:
 
 def _correlations(truth: Array, estimate: Array, least: int) -> tuple[NDArray[np.int64], Array]:
     """Pearson's correlation of truth[k + lag] and estimate[k] over their overlap, at all lags with `least` samples."""
-    from scipy.signal import correlate  # half a second, where no clock is sought
-
     a, b = truth - truth.mean(), estimate - estimate.mean()
     one_a, one_b = np.ones_like(a), np.ones_like(b)
     count, sum_a, sum_b, squares_a, squares_b, products = (
-        correlate(x, y, method="fft")
-        for x, y in ((one_a, one_b), (a, one_b), (one_a, b), (a * a, one_b), (one_a, b * b), (a, b))
+        _correlated(x, y) for x, y in ((one_a, one_b), (a, one_b), (one_a, b), (a * a, one_b), (one_a, b * b), (a, b))
     )
     lags = np.arange(-len(b) + 1, len(a))
     kept = count > least - 0.5
@@ -122,6 +120,15 @@ def _correlations(truth: Array, estimate: Array, least: int) -> tuple[NDArray[np
     spread_a = np.maximum(squares_a[kept] - sum_a**2 / n, 1e-9 * np.vdot(a, a))
     spread_b = np.maximum(squares_b[kept] - sum_b**2 / n, 1e-9 * np.vdot(b, b))
     return lags[kept], (products[kept] - sum_a * sum_b / n) / np.sqrt(spread_a * spread_b)
+
+
+def _correlated(x: Array, y: Array) -> Array:
+    """Sums of x[k + lag] y[k] over k at all lags, to the bit as scipy.signal.correlate has them of method "fft", which
+    takes half a second to import."""
+    fft = scipy.fft
+    length = len(x) + len(y) - 1
+    padded = fft.next_fast_len(length, real=True)
+    return np.asarray(fft.irfft(fft.rfft(x, padded) * fft.rfft(y[::-1], padded), padded)[:length])
 
 
 def _rival(correlation: Array, peak: int) -> float:
@@ -139,7 +146,7 @@ def _refine(truth: Array, estimate: Array, lag: int) -> tuple[float, float]:
     The deviation is that of least squares, sqrt(s^2 / sum(v'^2)) of the residuals' deviation s and the slope v', with
     the number of independent residuals counted by their correlation from one sample to the next.
     """
-    from scipy.optimize import minimize_scalar  # as scipy.signal
+    from scipy.optimize import minimize_scalar  # a third of a second, where no clock is sought
 
     index = np.arange(max(1, 1 - lag), min(len(estimate) - 1, len(truth) - 1 - lag))
     known = np.arange(len(truth))
