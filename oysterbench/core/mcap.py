@@ -7,10 +7,12 @@ length for records: 9 kB then cost minutes. Here a chunk unpacks to the size tha
 from __future__ import annotations
 
 import heapq
+import io
 import os
 import struct
 import zlib
 from collections.abc import Collection, Iterator
+from functools import lru_cache
 from typing import IO
 
 from mcap.data_stream import ReadDataStream
@@ -39,14 +41,29 @@ LARGEST_CHUNK = 1 << 27
 """Bytes, unpacked: 32 times what writers make by default, and more than the largest picture of a camera."""
 MOST_RECORDS = 1 << 19
 """In a chunk: 4 times what fits into one of the default size."""
+LARGEST_KEPT = 1 << 20
+"""Bytes of an index that is kept, parsed: that of a file of some gigabytes."""
 
 
 def read_summary(file: IO[bytes]) -> Summary | None:
-    """The index of a file; None where it has none. Raises ValueError, EOFError and errors of mcap for damage."""
+    """The index of a file, not to be written to; None where it has none. Raises ValueError, EOFError and errors of mcap
+    for damage."""
     start = summary_start(file)
     if start == 0:
         return None
+    size = file.seek(0, os.SEEK_END) - start
     file.seek(start)
+    return _kept(file.read(size)) if size <= LARGEST_KEPT else _parsed(file)
+
+
+@lru_cache(maxsize=8)
+def _kept(index: bytes) -> Summary:
+    """Of the bytes of an index, which viewers read once for each picture."""
+    return _parsed(io.BytesIO(index))
+
+
+def _parsed(file: IO[bytes]) -> Summary:
+    """The index that begins where the file stands."""
     summary = Summary()
     # A chunk has no place here: with `emit_chunks` it is passed over, packed.
     for record in StreamReader(file, skip_magic=True, emit_chunks=True).records:
