@@ -1,6 +1,6 @@
 """Install what is asked for, editable and in the pinned versions, beside the Python that runs this.
 
-By uv, which takes a third of pip's time, from where pip would take packages; by pip itself where uv cannot be had or
+By uv, which takes half of pip's time, from where pip would take packages; by pip itself where uv cannot be had or
 does not get through. What nobody imports need not be compiled: that is most of torch, and a third of pip's time.
 """
 
@@ -52,4 +52,7 @@ def by_pip(wanted: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(0 if by_uv(sys.argv[1]) else by_pip(sys.argv[1]))
+    try:
+        sys.exit(0 if by_uv(sys.argv[1]) else by_pip(sys.argv[1]))
+    except KeyboardInterrupt:
+        sys.exit("interrupted: the same command goes on")
