@@ -86,8 +86,9 @@ def build_sequence(split: SplitRecipe, name: str, salt: bytes, device: str = "cp
     key = (split, name, salt, device)
     found = _last.get(key)
     if found is None:
+        stated = split.find_sequence(name)  # a name that is not there costs nobody the one that was built
         forget_sequence()
-        found = _last[key] = _build(*key)
+        found = _last[key] = _build(split, stated, salt, device)
     return found
 
 
@@ -96,13 +97,12 @@ def forget_sequence() -> None:
     _last.clear()
 
 
-def _build(split: SplitRecipe, name: str, salt: bytes, device: str) -> SimulatedSequence:
-    stated = split.find_sequence(name)
+def _build(split: SplitRecipe, stated: SequenceRecipe, salt: bytes, device: str) -> SimulatedSequence:
     streams = split.streams_of(stated, salt)
     recipe = draw(
         stated,
         lambda key: float(streams.generator("drawn", key).random()),
-        f"split {split.name}: sequence {name}",
+        f"split {split.name}: sequence {stated.name}",
     )
     world = build_world(recipe, streams)
     path = build_path(recipe, world.ground_height, world.obstacle_height, streams)
