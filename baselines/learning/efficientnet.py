@@ -52,8 +52,8 @@ VARIANTS = {
 
 
 class SameConvolution(nn.Conv2d):
-    """Without bias (`folded` gives it one), padded so that a side n becomes n / stride, rounded up; what is odd of the padding goes to the
-    right and below, as the authors' framework has it."""
+    """Without bias (`folded` gives it one), padded so that a side n becomes n / stride, rounded up; what is odd of the
+    padding goes to the right and below, as the authors' framework has it."""
 
     def __init__(self, inputs: int, outputs: int, side: int, stride: int = 1, groups: int = 1) -> None:
         super().__init__(inputs, outputs, side, stride, groups=groups, bias=False)
@@ -139,14 +139,15 @@ class EfficientNetLite(nn.Module):
 
 
 def folded(network: EfficientNetLite) -> EfficientNetLite:
-    """The network itself, for prediction only: each normalisation, whose statistics stand, has become weights and bias of
-    the convolution before it. The same but for rounding, a tenth faster."""
+    """The network itself, for prediction only: each normalisation, whose statistics stand, has become weights and bias
+    of the convolution before it. It gives the same but for rounding, a tenth faster."""
     for part in network.modules():
         if isinstance(part, nn.Sequential):
             for k in reversed(range(1, len(part))):
                 layer, before = part[k], part[k - 1]
                 if isinstance(layer, nn.BatchNorm2d) and isinstance(before, SameConvolution):
-                    assert layer.running_mean is not None and layer.running_var is not None
+                    assert layer.running_mean is not None
+                    assert layer.running_var is not None
                     before.weight, before.bias = fuse_conv_bn_weights(
                         before.weight, None, layer.running_mean, layer.running_var, layer.eps, layer.weight, layer.bias
                     )

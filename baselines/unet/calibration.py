@@ -12,6 +12,7 @@ from oysterbench.annotations import Entry, LabelledImage, LabelledSet
 from oysterbench_baselines.learning.masks import probability
 from oysterbench_baselines.learning.samples import Floats
 from oysterbench_baselines.unet.instances import LARGEST, Division, Instances, find_instances
+from oysterbench_baselines.unet.views import Look
 
 SHARE = 10
 """One in so many pictures of a clip, its last ones, are kept back; of clips that are shorter, one in so many clips."""
@@ -79,11 +80,11 @@ def kept_back(labelled: LabelledSet) -> tuple[LabelledSet, LabelledSet]:
 
 def measured(
     labelled: LabelledSet,
-    look: Callable[[NDArray[np.uint8]], Floats],
+    look: Callable[[NDArray[np.uint8]], Look],
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Calibration:
-    """Of a network whose logits (K, H, W) `look` gives of a picture (H, W, 3) uint8 RGB. That which changes nothing,
-    where no picture shows an oyster."""
+    """Of a network that looks at a picture (H, W, 3) uint8 RGB by `look`. That which changes nothing, where no picture
+    shows an oyster."""
     taken = evenly(labelled.entries, MOST)
     seen = []
     for k, entry in enumerate(taken, start=1):
@@ -116,15 +117,16 @@ class Seen:
     known: NDArray[np.bool_]
     logits: NDArray[np.float16]
     living: Mapping[int, bool]
+    zoom: float = 1.0
 
     @classmethod
-    def of(cls, image: LabelledImage, logits: Floats) -> Seen:
-        """A labelled image and what was said of it."""
+    def of(cls, image: LabelledImage, look: Look) -> Seen:
+        """A labelled image and what was seen of it."""
         step = -(-max(image.ignore.shape) // LARGEST)
         grid = (slice(None, None, step), slice(None, None, step))
         numbers = np.where(image.oysters, np.maximum(image.instances, 1), 0).astype(np.uint16)
-        small = logits[(slice(None), *grid)].astype(np.float16)
-        return cls(numbers[grid].copy(), ~image.ignore[grid], small, image.living)
+        small = look.logits[(slice(None), *grid)].astype(np.float16)
+        return cls(numbers[grid].copy(), ~image.ignore[grid], small, image.living, look.zoom)
 
     def some(self) -> tuple[Floats, NDArray[np.bool_]]:
         """Logits of oyster and truth (N,) of some known pixels."""
@@ -152,7 +154,8 @@ def _dividing(seen: Sequence[Seen], calibration: Calibration, progress: Callable
         numbers = np.where(one.known, one.numbers, 0)
         count += len(np.unique(numbers[numbers > 0]))
         for rise, sure, same in zip(RISES, scores, right, strict=True):
-            found = find_instances(probability(calibration.applied(oyster)), probability(depth), Division(rise=rise))
+            division = Division(rise=rise).closer(one.zoom)
+            found = find_instances(probability(calibration.applied(oyster)), probability(depth), division)
             areas = np.bincount(found.labels.ravel(), minlength=len(found.scores) + 1)
             known = np.bincount(found.labels.ravel(), weights=one.known.ravel(), minlength=len(areas))
             judged = (known > 0.5 * areas)[1:]

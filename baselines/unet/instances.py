@@ -40,6 +40,10 @@ class Division:
     large: float = 15.0
     sure: float = 0.5
 
+    def closer(self, zoom: float) -> Division:
+        """That of a picture that was looked at enlarged, in which finer things are told apart."""
+        return replace(self, smooth=self.smooth / zoom, area=self.area / zoom**2)
+
 
 @dataclass(frozen=True)
 class Instances:

@@ -22,7 +22,8 @@ class UNet:
 
     checkpoint: path of the training; by default that which `OYSTERBENCH_UNET` names, or which `oysterbench train unet`
     or `oysterbench download unet` left. device: auto, cpu, cuda or cuda:N. views: of a picture, of which the mean is
-    taken: 1 as it is, 2 enlarged and mirrored as well, 3 mirrored as well, 4 enlarged as well.
+    taken: 1 as it is; 2 enlarged and turned as well, or only that, by more, where oysters are small; 3 and 4 mirrored
+    as well.
     """
 
     name, track = "unet", "segmentation"
@@ -67,7 +68,7 @@ class UNetInstances(UNet):
 
         for image in images:
             seen = model.probabilities(image.pixels)
-            found = find_instances(seen.oyster, seen.depth, model.calibration.division)
+            found = find_instances(seen.oyster, seen.depth, seen.division)
             live = None if seen.live is None else means(found, seen.live)
             novelty = model.novelty_of(image.pixels)
             yield Detections(image.name, found.scores, numbers=found.labels, live=live, novelty=novelty)

@@ -19,11 +19,10 @@ from oysterbench_baselines.learning.masks import MaskModel, enlarged, probabilit
 from oysterbench_baselines.learning.novelty import Array, Novelty
 from oysterbench_baselines.learning.samples import Floats, shrink, standardised, statistics, working_scale
 from oysterbench_baselines.unet.calibration import Calibration
+from oysterbench_baselines.unet.instances import Division
 from oysterbench_baselines.unet.network import CONTRAST, PretrainedUNetwork, UNetworkSettings, build_network, kind_of
+from oysterbench_baselines.unet.views import CLOSER, VIEWS, Look, View, shows_small_oysters
 
-VIEWS = ((1.0, 0, False), (1.4, 1, False), (1.0, 0, True), (1.4, 1, True))
-"""Zoom, quarter turns, mirrored: the ways in which a picture is looked at, in the order of what they are worth; logits
-are their mean."""
 ALIKE_SIDE = 320
 """px, to which a picture's longer side is brought before it is told what it is like."""
 EMBEDDED = 3
@@ -32,11 +31,12 @@ EMBEDDED = 3
 
 class Probabilities(NamedTuple):
     """(H, W) each: of oyster, calibrated; of depth in one; of an oyster that it is alive, None of networks that cannot
-    tell."""
+    tell. division: how oysters are told apart in them."""
 
     oyster: Floats
     depth: Floats
     live: Floats | None
+    division: Division
 
 
 @dataclass
@@ -48,25 +48,31 @@ class UNetModel(MaskModel):
     calibration: Calibration = field(default_factory=Calibration)
     novelty: Novelty | None = None
 
-    def mean_logits(self, pixels: NDArray[np.uint8]) -> Floats:
-        """(K, H, W) float32 logits of `network.OUTPUTS` at the size of the picture (H, W, 3) uint8 RGB, the mean of
-        views."""
-        height, width = pixels.shape[:2]
-        total = np.zeros((self.planes, height, width), dtype=np.float32)
-        for zoom, turns, mirrored in VIEWS[: self.views]:
-            seen = np.ascontiguousarray(np.rot90(pixels[:, ::-1] if mirrored else pixels, turns))
-            found = np.rot90(enlarged(self.small_logits(seen, zoom), *seen.shape[:2]), -turns, axes=(1, 2))
-            total += found[..., ::-1] if mirrored else found
-        return total / np.float32(min(self.views, len(VIEWS)))
+    def look(self, pixels: NDArray[np.uint8]) -> Look:
+        """At a picture (H, W, 3) uint8 RGB: the mean of views. Where there is more than one, a network on a pretrained
+        encoder looks closer at pictures whose oysters are small at the first glance."""
+        views, zoom = VIEWS[: self.views], 1.0
+        seen = [self._seen(pixels, views[0])]
+        if len(views) > 1 and isinstance(self.network, PretrainedUNetwork) and shows_small_oysters(seen[0]):
+            views, zoom, seen = CLOSER[: len(views) // 2], CLOSER[0].zoom, []
+        seen += [self._seen(pixels, view) for view in views[len(seen) :]]
+        return Look(np.mean(seen, axis=0, dtype=np.float32), zoom)
+
+    def _seen(self, pixels: NDArray[np.uint8], view: View) -> Floats:
+        """(K, H, W) logits of one view, laid over the picture as it is."""
+        seen = np.ascontiguousarray(np.rot90(pixels[:, ::-1] if view.mirrored else pixels, view.turns))
+        found = np.rot90(enlarged(self.small_logits(seen, view.zoom), *seen.shape[:2]), -view.turns, axes=(1, 2))
+        return found[..., ::-1] if view.mirrored else found
 
     def probabilities(self, pixels: NDArray[np.uint8]) -> Probabilities:
         """What is seen in a picture (H, W, 3) uint8 RGB."""
-        oyster, depth, *live = self.mean_logits(pixels)
+        (oyster, depth, *live), zoom = self.look(pixels)
         tells = bool(live) and self.calibration.tells
         return Probabilities(
             probability(self.calibration.applied(oyster)),
             probability(depth),
             probability(live[0] - np.float32(self.calibration.live_cut)) if tells else None,
+            self.calibration.division.closer(zoom),
         )
 
     def alike(self, pixels: NDArray[np.uint8]) -> Array:

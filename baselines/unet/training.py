@@ -141,7 +141,7 @@ def measure(
     """What a checkpoint says of its network: its calibration on pictures kept back, and what pictures were like that it
     has learnt from (`learning.novelty`), where it knows."""
     model = unet_model(checkpoint, device, DEFAULT_VIEWS)
-    found: dict[str, Any] = {"calibration": dataclasses.asdict(calibrated(kept, model.mean_logits, progress))}
+    found: dict[str, Any] = {"calibration": dataclasses.asdict(calibrated(kept, model.look, progress))}
     if checkpoint.network["encoder"]:
         taken = evenly([*learnt_from.entries, *kept.entries], MOST_ALIKE)
         alike = []

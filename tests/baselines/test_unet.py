@@ -28,6 +28,7 @@ from oysterbench_baselines.unet.instances import find_instances  # noqa: E402
 from oysterbench_baselines.unet.model import UNetModel, read_unet  # noqa: E402
 from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings, build_network  # noqa: E402
 from oysterbench_baselines.unet.training import new_network, train  # noqa: E402
+from oysterbench_baselines.unet.views import Look  # noqa: E402
 from tests.helpers.labelled_folders import image  # noqa: E402
 from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
 
@@ -168,7 +169,7 @@ def test_the_cut_is_where_iou_is_greatest_and_becomes_a_probability_of_a_half(tm
 
     def look(pixels):
         k = next(k for k, one in enumerate(truths) if np.array_equal(one.pixels, pixels))
-        return np.stack([said[k], 4.0 * truths[k].oysters - 2.0]).astype(np.float32)
+        return Look(np.stack([said[k], 4.0 * truths[k].oysters - 2.0]).astype(np.float32))
 
     def iou(cut):
         found = [(logits > cut, one.oysters) for logits, one in zip(said, truths, strict=True)]
@@ -203,7 +204,7 @@ def pairs_of_oysters(depth_between, bump):
 def test_oysters_are_told_apart_by_the_rise_that_finds_most_of_the_true_ones(depth_between, bump, least, most):
     labelled, said = pairs_of_oysters(depth_between, bump)
     steps = []
-    found = measured(labelled, lambda pixels: said, lambda done, total: steps.append((done, total)))
+    found = measured(labelled, lambda pixels: Look(said), lambda done, total: steps.append((done, total)))
     assert least <= found.rise <= most
     oyster, depth = said
     instances = find_instances(probability(found.applied(oyster)), probability(depth), found.division)
@@ -235,14 +236,14 @@ def test_live_oysters_are_told_from_dead_ones_where_pictures_kept_back_say_that_
         oyster = 4.0 * one.oysters - 2.0
         shift = rng.normal(0, noise, one.instances.max() + 1)  # each oyster has its own
         live = np.where(one.instances % 2 == 0, 1.0, -1.0) + shift[one.instances] + 3.0
-        return np.stack([oyster, oyster, live]).astype(np.float32)
+        return Look(np.stack([oyster, oyster, live]).astype(np.float32))
 
     found = measured(labelled, look)
     assert found.tells is tells
     if tells:
         assert found.states > 0.95
         assert found.live_cut == pytest.approx(3.0, abs=0.8)
-    silent = measured(small_set(tmp_path / "other", {"one": ("", 6)}), lambda pixels: np.zeros((3, *pixels.shape[:2])))
+    silent = measured(small_set(tmp_path / "other", {"one": ("", 6)}), lambda p: Look(np.zeros((3, *p.shape[:2]))))
     assert (silent.states, silent.tells) == (0, False)
 
 
@@ -266,7 +267,7 @@ def test_a_network_that_tells_says_of_each_oyster_whether_it_is_alive(tmp_path):
 
 def test_where_nothing_was_kept_back_nothing_is_changed(tmp_path):
     nothing = small_set(tmp_path / "set", {"one": ("", 2)}).where(lambda entry: False)
-    assert measured(nothing, lambda pixels: np.zeros((2, *pixels.shape[:2]), np.float32)) == Calibration()
+    assert measured(nothing, lambda pixels: Look(np.zeros((2, *pixels.shape[:2]), np.float32))) == Calibration()
 
 
 def test_what_was_measured_is_in_the_checkpoint_and_measured_once(checkpoint):
@@ -286,18 +287,18 @@ def test_every_view_is_laid_over_the_picture_as_it_is():
     rows, columns = np.mgrid[0:60, 0:90]
     pixels = np.stack([2 * columns, 4 * rows, rows + columns], axis=-1).astype(np.uint8)
     model = UNetModel(Same(), 1.0, 1, torch.device("cpu"))
-    alone = model.mean_logits(pixels)
+    alone = model.look(pixels).logits
     for views in (2, 3, 4):
         model.views = views
-        assert np.abs(model.mean_logits(pixels) - alone).max() < 0.05
+        assert np.abs(model.look(pixels).logits - alone).max() < 0.05
 
 
 def test_more_views_are_their_mean(checkpoint):
     pixels = image(5, height=64, width=80).pixels
     one, two, three = (read_unet(checkpoint, views=n) for n in (1, 2, 3))
-    mirrored = one.mean_logits(np.ascontiguousarray(pixels[:, ::-1]))[..., ::-1]
-    assert np.allclose(three.mean_logits(pixels), (2 * two.mean_logits(pixels) + mirrored) / 3, atol=1e-5)
-    assert not np.allclose(two.mean_logits(pixels), one.mean_logits(pixels), atol=1e-3)
+    mirrored = one.look(np.ascontiguousarray(pixels[:, ::-1])).logits[..., ::-1]
+    assert np.allclose(three.look(pixels).logits, (2 * two.look(pixels).logits + mirrored) / 3, atol=1e-5)
+    assert not np.allclose(two.look(pixels).logits, one.look(pixels).logits, atol=1e-3)
     with pytest.raises(MethodError, match="unet: views: expected 1 to 4, got 5"):
         UNet(views=5)
 

@@ -1,0 +1,47 @@
+"""How a picture is looked at: in several ways, of which the mean is taken, and closer where oysters are small."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from oysterbench_baselines.learning.masks import probability
+from oysterbench_baselines.learning.samples import Floats
+from oysterbench_baselines.unet.instances import SIDE, Division, find_instances
+
+
+class View(NamedTuple):
+    """zoom: of the picture as the network has learnt to look at it; turns: by a quarter."""
+
+    zoom: float
+    turns: int = 0
+    mirrored: bool = False
+
+
+VIEWS = (View(1.0), View(1.4, turns=1), View(1.0, mirrored=True), View(1.4, turns=1, mirrored=True))
+"""In the order of what they are worth."""
+CLOSER = (View(2.0, turns=1), View(2.0, turns=1, mirrored=True))
+"""Of a picture of small oysters, instead of two of `VIEWS` each: the network knows oysters of twice that size best."""
+SMALL = 18.0
+"""px of a picture whose longer side has `instances.SIDE` px: the root of the median area of oysters that are small."""
+MANY = 15
+"""Oysters by which it is told whether they are: fewer do not show it."""
+LIKELY = 0.2
+"""Their least score."""
+
+
+class Look(NamedTuple):
+    """What was seen of a picture: logits (K, H, W) float32 of `network.OUTPUTS` at its own size, and the zoom by which
+    it was looked at more closely than others."""
+
+    logits: Floats
+    zoom: float = 1.0
+
+
+def shows_small_oysters(logits: Floats) -> bool:
+    """Whether a picture does, of which the network said (K, H, W) logits at a first glance."""
+    found = find_instances(probability(logits[0]), probability(logits[1]), Division(sure=LIKELY))
+    areas = np.bincount(found.labels.ravel(), minlength=len(found.scores) + 1)[1:][found.scores >= 0.5]
+    unit = max(logits.shape[1:]) / SIDE
+    return len(areas) >= MANY and float(np.median(np.sqrt(areas))) < SMALL * unit

@@ -1,0 +1,62 @@
+"""Pictures of small oysters are looked at more closely than others."""
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from oysterbench_baselines.unet.instances import Division  # noqa: E402
+from oysterbench_baselines.unet.model import UNetModel  # noqa: E402
+from oysterbench_baselines.unet.network import PretrainedUNetwork  # noqa: E402
+from oysterbench_baselines.unet.views import shows_small_oysters  # noqa: E402
+
+
+def reef(radius, count, side=640):
+    """(side / 2, side) uint8, bright where one of `count` oysters is, which grows darker towards its border."""
+    rows, columns = np.mgrid[: side // 2, :side]
+    found = np.zeros(rows.shape)
+    for k in range(count):
+        y, x = (k // 10 + 0.5) * side / 10, (k % 10 + 0.5) * side / 10
+        found = np.maximum(found, 1 - np.hypot(rows - y, columns - x) / radius)
+    return (255 * np.sqrt(found.clip(0))).astype(np.uint8)
+
+
+def logits(grey):
+    return np.stack([8.0 * (grey > 0) - 4.0, grey / 32.0 - 2.0]).astype(np.float32)
+
+
+@pytest.mark.parametrize(("radius", "count", "small"), [(8, 40, True), (30, 40, False), (8, 10, False), (8, 0, False)])
+def test_oysters_are_small_where_many_are(radius, count, small):
+    assert shows_small_oysters(logits(reef(radius, count))) is small
+    assert shows_small_oysters(logits(reef(radius / 2, count, side=320))) is small, "whatever the size of the picture"
+
+
+class Seeing(PretrainedUNetwork):
+    """A network that sees what is bright, and keeps the sides of what it has been shown."""
+
+    def __init__(self):
+        torch.nn.Module.__init__(self)
+        self.shown = []
+
+    def forward(self, pixels):
+        self.shown.append(max(pixels.shape[2:]))
+        return torch.cat([10 * (pixels[:, :1] - pixels.min()) - 1, 2 * pixels[:, :1]], dim=1)
+
+
+@pytest.mark.parametrize(
+    ("radius", "views", "zoom", "shown"),
+    [(8, 1, 1.0, [320]), (8, 2, 2.0, [320, 640]), (8, 4, 2.0, [320, 640, 640]), (30, 2, 1.0, [320, 448])],
+)
+def test_a_picture_of_small_oysters_is_looked_at_enlarged(radius, views, zoom, shown):
+    grey = reef(radius, 40)
+    network = Seeing()
+    look = UNetModel(network, 1.0, 1, torch.device("cpu"), side=320, views=views).look(np.stack([grey] * 3, axis=-1))
+    assert (look.zoom, network.shown) == (zoom, shown)
+    assert look.logits.shape == (2, *grey.shape)
+    assert ((look.logits[0] > 0) == (grey > 0)).mean() > 0.95, "laid over the picture as it is"
+
+
+def test_finer_things_are_told_apart_in_what_was_enlarged():
+    division = Division(smooth=1.0, area=12.0, rise=0.08, sure=0.3)
+    assert division.closer(2.0) == Division(smooth=0.5, area=3.0, rise=0.08, sure=0.3)
+    assert division.closer(1.0) == division
