@@ -40,8 +40,8 @@ class Look(NamedTuple):
 
 
 def shows_small_oysters(logits: Floats) -> bool:
-    """Whether a picture does, of which the network said (K, H, W) logits at a first glance: at a coarse one, which takes
-    a fifth of the time and finds as many."""
+    """Whether a picture does, of which the network said (K, H, W) logits at a first glance. They are thinned out: that
+    takes a quarter of the time, and says the same of all but one in 78."""
     step = max(1, max(logits.shape[1:]) // SIDE)
     oyster, depth = (probability(plane[::step, ::step]) for plane in logits[:2])
     found = find_instances(oyster, depth, Division(sure=LIKELY))

@@ -279,6 +279,9 @@ def test_a_dive_can_be_had_again_with_one_thing_otherwise():
     one, two = (build_sequence(both, name, b"") for name in ("tiny-01", "tiny-02"))
     assert np.array_equal(one.path.position.c, two.path.position.c)
     assert np.array_equal(one.world.instances.positions, two.world.instances.positions)
+    with pytest.raises(RecipeError, match="tiny-03"):
+        build_sequence(both, "tiny-03", b"")
+    assert build_sequence(both, "tiny-02", b"") is two, "a wrong name costs nobody the one that was built"
 
 
 @pytest.mark.parametrize(
