@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from oysterbench.annotations import Entry, LabelledImage, LabelledSet
 from oysterbench_baselines.learning.masks import probability
 from oysterbench_baselines.learning.samples import Floats
-from oysterbench_baselines.unet.instances import LARGEST, Division, Instances, find_instances
+from oysterbench_baselines.unet.instances import LARGEST, Division, Instances, find_instances, means
 from oysterbench_baselines.unet.views import Look
 
 SHARE = 10
@@ -156,9 +156,7 @@ def _dividing(seen: Sequence[Seen], calibration: Calibration, progress: Callable
         for rise, sure, same in zip(RISES, scores, right, strict=True):
             division = Division(rise=rise).closer(one.zoom)
             found = find_instances(probability(calibration.applied(oyster)), probability(depth), division)
-            areas = np.bincount(found.labels.ravel(), minlength=len(found.scores) + 1)
-            known = np.bincount(found.labels.ravel(), weights=one.known.ravel(), minlength=len(areas))
-            judged = (known > 0.5 * areas)[1:]
+            judged = means(found, one.known) > 0.5
             sure += found.scores[judged].tolist()
             same += _true(found, numbers)[judged].tolist()
         progress(k)

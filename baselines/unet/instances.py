@@ -52,6 +52,11 @@ class Instances:
     labels: Labels
     scores: NDArray[np.float64]
 
+    @property
+    def areas(self) -> NDArray[np.int64]:
+        """(N,) px of each."""
+        return np.bincount(self.labels.ravel(), minlength=len(self.scores) + 1)[1:]
+
 
 def find_instances(oyster: Floats, depth: Floats, division: Division | None = None) -> Instances:
     """Instances from two (H, W) probabilities, of which no two share a pixel: nothing is left to suppress.
@@ -83,11 +88,10 @@ def find_instances(oyster: Floats, depth: Floats, division: Division | None = No
     return _scored(labels, oyster, depth, division, unit)
 
 
-def means(instances: Instances, values: Floats) -> NDArray[np.float64]:
+def means(instances: Instances, values: Floats | NDArray[np.bool_]) -> NDArray[np.float64]:
     """(N,) of values (H, W), over each instance."""
-    areas = np.bincount(instances.labels.ravel(), minlength=len(instances.scores) + 1)
-    sums = np.bincount(instances.labels.ravel(), weights=values.ravel(), minlength=len(areas))
-    return sums[1:] / np.maximum(areas[1:], 1)
+    sums = np.bincount(instances.labels.ravel(), weights=values.ravel(), minlength=len(instances.scores) + 1)
+    return sums[1:] / np.maximum(instances.areas, 1)
 
 
 def outstanding(levels: NDArray[np.uint8], rise: int) -> NDArray[np.bool_]:

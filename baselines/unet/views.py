@@ -45,6 +45,6 @@ def shows_small_oysters(logits: Floats) -> bool:
     step = max(1, max(logits.shape[1:]) // SIDE)
     oyster, depth = (probability(plane[::step, ::step]) for plane in logits[:2])
     found = find_instances(oyster, depth, Division(sure=LIKELY))
-    areas = np.bincount(found.labels.ravel(), minlength=len(found.scores) + 1)[1:][found.scores >= 0.5]
+    areas = found.areas[found.scores >= 0.5]
     unit = max(oyster.shape) / SIDE
     return len(areas) >= MANY and float(np.median(np.sqrt(areas))) < SMALL * unit
