@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import importlib.util
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from torch import nn
 from torch.nn import functional
-from torch.nn.utils.fusion import fuse_conv_bn_weights
 
 from oysterbench.core.errors import MethodError
 
@@ -51,28 +50,57 @@ VARIANTS = {
 }
 
 
+def _unchanged(values: torch.Tensor) -> torch.Tensor:
+    return values
+
+
 class SameConvolution(nn.Conv2d):
-    """Without bias (`folded` gives it one), padded so that a side n becomes n / stride, rounded up; what is odd of the
-    padding goes to the right and below, as the authors' framework has it."""
+    """Without bias, padded so that a side n becomes n / stride, rounded up; what is odd of the padding goes to the
+    right and below, as the authors' framework has it."""
 
     def __init__(self, inputs: int, outputs: int, side: int, stride: int = 1, groups: int = 1) -> None:
         super().__init__(inputs, outputs, side, stride, groups=groups, bias=False)
 
+    def forward(
+        self,
+        values: torch.Tensor,
+        by: nn.BatchNorm2d | None = None,
+        then: Callable[[torch.Tensor], torch.Tensor] = _unchanged,
+    ) -> torch.Tensor:
+        """(B, C, h, w). by: normalises what comes out by statistics that stand, as weights and bias of the convolution,
+        which spares a way through all values, and another one back; then: what each value becomes."""
+        weight, bias = (self.weight, None) if by is None else _normalised(self.weight, by)
+        side, stride = self.kernel_size[0], self.stride[0]
+        if side == 1:  # a product of matrices as the memory lies, for which nothing is moved
+            rows = values.permute(0, 2, 3, 1)
+            found = then(functional.linear(rows.flatten(0, 2), weight[:, :, 0, 0], bias))
+            return found.view(*rows.shape[:3], -1).permute(0, 3, 1, 2)
+        if stride == 2:  # of an even side windows begin a pixel later: zeros before weights spare moving the values
+            weight = functional.pad(weight, (1 - values.shape[-1] % 2, 0, 1 - values.shape[-2] % 2, 0))
+        return then(functional.conv2d(values, weight, bias, stride, padding=side // 2, groups=self.groups))
+
+
+class Layers(nn.Sequential):
+    """Convolutions, each with a normalisation and, but for the last of a block, a ReLU6 after it."""
+
     def forward(self, values: torch.Tensor) -> torch.Tensor:
         """(B, C, h, w)."""
-        side, stride = self.kernel_size[0], self.stride[0]
-        if stride == 1:
-            if side == 1:  # a product of matrices as the memory lies, for which nothing is moved
-                planes_last = functional.linear(values.permute(0, 2, 3, 1), self.weight[:, :, 0, 0], self.bias)
-                return planes_last.permute(0, 3, 1, 2)
-            return functional.conv2d(values, self.weight, self.bias, padding=side // 2, groups=self.groups)
-        missing = [max((math.ceil(n / stride) - 1) * stride + side - n, 0) for n in values.shape[-2:]]
-        (above, left), (below, right) = ([m // 2 for m in missing], [m - m // 2 for m in missing])
-        return super().forward(functional.pad(values, (left, right, above, below)))
+        layers = [*self, nn.Identity()]
+        for convolution, by, then in zip(layers[::3], layers[1::3], layers[2::3], strict=False):
+            values = convolution(values, by, then)
+        return values
 
 
-def _normalised(channels: int) -> nn.BatchNorm2d:
-    return nn.BatchNorm2d(channels, eps=1e-3, momentum=0.01)
+def _normalised(weight: torch.Tensor, by: nn.BatchNorm2d) -> tuple[torch.Tensor, torch.Tensor]:
+    """Weight and bias of a convolution with weights (K, C, h, w), and of its normalisation."""
+    assert by.running_mean is not None
+    assert by.running_var is not None
+    scale = by.weight * torch.rsqrt(by.running_var + by.eps)
+    return weight * scale[:, None, None, None], by.bias - by.running_mean * scale
+
+
+def _convolved(inputs: int, outputs: int, side: int, stride: int = 1, groups: int = 1) -> list[nn.Module]:
+    return [SameConvolution(inputs, outputs, side, stride, groups), nn.BatchNorm2d(outputs, eps=1e-3)]
 
 
 class Block(nn.Module):
@@ -84,10 +112,9 @@ class Block(nn.Module):
         wide = inputs * expansion
         layers: list[nn.Module] = []
         if expansion != 1:
-            layers += [SameConvolution(inputs, wide, 1), _normalised(wide), nn.ReLU6(inplace=True)]
-        layers += [SameConvolution(wide, wide, side, stride, groups=wide), _normalised(wide), nn.ReLU6(inplace=True)]
-        layers += [SameConvolution(wide, outputs, 1), _normalised(outputs)]
-        self.layers = nn.Sequential(*layers)
+            layers += [*_convolved(inputs, wide, 1), nn.ReLU6(inplace=True)]
+        layers += [*_convolved(wide, wide, side, stride, groups=wide), nn.ReLU6(inplace=True)]
+        self.layers = Layers(*layers, *_convolved(wide, outputs, 1))
         self.adds = stride == 1 and inputs == outputs
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
@@ -97,7 +124,9 @@ class Block(nn.Module):
 
 
 class EfficientNetLite(nn.Module):
-    """(B, 3, h, w) RGB of -1 to 1 (`scaled`) to features. name: in `VARIANTS`.
+    """(B, 3, h, w) RGB of -1 to 1 (`scaled`) to features. name: in `VARIANTS`. It always normalises by what ImageNet
+    was like, in training too: the statistics of eight crops, and a mean over those of the last hundred steps, are far
+    from what pictures are normalised by afterwards.
 
     channels: of the features at strides 2, 4, 8, 16 and 32, which `features` gives.
     """
@@ -106,7 +135,7 @@ class EfficientNetLite(nn.Module):
         super().__init__()
         self.name = name
         variant = VARIANTS[name]
-        self.stem = nn.Sequential(SameConvolution(3, STEM, 3, 2), _normalised(STEM), nn.ReLU6(inplace=True))
+        self.stem = Layers(*_convolved(3, STEM, 3, 2), nn.ReLU6(inplace=True))
         self.stages = nn.ModuleList()
         inputs = STEM
         for k, (blocks, side, stride, expansion, channels) in enumerate(STAGES):
@@ -118,7 +147,7 @@ class EfficientNetLite(nn.Module):
                 stage.append(Block(inputs, outputs, side, stride if n == 0 else 1, expansion))
                 inputs = outputs
             self.stages.append(nn.Sequential(*stage))
-        self.head = nn.Sequential(SameConvolution(inputs, HEAD, 1), _normalised(HEAD), nn.ReLU6(inplace=True))
+        self.head = Layers(*_convolved(inputs, HEAD, 1), nn.ReLU6(inplace=True))
         strides = [stride for _, _, stride, _, _ in STAGES]
         self._last = [k for k in range(len(STAGES)) if k + 1 == len(STAGES) or strides[k + 1] == 2]
         self.channels = tuple(rounded(STAGES[k][4] * variant.width) for k in self._last)
@@ -136,23 +165,6 @@ class EfficientNetLite(nn.Module):
         """(B, 1280): the means over the picture of what the classifier would be given."""
         found: torch.Tensor = self.head(self.features(pixels)[-1]).mean(dim=(2, 3))
         return found
-
-
-def folded(network: EfficientNetLite) -> EfficientNetLite:
-    """The network itself, for prediction only: each normalisation, whose statistics stand, has become weights and bias
-    of the convolution before it. It gives the same but for rounding, a tenth faster."""
-    for part in network.modules():
-        if isinstance(part, nn.Sequential):
-            for k in reversed(range(1, len(part))):
-                layer, before = part[k], part[k - 1]
-                if isinstance(layer, nn.BatchNorm2d) and isinstance(before, SameConvolution):
-                    assert layer.running_mean is not None
-                    assert layer.running_var is not None
-                    before.weight, before.bias = fuse_conv_bn_weights(
-                        before.weight, None, layer.running_mean, layer.running_var, layer.eps, layer.weight, layer.bias
-                    )
-                    del part[k]
-    return network
 
 
 def rounded(channels: float) -> int:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
-from oysterbench_baselines.learning.efficientnet import EfficientNetLite, folded, pretrained
+from oysterbench_baselines.learning.efficientnet import EfficientNetLite, pretrained
 from oysterbench_baselines.learning.loop import channels_last
 from oysterbench_baselines.learning.masks import MaskModel, enlarged, probability
 from oysterbench_baselines.learning.novelty import Array, Novelty
@@ -87,7 +87,7 @@ class UNetModel(MaskModel):
     @cached_property
     def _untrained(self) -> EfficientNetLite:
         assert isinstance(self.network, PretrainedUNetwork)
-        encoder: EfficientNetLite = channels_last(folded(pretrained(self.network.encoder.name)).to(self.device))
+        encoder: EfficientNetLite = channels_last(pretrained(self.network.encoder.name).to(self.device))
         return encoder
 
     def novelty_of(self, pixels: NDArray[np.uint8]) -> float | None:
@@ -103,8 +103,6 @@ def unet_model(checkpoint: Checkpoint, device: torch.device | None = None, views
     settings = UNetworkSettings(**{key: value for key, value in checkpoint.network.items() if key != "kind"})
     network = build_network(settings)
     network.load_state_dict(checkpoint.weights)
-    if isinstance(network, PretrainedUNetwork):
-        folded(network.encoder)
     device, measured = device or torch.device("cpu"), checkpoint.measured
     return UNetModel(
         channels_last(network.to(device)).eval(),
