@@ -11,7 +11,7 @@ from oysterbench_baselines.learning.trained import checkpoint_path, start_traini
 
 
 @click.command("gtsam_vi_learned", short_help="The learned front end of gtsam_vi, on rendered dives.")
-@training_options
+@training_options()
 @click.option("--sequence", "wanted", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
 def command(
     names: tuple[str, ...],

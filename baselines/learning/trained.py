@@ -30,11 +30,11 @@ def device_option(default: str) -> Callable[[Any], Any]:
     return click.option("--device", default=default, show_default=True, help="auto, cpu, cuda or cuda:N.")
 
 
-def training_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The options of a training that leaves one checkpoint for a method."""
+def training_options(steps: int = 2000) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """The options of a training that leaves one checkpoint for a method. steps: unless another number is given."""
     number = click.IntRange(min=1)
     file = click.Path(path_type=Path, dir_okay=False)
-    for option in (
+    options = (
         click.option("--again", is_flag=True, help="Start over, even if a checkpoint exists."),
         click.option(
             "--threads",
@@ -43,13 +43,18 @@ def training_options(command: Callable[..., Any]) -> Callable[..., Any]:
             show_default=True,
             help="CPU threads; the result depends on their number.",
         ),
-        click.option("--steps", type=number, default=2000, show_default=True, help="Optimiser steps."),
+        click.option("--steps", type=number, default=steps, show_default=True, help="Optimiser steps."),
         seed_option,
         click.option("--out", type=file, help="Checkpoint.  [default: under the home folder]"),
         click.option("--data", "names", type=LABELLED, multiple=True, required=True, help="Training data; repeatable."),
-    ):
-        command = option(command)
-    return command
+    )
+
+    def decorated(command: Callable[..., Any]) -> Callable[..., Any]:
+        for option in options:
+            command = option(command)
+        return command
+
+    return decorated
 
 
 def checkpoint_path(name: str, checkpoint: str = "") -> Path:

@@ -11,7 +11,7 @@ from oysterbench_baselines.learning.trained import checkpoint_path, device_optio
 
 
 @click.command("moving", short_help="Detect moving objects, for SLAM to ignore.")
-@training_options
+@training_options()
 @device_option("auto")
 def command(
     names: tuple[str, ...], out: Path | None, seed: int, steps: int, threads: int, device: str, again: bool

@@ -17,7 +17,7 @@ def _renamed(context: click.Context, parameter: click.Parameter, value: float | 
 
 
 @click.command("steering", short_help="A small network that steers, trained on an expert's commands.")
-@training_options
+@training_options()
 @click.option("--val", metavar="SPLIT|PATH", help="Data to validate on after training.")
 @click.option("--dagger", "rounds", type=click.IntRange(min=0), default=0, metavar="ROUNDS", help="Rounds of DAgger.")
 @click.option(

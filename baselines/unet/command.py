@@ -27,7 +27,7 @@ side_option = click.option(
 
 
 @click.command("unet", short_help="A U-Net with a pretrained encoder, on any labelled images.")
-@training_options
+@training_options(steps=1200)
 @click.option(
     "--encoder",
     type=click.Choice(["lite0", "lite1", "lite2"]),
@@ -82,7 +82,7 @@ def command(
 
 
 @click.command("unet_small", short_help="The same with a small network trained from random weights.")
-@training_options
+@training_options()
 @begin_option
 @side_option
 @device_option("auto")

@@ -15,7 +15,7 @@ from oysterbench_baselines.learning.trained import device_option, run_training, 
 
 
 @click.command("segformer", short_help="SegFormer, from the package transformers, on any labelled images.")
-@training_options
+@training_options()
 @click.option("--side", help="Only images of this split, as named in the data's manifest.csv, such as train.")
 @click.option(
     "--size", type=click.Choice(["b0", "b1", "b2"]), default="b0", show_default=True, help="Size of the network."
