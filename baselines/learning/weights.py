@@ -28,7 +28,7 @@ UNET = _weights(
     "unet",
     methods=("unet", "unet_instances"),
     train="unet --data seg-train",
-    takes="about 80 minutes on one core once seg-train is rendered",
+    takes="about an hour on two cores once seg-train is rendered",
     option="unet[checkpoint=PATH]",
     summary="Where oysters are in pictures from below water, and which",
     limits=LIMITS,

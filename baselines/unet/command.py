@@ -61,7 +61,7 @@ def command(
     Data is a split, which is rendered if missing; a sequence file or a folder of them; or a folder with images/ and
     masks/ (PNG), labels/ (YOLO polygons) or one COCO file. The last tenth of each clip is held out to calibrate the
     network. May be interrupted, even killed: the same command resumes from the last checkpoint and gives the same
-    weights. 2000 steps take some 80 minutes on one core, half of that on two.
+    weights. 1200 steps take about an hour on two cores, 100 minutes on one.
     """
     from oysterbench_baselines.unet.training import pretrained_settings
 

@@ -21,7 +21,7 @@ from oysterbench_baselines.learning.samples import Floats, shrink, standardised,
 from oysterbench_baselines.unet.calibration import Calibration
 from oysterbench_baselines.unet.instances import Division
 from oysterbench_baselines.unet.network import CONTRAST, PretrainedUNetwork, UNetworkSettings, build_network, kind_of
-from oysterbench_baselines.unet.views import CLOSER, VIEWS, Look, View, shows_small_oysters
+from oysterbench_baselines.unet.views import CLOSER, VIEWS, Look, View, shows_small_oysters, shows_the_same
 
 ALIKE_SIDE = 320
 """px, to which a picture's longer side is brought before it is told what it is like."""
@@ -50,13 +50,17 @@ class UNetModel(MaskModel):
 
     def look(self, pixels: NDArray[np.uint8]) -> Look:
         """At a picture (H, W, 3) uint8 RGB: the mean of views. Where there is more than one, a network on a pretrained
-        encoder looks closer at pictures whose oysters are small at the first glance."""
-        views, zoom = VIEWS[: self.views], 1.0
-        seen = [self._seen(pixels, views[0])]
-        if len(views) > 1 and isinstance(self.network, PretrainedUNetwork) and shows_small_oysters(seen[0]):
-            views, zoom, seen = CLOSER[: len(views) // 2], CLOSER[0].zoom, []
-        seen += [self._seen(pixels, view) for view in views[len(seen) :]]
-        return Look(np.mean(seen, axis=0, dtype=np.float32), zoom)
+        encoder looks closer at pictures whose oysters are small at the first glance, if it sees the same ones there."""
+        glance = self._seen(pixels, VIEWS[0])
+        if self.views > 1 and isinstance(self.network, PretrainedUNetwork) and shows_small_oysters(glance):
+            closer = self._mean([self._seen(pixels, view) for view in CLOSER[: self.views // 2]])
+            if shows_the_same(closer, glance):
+                return Look(closer, CLOSER[0].zoom)
+        return Look(self._mean([glance, *(self._seen(pixels, view) for view in VIEWS[1 : self.views])]))
+
+    @staticmethod
+    def _mean(seen: list[Floats]) -> Floats:
+        return np.mean(seen, axis=0, dtype=np.float32)
 
     def _seen(self, pixels: NDArray[np.uint8], view: View) -> Floats:
         """(K, H, W) logits of one view, laid over the picture as it is."""

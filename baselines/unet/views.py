@@ -29,6 +29,9 @@ MANY = 15
 """Oysters by which it is told whether they are: fewer do not show it."""
 LIKELY = 0.2
 """Their least score."""
+SAME = 0.4
+"""Intersection over union, at least, of the oysters of a closer look and of the glance: where they are true it was 0.57
+to 0.90, and 0.14 where silt came out as oysters."""
 
 
 class Look(NamedTuple):
@@ -48,3 +51,9 @@ def shows_small_oysters(logits: Floats) -> bool:
     areas = found.areas[found.scores >= 0.5]
     unit = max(oyster.shape) / SIDE
     return len(areas) >= MANY and float(np.median(np.sqrt(areas))) < SMALL * unit
+
+
+def shows_the_same(closer: Floats, glance: Floats) -> bool:
+    """Whether a closer look shows the oysters of the glance. Logits (K, H, W)."""
+    one, other = closer[0] > 0, glance[0] > 0
+    return bool(np.count_nonzero(one & other) >= SAME * np.count_nonzero(one | other))

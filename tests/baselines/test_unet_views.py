@@ -56,6 +56,17 @@ def test_a_picture_of_small_oysters_is_looked_at_enlarged(radius, views, zoom, s
     assert ((look.logits[0] > 0) == (grey > 0)).mean() > 0.95, "laid over the picture as it is"
 
 
+def test_a_closer_look_that_shows_other_oysters_is_not_believed():
+    class Silted(Seeing):
+        def forward(self, pixels):
+            return super().forward(pixels) + (10.0 if max(pixels.shape[2:]) == 640 else 0.0)
+
+    grey, network = reef(8, 40), Silted()
+    look = UNetModel(network, 1.0, 1, torch.device("cpu"), side=320, views=2).look(np.stack([grey] * 3, axis=-1))
+    assert (look.zoom, network.shown) == (1.0, [320, 640, 448])
+    assert ((look.logits[0] > 0) == (grey > 0)).mean() > 0.95
+
+
 def test_finer_things_are_told_apart_in_what_was_enlarged():
     division = Division(smooth=1.0, area=12.0, rise=0.08, sure=0.3)
     assert division.closer(2.0) == Division(smooth=0.5, area=3.0, rise=0.08, sure=0.3)
