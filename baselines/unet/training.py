@@ -47,7 +47,7 @@ def pretrained_settings(encoder: str) -> UNetSettings:
     """Of a network on a pretrained encoder: larger crops of larger pictures, smaller steps."""
     return UNetSettings(
         network=UNetworkSettings(groups=8, side=480, encoder=encoder, states=True, centres=True),
-        augmentation=Augmentation(crop=320, zoom=(0.6, 1.7), gain=0.35, blur=0.35, blur_px=2.5, veil=0.35),
+        augmentation=Augmentation(crop=320, zoom=(0.4, 1.7), gain=0.35, blur=0.35, blur_px=2.5, veil=0.35),
         fit=FitSettings(steps=1200, learning_rate=1e-3),
     )
 
