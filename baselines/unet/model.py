@@ -60,7 +60,7 @@ class UNetModel(MaskModel):
 
     @staticmethod
     def _mean(seen: list[Floats]) -> Floats:
-        return np.mean(seen, axis=0, dtype=np.float32)
+        return np.asarray(np.mean(seen, axis=0), np.float32)
 
     def _seen(self, pixels: NDArray[np.uint8], view: View) -> Floats:
         """(K, H, W) logits of one view, laid over the picture as it is."""
