@@ -7,13 +7,13 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import cast
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import find_objects
 from torch.utils.data import Dataset
 
 from oysterbench.annotations import LabelledImage, LabelledSet
@@ -128,20 +128,11 @@ def depths(instances: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """(H, W) distance of each pixel of instances (H, W) from the border of its own, in 255ths of `FLAT` of the greatest
     there; by the hills of this touching oysters are told apart, whatever their size."""
     found = np.zeros(instances.shape, dtype=np.uint8)
-    if not instances.any():
-        return found
-    numbers, dense = np.unique(instances, return_inverse=True)
-    numbered = dense.reshape(instances.shape) + (0 if numbers[0] == 0 else 1)
-    rows, columns = np.nonzero(numbered)
-    labels = numbered[rows, columns]
-    order = np.argsort(labels, kind="stable")
-    bounds = np.searchsorted(labels[order], np.arange(1, labels.max() + 2))
-    for number, (begin, end) in enumerate(pairwise(bounds), start=1):
-        own = order[begin:end]
-        top, left = rows[own].min(), columns[own].min()
-        box = (slice(top, rows[own].max() + 1), slice(left, columns[own].max() + 1))
+    for number, box in enumerate(find_objects(instances.astype(np.int32)), start=1):
+        if box is None:
+            continue
         # The frame of zeros: an oyster that the image cuts off has its border there, too.
-        mask = np.pad((numbered[box] == number).astype(np.uint8), 1)
+        mask = np.pad((instances[box] == number).astype(np.uint8), 1)
         depth = cv2.distanceTransform(mask, cv2.DIST_L2, 3)[1:-1, 1:-1]
         share = np.minimum(depth / (FLAT * depth.max()), 1.0)
         found[box] = np.maximum(found[box], np.round(255 * share).astype(np.uint8))

@@ -75,9 +75,9 @@ def countable(
     sizes = np.bincount(instances.ravel())
     bad = sizes < LEAST_PIXELS
     if visibility is not None:
-        seen = np.zeros(len(sizes))
-        np.maximum.at(seen, instances.ravel(), np.nan_to_num(visibility.ravel(), nan=0.0))
-        bad |= seen < LEAST_VISIBILITY
+        hidden = np.ones(len(sizes), dtype=bool)
+        hidden[instances[visibility >= LEAST_VISIBILITY]] = False
+        bad |= hidden
     bad[0] = False
     ignore = bad[instances] & (classes == OYSTER)
     return np.where(ignore, 0, instances).astype(np.uint16), ignore
