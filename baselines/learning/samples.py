@@ -69,7 +69,9 @@ def make_sample(image: LabelledImage, scale: float, side: int = 0) -> Sample:
     truth = np.stack([image.oysters * np.uint8(255), depths(instances), *states(instances, image.living)], axis=-1)
     known = shrink(np.where(image.ignore, 0, 255).astype(np.uint8), scale)
     mean, contrast = statistics(pixels)
-    dense = np.unique(np.append(instances.ravel(), 0), return_inverse=True)[1][:-1].reshape(instances.shape)
+    present = np.bincount(instances.ravel()) > 0
+    present[0] = True
+    dense = (np.cumsum(present) - 1)[instances]
     height, width = known.shape
     nearest = cv2.resize(dense.astype(np.uint16), (width, height), interpolation=cv2.INTER_NEAREST)
     numbers = np.asarray(nearest, np.uint16)
@@ -142,9 +144,9 @@ def depths(instances: NDArray[np.uint16]) -> NDArray[np.uint8]:
 def states(instances: NDArray[np.uint16], living: Mapping[int, bool]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """(H, W) each, 255 where an oyster of instances (H, W) is alive, and where one is of which that is known."""
     live, told = np.zeros((2, int(instances.max(initial=0)) + 1), dtype=np.uint8)
-    for number, alive in living.items():
-        if 0 < number < len(told):
-            told[number], live[number] = 255, 255 * alive
+    numbers, alive = np.fromiter(living, np.int64, len(living)), np.fromiter(living.values(), bool, len(living))
+    there = (numbers > 0) & (numbers < len(told))
+    told[numbers[there]], live[numbers[there]] = 255, 255 * alive[there]
     return live[instances], told[instances]
 
 
