@@ -187,10 +187,6 @@ def _render_instead(
         )
     if split.hidden:
         raise HubError(f"{name}: {NO_HUB}, and a hidden split cannot be rendered without its salt; {NAME_ONE}")
-    if topics:
-        raise HubError(
-            f"{name}: {NO_HUB}, and --topics needs one; {NAME_ONE}; or `oysterbench render {name}` makes all topics"
-        )
     known = [sequence.name for sequence in split.sequence]
     names = choose_names(known, patterns, f"{split.name} {split.version}", f"oysterbench splits {name}")
     if dry_run:
@@ -199,7 +195,9 @@ def _render_instead(
     message(f"{NO_HUB}: {split.name} {split.version} is rendered instead, which gives the same bytes")
     group = context.find_root().command
     assert isinstance(group, click.Group)
-    context.invoke(group.commands["render"], split_name=name, names=tuple(names), out=out, as_json=as_json)
+    context.invoke(
+        group.commands["render"], split_name=name, names=tuple(names), topics=topics, out=out, as_json=as_json
+    )
 
 
 @click.command(short_help="Check local data against its manifest.")

@@ -24,6 +24,7 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 @click.command(short_help="Render a split into sequence files.")
 @click.argument("split_name", metavar="SPLIT")
 @click.option("--sequence", "names", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
+@click.option("--topics", multiple=True, metavar="GLOB", help="Only these topics, in smaller files; repeatable.")
 @click.option(
     "--workers",
     type=click.IntRange(min=1),
@@ -38,6 +39,7 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 def render(
     split_name: str,
     names: tuple[str, ...],
+    topics: tuple[str, ...],
     workers: int | None,
     scheduler: str | None,
     device: str,
@@ -52,19 +54,23 @@ def render(
     Examples:
       oysterbench render slam-mini
       oysterbench render slam-train --sequence train-03 --sequence train-07
+      oysterbench render slam-val --topics '/cam_left/*' --topics /imu --topics '/truth/*'
       oysterbench render my-reef.toml --workers 4 --out data
       oysterbench render my-reef.toml --preview
       oysterbench render slam-val --scheduler tcp://10.0.0.1:8786
       oysterbench render slam-test --salt-file secret/slam-test.salt --out secret/slam-test
 
     May be interrupted at any time, even killed; the same command resumes at the same frame. Any number of workers, here
-    or on a cluster, gives the same bytes. A hidden split needs its salt, read from a file or from OYSTERBENCH_SALT
-    because others can see the command line; its preview shows the split without the salt.
+    or on a cluster, gives the same bytes. With --topics, cameras and sonars that make none of them are not rendered,
+    and the smaller files go to a folder of their own. A hidden split needs its salt, read from a file or from
+    OYSTERBENCH_SALT because others can see the command line; its preview shows the split without the salt.
     """
     from oysterbench.recipe import load_split, split_names
 
     if workers is not None and scheduler is not None:
         raise click.UsageError("--workers and --scheduler cannot be combined: a cluster has its own workers")
+    if as_preview and topics:
+        raise click.UsageError("--preview shows pictures of each camera: it takes no --topics")
     split = load_split(split_name)
     from oysterbench.simulation.generate import digest  # once the split is known: a wrong name is told at once
     from oysterbench.simulation.salt import salt_for
@@ -73,7 +79,7 @@ def render(
         files = _preview(split, names, out or Path("."))
     else:
         salt = salt_for(split.name, split.hidden, salt_file)
-        files = render_files(split, out, workers, names, salt, device, scheduler)
+        files = render_files(split, out, workers, names, salt, device, scheduler, topics=topics)
     if as_json:
         echo(json.dumps({"split": split.name, "files": {k: str(v) for k, v in files.items()}}, indent=2))
     else:
@@ -87,7 +93,7 @@ def _compare(split: SplitRecipe, files: dict[str, Path], made_by: str) -> None:
     """Say whether the files are those that were released."""
     from oysterbench.cli.progress import bytes_bar
     from oysterbench.hub.manifest import released_manifest
-    from oysterbench.hub.verify import RIGHT, check_released
+    from oysterbench.hub.verify import RIGHT, SMALLER, check_released
 
     name = f"{split.name} {split.version}"
     manifest = released_manifest(split.name, split.version)
@@ -102,17 +108,19 @@ def _compare(split: SplitRecipe, files: dict[str, Path], made_by: str) -> None:
         for path in files.values():
             check = check_released(path, manifest)
             checks.append(check)
-            if check.state != RIGHT:
+            if check.state not in (RIGHT, SMALLER):
                 message(f"{path}: {check.state} ({check.detail})")
             done += path.stat().st_size
             progress(done, total)
-    other, wrong = sum(check.state != RIGHT for check in checks), sum(not check.good for check in checks)
+    other = sum(check.state not in (RIGHT, SMALLER) for check in checks)
+    wrong = sum(not check.good for check in checks)
+    some = {f" ({check.detail})" for check in checks if check.state == SMALLER}
     if wrong:
         message(f"{name}: {wrong} of {len(files)} files differ from the release: results from them cannot be compared")
     elif other:
         message(f"{name}: {other} of {len(files)} files can be used, though they differ from the release as said above")
     else:
-        message(f"{name}: as released, {len(files)} of {len(manifest.files)} files")
+        message(f"{name}: as released, {len(files)} of {len(manifest.files)} files{' '.join(some)}")
 
 
 def _preview(split: SplitRecipe, names: tuple[str, ...], folder: Path) -> dict[str, Path]:

@@ -44,7 +44,14 @@ def track_options() -> dict[str, Option]:
     "--ablate", multiple=True, metavar="KEY=VALUE", help="Run each METHOD once more, with this option; repeatable."
 )
 @click.option("--split", "split_name", help="A split's name or the path of a .toml recipe.")
-@click.option("--on", "places", multiple=True, type=click.Path(path_type=Path), help="Your own data instead.")
+@click.option(
+    "--on",
+    "places",
+    multiple=True,
+    metavar="PATH",
+    type=click.Path(path_type=Path),
+    help="Sequence, or folder of some.",
+)
 @click.option("--sequence", "sequences", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
 @click.option("--runs", type=click.IntRange(min=1), default=1, show_default=True, help="Runs on each sequence.")
 @click.option("--jobs", type=click.IntRange(min=1), help="Maximum runs at a time.  [default: one per core]")

@@ -13,15 +13,13 @@ from pathlib import Path
 from mcap.summary import Summary
 
 from oysterbench.core.errors import HubError
-from oysterbench.core.files import appearing
 from oysterbench.core.mcap import FOOTER, MAGIC
-from oysterbench.hub.canonical import sha256
 from oysterbench.hub.download import Hub, Progress, check_space, part_path
 from oysterbench.hub.draft import remove_drafts
 from oysterbench.hub.manifest import FileEntry
 from oysterbench.hub.part import Part
 from oysterbench.hub.transfer import Transfer
-from oysterbench.sequence.cut import chunks_with, cut, match_topics
+from oysterbench.sequence.cut import chunks_with, cut_to, match_topics, topics_folder
 from oysterbench.sequence.file import Reading, damaged
 
 Count = Callable[[int], None]
@@ -44,7 +42,7 @@ def fetch_topics(
     They go to `out`, by default to a folder of their own within the split's. A file that is here whole is not fetched.
     Raises SequenceError where a pattern fits no topic, and HubError where a file is in the way.
     """
-    out = out or folder / f"topics-{sha256(' '.join(sorted(wanted)).encode())[:8]}"
+    out = out or topics_folder(folder, wanted)
     total = sum(entry.size for entry in entries)
     files, done = {}, 0
     for entry in entries:
@@ -56,7 +54,7 @@ def fetch_topics(
             )
         source = folder / entry.name
         if _is_here(source, entry):
-            _cut_into(target, source, names)
+            cut_to(target, source, names)
         else:
             _fetch_and_cut(hub, entry, folder, target, names, lambda n, done=done: progress(done + n, total))  # type: ignore[misc]
         done += entry.size
@@ -90,7 +88,7 @@ def _fetch_and_cut(hub: Hub, entry: FileEntry, folder: Path, target: Path, names
     with _part_of(hub, entry, folder, tell) as (path, fetch):
         summary, _ = _index(path, entry, fetch)
         fetch(_spans(summary, names))
-        _cut_into(target, path, names)
+        cut_to(target, path, names)
 
 
 @contextmanager
@@ -151,9 +149,3 @@ def _spans(summary: Summary, names: Sequence[str]) -> list[Span]:
     found += [(index.offset, index.length) for index in summary.metadata_indexes]
     found += [(chunk.chunk_start_offset, chunk.chunk_length) for chunk in chunks_with(summary, names)]
     return [(start, start + length) for start, length in found]
-
-
-def _cut_into(target: Path, source: Path, names: Sequence[str]) -> None:
-    """Write the smaller file; it appears whole or not at all."""
-    with appearing(target) as file:
-        cut(source, file, set(names).__contains__)

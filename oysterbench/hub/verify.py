@@ -26,7 +26,8 @@ MANIFEST = "manifest.json"
 FOLDERS = ("blobs", "cards", "croissant", "manifests", "models", "pictures")
 """Of a tree, whose files are named by their hash."""
 
-RIGHT, REPACKED, ALIKE, OTHER = "right", "same content, other bytes", "alike", "other content"
+RIGHT, REPACKED, SMALLER = "right", "same content, other bytes", "right, with some of the topics"
+ALIKE, OTHER = "alike", "other content"
 DAMAGED, ABSENT, UNKNOWN = "damaged", "absent", "no manifest"
 
 
@@ -41,7 +42,7 @@ class Check:
     @property
     def good(self) -> bool:
         """Whether the data can be used."""
-        return self.state in (RIGHT, REPACKED, ALIKE, UNKNOWN)
+        return self.state in (RIGHT, REPACKED, SMALLER, ALIKE, UNKNOWN)
 
 
 def check_file(path: Path, entry: FileEntry) -> Check:
@@ -49,6 +50,7 @@ def check_file(path: Path, entry: FileEntry) -> Check:
     too, some of the pixels.
 
     A file is alike whose pictures are within one grey level on 99.9 % of these pixels, and that is the same otherwise.
+    One that has been made with fewer topics is held against those that it has.
     """
     if not path.is_file():
         return Check(path, ABSENT)
@@ -82,10 +84,10 @@ def _check_content(path: Path, content: Content, entry: FileEntry) -> Check:
     """Compare what a whole file says with its entry."""
     wrong: list[str] = []
     alike: list[str] = []
-    for topic in sorted({*content.topics, *entry.content}):
-        here, there = content.topics.get(topic), entry.content.get(topic)
-        if here is None or there is None:
-            wrong.append(f"{topic} is {'absent' if here is None else 'not expected'}")
+    for topic, here in sorted(content.topics.items()):
+        there = entry.content.get(topic)
+        if there is None:
+            wrong.append(f"{topic} is not expected")
         elif (here["type"], here["messages"]) != (there["type"], there["messages"]):
             wrong.append(f"{topic} has {here['messages']} messages, expected {there['messages']}")
         elif here["sha256"] != there["sha256"] and not ("pixels" in here and "pixels" in there):
@@ -99,10 +101,14 @@ def _check_content(path: Path, content: Content, entry: FileEntry) -> Check:
     for name in sorted({*content.attachments, *entry.attachments}):
         if content.attachments.get(name) != entry.attachments.get(name):
             wrong.append(f"{name} differs")
-    if wrong:
-        return Check(path, OTHER, ", ".join([*wrong, *alike]))
+    missing = len(entry.content) - len(content.topics)
+    some = [f"{len(content.topics)} of {len(entry.content)} topics"] if missing > 0 else []
+    if wrong or not content.topics:
+        return Check(path, OTHER, ", ".join([*wrong, *alike, *some]))
     if alike:
-        return Check(path, ALIKE, ", ".join(alike))
+        return Check(path, ALIKE, ", ".join([*alike, *some]))
+    if some:
+        return Check(path, SMALLER, *some)
     return Check(path, REPACKED, "all messages and attachments are right, but packed differently")
 
 

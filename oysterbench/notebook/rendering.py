@@ -27,27 +27,33 @@ def render_files(
     device: str = "cpu",
     scheduler: str | None = None,
     quiet: bool = False,
+    topics: tuple[str, ...] = (),
 ) -> dict[str, Path]:
     """The sequence files of a split, rendered with a progress bar where they are not there yet.
 
-    quiet: show nothing. Raises MachineError, with what to type, where what renders is not installed.
+    quiet: show nothing. topics: patterns; then smaller files with no other topics, in a folder of their own, cut from
+    the complete ones where these are there. Raises MachineError, with what to type, where what renders is not
+    installed.
     """
+    from oysterbench.sequence.cut import topics_folder
     from oysterbench.simulation import cost
     from oysterbench.simulation.generate import check_workers, default_workers, generate_split, split_folder
 
-    folder = folder or split_folder(split, salt)
+    whole = split_folder(split, salt)
+    folder = folder or (topics_folder(whole, topics) if topics else whole)
+    if topics:
+        _cut_from(whole, split, folder, names, topics)
     missing = _missing(split, folder, names)
     if missing and scheduler is None:
         check_renderer(f"{split.name}: {missing[0].name} is not here, and")
     if workers is None:
-        workers = default_workers(sum(cost.estimated(split, sequence) for sequence in missing))
+        workers = default_workers(sum(cost.estimated(split, sequence, 1, topics) for sequence in missing))
     workers = check_workers(workers)
     if scheduler is None and device == "cpu" and not quiet:
-        _announce(split, missing, workers)
+        _announce(split, missing, workers, topics)
     with nullcontext() if quiet else frames_bar(f"rendering {split.name}") as progress:
-        return generate_split(
-            split, folder, workers, progress, salt, device, scheduler, names, None if quiet else partial(_wait, folder)
-        )
+        waiting = None if quiet else partial(_wait, folder)
+        return generate_split(split, folder, workers, progress, salt, device, scheduler, names, waiting, topics)
 
 
 def _wait(folder: Path) -> None:
@@ -73,11 +79,25 @@ def _missing(split: SplitRecipe, folder: Path, names: tuple[str, ...]) -> list[S
     return [sequence for sequence in wanted if not files[sequence.name].exists()]
 
 
-def _announce(split: SplitRecipe, missing: list[SequenceRecipe], workers: int) -> None:
+def _cut_from(whole: Path, split: SplitRecipe, folder: Path, names: tuple[str, ...], topics: tuple[str, ...]) -> None:
+    """Make the smaller files of sequences that are there complete: rendering them again would take much longer."""
+    from oysterbench.sequence.cut import cut_to
+    from oysterbench.simulation.generate import sequence_files
+    from oysterbench.simulation.jobs import wanted_topics
+
+    complete = sequence_files(split, whole)
+    for sequence in _missing(split, folder, names):
+        if complete[sequence.name].is_file():
+            cut_to(
+                folder / complete[sequence.name].name, complete[sequence.name], wanted_topics(split, sequence, topics)
+            )
+
+
+def _announce(split: SplitRecipe, missing: list[SequenceRecipe], workers: int, topics: tuple[str, ...]) -> None:
     """Say what rendering will take, where it is minutes."""
     from oysterbench.simulation import cost
 
-    seconds = sum(cost.estimated(split, sequence, workers) for sequence in missing) / workers
+    seconds = sum(cost.estimated(split, sequence, workers, topics) for sequence in missing) / workers
     if seconds > TOLD_FROM_S:
         what = missing[0].name if len(missing) == 1 else f"{len(missing)} sequences"
         on = f"{workers} worker{'s' if workers > 1 else ''}"

@@ -10,7 +10,16 @@ from oysterbench.core.errors import SequenceError
 from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
-__all__ = ["CameraCalibration", "Image", "ImuCalibration", "ImuMeasurement", "Sequence", "describe", "open_sequence"]
+__all__ = [
+    "CameraCalibration",
+    "Image",
+    "ImuCalibration",
+    "ImuMeasurement",
+    "Sequence",
+    "describe",
+    "open_sequence",
+    "sequences_in",
+]
 
 
 def open_sequence(path: str | os.PathLike[str]) -> Sequence:
@@ -22,6 +31,12 @@ def open_sequence(path: str | os.PathLike[str]) -> Sequence:
     from oysterbench.sequence.read import McapSequence
 
     return McapSequence(path)
+
+
+def sequences_in(path: str | os.PathLike[str]) -> list[Path]:
+    """The sequence files of a folder; the path itself where it has none, as one in EuRoC layout."""
+    place = Path(path)
+    return sorted(place.glob("*.mcap")) or [place]
 
 
 def describe(path: str | os.PathLike[str]) -> dict[str, Any]:

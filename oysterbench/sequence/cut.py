@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import IO
@@ -10,6 +11,7 @@ from mcap.records import Channel, ChunkIndex
 from mcap.summary import Summary
 
 from oysterbench.core.errors import SequenceError
+from oysterbench.core.files import appearing
 from oysterbench.core.mcap import read_chunk as records_of
 from oysterbench.core.ros import TF_STATIC, Message
 from oysterbench.sensors.registry import sensor_kinds
@@ -68,6 +70,12 @@ def cut(
     writer.finish()
 
 
+def cut_to(target: Path, source: Path, topics: Collection[str]) -> None:
+    """Write the smaller file with these topics of `source`; it appears complete or not at all."""
+    with appearing(target) as file:
+        cut(source, file, set(topics).__contains__)
+
+
 def cut_public(source: Path, output: IO[bytes]) -> None:
     """What a hidden split shows of a sequence: measurements and calibration; no recipe, truth or digest."""
     cut(source, output, is_public, PUBLIC_ATTACHMENTS.__contains__, PUBLIC_METADATA.__contains__)
@@ -94,6 +102,11 @@ def read_chunk(path: Path, index: ChunkIndex, channels: Mapping[int, Channel]) -
                 yield Message(channels[record.channel_id].topic, record.log_time, record.data)
     except DAMAGE as error:
         raise SequenceError(damaged(path, str(error))) from None
+
+
+def topics_folder(folder: Path, wanted: Collection[str]) -> Path:
+    """Where smaller files of a split's folder are kept: those of each choice of topics apart."""
+    return folder / f"topics-{hashlib.sha256(' '.join(sorted(wanted)).encode()).hexdigest()[:8]}"
 
 
 def match_topics(known: Collection[str], wanted: Collection[str], what: str) -> list[str]:

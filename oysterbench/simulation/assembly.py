@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,14 @@ import numpy as np
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.core.files import naming
 from oysterbench.core.geometry import Array
-from oysterbench.core.ros import EPOCH_NS, Message
+from oysterbench.core.ros import EPOCH_NS, TF_STATIC, Message
 from oysterbench.recipe import CLASSES, REEF_CLASSES, RigRecipe, SequenceRecipe, SplitRecipe
 from oysterbench.sensors.registry import calibrate_rig, kind_of, rig_frames
 from oysterbench.sequence.file import read_attachments, read_messages
 from oysterbench.sequence.read import CALIBRATION, METADATA, TRUE_CALIBRATION
-from oysterbench.sequence.truth import rig_topics, static_transforms
+from oysterbench.sequence.truth import static_transforms
 from oysterbench.sequence.write import SequenceWriter
-from oysterbench.simulation.jobs import Job, bulky_sensors, plan, sources
+from oysterbench.simulation.jobs import Job, bulky_sensors, plan, sources, wanted_topics
 from oysterbench.version import GENERATION
 
 
@@ -32,16 +32,18 @@ def assemble(
     path: Path,
     made_by: str,
     salt: bytes = b"",
+    topics: Collection[str] = (),
     stop: threading.Event | None = None,
 ) -> None:
     """Put the parts of a sequence together, in time order; the file appears in one step, or not at all where another
-    thread sets `stop`."""
+    thread sets `stop`. Of some topics, by their patterns, comes the file that `sequence.cut` makes of the whole one."""
     rig = split.rig_of(recipe)
     calibration = calibrate_rig(rig, recipe.site, recipe.calibration, split.streams_of(recipe, salt))
-    jobs = plan(split, recipe)
+    jobs = plan(split, recipe, topics)
+    wanted = wanted_topics(split, recipe, topics)
     temporary = parts / "whole.mcap"  # beside the parts, so that what a kill leaves goes with them
     with naming(path, parts), open(temporary, "wb") as file:
-        writer = SequenceWriter(file, rig_topics(rig))
+        writer = SequenceWriter(file, wanted)
         writer.metadata(
             METADATA,
             {
@@ -64,10 +66,13 @@ def assemble(
         if calibration.true != calibration.given:
             truth = {**calibration.true, "errors": calibration.errors}
             writer.attachment(TRUE_CALIBRATION, "application/json", json.dumps(truth, indent=1).encode())
-        writer.write(static_transforms(EPOCH_NS, _frames(rig, calibration.given)))
-        writer.section()
+        if TF_STATIC in wanted:
+            writer.write(static_transforms(EPOCH_NS, _frames(rig, calibration.given)))
+            writer.section()
         bulky = bulky_sensors(rig)
         for topic, source in sources(rig).items():  # a section each, so that reading one touches no other
+            if topic not in wanted:
+                continue
             files = [parts / job.part for job in jobs if job.source == source]
             messages = _read_parts(files, topic)
             if source:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from oysterbench.core.files import write_atomically
 from oysterbench.recipe import CameraRecipe, SequenceRecipe, SplitRecipe, count
-from oysterbench.sensors.registry import rig_sensors
+from oysterbench.simulation.jobs import wanted_sensors
 
 COSTS = "costs.json"
 """Beside the files of a split: sequence -> the processor time that it took here, s."""
@@ -35,8 +35,9 @@ ASSEMBLED = 2
 """Sequences whose parts are there at a time: one is put together while the next is rendered."""
 
 
-def estimated(split: SplitRecipe, sequence: SequenceRecipe, workers: int = 1) -> float:
-    """Processor time, s, to render a sequence with so many workers, each of which builds its reef."""
+def estimated(split: SplitRecipe, sequence: SequenceRecipe, workers: int = 1, topics: Collection[str] = ()) -> float:
+    """Processor time, s, to render a sequence, or some topics of it, with so many workers, each of which builds its
+    reef."""
     rig = split.rig_of(sequence)
     reef = sequence.reef
     shaded = FRAME_S + OYSTERS_S * reef.oyster_count / reef.size_m**2 / 100.0 + PLANTS_S * reef.plant_cover
@@ -45,21 +46,22 @@ def estimated(split: SplitRecipe, sequence: SequenceRecipe, workers: int = 1) ->
     shaded += SNOW_S * (sequence.water.snow_per_m3 > 0)
     shaded += SILT_S * (sequence.water.plumes.attenuation > 0) + LIFE_S * sequence.life.moves
     total = workers * BUILDING_S * reef.oyster_count
-    for kind, recipe in rig_sensors(rig):
-        if kind.bulky:
-            pictures = count(sequence.duration_s, recipe.rate_hz)
-            camera = isinstance(recipe, CameraRecipe)
-            total += pictures * (shaded * recipe.width * recipe.height / PICTURE_PX if camera else PING_S)
+    for recipe in wanted_sensors(split, sequence, topics).values():
+        pictures = count(sequence.duration_s, recipe.rate_hz)
+        if isinstance(recipe, CameraRecipe):
+            total += pictures * shaded * recipe.width * recipe.height / PICTURE_PX
+        else:
+            total += pictures * PING_S
     return total
 
 
-def space(split: SplitRecipe, sequences: Iterable[SequenceRecipe]) -> int:
-    """Bytes, about, that rendering these sequences needs on the disk at most."""
+def space(split: SplitRecipe, sequences: Iterable[SequenceRecipe], topics: Collection[str] = ()) -> int:
+    """Bytes, about, that rendering these sequences, or some topics of them, needs on the disk at most."""
     files, parts = 0.0, []
     for sequence in sequences:
         part = 0.0
-        for kind, recipe in rig_sensors(split.rig_of(sequence)):
-            if kind.bulky and isinstance(recipe, CameraRecipe):
+        for recipe in wanted_sensors(split, sequence, topics).values():
+            if isinstance(recipe, CameraRecipe):
                 pixels = count(sequence.duration_s, recipe.rate_hz) * recipe.width * recipe.height
                 files += FILE_BYTES * pixels
                 part += (LINK_PART_BYTES if recipe.video_mbit_s else PART_BYTES) * pixels

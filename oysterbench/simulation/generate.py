@@ -36,7 +36,7 @@ from oysterbench.sequence.truth import rig_topics
 from oysterbench.sequence.write import pack
 from oysterbench.simulation import cost
 from oysterbench.simulation.assembly import assemble
-from oysterbench.simulation.jobs import Job, bulky_sensors, plan, sources
+from oysterbench.simulation.jobs import Job, bulky_sensors, plan, sources, wanted_topics
 from oysterbench.simulation.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, is_strong
 from oysterbench.simulation.scheduling import run_alone, run_here, run_in_processes
 from oysterbench.version import GENERATION, VERSION
@@ -85,11 +85,14 @@ def generate_split(
     scheduler: str | None = None,
     names: Collection[str] = (),
     before_waiting: Callable[[], None] | None = None,
+    topics: Collection[str] = (),
 ) -> dict[str, Path]:
     """Make the sequence files of a split (or those of these names) that are not there yet, and return all of them.
 
-    workers: processes of this machine, unless the address of a Dask `scheduler` is given. device: of Warp, on the
-    machines that render. before_waiting: called where another process renders into the folder and is waited for.
+    topics: patterns such as `/imu` or `/cam_front/*`: then the files have no other topics, and only the sensors that
+    make these are rendered; a folder holds files of the same topics. workers: processes of this machine, unless the
+    address of a Dask `scheduler` is given. device: of Warp, on the machines that render. before_waiting: called where
+    another process renders into the folder and is waited for.
 
     Raises RecipeError where the recipe cannot be built or a hidden split is given no salt that keeps it hidden, and
     SequenceError where the folder holds a damaged file or one of another recipe; nothing that is there is overwritten.
@@ -105,16 +108,16 @@ def generate_split(
     # A file appears when it is whole: who asks for no other need not wait for those that are being rendered.
     if all(path.exists() and not _parts(folder, name, made_by).exists() for name, path in files.items()):
         for path in files.values():
-            _check_made_by(path, split, made_by)
+            _check_made_by(path, split, made_by, topics)
         return files
     with locked(folder / ".lock", before_waiting=before_waiting):
         for name, path in files.items():
             if path.exists():
-                _check_made_by(path, split, made_by)
+                _check_made_by(path, split, made_by, topics)
                 shutil.rmtree(_parts(folder, name, made_by), ignore_errors=True)
         missing = [sequence for sequence in wanted if not files[sequence.name].exists()]
         if missing:
-            _check_space(split, missing, folder, made_by)
+            _check_space(split, missing, folder, made_by, topics)
             task = partial(make_timed_part, split, salt=Salt(salt), device=device, program=PROGRAM)
 
             elsewhere = scheduler is not None or workers > 1
@@ -127,15 +130,18 @@ def generate_split(
                 return run_here(task, jobs)
 
             with naming(folder, folder / PARTS):
-                _render(split, missing, folder, made_by, salt, run, elsewhere, progress or (lambda done, total: None))
+                tell = progress or (lambda done, total: None)
+                _render(split, missing, folder, made_by, salt, run, elsewhere, tell, topics)
         with contextlib.suppress(OSError):  # absent, or with parts of other recipes in it
             (folder / PARTS).rmdir()
     return files
 
 
-def _check_space(split: SplitRecipe, sequences: list[SequenceRecipe], folder: Path, made_by: str) -> None:
+def _check_space(
+    split: SplitRecipe, sequences: list[SequenceRecipe], folder: Path, made_by: str, topics: Collection[str]
+) -> None:
     kept = sum(part.stat().st_size for one in sequences for part in _parts(folder, one.name, made_by).glob("*"))
-    needed, free = cost.space(split, sequences) - kept, free_bytes(folder)
+    needed, free = cost.space(split, sequences, topics) - kept, free_bytes(folder)
     if needed > free:
         raise MachineError(
             f"{folder}: not enough room: rendering needs some {needed / 1e6:.0f} MB, and {free / 1e6:.0f} MB are free; "
@@ -144,11 +150,18 @@ def _check_space(split: SplitRecipe, sequences: list[SequenceRecipe], folder: Pa
         )
 
 
-def _check_made_by(path: Path, split: SplitRecipe, made_by: str) -> None:
-    if McapSequence(path).metadata.get("digest") != made_by:
+def _check_made_by(path: Path, split: SplitRecipe, made_by: str, topics: Collection[str]) -> None:
+    found = McapSequence(path)
+    if found.metadata.get("digest") != made_by:
         raise SequenceError(
             f"{path} was made by another recipe of {split.name} (or with another salt, or by another version of "
             "oysterbench); it was left unchanged: delete it or choose another folder with --out"
+        )
+    wanted, has = set(wanted_topics(split, split.find_sequence(found.name), topics)), set(found.types)
+    if has < wanted or (topics and has != wanted):
+        raise SequenceError(
+            f"{path} has {len(has)} topics, expected {len(wanted)}: it was made with other --topics; it was "
+            "left unchanged: delete it or choose another folder with --out"
         )
 
 
@@ -165,6 +178,7 @@ def _render(
     run: Callable[[list[Job]], Results[Job, Timed]],
     elsewhere: bool,
     progress: Progress,
+    topics: Collection[str],
 ) -> None:
     """Run the jobs that have left no part yet; put each sequence together as soon as its last part is there.
 
@@ -176,19 +190,20 @@ def _render(
     done = total = 0
     for sequence in sequences:
         parts = _parts(folder, sequence.name, made_by)
-        jobs = plan(split, sequence)
+        jobs = plan(split, sequence, topics)
         missing = [job for job in jobs if not (parts / job.part).is_file()]
         waiting[sequence.name] = set(missing)
         todo += missing
         total += sum(job.frames for job in jobs)
         done += sum(job.frames for job in jobs if job not in waiting[sequence.name])
-    progress(done, total)
+    if total:  # of some topics there may be none
+        progress(done, total)
     stop = threading.Event()
     whole: list[Future[None]] = []
 
     def put_together(name: str) -> None:
         parts = _parts(folder, name, made_by)
-        assemble(split, split.find_sequence(name), parts, folder / f"{name}.mcap", made_by, salt, stop)
+        assemble(split, split.find_sequence(name), parts, folder / f"{name}.mcap", made_by, salt, topics, stop)
         cost.keep(folder, name, parts)
         shutil.rmtree(parts, ignore_errors=True)
 
@@ -209,7 +224,8 @@ def _render(
             write_atomically(parts / job.part, part)
             cost.add(parts, cpu_s)
             done += job.frames
-            progress(done, total)
+            if total:
+                progress(done, total)
             waiting[job.sequence].discard(job)
             put_together_if_whole(job.sequence)
         for one in whole:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from oysterbench.core.ros import TF_STATIC
 from oysterbench.recipe import RigRecipe, SequenceRecipe, SplitRecipe, count
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors.registry import kind_of, rig_sensors
+from oysterbench.sequence.cut import match_topics
 from oysterbench.sequence.truth import rig_topics
 
 
@@ -30,10 +32,10 @@ class Job:
         return 1 if self.source else 0
 
 
-def plan(split: SplitRecipe, sequence: SequenceRecipe) -> list[Job]:
-    """All jobs of a sequence."""
+def plan(split: SplitRecipe, sequence: SequenceRecipe, topics: Collection[str] = ()) -> list[Job]:
+    """All jobs of a sequence, or those that some topics need, by patterns such as `/imu` or `/cam_front/*`."""
     jobs = [Job(sequence.name)]
-    for source, recipe in bulky_sensors(split.rig_of(sequence)).items():
+    for source, recipe in wanted_sensors(split, sequence, topics).items():
         jobs += [Job(sequence.name, source, frame) for frame in range(count(sequence.duration_s, recipe.rate_hz))]
     return jobs
 
@@ -41,6 +43,25 @@ def plan(split: SplitRecipe, sequence: SequenceRecipe) -> list[Job]:
 def bulky_sensors(rig: RigRecipe) -> dict[str, SensorRecipe]:
     """Name -> recipe of the sensors of which each measurement is a job of its own."""
     return {kind.name_of(recipe): recipe for kind, recipe in rig_sensors(rig) if kind.bulky}
+
+
+def wanted_topics(split: SplitRecipe, sequence: SequenceRecipe, topics: Collection[str] = ()) -> dict[str, str]:
+    """Topic -> type of those that fit the patterns, all where there is none, in the order of the file.
+
+    Raises SequenceError where a pattern fits no topic.
+    """
+    known = rig_topics(split.rig_of(sequence))
+    return {topic: known[topic] for topic in match_topics(known, topics, sequence.name)} if topics else known
+
+
+def wanted_sensors(
+    split: SplitRecipe, sequence: SequenceRecipe, topics: Collection[str] = ()
+) -> dict[str, SensorRecipe]:
+    """Those of `bulky_sensors` whose jobs make some of the topics that fit the patterns."""
+    rig = split.rig_of(sequence)
+    made_by = sources(rig)
+    needed = {made_by.get(topic) for topic in wanted_topics(split, sequence, topics)}
+    return {name: recipe for name, recipe in bulky_sensors(rig).items() if name in needed}
 
 
 def sources(rig: RigRecipe) -> dict[str, str]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from oysterbench.core.errors import MethodError, RecipeError
+from oysterbench.sequence import sequences_in
 
 if TYPE_CHECKING:
     from oysterbench.methods.adapters import MethodAdapter
@@ -253,7 +254,7 @@ class Track(ABC):
     def rendered(self, request: Request) -> dict[str, Path]:
         """Files by the names of their sequences; the user's own by theirs."""
         if request.split is None:
-            return {str(place): place.absolute() for place in request.places}
+            return {str(path): path.absolute() for place in request.places for path in sequences_in(place)}
         files = request.render(request.split, names=tuple(request.sequences), workers=request.workers)
         return {name: path for name, path in files.items() if not request.sequences or name in request.sequences}
 

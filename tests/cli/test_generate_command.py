@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
+import oysterbench
 from oysterbench.cli.main import main
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 
@@ -32,6 +34,24 @@ def test_one_sequence_of_two_is_rendered(recipe):
     assert sorted(path.name for path in (recipe.parent / "out").glob("*.mcap")) == ["tiny-02.mcap"]
     assert "rendering tiny: 0 of 10 frames" in result.stderr
     assert "rendering tiny: 10 of 10 frames" in result.stderr
+
+
+def test_some_topics_go_to_a_folder_of_their_own_and_are_cut_from_what_is_there(recipe, home):
+    options = ["render", str(recipe), "--sequence", "tiny-02", "--workers", "1"]
+    first = CliRunner().invoke(main, [*options, "--topics", "/imu"])
+    assert first.exit_code == 0, first.stderr
+    assert "frames" not in first.stderr, "none is needed"
+    (small,) = home.rglob("*.mcap")
+    assert Path(first.stdout.strip()) == small
+    assert small.parent.name.startswith("topics-")
+    assert CliRunner().invoke(main, options).exit_code == 0
+    images = CliRunner().invoke(main, [*options, "--topics", "/cam_front/image"])
+    assert images.exit_code == 0, images.stderr
+    assert "10 of 10" not in images.stderr, "they are cut from the complete file"
+    assert oysterbench.open(images.stdout.strip()).contents()[0][::2] == ("/cam_front/image", 10)
+    assert sorted(len(oysterbench.open(path).contents()) for path in home.rglob("*.mcap"))[:2] == [1, 1]
+    preview = CliRunner().invoke(main, [*options, "--topics", "/imu", "--preview"])
+    assert (preview.exit_code, "it takes no --topics" in preview.stderr) == (2, True)
 
 
 def test_an_unknown_sequence_is_named(recipe):

@@ -8,8 +8,9 @@ import pytest
 from oysterbench.hub.manifest import describe_file
 from oysterbench.hub.pixels import NUMBERS, share_within
 from oysterbench.hub.release import keep_read, put_together
-from oysterbench.hub.verify import ALIKE, OTHER, REPACKED, RIGHT, check_file, check_released, checks
+from oysterbench.hub.verify import ALIKE, OTHER, REPACKED, RIGHT, SMALLER, check_file, check_released, checks
 from oysterbench.sensors import camera_messages
+from oysterbench.sequence.cut import cut_to
 from tests.helpers import hand_made_dive
 from tests.helpers.trees import DIGEST, FACTS, write_sequence
 
@@ -97,6 +98,18 @@ def test_a_sequence_of_another_length_says_how_many_messages_are_missing(tmp_pat
     check = check_file(write_sequence(tmp_path / "dive-01.mcap", "dive-01", 0.5), entry)
     assert check.state == OTHER
     assert "/imu has 50 messages, expected 100" in check.detail
+
+
+def test_a_file_with_some_of_the_topics_is_held_against_those(file, entry, tmp_path, doctored):
+    some = tmp_path / "some" / "dive-01.mcap"
+    cut_to(some, file, ["/imu", "/cam_left/image"])
+    check = check_file(some, entry)
+    assert (check.state, check.detail, check.good) == (SMALLER, f"2 of {len(entry.content)} topics", True)
+    other = doctored(brighter(40))
+    cut_to(some, other, ["/imu", "/cam_left/image"])
+    assert check_file(some, entry).state == OTHER
+    cut_to(some, file, [])
+    assert check_file(some, entry).state == OTHER
 
 
 def test_a_render_that_differs_says_which_versions_do(file, tmp_path, monkeypatch):

@@ -70,7 +70,7 @@ def test_a_system_is_built_and_run_by_name(toy, dive_file, tmp_path):
     assert list(record.info["configuration_sha256"]) == ["word.txt"]
 
     others = ("--align", "posyaw", "--timeout", 60)
-    given = run("run", "toy", "--on", dive_file, "--out", tmp_path / "se3", *others)
+    given = run("run", "toy", "--on", dive_file.parent, "--out", tmp_path / "se3", *others)
     assert given.returncode == 0, given.stderr
     (record,) = read_results(tmp_path / "se3" / "results.json")
     assert record.settings["align"] == "posyaw"

@@ -13,7 +13,7 @@ from oysterbench.core.ros import EPOCH_NS
 from oysterbench.recipe import parse_split
 from oysterbench.sensors.camera_messages import LAYERS
 from oysterbench.sensors.imu import ImuRecipe
-from oysterbench.sequence import Image, ImuMeasurement
+from oysterbench.sequence import Image, ImuMeasurement, sequences_in
 from oysterbench.sequence.types import imu_arrays
 from oysterbench.simulation.generate import generate_split
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
@@ -209,3 +209,12 @@ def test_an_absent_file_and_camera_are_named(tmp_path, sequence):
         list(sequence.images("cam_down"))
     with pytest.raises(SequenceError, match="no layer 'normals'; its layers: depth, class, instance"):
         list(sequence.layer("cam_front", "normals"))
+
+
+def test_a_folder_of_sequences_is_all_of_them_and_anything_else_is_itself(tmp_path):
+    for name in ("b.mcap", "a.mcap", "notes.txt"):
+        (tmp_path / name).touch()
+    (tmp_path / "V1_01_easy" / "mav0").mkdir(parents=True)
+    assert sequences_in(tmp_path) == [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    for path in (tmp_path / "V1_01_easy", tmp_path / "b.mcap", tmp_path / "absent"):
+        assert sequences_in(path) == [path]

@@ -20,6 +20,18 @@ def test_twice_the_pictures_take_twice_the_time():
     assert cost.estimated(split, twice) - building == pytest.approx(2 * whole)
 
 
+def test_one_camera_of_two_takes_half_the_time_and_room():
+    split = load_split("slam-val")
+    one = split.sequence[0]
+    building = cost.BUILDING_S * one.reef.oyster_count
+    sonar = cost.estimated(split, one, topics=["/sonar_front/*"]) - building
+    whole = cost.estimated(split, one) - building - sonar
+    left = ("/cam_left/*", "/imu")
+    assert cost.estimated(split, one, topics=left) - building == pytest.approx(whole / 2)
+    assert cost.space(split, [one], left) == pytest.approx(cost.space(split, [one]) / 2, rel=1e-6)
+    assert cost.estimated(split, one, topics=["/imu"]) == building
+
+
 def test_a_dense_reef_takes_longer_than_a_bare_one():
     split = load_split("slam-val")
     bare, dense = split.find_sequence("val-05"), split.find_sequence("val-06")

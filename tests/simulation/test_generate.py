@@ -16,13 +16,25 @@ from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
 from oysterbench.core.errors import MachineError, OysterbenchError, SequenceError
 from oysterbench.core.files import locked, write_atomically
-from oysterbench.recipe import count
+from oysterbench.recipe import count, parse_split
+from oysterbench.sequence.cut import cut_to, match_topics
+from oysterbench.sequence.truth import rig_topics
 from oysterbench.simulation import generate, scheduling
 from oysterbench.simulation.assembly import assemble
 from oysterbench.simulation.generate import digest, generate_split, split_folder
 from oysterbench.simulation.jobs import plan
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT, make_split
 from tests.helpers.waiting import until
+
+
+@pytest.fixture(scope="module")
+def dive(tmp_path_factory):
+    """A split whose only dive has two cameras with a video link, and its file."""
+    camera = TINY_RIG[TINY_RIG.index("[[camera]]") :]
+    rig = TINY_RIG.replace("cam_front", "cam_left") + camera.replace("cam_front", "cam_right") + "[pressure]\n"
+    recipe = TINY_SPLIT.replace("duration_s = 2.5", "duration_s = 1.0\nrig = { camera = { video_mbit_s = 0.1 } }")
+    split = parse_split(recipe, "tiny.toml", rig_source=rig)
+    return split, generate_split(split, tmp_path_factory.mktemp("dive"))["tiny-01"]
 
 
 def sha256(path):
@@ -161,6 +173,22 @@ def test_another_processor_gives_the_same_bytes(tiny_file, tmp_path):
     command = [sys.executable, script, recipe, rig, out, "1"]
     subprocess.run(command, env={**os.environ, **PLAIN_PROCESSOR}, check=True)
     assert sha256(out / "tiny-01.mcap") == sha256(tiny_file)
+
+
+def test_some_topics_are_the_file_that_is_cut_from_the_complete_one(dive, tmp_path):
+    """By the camera that makes them alone; and no complete file is taken for one, nor one for a complete file."""
+    split, whole = dive
+    for wanted, jobs in ((["/cam_left/*", "/imu", "/truth/*"], 11), (["/tf_static", "/pressure"], 1)):
+        assert len(plan(split, split.sequence[0], wanted)) == jobs
+        made = generate_split(split, tmp_path / wanted[0].strip("/*"), topics=wanted)["tiny-01"]
+        cut_to(tmp_path / "cut.mcap", whole, match_topics(rig_topics(split.rig), wanted, "tiny-01"))
+        assert made.read_bytes() == (tmp_path / "cut.mcap").read_bytes()
+    with pytest.raises(SequenceError, match=r"has 2 topics, expected \d+: it was made with other --topics"):
+        generate_split(split, made.parent)
+    with pytest.raises(SequenceError, match="it was made with other --topics; it was left unchanged"):
+        generate_split(split, whole.parent, topics=["/imu"])
+    with pytest.raises(SequenceError, match="tiny-01: no topic fits '/cam_front/image'; its topics: /cam_left/"):
+        generate_split(split, tmp_path / "none", topics=["/cam_front/image"])
 
 
 def test_without_room_nothing_is_rendered(tiny_split, tmp_path, monkeypatch):
