@@ -53,6 +53,7 @@ def track_options() -> dict[str, Option]:
     help="Sequence, or folder of some.",
 )
 @click.option("--sequence", "sequences", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
+@click.option("--topics", multiple=True, metavar="GLOB", help="Render only these and the ground truth; repeatable.")
 @click.option("--runs", type=click.IntRange(min=1), default=1, show_default=True, help="Runs on each sequence.")
 @click.option("--jobs", type=click.IntRange(min=1), help="Maximum runs at a time.  [default: one per core]")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask scheduler instead.")
@@ -76,6 +77,7 @@ def run_command(
     split_name: str | None,
     places: tuple[Path, ...],
     sequences: tuple[str, ...],
+    topics: tuple[str, ...],
     runs: int,
     jobs: int | None,
     scheduler: str | None,
@@ -96,6 +98,7 @@ def run_command(
       oysterbench run gtsam_vi dead_reckoning --split slam-val
       oysterbench run my_slam:MySlam --split slam-mini --runs 5 --out results/mine
       oysterbench run openvins --split slam-val    (published: see oysterbench systems)
+      oysterbench run basalt_mono --split slam-val --topics '/cam_left/*' --topics /imu
       oysterbench run my_slam --command "./my_slam {euroc} {out}" --split slam-val
       oysterbench run orb3 --command "./orb3.sh {euroc} {out}" \\
         --split slam-val --align se3 --timeout 900
@@ -144,12 +147,15 @@ def run_command(
         raise click.UsageError("--set and --ablate are for Python methods: put a program's options into --command")
     if places and sequences:
         raise click.UsageError("--sequence chooses from a split; with --on, every named sequence is used")
+    if places and topics:
+        raise click.UsageError("--topics chooses from a split; with --on, methods are given what the sequences have")
     if places and out is None:
         raise click.UsageError("--on needs --out: its results have no default folder")
 
     from oysterbench.methods.interfaces import track_of_command
     from oysterbench.methods.systems import track_of
     from oysterbench.recipe import load_split
+    from oysterbench.sequence.cut import topics_folder
     from oysterbench.simulation.generate import split_folder
     from oysterbench.tracks import TRACKS, Request
 
@@ -163,14 +169,18 @@ def run_command(
     given = {n for n, o in track_options().items() if values.get(argument(o)) not in (None, ())}
     foreign_options(name, {n: owners[n] for n in given if name not in owners[n]})
     split = None if split_name is None else load_split(split_name)
+    if topics:
+        topics = track.with_truth(topics)
     if out is None:
         assert split is not None
-        out = split_folder(split) / track.folder("runs", options)
+        folder = split_folder(split)
+        out = (topics_folder(folder, topics) if topics else folder) / track.folder("runs", options)
     request = Request(
         out=out,
         split=split,
         places=places,
         sequences=sequences,
+        topics=topics,
         methods=methods,
         template=template,
         name=names[0] if template is not None and names else "",

@@ -14,6 +14,7 @@ import cv2
 
 from oysterbench.core.errors import MethodError, OysterbenchError, SequenceError, TrajectoryError
 from oysterbench.core.files import write_atomically
+from oysterbench.core.ros import TF_STATIC
 from oysterbench.core.trajectory import ReadOptions, Trajectory, write_tum
 from oysterbench.core.trajectory.frames import with_scale
 from oysterbench.evaluate.slam.inputs import open_pair
@@ -30,6 +31,7 @@ from oysterbench.report import SlamRun
 from oysterbench.results.records import ResultRecord
 from oysterbench.sequence import Sequence as SensorSequence
 from oysterbench.sequence import open_sequence
+from oysterbench.sequence.truth import rig_topics
 from oysterbench.simulation.generate import digest
 from oysterbench.tracks.slam_options import OPTIONS, read_options
 from oysterbench.tracks.track import (
@@ -66,10 +68,19 @@ class SlamSequence(SequencePath):
 
     @property
     def origin(self) -> str:
-        """Of a split, its recipe; else the file."""
+        """Of a split, its recipe, and the topics of a smaller file; else the file."""
         if self.split is not None:
-            return f"{self.split.name} {digest(self.split)} {self.name}"
+            return " ".join((self.split.name, digest(self.split), self.name, *self.topics))
         return super().origin
+
+    @cached_property
+    def topics(self) -> tuple[str, ...]:
+        """Of a file that has only some of those of its split; else none."""
+        if self.split is None:
+            return ()
+        every = set(rig_topics(self.split.rig_of(self.split.find_sequence(self.name))))
+        here = {topic for topic, _, _ in open_sequence(self.path).contents()}
+        return tuple(sorted(here)) if here < every else ()
 
     @cached_property
     def truth(self) -> Trajectory | None:
@@ -113,6 +124,10 @@ class SlamTrack(Track):
     def settings(self, options: Mapping[str, Any]) -> SlamSettings:
         """How estimate and truth meet."""
         return SlamSettings(**{o.key: options[o.key] for o in OPTIONS if not o.files and o.key in options})
+
+    def with_truth(self, topics: Sequence[str]) -> tuple[str, ...]:
+        """And the true poses, in the frames of the rig."""
+        return (*topics, "/truth/*", TF_STATIC)
 
     def run_sequences(
         self, split: SplitRecipe | None, files: Mapping[str, Path], options: Mapping[str, Any]
@@ -216,6 +231,8 @@ def record_outcome(
     about = about_sequence(
         "slam", sequence.split, sequence.name, truth_digest(truth), settings.as_dict(), EVALUATOR
     ) | about_run(job, outcome)
+    if sequence.topics:
+        about["info"]["topics"] = list(sequence.topics)
     prediction = outcome.prediction
     if failure is None:
         about["info"] |= paths_info(truth, prediction["scored"], alternatives, settings)

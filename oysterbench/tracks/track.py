@@ -113,7 +113,8 @@ Bar = Callable[[str, str], AbstractContextManager[Progress]]
 class Request:
     """What is to be evaluated, and how.
 
-    split: None for the user's own sequences, `places`; sequences: names of those that are taken, none for all;
+    split: None for the user's own sequences, `places`; sequences: names of those that are taken, none for all; topics:
+    of the split's files, by patterns, none for all;
     options: of the track, by key; methods: references, none for the track's own; template, name: of a program instead;
     runs: of each method on each sequence; jobs: at a time, one for each core where it is None; limit_s: of a run;
     again, retry: run what is finished, or failed, once more; workers: processes that render; scheduler: address of a
@@ -125,6 +126,7 @@ class Request:
     split: SplitRecipe | None = None
     places: Sequence[Path] = ()
     sequences: Sequence[str] = ()
+    topics: tuple[str, ...] = ()
     methods: Sequence[str] = ()
     template: str | None = None
     name: str = ""
@@ -193,6 +195,10 @@ class Track(ABC):
         """Score a file, or a folder of them, against another."""
         raise MethodError(f"the track {self.name} scores no files")
 
+    def with_truth(self, topics: Sequence[str]) -> tuple[str, ...]:
+        """Patterns of topics, and of those that runs on them are scored by. Raises MethodError where all are needed."""
+        raise MethodError(f"--topics is for methods of the track slam: {self.name} needs complete sequences")
+
     def check(self, request: Request) -> None:
         """Refuse what cannot be evaluated, before anything is rendered. Raises OysterbenchError."""
         split = request.split
@@ -255,7 +261,9 @@ class Track(ABC):
         """Files by the names of their sequences; the user's own by theirs."""
         if request.split is None:
             return {str(path): path.absolute() for place in request.places for path in sequences_in(place)}
-        files = request.render(request.split, names=tuple(request.sequences), workers=request.workers)
+        files = request.render(
+            request.split, names=tuple(request.sequences), workers=request.workers, topics=request.topics
+        )
         return {name: path for name, path in files.items() if not request.sequences or name in request.sequences}
 
     def run(

@@ -13,7 +13,9 @@ import pytest
 
 import oysterbench
 from oysterbench.core.trajectory import write_tum
+from oysterbench.recipe import load_split
 from oysterbench.results.records import read_results
+from oysterbench.simulation.generate import digest, generate_split, split_folder
 from tests.helpers.command import run as run_here
 from tests.helpers.paths import COMMAND
 from tests.helpers.programs import command
@@ -60,6 +62,36 @@ def test_a_program_is_run_scored_and_compared(dive_file, answer, tmp_path):
     assert {path.name for path in out.iterdir()} >= {"results.json", "report.html", "hand-made-mine.tum", "runs"}
     compared = subprocess.run([COMMAND, "compare", out, "--json"], capture_output=True, text=True, check=False)
     assert compared.returncode == 0, compared.stderr
+
+
+def test_of_a_split_only_the_topics_that_are_wanted_are_rendered(home, tmp_path):
+    (tmp_path / "rig.toml").write_text(TINY_RIG)
+    recipe = tmp_path / "tiny.toml"
+    recipe.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "rig.toml"'))
+    wanted = ("run", "dead_reckoning", "--split", recipe, "--topics", "/imu")
+    done = run_here(*wanted)
+    assert done.returncode == 0, done.stderr
+    assert "frames" not in done.stderr
+    (kept,) = home.rglob("results.json")
+    assert kept.parent.parent.name.startswith("topics-")
+    (record,) = read_results(kept)
+    split = load_split(str(recipe))
+    assert (record.split, record.split_digest) == ("tiny", digest(split))
+    assert record.info["topics"] == ["/imu", "/tf_static", "/truth/odometry", "/truth/pose"]
+    assert record.metrics["coverage"] > 0.9
+    generate_split(split, split_folder(split))
+    whole = run_here("run", "dead_reckoning", "--split", recipe)
+    assert whole.returncode == 0, whole.stderr
+    (other,) = read_results(split_folder(split) / "runs" / "results.json")
+    assert "topics" not in other.info
+    assert (other.truth_digest, other.metrics["score"]) == (record.truth_digest, record.metrics["score"])
+    for words, why in (
+        (("dead_reckoning", "--on", kept), "--topics chooses from a split"),
+        (("unet", "--split", "seg-mini"), "segmentation needs complete sequences"),
+    ):
+        refused = run_here("run", *words, "--topics", "/imu", "--out", tmp_path / "out")
+        assert refused.returncode != 0
+        assert why in refused.stderr
 
 
 def test_a_failed_run_is_one_line_and_exit_code_1(dive_file, answer, tmp_path):
