@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,13 @@ from oysterbench_baselines.learning.samples import Floats
 from oysterbench_baselines.unet.instances import LARGEST, Division, Instances, find_instances, means
 from oysterbench_baselines.unet.views import Look
 
+T = TypeVar("T")
+
 SHARE = 10
 """One in so many pictures of a clip, its last ones, are kept back; of clips that are shorter, one in so many clips."""
-MOST = 80
-"""Pictures that are measured on at most, evenly taken."""
+MOST, SOME = 240, 80
+"""Pictures that are measured on at most, evenly taken; and of these, those on which divisions are compared. The score
+from which on oysters are counted needs many: by 80 pictures of rendered reefs the count is off by 5 % (1 sigma)."""
 TEMPERATURES = np.geomspace(0.4, 4.0, 37)
 CUTS = np.linspace(-3.0, 3.0, 61)
 """Logits at which the mask may be cut."""
@@ -90,7 +94,7 @@ def measured(
     for k, entry in enumerate(taken, start=1):
         image = entry.read()
         seen.append(Seen.of(image, look(image.pixels)))
-        progress(k, 2 * len(taken))
+        progress(k, len(taken) + len(RISES) + 1)
     if not any(one.numbers.any() for one in seen):
         return Calibration()
     logits, truth = (np.concatenate(parts) for parts in zip(*(one.some() for one in seen), strict=True))
@@ -98,11 +102,11 @@ def measured(
     heat = float(TEMPERATURES[np.argmin([_entropy(logits / value, truth) for value in TEMPERATURES])])
     found = Calibration(round(heat, 3), round(cut, 3))
     live_cut, states = _telling(seen)
-    rise, sure = _dividing(seen, found, lambda done: progress(len(taken) + done, 2 * len(taken)))
+    rise, sure = _dividing(seen, found, lambda done: progress(len(taken) + done, len(taken) + len(RISES) + 1))
     return replace(found, rise=rise, sure=sure, live_cut=live_cut, states=states)
 
 
-def evenly(entries: Sequence[Entry], most: int) -> list[Entry]:
+def evenly(entries: Sequence[T], most: int) -> list[T]:
     """So many of them at most, of the whole length."""
     count = min(most, len(entries))
     return [entries[k * len(entries) // count] for k in range(count)]
@@ -146,28 +150,37 @@ def _entropy(logits: Floats, truth: NDArray[np.bool_]) -> float:
 def _dividing(seen: Sequence[Seen], calibration: Calibration, progress: Callable[[int], None]) -> tuple[float, float]:
     """Of as many oysters as there are true ones in all pictures, those of the highest scores: the rise by which most of
     them are true ones, and the lowest of these scores."""
-    scores: list[list[float]] = [[] for _ in RISES]
-    right: list[list[bool]] = [[] for _ in RISES]
+    hits = []
+    for k, rise in enumerate(RISES, start=1):
+        scores, right, count = _found(evenly(seen, SOME), calibration, rise)
+        hits.append(int(right[np.argsort(scores)[::-1][:count]].sum()))
+        progress(k)
+    best = RISES[int(np.argmax(hits))]
+    scores, _, count = _found(seen, calibration, best)
+    progress(len(RISES) + 1)
+    if count == 0 or not scores.size:
+        return Division.rise, 0.5
+    least = np.sort(scores)[::-1][min(count, scores.size) - 1]
+    return best, float(np.clip(least, 0.01, 0.99))
+
+
+def _found(
+    seen: Sequence[Seen], calibration: Calibration, rise: float
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], int]:
+    """Scores (N,) of the oysters that are found in pictures, which of them are true ones, and how many there are."""
+    scores: list[float] = []
+    right: list[bool] = []
     count = 0
-    for k, one in enumerate(seen, start=1):
+    for one in seen:
         oyster, depth = one.logits[:2].astype(np.float32)
         numbers = np.where(one.known, one.numbers, 0)
         count += len(np.unique(numbers[numbers > 0]))
-        for rise, sure, same in zip(RISES, scores, right, strict=True):
-            division = Division(rise=rise).closer(one.zoom)
-            found = find_instances(probability(calibration.applied(oyster)), probability(depth), division)
-            judged = means(found, one.known) > 0.5
-            sure += found.scores[judged].tolist()
-            same += _true(found, numbers)[judged].tolist()
-        progress(k)
-    if count == 0 or not any(scores):
-        return Division.rise, 0.5
-    hits = [sum(same[n] for n in np.argsort(sure)[::-1][:count]) for sure, same in zip(scores, right, strict=True)]
-    best = int(np.argmax(hits))
-    if not scores[best]:
-        return RISES[best], 0.5
-    least = sorted(scores[best], reverse=True)[min(count, len(scores[best])) - 1]
-    return RISES[best], float(np.clip(least, 0.01, 0.99))
+        division = Division(rise=rise).closer(one.zoom)
+        found = find_instances(probability(calibration.applied(oyster)), probability(depth), division)
+        judged = means(found, one.known) > 0.5
+        scores += found.scores[judged].tolist()
+        right += _true(found, numbers)[judged].tolist()
+    return np.array(scores), np.array(right, dtype=np.bool_), count
 
 
 def _true(found: Instances, numbers: NDArray[np.uint16]) -> NDArray[np.bool_]:
