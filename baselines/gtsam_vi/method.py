@@ -117,10 +117,8 @@ def first_camera(method: str, sequence: Sequence, camera: str | None) -> str:
     """The camera of that name, by default the first one. MethodError where there is none."""
     camera = camera or next(iter(sequence.cameras), "")
     if camera not in sequence.cameras:
-        raise MethodError(
-            f"{method}: sequence {sequence.name} has no camera {camera!r}; cameras: "
-            f"{', '.join(sequence.cameras) or 'none'}"
-        )
+        which = f" {camera!r}; cameras: {', '.join(sequence.cameras) or 'none'}" if camera else ""
+        raise MethodError(f"{method}: sequence {sequence.name} has no camera{which}")
     return camera
 
 

@@ -48,10 +48,8 @@ class VisualOnly:
         """Poses T_odom_base at the frames that could be located; odom is base_link at the first of them."""
         left = self.camera or next(iter(sequence.cameras), "")
         if left not in sequence.cameras:
-            raise MethodError(
-                f"visual_only: sequence {sequence.name} has no camera {left!r}; cameras: "
-                f"{', '.join(sequence.cameras) or 'none'}"
-            )
+            which = f" {left!r}; cameras: {', '.join(sequence.cameras) or 'none'}" if left else ""
+            raise MethodError(f"visual_only: sequence {sequence.name} has no camera{which}")
         right = overlapping(sequence, left, self.settings) if self.stereo else None
         if right is not None and next(iter(sequence.images(right)), None) is None:
             right = None  # calibrated, and never recorded

@@ -178,6 +178,7 @@ def _render_instead(
     from oysterbench.hub.settings import NAME_ONE, NO_HUB
     from oysterbench.methods.weights import weights_names
     from oysterbench.recipe.split import split_names
+    from oysterbench.simulation.jobs import wanted_topics
 
     if split is None:
         meant = did_you_mean(nearest(name.partition("@")[0], [*split_names(), *weights_names()]))
@@ -189,8 +190,10 @@ def _render_instead(
         raise HubError(f"{name}: {NO_HUB}, and a hidden split cannot be rendered without its salt; {NAME_ONE}")
     known = [sequence.name for sequence in split.sequence]
     names = choose_names(known, patterns, f"{split.name} {split.version}", f"oysterbench splits {name}")
+    found = [wanted_topics(split, split.find_sequence(each), topics) for each in names]
     if dry_run:
-        message(f"{NO_HUB}: of {split.name} {split.version} would be rendered: {', '.join(names)}")
+        some = f", {len(found[0])} topics of each" if topics else ""
+        message(f"{NO_HUB}: of {split.name} {split.version} would be rendered: {', '.join(names)}{some}")
         return
     message(f"{NO_HUB}: {split.name} {split.version} is rendered instead, which gives the same bytes")
     group = context.find_root().command
@@ -214,9 +217,9 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
       oysterbench verify data                   every sequence file of a folder
       oysterbench verify hub                    signature and files of a published tree
 
-    Prints for each file: right; same content, other bytes; alike (within one grey level on 99.9 % of the pixels
-    checked); or what differs. Exits with 3 if anything differs, is damaged or absent; `oysterbench download SPLIT
-    --verify`, or `download MODEL --again`, repairs it.
+    Prints for each file: right; right, with some of the topics (made with --topics); same content, other bytes; alike
+    (within one grey level on 99.9 % of the pixels checked); or what differs. Exits with 3 if anything differs, is
+    damaged or absent; `oysterbench download SPLIT --verify`, or `download MODEL --again`, repairs it.
     """
     from oysterbench.hub.verify import checks
 

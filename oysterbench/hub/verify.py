@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 MANIFEST = "manifest.json"
 """Name of the manifest beside the files of a split."""
 
+TOPICS_FOLDERS = "topics-*/*.mcap"
+"""Of the folder of a split: smaller files (`sequence.cut.topics_folder`)."""
+
 FOLDERS = ("blobs", "cards", "croissant", "manifests", "models", "pictures")
 """Of a tree, whose files are named by their hash."""
 
@@ -45,12 +48,12 @@ class Check:
         return self.state in (RIGHT, REPACKED, SMALLER, ALIKE, UNKNOWN)
 
 
-def check_file(path: Path, entry: FileEntry) -> Check:
+def check_file(path: Path, entry: FileEntry, smaller: bool = False) -> Check:
     """Read a file and compare it with its entry: bytes first and, where they differ, the content; where that differs,
     too, some of the pixels.
 
     A file is alike whose pictures are within one grey level on 99.9 % of these pixels, and that is the same otherwise.
-    One that has been made with fewer topics is held against those that it has.
+    smaller: whether one with some of the topics is good, too, by those that it has.
     """
     if not path.is_file():
         return Check(path, ABSENT)
@@ -70,7 +73,7 @@ def check_file(path: Path, entry: FileEntry) -> Check:
     except SequenceError:
         content = None
     if content is not None:
-        return _check_content(path, content, entry)
+        return _check_content(path, content, entry, smaller)
     if size != entry.size:
         return Check(path, DAMAGED, f"expected {entry.size} bytes, got {size}")
     return Check(
@@ -80,7 +83,7 @@ def check_file(path: Path, entry: FileEntry) -> Check:
     )
 
 
-def _check_content(path: Path, content: Content, entry: FileEntry) -> Check:
+def _check_content(path: Path, content: Content, entry: FileEntry, smaller: bool) -> Check:
     """Compare what a whole file says with its entry."""
     wrong: list[str] = []
     alike: list[str] = []
@@ -103,7 +106,7 @@ def _check_content(path: Path, content: Content, entry: FileEntry) -> Check:
             wrong.append(f"{name} differs")
     missing = len(entry.content) - len(content.topics)
     some = [f"{len(content.topics)} of {len(entry.content)} topics"] if missing > 0 else []
-    if wrong or not content.topics:
+    if wrong or not content.topics or (some and not smaller):
         return Check(path, OTHER, ", ".join([*wrong, *alike, *some]))
     if alike:
         return Check(path, ALIKE, ", ".join([*alike, *some]))
@@ -123,7 +126,7 @@ def check_released(path: Path, manifest: Manifest) -> Check:
     entry = manifest.find(f"{known.get('sequence')}.mcap")
     if entry is None:
         return check_unknown(path)
-    check = check_file(path, entry)
+    check = check_file(path, entry, smaller=known.get("digest") == manifest.recipe_digest)
     if check.state not in (REPACKED, ALIKE, OTHER):
         return check
     if known.get("digest") != manifest.recipe_digest:
@@ -254,10 +257,11 @@ def _check_folder(folder: Path) -> Iterator[Check]:
     manifest = kept_manifest(folder)
     if manifest is not None:
         yield from (check_file(folder / entry.name, entry) for entry in manifest.files)
+        yield from map(_check_alone, sorted(folder.glob(TOPICS_FOLDERS)))
         return
     if (folder / MANIFEST).is_file():
         yield Check(folder / MANIFEST, DAMAGED, "not a manifest; downloading the split again writes it anew")
-    for path in sorted(folder.glob("*.mcap")):
+    for path in sorted([*folder.glob("*.mcap"), *folder.glob(TOPICS_FOLDERS)]):
         yield _check_alone(path)
 
 

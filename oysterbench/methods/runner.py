@@ -98,7 +98,7 @@ def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
         return None
     if outcome.identity != job.identity:
         changed = _changed_files(outcome.identity, job.identity)
-        differs = f"{', '.join(changed)} changed" if changed else "method, command or recipe differ"
+        differs = f"{', '.join(changed)} changed" if changed else "method, command, topics or recipe differ"
         raise MethodError(
             f"{folder}: has run {job.number + 1} of another {job.adapter.name} ({differs}); "
             "it was left unchanged: rerun it with --again, or choose another folder with --out"

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from oysterbench.core.errors import MachineError
+from oysterbench.core.errors import MachineError, SequenceError
 from oysterbench.notebook.progress import frames_bar, in_words, say
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def render_files(
 
     quiet: show nothing. topics: patterns; then smaller files with no other topics, in a folder of their own, cut from
     the complete ones where these are there. Raises MachineError, with what to type, where what renders is not
-    installed.
+    installed, and SequenceError where smaller files would lie among the complete ones.
     """
     from oysterbench.sequence.cut import topics_folder
     from oysterbench.simulation import cost
@@ -42,7 +42,12 @@ def render_files(
     whole = split_folder(split, salt)
     folder = folder or (topics_folder(whole, topics) if topics else whole)
     if topics:
-        _cut_from(whole, split, folder, names, topics)
+        if folder.resolve() == whole.resolve():
+            raise SequenceError(
+                f"{folder}: complete sequences are kept here, which smaller ones would be taken for: choose another "
+                "folder with --out, or leave it out"
+            )
+        _cut_from(whole, split, folder, names, salt, topics)
     missing = _missing(split, folder, names)
     if missing and scheduler is None:
         check_renderer(f"{split.name}: {missing[0].name} is not here, and")
@@ -79,18 +84,20 @@ def _missing(split: SplitRecipe, folder: Path, names: tuple[str, ...]) -> list[S
     return [sequence for sequence in wanted if not files[sequence.name].exists()]
 
 
-def _cut_from(whole: Path, split: SplitRecipe, folder: Path, names: tuple[str, ...], topics: tuple[str, ...]) -> None:
+def _cut_from(
+    whole: Path, split: SplitRecipe, folder: Path, names: tuple[str, ...], salt: bytes, topics: tuple[str, ...]
+) -> None:
     """Make the smaller files of sequences that are there complete: rendering them again would take much longer."""
     from oysterbench.sequence.cut import cut_to
-    from oysterbench.simulation.generate import sequence_files
+    from oysterbench.simulation.generate import check_made_by, digest, sequence_files
     from oysterbench.simulation.jobs import wanted_topics
 
     complete = sequence_files(split, whole)
     for sequence in _missing(split, folder, names):
-        if complete[sequence.name].is_file():
-            cut_to(
-                folder / complete[sequence.name].name, complete[sequence.name], wanted_topics(split, sequence, topics)
-            )
+        source = complete[sequence.name]
+        if source.is_file():
+            check_made_by(source, split, digest(split, salt))
+            cut_to(folder / source.name, source, wanted_topics(split, sequence, topics))
 
 
 def _announce(split: SplitRecipe, missing: list[SequenceRecipe], workers: int, topics: tuple[str, ...]) -> None:

@@ -114,9 +114,18 @@ class McapSequence(Sequence):
                 self.uncertainty = Uncertainty.from_entry(document[UNCERTAINTY])
 
     def _calibrate(self, document: Mapping[str, Any]) -> None:
+        """Of the sensors that the file has: a smaller one has the calibration of the whole rig."""
         for block, found in read_calibrations(document).items():
             kind = sensor_kinds()[block]
-            setattr(self, kind.attribute, found[block] if kind.single else found)
+            here = {name: known for name, known in found.items() if self._sends(name)}
+            if not kind.single:
+                setattr(self, kind.attribute, here)
+            elif here or kind.required:
+                setattr(self, kind.attribute, found[block])
+
+    def _sends(self, sensor: str) -> bool:
+        """Whether the file has any topic of a sensor."""
+        return any(topic == f"/{sensor}" or topic.startswith(f"/{sensor}/") for topic in self.types)
 
     def truly_calibrated(self) -> Sequence:
         if TRUE_CALIBRATION not in self.attachments:
@@ -141,6 +150,8 @@ class McapSequence(Sequence):
                 self._lacks(kind.title)
             self._check(name, calibrations, kind.title)
         names, calibration = kind.read_topics(name), calibrations[name]
+        if lacking := [topic for topic in names if topic not in self.types]:
+            self._lacks(f"{' and '.join(lacking)}: it has some of the topics only")
         return self._decode_all(lambda *data: kind.decode(name, calibration, *data), names, start_ns, end_ns)
 
     def layer(self, camera: str, layer: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:

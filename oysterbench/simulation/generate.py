@@ -108,12 +108,12 @@ def generate_split(
     # A file appears when it is whole: who asks for no other need not wait for those that are being rendered.
     if all(path.exists() and not _parts(folder, name, made_by).exists() for name, path in files.items()):
         for path in files.values():
-            _check_made_by(path, split, made_by, topics)
+            check_made_by(path, split, made_by, topics)
         return files
     with locked(folder / ".lock", before_waiting=before_waiting):
         for name, path in files.items():
             if path.exists():
-                _check_made_by(path, split, made_by, topics)
+                check_made_by(path, split, made_by, topics)
                 shutil.rmtree(_parts(folder, name, made_by), ignore_errors=True)
         missing = [sequence for sequence in wanted if not files[sequence.name].exists()]
         if missing:
@@ -150,7 +150,8 @@ def _check_space(
         )
 
 
-def _check_made_by(path: Path, split: SplitRecipe, made_by: str, topics: Collection[str]) -> None:
+def check_made_by(path: Path, split: SplitRecipe, made_by: str, topics: Collection[str] = ()) -> None:
+    """Raise SequenceError unless a file is of a recipe, by its digest, and has these topics of it, or all."""
     found = McapSequence(path)
     if found.metadata.get("digest") != made_by:
         raise SequenceError(

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 import oysterbench
 from oysterbench.cli.main import main
+from oysterbench.sequence.cut import cut_to
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 
 TWO = TINY_SPLIT.replace("duration_s = 2.5", "duration_s = 1.0").replace('rig = "tiny"', 'rig = "rig.toml"')
@@ -50,6 +51,14 @@ def test_some_topics_go_to_a_folder_of_their_own_and_are_cut_from_what_is_there(
     assert "10 of 10" not in images.stderr, "they are cut from the complete file"
     assert oysterbench.open(images.stdout.strip()).contents()[0][::2] == ("/cam_front/image", 10)
     assert sorted(len(oysterbench.open(path).contents()) for path in home.rglob("*.mcap"))[:2] == [1, 1]
+    complete = next(path.parent for path in home.rglob("*.mcap") if not path.parent.name.startswith("topics-"))
+    among = CliRunner().invoke(main, [*options, "--topics", "/tf_static", "--out", str(complete)])
+    assert (among.exit_code, "complete sequences are kept here" in among.stderr) == (1, True)
+    (complete / "tiny-02.mcap").unlink()
+    cut_to(complete / "tiny-02.mcap", small, ["/imu"])
+    wrong = CliRunner().invoke(main, [*options, "--topics", "/tf_static"])
+    assert wrong.exit_code == 1
+    assert f"{complete / 'tiny-02.mcap'} has 1 topics, expected 10" in wrong.stderr
     preview = CliRunner().invoke(main, [*options, "--topics", "/imu", "--preview"])
     assert (preview.exit_code, "it takes no --topics" in preview.stderr) == (2, True)
 

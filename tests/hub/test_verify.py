@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from oysterbench.core.errors import HubError
+from oysterbench.hub.download import plan
 from oysterbench.hub.manifest import describe_file
 from oysterbench.hub.pixels import NUMBERS, share_within
 from oysterbench.hub.release import keep_read, put_together
@@ -103,13 +105,34 @@ def test_a_sequence_of_another_length_says_how_many_messages_are_missing(tmp_pat
 def test_a_file_with_some_of_the_topics_is_held_against_those(file, entry, tmp_path, doctored):
     some = tmp_path / "some" / "dive-01.mcap"
     cut_to(some, file, ["/imu", "/cam_left/image"])
-    check = check_file(some, entry)
+    assert check_file(some, entry).state == OTHER, "where it should be complete"
+    check = check_file(some, entry, smaller=True)
     assert (check.state, check.detail, check.good) == (SMALLER, f"2 of {len(entry.content)} topics", True)
     other = doctored(brighter(40))
     cut_to(some, other, ["/imu", "/cam_left/image"])
-    assert check_file(some, entry).state == OTHER
+    assert check_file(some, entry, smaller=True).state == OTHER
     cut_to(some, file, [])
-    assert check_file(some, entry).state == OTHER
+    assert check_file(some, entry, smaller=True).state == OTHER
+
+
+def test_a_smaller_file_of_another_recipe_or_in_the_place_of_a_complete_one_is_not_right(file, tmp_path, monkeypatch):
+    keep_read(tmp_path, "dive-01", file, ())
+    manifest = put_together(tmp_path, FACTS, ["dive-01"], DIGEST)
+    some, folder = tmp_path / "some" / "dive-01.mcap", tmp_path / "split"
+    cut_to(some, file, ["/imu"])
+    assert check_released(some, manifest).state == SMALLER
+    other = write_sequence(tmp_path / "other.mcap", "dive-01", digest="0" * 64)
+    cut_to(some, other, ["/imu"])
+    assert check_released(some, manifest).state == OTHER
+    folder.mkdir()
+    (folder / "manifest.json").write_bytes(manifest.data)
+    cut_to(folder / "dive-01.mcap", file, ["/imu"])
+    assert [one.state for one in checks(str(folder))] == [OTHER]
+    cut_to(folder / "topics-1" / "dive-01.mcap", file, ["/imu"])
+    monkeypatch.setattr("oysterbench.hub.verify.released_manifest", lambda *key: manifest)
+    assert [one.state for one in checks(str(folder))] == [OTHER, SMALLER]
+    with pytest.raises(HubError, match=r"a different file has this name \(1 of \d+ topics\)"):
+        plan(manifest, manifest.files, some.parent.parent / "some")
 
 
 def test_a_render_that_differs_says_which_versions_do(file, tmp_path, monkeypatch):

@@ -88,7 +88,7 @@ def layout(sequence: Sequence) -> dict[str, Any]:
     types = {topic: kind for topic, kind, count in sequence.contents() if count}
     if "/imu" not in types:
         raise SequenceError(
-            f"{sequence.name}: a layout needs the topics of a sequence file (.mcap), and this is not one"
+            f"{sequence.name}: a layout needs the topics of a sequence file (.mcap), /imu among them, and finds none"
         )
     panels: dict[str, Any] = {}
     cameras = [_image(panels, name, f"/{name}/image", _calibration(sequence, name)) for name in sequence.cameras]

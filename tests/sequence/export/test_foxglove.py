@@ -263,5 +263,5 @@ def test_without_truth_the_layout_names_none(sequence, tmp_path):
 
 def test_a_layout_is_of_a_sequence_file(sequence, tmp_path):
     folder, _ = export_sequence(sequence, "euroc", tmp_path / "euroc")
-    with pytest.raises(SequenceError, match=r"topics of a sequence file \(\.mcap\), and this is not one"):
+    with pytest.raises(SequenceError, match=r"topics of a sequence file \(\.mcap\), /imu among them"):
         layout(oysterbench.open(folder))
