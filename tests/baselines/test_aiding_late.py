@@ -95,7 +95,8 @@ def late(sequence: dive.SensorDive, latency_s: float) -> None:
     sequence.change("dvl", arrive)
 
 
-@pytest.mark.parametrize("latency_s", [0.1, pytest.param(0.2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("latency_s", [0.1, 0.2])
 def test_a_late_log_is_as_good_as_one_in_time(latency_s):
     vehicle, path = dive.rig(*ALL), dive.survey_path(40.0)
     in_time, slow = (dive.SensorDive(2, vehicle, path) for _ in range(2))

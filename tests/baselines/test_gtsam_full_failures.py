@@ -86,7 +86,8 @@ def test_the_smoothed_path_bridges_them_as_well(dark_dive):
     assert off_m(sequence, trajectory).max() < 0.005 * sequence.truth().path_length
 
 
-@pytest.mark.parametrize("keep", [pytest.param(0, marks=pytest.mark.slow), 2])
+@pytest.mark.slow
+@pytest.mark.parametrize("keep", [0, 2])
 def test_pictures_carry_it_while_the_dvl_has_lost_the_bottom(keep):
     """Ten seconds. The inertial unit alone would be a metre off; two beams of four leave one direction to it."""
     sequence = make(2, 20.0)

@@ -106,6 +106,7 @@ def test_densities_are_those_along_the_true_path(true, found, unmoved):
     assert off(found) < 0.6 * off(unmoved)
 
 
+@pytest.mark.slow
 def test_along_a_sure_path_every_file_is_as_of_pixels_laid_one_by_one(tmp_path):
     """Nothing moves, so that tiles make no difference."""
     one = map_of(REEF, settings=SETTINGS)
