@@ -35,27 +35,25 @@ def render_files(
     the complete ones where these are there. Raises MachineError, with what to type, where what renders is not
     installed, and SequenceError where smaller files would lie among the complete ones.
     """
-    from oysterbench.sequence.cut import topics_folder
     from oysterbench.simulation import cost
-    from oysterbench.simulation.generate import check_workers, default_workers, generate_split, split_folder
+    from oysterbench.simulation.generate import check_workers, default_workers, generate_split, share_left
 
-    whole = split_folder(split, salt)
-    folder = folder or (topics_folder(whole, topics) if topics else whole)
+    folder = _folder(split, folder, salt, topics)
     if topics:
-        if folder.resolve() == whole.resolve():
-            raise SequenceError(
-                f"{folder}: complete sequences are kept here, which smaller ones would be taken for: choose another "
-                "folder with --out, or leave it out"
-            )
-        _cut_from(whole, split, folder, names, salt, topics)
+        _cut_from_complete(split, folder, names, salt, topics)
     missing = _missing(split, folder, names)
     if missing and scheduler is None:
         check_renderer(f"{split.name}: {missing[0].name} is not here, and")
-    if workers is None:
-        workers = default_workers(sum(cost.estimated(split, sequence, 1, topics) for sequence in missing))
-    workers = check_workers(workers)
+
+    def cpu_s(workers: int) -> float:
+        return sum(
+            share_left(split, sequence, folder, salt, topics) * cost.estimated(split, sequence, workers, topics)
+            for sequence in missing
+        )
+
+    workers = default_workers(cpu_s(1)) if workers is None else check_workers(workers)
     if scheduler is None and device == "cpu" and not quiet:
-        _announce(split, missing, workers, topics)
+        _announce(split, missing, workers, cpu_s(workers) / workers)
     with nullcontext() if quiet else frames_bar(f"rendering {split.name}") as progress:
         waiting = None if quiet else partial(_wait, folder)
         return generate_split(split, folder, workers, progress, salt, device, scheduler, names, waiting, topics)
@@ -84,15 +82,30 @@ def _missing(split: SplitRecipe, folder: Path, names: tuple[str, ...]) -> list[S
     return [sequence for sequence in wanted if not files[sequence.name].exists()]
 
 
-def _cut_from(
-    whole: Path, split: SplitRecipe, folder: Path, names: tuple[str, ...], salt: bytes, topics: tuple[str, ...]
+def _folder(split: SplitRecipe, folder: Path | None, salt: bytes, topics: tuple[str, ...]) -> Path:
+    """Where the files go: as it is given, or under the home; smaller ones never among the complete ones."""
+    from oysterbench.sequence.cut import topics_folder
+    from oysterbench.simulation.generate import split_folder
+
+    whole = split_folder(split, salt)
+    folder = folder or (topics_folder(whole, topics) if topics else whole)
+    if topics and folder.resolve() == whole.resolve():
+        raise SequenceError(
+            f"{folder}: complete sequences are kept here, which smaller ones would be taken for: choose another folder "
+            "with --out, or leave it out"
+        )
+    return folder
+
+
+def _cut_from_complete(
+    split: SplitRecipe, folder: Path, names: tuple[str, ...], salt: bytes, topics: tuple[str, ...]
 ) -> None:
     """Make the smaller files of sequences that are there complete: rendering them again would take much longer."""
     from oysterbench.sequence.cut import cut_to
-    from oysterbench.simulation.generate import check_made_by, digest, sequence_files
+    from oysterbench.simulation.generate import check_made_by, digest, sequence_files, split_folder
     from oysterbench.simulation.jobs import wanted_topics
 
-    complete = sequence_files(split, whole)
+    complete = sequence_files(split, split_folder(split, salt))
     for sequence in _missing(split, folder, names):
         source = complete[sequence.name]
         if source.is_file():
@@ -100,11 +113,8 @@ def _cut_from(
             cut_to(folder / source.name, source, wanted_topics(split, sequence, topics))
 
 
-def _announce(split: SplitRecipe, missing: list[SequenceRecipe], workers: int, topics: tuple[str, ...]) -> None:
+def _announce(split: SplitRecipe, missing: list[SequenceRecipe], workers: int, seconds: float) -> None:
     """Say what rendering will take, where it is minutes."""
-    from oysterbench.simulation import cost
-
-    seconds = sum(cost.estimated(split, sequence, workers, topics) for sequence in missing) / workers
     if seconds > TOLD_FROM_S:
         what = missing[0].name if len(missing) == 1 else f"{len(missing)} sequences"
         on = f"{workers} worker{'s' if workers > 1 else ''}"

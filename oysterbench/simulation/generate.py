@@ -166,6 +166,14 @@ def check_made_by(path: Path, split: SplitRecipe, made_by: str, topics: Collecti
         )
 
 
+def share_left(
+    split: SplitRecipe, sequence: SequenceRecipe, folder: Path, salt: bytes = b"", topics: Collection[str] = ()
+) -> float:
+    """How much of a sequence that is not there yet is still to be rendered, 0 to 1: an interruption leaves parts."""
+    there = sum(1 for _ in _parts(folder, sequence.name, digest(split, salt)).glob("*.part"))
+    return max(0.0, 1.0 - there / len(plan(split, sequence, topics)))
+
+
 def _parts(folder: Path, sequence: str, made_by: str) -> Path:
     return folder / PARTS / f"{sequence}-{made_by[:12]}"
 

@@ -6,7 +6,9 @@ import threading
 
 from oysterbench.core.files import locked
 from oysterbench.notebook import rendering
-from oysterbench.simulation.generate import generate_split
+from oysterbench.simulation import cost
+from oysterbench.simulation.generate import PARTS, digest, generate_split
+from oysterbench.simulation.jobs import plan
 
 
 def test_who_waits_for_another_process_is_told(tiny_split, tmp_path, monkeypatch):
@@ -25,3 +27,21 @@ def test_who_waits_for_another_process_is_told(tiny_split, tmp_path, monkeypatch
     said.clear()
     rendering.render_files(tiny_split, tmp_path)
     assert said == []
+
+
+def test_what_an_interrupted_render_will_still_take_is_said(tiny_split, tmp_path, monkeypatch):
+    said: list[str] = []
+    monkeypatch.setattr(rendering, "say", said.append)
+    monkeypatch.setattr(cost, "estimated", lambda split, sequence, workers, topics: 1200.0)
+    monkeypatch.setattr("oysterbench.simulation.generate.generate_split", lambda *given: {})
+    rendering.render_files(tiny_split, tmp_path, workers=2)
+    jobs = plan(tiny_split, tiny_split.sequence[0])
+    parts = tmp_path / PARTS / f"tiny-01-{digest(tiny_split)[:12]}"
+    parts.mkdir(parents=True)
+    for job in jobs[: len(jobs) // 2]:
+        (parts / job.part).touch()
+    rendering.render_files(tiny_split, tmp_path, workers=2)
+    assert said == [
+        "rendering tiny: tiny-01 will take about 10 min on 2 workers",
+        "rendering tiny: tiny-01 will take about 5 min on 2 workers",
+    ]
