@@ -50,7 +50,7 @@ def track_options() -> dict[str, Option]:
     multiple=True,
     metavar="PATH",
     type=click.Path(path_type=Path),
-    help="Sequence, or folder of some.",
+    help="Your own data instead: a sequence, or a folder of them.",
 )
 @click.option("--sequence", "sequences", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
 @click.option("--topics", multiple=True, metavar="GLOB", help="Render only these and the ground truth; repeatable.")
