@@ -37,7 +37,7 @@ UNET_SMALL = _weights(
     "unet_small",
     methods=("unet_small", "unet_small_instances"),
     train="unet_small --data seg-train",
-    takes="about 20 minutes on one core once seg-train is rendered",
+    takes="about 20 to 30 minutes on one core once seg-train is rendered",
     option="unet_small[checkpoint=PATH]",
     summary="Where oysters are, as a small network learns it that begins with random weights",
     limits=LIMITS,
