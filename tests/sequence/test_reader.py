@@ -16,7 +16,6 @@ from oysterbench.core.measurements import ImuMeasurement, SonarImage
 from oysterbench.core.ros import EPOCH_NS, Message
 from oysterbench.sensors.imu import KIND as IMU
 from oysterbench.sensors.imu import ImuRecipe
-from oysterbench.sequence.cut import cut_to
 from oysterbench.sequence.file import read_messages
 from oysterbench.sequence.read import FAULTS, MOVING, OYSTERS
 from oysterbench.sequence.write import SequenceWriter
@@ -383,23 +382,3 @@ def test_a_table_that_lacks_a_column_is_damage(dive_file, monkeypatch, name, rea
     monkeypatch.setattr(sequence, "attachments", {**sequence.attachments, name: b"size\n1\n"})
     with pytest.raises(SequenceError, match=f"damaged.*{name}: expected the columns"):
         getattr(sequence, read)()
-
-
-def test_a_smaller_file_has_the_sensors_of_its_topics_and_no_others(dive_file, tmp_path):
-    """Though it has the calibration of the whole rig."""
-    whole = oysterbench.open(dive_file)
-    cut_to(tmp_path / "some.mcap", dive_file, ["/cam_left/image", "/dvl/velocity", "/truth/odometry"])
-    some = oysterbench.open(tmp_path / "some.mcap")
-    assert list(some.cameras) == ["cam_left"]
-    assert len(whole.cameras) > 1
-    assert some.sonars == {}
-    assert some.pressure_calibration is None
-    assert len(list(some.images("cam_left"))) == len(list(whole.images("cam_left")))
-    for read, why in (
-        (lambda: some.images("cam_right"), "no camera 'cam_right'; cameras: cam_left"),
-        (lambda: some.imu(), "has no /imu: it has some of the topics only"),
-        (lambda: some.dvl(), "has no /dvl/beams and /dvl/altitude: it has some of the topics only"),
-        (lambda: some.pressure(), "has no pressure"),
-    ):
-        with pytest.raises(SequenceError, match=why):
-            read()
