@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MANIFEST = "manifest.json"
 """Name of the manifest beside the files of a split."""
 
-TOPICS_FOLDERS = "topics-*/*.mcap"
+SMALLER_FILES = "topics-*/*.mcap"
 """Of the folder of a split: smaller files (`sequence.cut.topics_folder`)."""
 
 FOLDERS = ("blobs", "cards", "croissant", "manifests", "models", "pictures")
@@ -104,9 +104,11 @@ def _check_content(path: Path, content: Content, entry: FileEntry, smaller: bool
     for name in sorted({*content.attachments, *entry.attachments}):
         if content.attachments.get(name) != entry.attachments.get(name):
             wrong.append(f"{name} differs")
-    missing = len(entry.content) - len(content.topics)
-    some = [f"{len(content.topics)} of {len(entry.content)} topics"] if missing > 0 else []
-    if wrong or not content.topics or (some and not smaller):
+    absent = sorted(entry.content.keys() - content.topics.keys())
+    if not smaller or not content.topics:
+        wrong += [f"{topic} is absent" for topic in absent]
+    some = [f"{len(content.topics)} of {len(entry.content)} topics"] if absent and smaller else []
+    if wrong:
         return Check(path, OTHER, ", ".join([*wrong, *alike, *some]))
     if alike:
         return Check(path, ALIKE, ", ".join([*alike, *some]))
@@ -257,11 +259,11 @@ def _check_folder(folder: Path) -> Iterator[Check]:
     manifest = kept_manifest(folder)
     if manifest is not None:
         yield from (check_file(folder / entry.name, entry) for entry in manifest.files)
-        yield from map(_check_alone, sorted(folder.glob(TOPICS_FOLDERS)))
+        yield from map(_check_alone, sorted(folder.glob(SMALLER_FILES)))
         return
     if (folder / MANIFEST).is_file():
         yield Check(folder / MANIFEST, DAMAGED, "not a manifest; downloading the split again writes it anew")
-    for path in sorted([*folder.glob("*.mcap"), *folder.glob(TOPICS_FOLDERS)]):
+    for path in sorted([*folder.glob("*.mcap"), *folder.glob(SMALLER_FILES)]):
         yield _check_alone(path)
 
 

@@ -131,7 +131,7 @@ def test_a_smaller_file_of_another_recipe_or_in_the_place_of_a_complete_one_is_n
     cut_to(folder / "topics-1" / "dive-01.mcap", file, ["/imu"])
     monkeypatch.setattr("oysterbench.hub.verify.released_manifest", lambda *key: manifest)
     assert [one.state for one in checks(str(folder))] == [OTHER, SMALLER]
-    with pytest.raises(HubError, match=r"a different file has this name \(1 of \d+ topics\)"):
+    with pytest.raises(HubError, match=r"a different file has this name \(.*/cam_left/image is absent"):
         plan(manifest, manifest.files, some.parent.parent / "some")
 
 
