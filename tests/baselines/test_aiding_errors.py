@@ -97,6 +97,7 @@ def test_a_parameter_that_a_calibration_does_not_name_is_missed():
         stated_sigmas(stated(0.01, 0.01, 0.0, 0.0), "dvl", ("colour",))
 
 
+@pytest.mark.slow
 def test_scale_and_mount_that_a_calibration_missed_are_found_from_the_motion():
     """A log that is 2 % too fast, of a vehicle that heaves: depth knows a metre."""
     vehicle, path = dive.rig(*ALL, scale_error=0.0), dive.survey_path(60.0)

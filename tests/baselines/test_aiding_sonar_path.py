@@ -182,7 +182,8 @@ def run(sequence: SonarDive, **settings: Any) -> tuple[float, dict[str, Any]]:
     return float(np.sqrt(off.mean())), dict(estimate.info)
 
 
-@pytest.mark.parametrize("resting", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.slow
+@pytest.mark.parametrize("resting", [True, False])
 def test_a_dive_without_pictures_and_log_is_held_by_the_sonar(resting):
     """From rest, and in motion from the first moment; with four pings of another place in it."""
     sequence = SonarDive(1, dive.rig("pressure", "magnetometer"), dive.survey_path(16.0, resting=resting))

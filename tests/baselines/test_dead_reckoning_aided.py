@@ -41,7 +41,8 @@ def drift(sequence: dive.SensorDive, trajectory: Trajectory) -> float:
     return float(np.linalg.norm(errors(sequence, trajectory)[-1, :3]) / sequence.truth().path_length)
 
 
-@pytest.mark.parametrize(("resting", "seed"), [pytest.param(True, 0, marks=pytest.mark.slow), (False, 1)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("resting", "seed"), [(True, 0), (False, 1)])
 def test_with_a_dvl_the_path_drifts_by_less_than_a_hundredth_in_two_minutes(resting, seed):
     sequence = make(seed, ("dvl", "pressure"), 120.0, resting)
     trajectory = reckon(sequence)
@@ -67,7 +68,8 @@ def test_errors_are_as_large_as_the_covariances_say():
         assert low < np.mean(values) < high, k
 
 
-@pytest.mark.parametrize("sensors", [ALL, pytest.param(("dvl",), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("sensors", [ALL, ("dvl",)])
 def test_a_start_in_motion_is_no_surer_than_it_errs_from_the_first_second_on(sensors):
     """Of 16 dives. The floor is lower than chi-square's: sigmas of 5 mm of depth and 0.5 deg of misalignment stand for
     a sea and a mount that are worse than these."""

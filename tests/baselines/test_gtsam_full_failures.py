@@ -119,6 +119,7 @@ def test_ranges_count_only_where_the_dvl_gives_no_velocity():
     assert elapsed.max() < 10.5
 
 
+@pytest.mark.slow
 def test_neither_pictures_nor_a_dvl_for_five_seconds_leave_it_unsure_and_not_lost():
     sequence = make(3, 18.0)
     sequence.change("dvl", during(8.0, 13.0, deaf))

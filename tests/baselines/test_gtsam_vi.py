@@ -73,7 +73,8 @@ def test_it_recovers_a_dive_that_starts_at_rest():
     assert position_error(measured.truth, estimator.smoothed()) < 0.003 * measured.truth.path_length
 
 
-@pytest.mark.parametrize("seed", [7, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [7, 8])
 def test_silt_at_the_beginning_that_drifts_as_one_is_left_out_of_the_start(seed):
     measured = dive.make_dive(seed, duration_s=12.0, silt_s=4.0)
     estimator = estimate(measured)

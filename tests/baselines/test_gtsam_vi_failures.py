@@ -111,6 +111,7 @@ def test_it_answers_every_frame_stays_near_and_recovers(change, online, smoothed
     assert position_error(truth, known.select(late)) < 0.005 * truth.path_length
 
 
+@pytest.mark.slow
 def test_the_covariance_grows_while_nothing_is_seen():
     known = run(Filmed(gap)).alternatives["online"]
     sigma = np.sqrt(np.trace(known.covariances[:, :3, :3], axis1=1, axis2=2))

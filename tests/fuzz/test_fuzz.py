@@ -11,11 +11,18 @@ import pytest
 from tests.fuzz import sequences, uploads
 from tests.fuzz.watch import FAULTS, run
 
-MANY = [pytest.param(2, range(20)), pytest.param(3, range(600), marks=pytest.mark.slow)]
+SOME, MANY = (2, range(20)), (3, range(600))
 
 
-@pytest.mark.parametrize(("seed", "numbers"), MANY)
-@pytest.mark.parametrize("kind", [uploads.Uploads, sequences.Sequences])
+@pytest.mark.parametrize(
+    ("kind", "seed", "numbers"),
+    [
+        (sequences.Sequences, *SOME),
+        pytest.param(uploads.Uploads, *SOME, marks=pytest.mark.slow),
+        pytest.param(sequences.Sequences, *MANY, marks=pytest.mark.slow),
+        pytest.param(uploads.Uploads, *MANY, marks=pytest.mark.slow),
+    ],
+)
 def test_hostile_files_are_read_or_refused_in_a_line(tmp_path, kind, seed, numbers):
     cv2.setNumThreads(0)
     draw = kind(tmp_path, seed).draw

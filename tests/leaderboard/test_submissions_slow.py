@@ -55,6 +55,7 @@ def test_silence_and_a_whole_time_have_their_limits_too(tmp_path):
         received(long, [b"a" * RATE] * 1000, 0.05)
 
 
+@pytest.mark.slow
 def test_trickles_leave_their_places_to_others_and_are_counted_as_reads(tmp_path):
     tokens = lay(
         tmp_path,
@@ -90,6 +91,7 @@ def test_trickles_leave_their_places_to_others_and_are_counted_as_reads(tmp_path
         assert (status, answer["error"]) == (429, "quota"), "each of the two was an upload of the day"
 
 
+@pytest.mark.slow
 def test_an_upload_that_is_fast_enough_gives_its_place_to_a_team_that_has_had_less_time(tmp_path):
     tokens = lay(tmp_path, uploads_at_once=1, upload_safe_s=0)
     head = "POST /api/submissions?method=slow&split=pool-test HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\n"
