@@ -26,6 +26,9 @@ from oysterbench.results.comparison import Board, SequenceRuns, boards
 from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key
 from oysterbench.results.remarks import remarks
 
+NO_SENSORS = ("truth", "tf", "tf_static")
+"""First parts of topics that are no sensor's."""
+
 COMPLETE = 0.95
 """Of the highest coverage on a sequence: what a run must answer to be called the best there."""
 
@@ -99,7 +102,21 @@ def failures_and_notes(records: Sequence[ResultRecord]) -> list[str]:
         if record.failure is not None:
             notes.append(f"{name} failed: {record.failure}")
         notes += [f"{name}: {note}" for note in record.notes]
-    return [*dict.fromkeys(notes), *path_notes(records)]
+    return [*dict.fromkeys(notes), *topics_notes(records), *path_notes(records)]
+
+
+def topics_notes(records: Sequence[ResultRecord]) -> list[str]:
+    """A sentence for each set of sensors to which the files of some runs were cut: who ran on these, and on what."""
+    methods: dict[str, list[str]] = {}
+    for record in records:
+        if topics := record.info.get("topics"):
+            sensors = dict.fromkeys(topic.split("/")[1] for topic in topics)
+            named = ", ".join(name for name in sensors if name not in NO_SENSORS)
+            methods.setdefault(named, []).append(record.method)
+    return [
+        f"{', '.join(dict.fromkeys(names))}: run on files that have no other sensors than {sensors}"
+        for sensors, names in methods.items()
+    ]
 
 
 def path_notes(records: Sequence[ResultRecord]) -> list[str]:

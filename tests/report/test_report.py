@@ -281,6 +281,14 @@ def test_points_over_a_condition_are_drawn_from_six_sequences_on():
     assert "Over conditions on" not in html_report([r for r in few if r.record.sequence != names[0]], "x")
 
 
+def test_who_ran_on_files_with_fewer_sensors_is_named():
+    fewer = {"topics": ["/cam_left/camera_info", "/cam_left/image", "/imu", "/tf_static", "/truth/pose"]}
+    runs = [run("a", info=fewer), run("b"), run("c", info=fewer), run("a", sequence="mini-02", info=fewer)]
+    said = "a, c: run on files that have no other sensors than cam_left, imu"
+    assert parsed(html_report(runs, "x")).text.count(said) == 1
+    assert "run on files" not in parsed(html_report(runs[1:2], "x")).text
+
+
 def test_settings_are_folded_into_a_table_of_one_line_each():
     tags = parsed(html_report([run("a", method_settings={"levels": 3, "flow": {"window_px": 21}})], "x"))
     rows = re.findall(r"(?m)^(flow\.window_px|levels)(.*)$", tags.text)
