@@ -1,1 +1,1 @@
-"""The leaderboard: published results, their order, the site that shows them, and how to submit."""
+"""The leaderboard: published results, their ranking, the site that shows them, and submissions."""

@@ -1,4 +1,4 @@
-"""The commands that change a board or check it: add, withdraw, restore, rebuild, verify, rescore."""
+"""Commands that change or check a board: add, withdraw, restore, rebuild, verify, rescore."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 TIERS = ("baseline", "scored", "reported")
 DAMAGED = 3
-"""Exit code of `verify` where a file is not what it should be, as of all damaged data."""
+"""Exit code of `verify` where a file is damaged, as for all damaged data."""
 
 
 def notify(text: str) -> None:
-    """A message to the user, on stderr."""
+    """Print a message to the user on stderr."""
     message(text)
 
 
@@ -102,7 +102,7 @@ def _place_text(index: BoardIndex, row: Row) -> str:
 
 
 def _announcing(action: Any, past: str) -> Any:
-    """A command that withdraws a record or puts it back."""
+    """Make the function of a command that withdraws or restores a record."""
 
     @click.argument("digest")
     @click.option("--reason", required=True, help="One sentence, shown with the record.")
@@ -313,7 +313,7 @@ def _current(index: BoardIndex, board: str) -> list[Row]:
 
 
 def _change(index: BoardIndex, before: Row, made: Any, dry_run: bool) -> dict[str, Any]:
-    """Score and rank before and after; where nothing was kept there is no rank after."""
+    """Score and rank before and after; a dry run stores nothing, and so has no rank after."""
     from oysterbench.results.records import aggregate
     from oysterbench.results.standings import PRIMARY
 

@@ -1,4 +1,5 @@
-"""What a board shows: its name, its rows, a page of them. `index_writer.py` makes them, `index.py` finds them."""
+"""Types for what a board shows: its description, its rows, a page of rows. `index_writer.py` makes them, `index.py`
+finds them."""
 
 from __future__ import annotations
 
@@ -17,25 +18,25 @@ if TYPE_CHECKING:
 State = Literal["current", "superseded", "withdrawn"]
 
 DEFAULTS = {"slam": SlamSettings(), "segmentation": SegmentationSettings(), "detection": DetectionSettings()}
-"""Track -> settings of its evaluator, where these can be chosen."""
+"""Track -> default settings of its evaluator, where these can be chosen."""
 
 LEAST_DIGITS = 8
-"""Of a record's digest that is given short."""
+"""Least number of digits of an abbreviated record digest."""
 
 
 @dataclass(frozen=True)
 class BoardInfo:
-    """A board: records whose numbers may be set against each other.
+    """A board: records whose numbers may be compared.
 
     id:        16 hex digits (`Record.board`)
     settings:  of the evaluator
-    metric:    key of the metric that ranks; columns: keys that stand beside it in a table, in order
-    sequences: of the split, by name: those that any ranked record has. A record that lacks one failed there
-    entries:   current records
-    updated:   creation of the newest of them
+    metric:    key of the ranking metric; columns: keys of the other metrics in its tables, in order
+    sequences: of the split, by name: those that any ranked record has. A record without one failed there
+    entries:   number of current records
+    updated:   creation time of the newest of them
     newest:    whether it is not former, and no board of the same track, split and recipe has a later evaluator; the
                others are history
-    former:    whether the split has records of a later recipe: what was run on then is not what is there now
+    former:    whether the split has records of a later recipe: its data has changed since
     """
 
     id: str
@@ -54,19 +55,19 @@ class BoardInfo:
 
     @property
     def scored_by(self) -> str:
-        """The evaluator, with the settings that are not its defaults: what tells boards of one split apart."""
+        """The evaluator with its non-default settings, which tell boards of one split apart."""
         return ", ".join(
             [self.evaluator_version, *(f"{key} = {value}" for key, value in self.changed_settings.items())]
         )
 
     @property
     def has_defaults(self) -> bool:
-        """Whether it is known which settings are the evaluator's defaults."""
+        """Whether the evaluator's default settings are known."""
         return self.track in DEFAULTS
 
     @property
     def changed_settings(self) -> dict[str, Any]:
-        """The settings that are not the evaluator's defaults; none where it is not known what these are."""
+        """Settings that differ from the evaluator's defaults; empty where the defaults are not known."""
         defaults = plain(asdict(DEFAULTS[self.track])) if self.track in DEFAULTS else self.settings
         return {key: value for key, value in self.settings.items() if defaults.get(key) != value}
 
@@ -75,23 +76,23 @@ class BoardInfo:
 class Row:
     """A record on its board.
 
-    place:     by the ranking metric's mean alone; equal means share one. None without a value, not
-               current, or self-reported
+    place:     by the mean of the ranking metric alone; equal means share one. None for records that have no value, are
+               not current, or are self-reported
     rank:      by significance (`oysterbench.results.standings`); None with too few sequences, or without a place
-    tied:      whether another record has the same rank; the same place where there are no ranks
-    score:     mean of the ranking metric over all sequences of the board; low, high: its interval, None where there are
-               too few sequences
-    data_set:  the ranking metric over all sequences at once, where the record knows it, such as COCO's AP: it is shown,
-               and does not rank, as a paired comparison needs a value on each sequence
-    coverage:  mean over sequences, for tracks that have such a thing
-    metrics:   means of the columns, coverage among them where it is one; of errors the medians over the sequences that
-               are not lost; None where there is none
-    failures:  runs that failed, and sequences that were not answered
-    lost:      sequences of the board that are lost (`oysterbench.results.lost`), the unanswered among them; None where
-               the track has no such thing
-    sensors, mode: what the method says that it uses, and "online" or "offline"; code, paper: where its program is, and
-               what it is described in; each empty where it says nothing
-    machine:  that its speeds were measured on; empty where it does not say, or had several
+    tied:      whether another record has the same rank, or the same place where there are no ranks
+    score:     mean of the ranking metric over all sequences of the board; low, high: its confidence interval, None
+               where there are too few sequences
+    data_set:  the ranking metric over all sequences at once, if the record has it, such as COCO's AP: shown but not
+               used for ranking, as a paired comparison needs a value on each sequence
+    coverage:  mean over sequences, for tracks that have it
+    metrics:   means of the columns, including coverage where it is one; for errors, medians over the sequences that are
+               not lost; None where there is no value
+    failures:  number of failed runs, plus sequences without an estimate
+    lost:      number of sequences of the board that are lost (`oysterbench.results.lost`), including those without an
+               estimate; None where the track does not define it
+    sensors, mode: sensors that the method states it uses, and "online" or "offline"; code, paper: where its program is,
+               and the paper that describes it; each empty where it states nothing
+    machine:   on which its speeds were measured; empty where it is not stated, or there were several
     """
 
     digest: str
@@ -126,13 +127,13 @@ class Row:
 
 @dataclass(frozen=True)
 class Query:
-    """What is asked of a board.
+    """A query for rows of a board.
 
     sort:     "rank", "method", "team", "created", "score", "data_set", "coverage", "lost", or a column's key;
-              descending: the other way round. Records without the value are last either way
-    text:     in method or team, whatever the case; tiers: none for all
-    states:   which records; superseded and withdrawn ones have no place
-    page:     from 1; size: rows of a page
+              descending: in reverse order. Records without the value are last either way
+    text:     to find in method or team, ignoring case; tiers: empty for all
+    states:   of the wanted records; superseded and withdrawn ones have no place
+    page:     from 1; size: rows per page
     """
 
     sort: str = "rank"
@@ -146,7 +147,7 @@ class Query:
 
 @dataclass(frozen=True)
 class BoardPage:
-    """Rows of a board that a query asks for; total: how many there are on all pages."""
+    """One page of the rows that a query selects; total: number of rows on all pages."""
 
     board: BoardInfo
     query: Query
@@ -159,7 +160,7 @@ class BoardPage:
 
 
 class BoardReader(Protocol):
-    """What every reader may ask: of a database (`index.BoardIndex`), or of the records in memory."""
+    """Interface for reading boards, from a database (`index.BoardIndex`) or from records in memory."""
 
     @property
     def store(self) -> RecordStore: ...
@@ -184,9 +185,9 @@ class BoardReader(Protocol):
 
 @dataclass(frozen=True)
 class Literature:
-    """A number that others reported on other data: never ranked with ours.
+    """A result reported by others on other data: never ranked with ours.
 
-    metric: in words, as its source defines it; data: what it was measured on; source: where it stands
+    metric: in words, as its source defines it; data: what it was measured on; source: where it was published
     """
 
     track: str

@@ -1,4 +1,4 @@
-"""`oysterbench leaderboard`: the group; what its commands do is imported when one of them is asked for."""
+"""`oysterbench leaderboard`: the group, whose commands are imported only when they are called."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "team": (TEAMS, "team", "Manage teams and their tokens."),
     "submissions": (TEAMS, "submissions", "Manage submissions."),
 }
-"""Name -> module, attribute and one line about it: help needs no import."""
+"""Name -> module, attribute and a line of help, so that the group's help needs no import."""
 
 
 class Lazy(click.Group):

@@ -1,4 +1,4 @@
-"""Records for `oysterbench compare`: by their digest, or as the method that is on a board."""
+"""Records for `oysterbench compare`, found by digest or as a method on a board."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from oysterbench_leaderboard.options import Place
 from oysterbench_leaderboard.tables import SHORT
 
 MOST_NAMED = 20
-"""Methods of a board, the first ones, that are named to who asks for another."""
+"""Number of first methods of a board that are listed to a user who names an unknown one."""
 
 _DIGEST = re.compile(f"[0-9a-f]{{{LEAST_DIGITS},64}}")
 
 
 def results_of(text: str, split: str | None, place: Place | None = None) -> list[ResultRecord] | None:
-    """The results of a method on the board, or of a record by its digest; None where the text can only be a file's.
+    """Results of a method on the board, or of a record by its digest; None where the text can only be a file name.
 
-    split: only these, where it is given. A record that is named by its digest carries it in its method's name, as
-    another of the same method may stand beside it. Raises ResultError where several records could be meant, or none is.
+    split: only results on this split, if given. A record given by its digest has the digest added to its method's name,
+    as it may be compared with another of the same method. Raises ResultError where no record matches, or several do.
     """
     index = (place or Place()).reader()
     rows = [row for row in index.method(text) if row.state == "current"]
@@ -43,7 +43,7 @@ def results_of(text: str, split: str | None, place: Place | None = None) -> list
 
 
 def _methods(index: BoardReader, split: str | None) -> str:
-    """What could have been meant."""
+    """Text for a message that lists the methods there are, on a split if given."""
     boards = [board for board in index.boards() if board.newest and split in (None, board.split)]
     there = sorted({row.method for board in boards for row in index.page(board.id, Query(size=MOST_NAMED)).rows})
     return f"the methods{f' on {split}' if split else ''} are: {', '.join(there[:MOST_NAMED]) or 'none yet'}"

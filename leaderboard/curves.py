@@ -1,6 +1,6 @@
-"""What is drawn on a record's page: the path over the truth, and its error over time, on a few hundred shared stamps.
+"""Curves for a record's page: the path against ground truth, and its error over time, at a few hundred shared stamps.
 
-Only for public splits: a path that is drawn gives the truth away.
+Only for public splits: a drawn path would reveal the ground truth.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from oysterbench.evaluate.slam.scoring import SlamResult
 FORMAT = "oysterbench-curves/1"
 
 MOST_POINTS = 300
-"""Of a path."""
+"""Maximum number of points of a path."""
 
 DECIMALS = 3
-"""Of metres: millimetres are less than a line is thick."""
+"""Decimals of positions in m and times in s: a millimetre is less than the width of a line."""
 
 ERROR_DECIMALS = 5
-"""Of errors in m: the best paths err by a millimetre."""
+"""Decimals of errors in m: those of the best paths are about a millimetre."""
 
 
 def sequence_curve(result: SlamResult, run: int) -> dict[str, Any]:
-    """A path on its sequence, thinned to stamps evenly over those of the truth, the first and the last among them.
+    """A path on its sequence, thinned to stamps spread evenly over those of the ground truth, including first and last.
 
     run:     of the record, from 0
-    t_s:     (N,) seconds from the first stamp of the truth, N <= MOST_POINTS
-    truth:   (N, 3) true positions x y z, m, in the world `map`
-    path:    (N, 3) estimated ones, aligned as the evaluator aligned them; None at stamps that have no answer
-    error_m: (N,) distance between the two; None at these
+    t_s:     (N,) seconds from the first stamp of the ground truth, N <= MOST_POINTS
+    truth:   (N, 3) true positions x y z, m, in the world frame `map`
+    path:    (N, 3) estimated positions, as aligned by the evaluator; None at stamps without an estimate
+    error_m: (N,) distance between the two; None at the same stamps
     """
     truth = result.whole_truth
     chosen = np.unique(np.linspace(0, len(truth) - 1, min(MOST_POINTS, len(truth))).round().astype(int))
@@ -50,7 +50,7 @@ def sequence_curve(result: SlamResult, run: int) -> dict[str, Any]:
 
 
 def curves_document(sequences: Mapping[str, Mapping[str, Any]], align: str) -> dict[str, Any]:
-    """What `RecordStore.add_curves` keeps: sequence -> `sequence_curve`; align: how paths were laid on the truth."""
+    """Document for `RecordStore.add_curves`. sequences: name -> `sequence_curve`; align: how paths were aligned."""
     return {"format": FORMAT, "align": align, "sequences": {name: dict(curve) for name, curve in sequences.items()}}
 
 

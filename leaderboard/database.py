@@ -1,4 +1,4 @@
-"""The database of the index: its tables, alike in SQLite and PostgreSQL, and connections to it."""
+"""The database of the index: its tables, the same in SQLite and PostgreSQL, and connections to it."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from oysterbench.core.files import locked
 from oysterbench_leaderboard.board import Row
 
 METADATA = MetaData()
-TEXT = Text().with_variant(Text(collation="C"), "postgresql")  # SQLite's order: by bytes, whatever the locale
-_LOCK = 0x6F79_7374_6572  # the advisory lock of PostgreSQL under which the index is written
+TEXT = Text().with_variant(Text(collation="C"), "postgresql")  # sorted as in SQLite: by bytes, whatever the locale
+_LOCK = 0x6F79_7374_6572  # PostgreSQL advisory lock under which the index is written
 
 CONTENTS = Table("oysterbench_contents", METADATA, Column("data", TEXT))
-"""`index_writer.Contents` as JSON, in one row: all that is small."""
+"""`index_writer.Contents` as JSON, in one row: everything that is small."""
 
 _KINDS: dict[str, Any] = {"position": Integer, "place": Integer, "rank": Integer, "sequences": Integer, "runs": Integer}
 _KINDS |= {"failures": Integer, "lost": Integer, "tied": Boolean, "metrics": JSON}
@@ -56,12 +56,12 @@ ROWS = Table(
     Index("oysterbench_rows_in_order", "board", "position", "state", "tier", "words"),
     Index("oysterbench_rows_of_method", "method", "team"),
 )
-"""`board.Row`. words: method and team, for searching; position: on its board, in the order of ranks, those without a
-place last; summary_data: `RecordSummary` as JSON, what a board is ranked by."""
+"""Rows of boards (`board.Row`). words: method and team, for searching; position: on its board, in order of rank, with
+those without a place last; summary_data: `RecordSummary` as JSON, by which a board is ranked."""
 
 
 class Database:
-    """Connections to an index. name: where it lies, without a password."""
+    """Connections to an index. name: its file or URL, without a password. Raises ResultError for an invalid place."""
 
     def __init__(self, url_or_path: str | os.PathLike[str]) -> None:
         place = os.fspath(url_or_path)
@@ -80,7 +80,7 @@ class Database:
                 raise ResultError("index: expected a file for SQLite, got none")
             self.file = Path(url.database)
             self.name = str(self.file)
-            # Opened for each question, as the file may be replaced by another at any time.
+            # Opened for each query, as the file may be replaced by another at any time.
             place = f"sqlite:///file:{quote(str(self.file.resolve()))}?mode=rw&uri=true"
             self.engine = open_engine(place, poolclass=NullPool)
         elif url.get_backend_name() == "postgresql":
@@ -89,12 +89,12 @@ class Database:
             raise ResultError(f"index: expected SQLite or PostgreSQL, got {url.get_backend_name()}")
 
     def close(self) -> None:
-        """Let go of all connections; the next question opens new ones."""
+        """Close all connections; the next query opens new ones."""
         self.engine.dispose()
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[Connection]:
-        """A connection whose questions are all answered from one state of the index. Raises ResultError in one line."""
+        """Connection whose queries are all answered from one state of the index. Raises ResultError in one line."""
         try:
             with self.engine.begin() as connection:
                 if self.file is None:
@@ -105,8 +105,8 @@ class Database:
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[Connection]:
-        """The one transaction of the only writer, on any host; readers see the old state until it ends. The tables are
-        made where there are none; a file that is no database is replaced."""
+        """Connection in a transaction of the only writer on any host; readers see the old state until it ends. Missing
+        tables are created; a file that is not a database is replaced. Raises ResultError in one line."""
         try:
             with contextlib.ExitStack() as stack:
                 if self.file is not None:
@@ -126,7 +126,8 @@ class Database:
 
 
 def _make_file(file: Path) -> None:
-    """An SQLite file in the mode in which readers and the writer do not wait for each other."""
+    """Create an SQLite file in WAL mode, in which readers and the writer do not wait for each other; a file that is not
+    a database is replaced."""
     for attempt in range(2):
         try:
             with contextlib.closing(sqlite3.connect(file, timeout=60)) as connection:
@@ -140,24 +141,24 @@ def _make_file(file: Path) -> None:
 
 
 def open_engine(url: str | URL, pragmas: Iterable[str] = (), **options: Any) -> Engine:
-    """Connections to SQLite or PostgreSQL; a transaction with the execution option `writes` waits for other writers.
+    """Engine for SQLite or PostgreSQL; a transaction with the execution option `writes` waits for other writers.
 
-    pragmas: of SQLite, set on every connection; options: of `create_engine`
+    pragmas: for SQLite, set on every connection; options: for `create_engine`
     """
     if not str(url).startswith("sqlite"):
-        # Told, as a database that was made without an encoding answers in bytes else.
+        # Explicit, as a database created without an encoding would answer in bytes.
         return create_engine(url, connect_args={"client_encoding": "utf8"}, **options)
     engine = create_engine(url, connect_args={"timeout": 60.0, "check_same_thread": False}, **options)
 
     @event.listens_for(engine, "connect")
     def connected(connection: Any, record: Any) -> None:
-        connection.isolation_level = None  # the driver begins transactions too late, and never for reading
+        connection.isolation_level = None  # the driver starts transactions too late, and never for reading
         for pragma in pragmas:
             connection.execute(f"PRAGMA {pragma}")
 
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
-        # A writer that begins as a reader fails where another one writes between; one that says so at once waits.
+        # A transaction that upgrades from reading to writing fails if another writes in between; IMMEDIATE waits.
         writes = connection.get_execution_options().get("writes")
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 

@@ -1,8 +1,8 @@
-"""What is published of results on a hidden split: what a board needs, and no more, as a hundred exact numbers of chosen
-predictions would tell where the truth lies.
+"""What is published of results on a hidden split: only what a board needs, because a hundred exact numbers for chosen
+predictions would reveal the ground truth.
 
-Of each sequence the metric that ranks, the share that was answered, and what the ranking weighs it by, in steps that
-one image or pose does not move; of the other columns of the board the means over the split.
+For each sequence: the ranking metric, the coverage, and the weight in the ranking, in steps that a single image or pose
+does not change; for the other columns of the board: the means over the split.
 """
 
 from __future__ import annotations
@@ -20,27 +20,28 @@ from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.record_summary import means_over_sequences
 
 STEP = 0.01
-"""Of shares of a sequence, its score among them."""
+"""Step of dimensionless values of a sequence, such as shares and its score."""
 
 LEAST = -1.0
-"""Least score that is told: a skill below it is as bad as that."""
+"""Lowest score that is published: a lower skill is reported as this."""
 
 DIGITS = {"sequence": 2, "split": 3}
-"""Significant digits of what is no share of a sequence, and of medians; of means over the split."""
+"""Significant digits: "sequence" of values of a sequence with a unit, and of medians; "split" of means over the
+split."""
 
 COSTS = ("wall_s", "cpu_s", "cpu_s_per_s", "realtime_factor", "peak_memory_mb", "images_per_s", "pictures_per_s")
-"""Metrics of the run and not of its estimate: they stay as they were measured, and say nothing of the truth."""
+"""Metrics of the run, not of its estimate: published as measured, as they reveal nothing of the ground truth."""
 
 NO_VALUE = "has no value for this estimate on this sequence"
 
 
 def significant(value: float, digits: int) -> float:
-    """A finite number to some significant digits, 0 where it is below 1e-6."""
+    """Round a finite number to `digits` significant digits; 0 where its magnitude is below 1e-6."""
     return float(f"{value:.{digits}g}") if abs(value) >= 1e-6 else 0.0
 
 
 def is_hidden(split: str) -> bool:
-    """Whether a split, by its name or recipe, is a hidden one of this version."""
+    """Whether a split, given by name or recipe, is a hidden split of this version."""
     try:
         return load_split(split).hidden
     except RecipeError:
@@ -50,8 +51,8 @@ def is_hidden(split: str) -> bool:
 def discreet(
     results: Sequence[ResultRecord], data_set: Mapping[str, Any] | None = None
 ) -> tuple[list[ResultRecord], dict[str, Any]]:
-    """Results of one method on a hidden split as they may be seen, and what is known over all sequences together: the
-    `metrics` of the data set that rank, where it has them, and the `means` of the board's other columns."""
+    """Results of one method on a hidden split, reduced to what may be published, and what is known over all sequences
+    together: in `metrics` the ranking metric of the data set, if there is one, and `means` of the other columns."""
     track = TRACKS[results[0].track]
     means = means_over_sequences(results, track.standing)
     value = (data_set or {}).get("metrics", {}).get(track.ranking)
@@ -60,7 +61,7 @@ def discreet(
         "method": results[0].method,
         "metrics": whole,
         "means": {
-            # A median is what one sequence has.
+            # A median is the value of a single sequence.
             key: None if mean is None else significant(mean, DIGITS["sequence" if key in track.errors else "split"])
             for key, mean in means.items()
         },
@@ -71,7 +72,7 @@ def _coarse(result: ResultRecord) -> ResultRecord:
     ranking, metrics = PRIMARY[result.track], result.metrics
     kept = {key: _rounded(key, result.track, metrics[key]) for key in (ranking, "coverage") if key in metrics}
     if {"truth_px", "estimate_px", ranking} <= metrics.keys():
-        # The union as it follows from what is told: whoever knows the estimate learns nothing more from it.
+        # The union as implied by the published values: it reveals nothing more to one who knows the estimate.
         kept["truth_px"] = significant(metrics["truth_px"], DIGITS["sequence"])
         union = (kept["truth_px"] + metrics["estimate_px"]) / (1.0 + kept[ranking])
         kept["union_px"] = significant(union, DIGITS["split"])

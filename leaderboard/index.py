@@ -1,4 +1,4 @@
-"""The index of a board: what pages and tables ask, answered from a database that can be made anew from the records."""
+"""The index of a board: answers queries of pages and tables from a database that can be rebuilt from the records."""
 
 from __future__ import annotations
 
@@ -26,19 +26,20 @@ from oysterbench_leaderboard.record_summary import RecordSummary
 from oysterbench_leaderboard.store import RecordStore
 
 MOST_ORDERS = 128
-"""Orders of a board that are kept, at 8 bytes a row."""
+"""Maximum number of sort orders that are cached, at 8 bytes per row."""
 
 MOST_WANTED = 500
-"""Rows that one statement fetches by their positions."""
+"""Maximum number of rows that one statement fetches by position."""
 
 _PREFIX = re.compile(f"[0-9a-f]{{{LEAST_DIGITS},64}}")
 _COLUMNS = [ROWS.c[key] for key in Row.__dataclass_fields__]
 
 
 def open_index(store: RecordStore, url: str | None = None) -> BoardIndex:
-    """The index of a store, up to date: made where there is none, and anew where it is of another version.
+    """Open the index of a store and bring it up to date; it is created where there is none, and rebuilt where it is of
+    another version.
 
-    url: a file (SQLite), or postgresql+psycopg://...; by default a file under the home, one for each store.
+    url: a file (SQLite), or postgresql+psycopg://...; by default a file in the home folder, one for each store.
     """
     index = BoardIndex(url or default_url(store), store)
     index.refresh()
@@ -46,14 +47,13 @@ def open_index(store: RecordStore, url: str | None = None) -> BoardIndex:
 
 
 def default_url(store: RecordStore) -> str:
-    """A file under the home, one for each store."""
+    """Path of a store's own file in the home folder."""
     name = hashlib.sha256(str(store.folder.resolve()).encode()).hexdigest()[:12]
     return str(home() / "leaderboard" / f"index-{name}.sqlite")
 
 
 class BoardIndex:
-    """What every reader may ask, in SQLite or PostgreSQL. All answers are of one revision at a time; sequences are in
-    the board's order."""
+    """`BoardReader` on SQLite or PostgreSQL. Each answer is of one revision; sequences are in the board's order."""
 
     def __init__(self, url_or_path: str | os.PathLike[str], store: RecordStore) -> None:
         self.store, self.database = store, Database(url_or_path)
@@ -61,22 +61,22 @@ class BoardIndex:
 
     @property
     def name(self) -> str:
-        """Where it lies, without a password."""
+        """File or URL of the index, without a password."""
         return self.database.name
 
     @property
     def revision(self) -> str:
-        """Changes whenever any answer does: what a cache of pages is keyed by."""
+        """Revision, which changes whenever any answer does; key for caches of pages."""
         return self._contents().revision
 
     def rebuild(self, progress: Progress | None = None) -> None:
-        """Make all anew from the store's files; readers see the old index until the new one is whole."""
+        """Rebuild everything from the store's files; readers see the old index until the new one is complete."""
         with self.database.writing() as connection:
             write(connection, self.store, True, progress)
 
     def refresh(self) -> None:
-        """Take in what has come into the store since; ranks only the boards that it is on."""
-        # Where there is no index yet, or none can be made, the writer finds out.
+        """Take over what has changed in the store since; only the boards affected are ranked again."""
+        # Where there is no index yet, or none can be created, the writer finds out.
         with contextlib.suppress(ResultError):
             if self._contents().inputs == inputs_of(self.store):
                 return
@@ -88,7 +88,7 @@ class BoardIndex:
         return [board for board in self._contents().boards.values() if track in (None, board.track)]
 
     def page(self, board: str, query: Query) -> BoardPage:
-        """Rows of a board."""
+        """Return a page of a board's rows. Raises ResultError where there is no such board or sort key."""
         with self.database.reading() as connection:
             info = _contents(connection).boards.get(board)
             if info is None:
@@ -105,8 +105,8 @@ class BoardIndex:
             return BoardPage(info, replace(query, page=page, size=size), in_order, len(order))
 
     def row(self, digest: str) -> Row:
-        """A record's row. Raises ResultError where there is none. A digest may be shortened to 8 digits or more where
-        that is unique."""
+        """Return a record's row. The digest may be abbreviated to 8 digits or more. Raises ResultError where no record
+        matches, or several do."""
         if not _PREFIX.fullmatch(digest):
             raise ResultError(f"expected a digest of {LEAST_DIGITS} to 64 hex digits, got {digest!r:.80}")
         found = self._rows(ROWS.c.digest >= digest, ROWS.c.digest < digest + "g")
@@ -118,7 +118,7 @@ class BoardIndex:
         return found[0]
 
     def method(self, method: str, team: str | None = None) -> list[Row]:
-        """All rows of a method, the newest first, superseded and withdrawn ones too."""
+        """All rows of a method, newest first, including superseded and withdrawn ones."""
         return self._rows(ROWS.c.method == method, *([] if team is None else [ROWS.c.team == team]))
 
     def methods(self) -> list[tuple[str, str, int]]:
@@ -130,8 +130,8 @@ class BoardIndex:
         return [(method, team, count) for method, team, count in found]
 
     def scores(self, digests: Iterable[str]) -> dict[str, dict[str, float]]:
-        """Record -> sequence -> value of the ranking metric, of the sequences that it was run on; NaN where it has no
-        value."""
+        """Record -> sequence -> value of the ranking metric, for the sequences that it was run on; NaN where there is
+        no value."""
         with self.database.reading() as connection:
             asked = select(ROWS.c.digest, ROWS.c.summary_data).where(ROWS.c.digest.in_(list(digests)))
             summaries = {row.digest: RecordSummary.decode(row.summary_data) for row in connection.execute(asked)}
@@ -146,11 +146,11 @@ class BoardIndex:
         return {name: {key: means[key].get(name) for key in keys} for name in names}
 
     def problems(self) -> dict[str, str]:
-        """Files that were left out, by their digest: why. The others are not touched by it."""
+        """Digests of files that were left out -> reason. The others are not affected."""
         return dict(sorted(self._contents().problems.items()))
 
     def close(self) -> None:
-        """Let go of all connections; the next question opens new ones."""
+        """Close all connections; the next query opens new ones."""
         self.database.close()
 
     def _contents(self) -> Contents:
@@ -158,8 +158,8 @@ class BoardIndex:
             return _contents(connection)
 
     def _order(self, connection: Connection, board: BoardInfo, query: Query) -> array[int]:
-        """Positions of all rows that a query asks for, in its order; kept until the records change, as sorting a large
-        board takes longer than all else of a page, and most pages ask for the same."""
+        """Positions of all rows that a query selects, in its order; cached until the records change, as sorting a large
+        board takes longer than everything else on a page, and most pages need the same order."""
         key = (_contents(connection).revision, board.id, replace(query, page=1, size=1))
         order = self._orders.get(key)
         if order is None:
@@ -176,7 +176,7 @@ class BoardIndex:
         return order
 
     def _rows(self, *chosen: Any) -> list[Row]:
-        """Rows for which all conditions hold, the newest first."""
+        """Rows that meet all conditions, newest first."""
         asked = select(*_COLUMNS).where(*chosen).order_by(ROWS.c.created.desc(), ROWS.c.digest)
         with self.database.reading() as connection:
             boards = _contents(connection).boards
@@ -193,21 +193,22 @@ def _decoded(data: str) -> Contents:
 
 
 def _row(board: BoardInfo, row: RowMapping) -> Row:
-    """As it is asked for: what stands beside the score, coverage over the sequences of the board."""
+    """Make a `Row` of a database row, with coverage taken over the sequences of the board."""
     metrics = {**row["metrics"], "coverage": row["coverage"]}
     facts = {key: row[key] for key in Row.__dataclass_fields__}
     return Row(**{**facts, "metrics": {key: metrics[key] for key in board.columns}})
 
 
 def _sorting(board: BoardInfo, query: Query) -> Iterable[Any]:
-    """What a page is ordered by: records without the value come last, whichever way round; equal ones by rank."""
+    """Expressions to sort a page by: records without the value come last in either order; equal ones by rank. Raises
+    ResultError for an unknown key."""
     columns: dict[str, Any] = {"rank": ROWS.c.position, "method": ROWS.c.words, board.metric: ROWS.c.score}
     columns |= {key: ROWS.c.metrics[key].as_float() for key in board.columns}
     columns |= {key: ROWS.c[key] for key in ("team", "created", "score", "data_set", "coverage", "lost")}
     column = columns.get(query.sort)
     if column is None:
         raise ResultError(f"sort: expected one of {', '.join(columns)}, got {query.sort!r:.40}")
-    if query.sort == "rank" and not query.descending:  # which an index gives
+    if query.sort == "rank" and not query.descending:  # a database index has this order
         return (ROWS.c.position,)
     absent = ROWS.c.place if query.sort == "rank" else column
     return absent.is_(None), column.desc() if query.descending else column, ROWS.c.position

@@ -1,4 +1,4 @@
-"""Writing the index: records that come into the store or leave it, which of them are current, and their ranks."""
+"""Writing the index: records added to or removed from the store, which of them are current, and their ranks."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from oysterbench_leaderboard.record_summary import COLUMNS, RecordSummary, read_
 from oysterbench_leaderboard.store import RecordStore
 
 SCHEMA = f"13 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
-"""Changes with every change of a table, or of what is put into it: an index of another is made anew."""
+"""Changes with every change of a table or of its contents: an index with another value is rebuilt."""
 
 CHUNK = 1000
-"""Records that are read at a time."""
+"""Number of records read at a time."""
 
 Progress = Callable[[int, int], None]
-"""Called with what is done, and of how much."""
+"""Called with the number of records done, and of all."""
 
 
 class Contents(msgspec.Struct, frozen=True):
-    """What an index holds beside its rows.
+    """What an index holds besides its rows.
 
-    inputs: names all that it is made of; revision: changes whenever any answer does
-    boards: by their ids, in order; problems: files that were left out, by their digest: why
+    inputs: digest that identifies everything it is made from; revision: changes whenever any answer does
+    boards: by id, in order; problems: digests of files that were left out -> reason
     """
 
     schema: str = ""
@@ -43,15 +43,15 @@ class Contents(msgspec.Struct, frozen=True):
 
 
 def inputs_of(store: RecordStore) -> str:
-    """Names all that an index is made of."""
+    """Digest that identifies everything an index is made from."""
     names = (SCHEMA, *store.names("records"), "changes", *store.names("changes"))
     return hashlib.sha256("".join(names).encode()).hexdigest()
 
 
 def write(connection: Connection, store: RecordStore, anew: bool, progress: Progress | None = None) -> None:
-    """Bring the index up to what the store holds, in the caller's transaction: all of it `anew`, or else what has come
-    or gone. Only boards with a record whose state changed are ranked again, here and not when a page is asked for:
-    that takes seconds for tens of thousands of records."""
+    """Bring the index up to date with the store, in the caller's transaction: all of it if `anew`, else only what was
+    added or removed. Only boards with a record whose state changed are ranked again. This is done here and not when a
+    page is requested, as it takes seconds for tens of thousands of records."""
     before = msgspec.json.decode(connection.scalar(select(CONTENTS.c.data)) or "{}", type=Contents)
     if before.schema != SCHEMA:
         METADATA.drop_all(connection)
@@ -84,8 +84,8 @@ def _add(
     boards: dict[str, BoardInfo],
     progress: Progress | None,
 ) -> dict[str, str]:
-    """Put records in, without state and rank, and boards that they are the first of; those that cannot be used, and
-    why."""
+    """Insert records, without state and rank, and add the boards that are new with them; return the digests of records
+    that cannot be used -> reason."""
     problems: dict[str, str] = {}
     for start in range(0, len(digests), CHUNK):
         rows = []
@@ -107,7 +107,7 @@ def _add(
 
 
 def _set_states(connection: Connection, gone: set[str]) -> set[str]:
-    """Say which records are current; the boards on which one's state changed."""
+    """Update the states of all records; return the ids of boards on which one changed."""
     keys = list(Claim.__dataclass_fields__)
     found = connection.execute(select(*(ROWS.c[key] for key in keys), ROWS.c.state)).all()
     now = states((Claim(*row[: len(keys)]) for row in found), gone)
@@ -117,7 +117,7 @@ def _set_states(connection: Connection, gone: set[str]) -> set[str]:
 
 
 def _rank(connection: Connection, board: BoardInfo) -> BoardInfo | None:
-    """Rank a board's records; the board as it is now, None where it has none."""
+    """Rank a board's records; return the updated board, or None where it has no records."""
     keys = ("digest", "state", "tier", "created", "low", "high", "summary_data")
     asked = select(*(ROWS.c[key] for key in keys)).where(ROWS.c.board == board.id).order_by(ROWS.c.digest)
     found = [
@@ -132,7 +132,8 @@ def _rank(connection: Connection, board: BoardInfo) -> BoardInfo | None:
 
 
 def _for_each(connection: Connection, statement: Any, rows: Sequence[dict[str, Any]]) -> None:
-    """Change or delete the row whose digest is the `key` of each; rows have equal keys."""
+    """Execute an update or deletion for the row whose digest is the `key` of each; all dictionaries have the same
+    keys."""
     if rows:
         values: dict[str, Any] = {key: bindparam(key) for key in rows[0] if key != "key"}
         changed = statement.where(ROWS.c.digest == bindparam("key"))

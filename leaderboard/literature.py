@@ -1,4 +1,4 @@
-"""Numbers that others reported on other data: a table of its own, never ranked with ours."""
+"""Results reported by others on other data: in a separate table, never ranked with ours."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _OWN = {"method", "value", "note", "source", "url"}
 
 
 def literature(track: str | None = None) -> list[Literature]:
-    """All rows of `literature.toml`, or those of a track, in its order."""
+    """All rows of `literature.toml`, or those of a track, in the order of the file."""
     text = (resources.files("oysterbench_leaderboard") / "literature.toml").read_text(encoding="utf-8")
     return [row for row in parse_literature(text) if track is None or row.track == track]
 
 
 def parse_literature(text: str, where: str = "literature.toml") -> list[Literature]:
-    """The rows of such a file: [[group]] with what its rows share, `row` with method, value and what is their own.
+    """Parse the rows of such a file: [[group]] has what its rows share, `row` has method, value and other own keys.
     Raises ResultError naming the group."""
     try:
         groups = tomllib.loads(text)["group"]

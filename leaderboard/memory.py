@@ -1,4 +1,4 @@
-"""What a board shows, straight from its records: for who reads one and has no library for databases."""
+"""Boards read directly from their records, for readers without a database library."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from oysterbench_leaderboard.store import RecordStore
 
 
 class MemoryIndex:
-    """Answers what `index.BoardIndex` answers, and alike; every record is read when it is made, some ms each."""
+    """`BoardReader` with the same answers as `index.BoardIndex`; on creation it reads every record, some ms each."""
 
     def __init__(self, store: RecordStore) -> None:
         self.store = store
@@ -56,7 +56,7 @@ class MemoryIndex:
 
     @property
     def revision(self) -> str:
-        """Changes whenever any answer does."""
+        """Revision, which changes whenever any answer does."""
         names = (*self.store.names("records"), "changes", *self.store.names("changes"), str(sorted(self._problems)))
         return hashlib.sha256(" ".join(names).encode()).hexdigest()[:16]
 
@@ -65,7 +65,7 @@ class MemoryIndex:
         return [board for board in self._boards.values() if track in (None, board.track)]
 
     def page(self, board: str, query: Query) -> BoardPage:
-        """Rows of a board."""
+        """Return a page of a board's rows. Raises ResultError where there is no such board or sort key."""
         info = self._boards.get(board)
         if info is None:
             raise ResultError(f"no board {board!r:.40}; `oysterbench leaderboard` lists what there is")
@@ -76,7 +76,8 @@ class MemoryIndex:
         return BoardPage(info, replace(query, page=page, size=size), rows, len(ordered))
 
     def row(self, digest: str) -> Row:
-        """A record's row, by its digest or 8 digits or more of it. Raises ResultError where there is none."""
+        """Return a record's row by its digest, or the first 8 digits or more of it. Raises ResultError where no record
+        matches, or several do."""
         if len(digest) < LEAST_DIGITS or not set(digest) <= set("0123456789abcdef"):
             raise ResultError(f"expected a digest of {LEAST_DIGITS} to 64 hex digits, got {digest!r:.80}")
         found = [row for name, row in self._columns.items() if name.startswith(digest)]
@@ -88,7 +89,7 @@ class MemoryIndex:
         return self._row(found[0])
 
     def method(self, method: str, team: str | None = None) -> list[Row]:
-        """All rows of a method, the newest first, superseded and withdrawn ones too."""
+        """All rows of a method, newest first, including superseded and withdrawn ones."""
         found = [r for r in self._columns.values() if r["method"] == method and team in (None, r["team"])]
         found.sort(key=lambda row: str(row["digest"]))
         found.sort(key=lambda row: str(row["created"]), reverse=True)
@@ -111,7 +112,7 @@ class MemoryIndex:
         return {name: {key: means[key].get(name) for key in keys} for name in names}
 
     def problems(self) -> dict[str, str]:
-        """Files that were left out, by their digest: why. The others are not touched by it."""
+        """Digests of files that were left out -> reason. The others are not affected."""
         return dict(sorted(self._problems.items()))
 
     def _row(self, row: dict[str, Any]) -> Row:
@@ -134,7 +135,8 @@ def _metric(key: str, row: dict[str, Any]) -> float | None:
 
 
 def _sorted(rows: Iterable[dict[str, Any]], board: BoardInfo, query: Query) -> list[dict[str, Any]]:
-    """Records without the value come last, whichever way round; equal ones by rank."""
+    """Sort rows as a query asks: records without the value come last in either order; equal ones by rank. Raises
+    ResultError for an unknown key."""
     values: dict[str, Callable[[dict[str, Any]], Any]] = {
         "rank": itemgetter("position"),
         "method": itemgetter("words"),

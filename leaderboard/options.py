@@ -1,4 +1,4 @@
-"""Where the records and their index are: what every command of the leaderboard asks for."""
+"""Where the records and their index are, as every leaderboard command needs to know."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Place:
-    """folder: of the records, by default `OYSTERBENCH_BOARD`, or those that come with oysterbench; url: of the index,
-    by default a file under the home."""
+    """Place of a board. folder: of the records, by default `OYSTERBENCH_BOARD`, or those shipped with oysterbench; url:
+    of the index, by default a file in the home folder."""
 
     folder: Path | None = None
     url: str | None = None
@@ -34,7 +34,7 @@ class Place:
         return Path(chosen) if chosen else Path(str(resources.files("oysterbench_leaderboard")))
 
     def store(self, must_exist: bool = True) -> RecordStore:
-        """The records. Raises ResultError where a folder that was named is not there."""
+        """Store of the records. Raises ResultError where its folder does not exist, unless `must_exist` is False."""
         from oysterbench_leaderboard.store import RecordStore
 
         if must_exist and not self.path.is_dir():
@@ -42,13 +42,13 @@ class Place:
         return RecordStore(self.path)
 
     def index(self) -> BoardIndex:
-        """The index, up to date."""
+        """Open the index and bring it up to date."""
         from oysterbench_leaderboard.index import open_index
 
         return open_index(self.store(), self.url)
 
     def reader(self) -> BoardReader:
-        """What answers who only reads: the index, or where no library for it is installed, the records themselves."""
+        """Reader of the board: the index or, where its library is not installed, the records themselves."""
         if self.url is not None or find_spec("sqlalchemy") is not None:
             return self.index()
         from oysterbench_leaderboard.memory import MemoryIndex
@@ -57,5 +57,5 @@ class Place:
 
 
 def find_place(context: Any) -> Place:
-    """As the group was given."""
+    """Place given to the command's group; the default one without any."""
     return context.obj if isinstance(context.obj, Place) else Place()

@@ -1,4 +1,4 @@
-"""Results to records: what `oysterbench run` and `oysterbench eval` wrote, as it goes on the board."""
+"""Making records for the board from the output of `oysterbench run` and `oysterbench eval`."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from oysterbench_leaderboard.record import Record, Tier
 from oysterbench_leaderboard.store import RecordStore
 
 SAME, SAME_SCALED = 1e-6, 5e-3
-"""Of values: how near a score that is computed again must be to the one in the results. A path in a unit of its own has
-had its scale fitted to the frame that was estimated, which a file of the body's poses no longer tells."""
+"""Tolerances between a recomputed score and the one in the results. SAME_SCALED is for a path whose scale is fitted: it
+was fitted in the estimated frame, which a file of body poses no longer tells."""
 
 _FOLDERS = re.compile(r"(?<![^\s=,'\"])(?:~|\.{1,2})?/(?:[^/\s=:,'\"]+/)*")
-"""Of a path, all but its last part, wherever in an argument it begins."""
+"""Matches all of a path but its last part, wherever in an argument it starts."""
 
 Notify = Callable[[str], None]
 """Called with a sentence for the user."""
@@ -39,7 +39,7 @@ Drawn = tuple[Record, dict[str, Any] | None]
 
 @dataclass(frozen=True)
 class Attribution:
-    """Who stands behind a record, and how its method is described."""
+    """Who is responsible for a record, how its method is described, and why it replaces earlier results."""
 
     team: str
     tier: Tier
@@ -49,11 +49,11 @@ class Attribution:
 
 
 def records_of(path: Path, by: Attribution, notify: Notify = lambda text: None) -> list[Drawn]:
-    """The records of a results.json, or of a folder that holds one, each with the curves to be drawn, if any.
+    """Make records from a results.json, or a folder with one, each with the curves for its page, if any.
 
-    One for each method and split, in the order of their first appearance. Paths are those that `oysterbench run` left
-    beside the results; of hidden splits there are none, and few metrics (`hidden.discreet`). Raises ResultError, in one
-    line, where results are of no split, or a method has some that may not be averaged.
+    There is one for each method and split, in order of first appearance. Curves are made from the paths that
+    `oysterbench run` left beside the results; hidden splits have none, and only few metrics (`hidden.discreet`). Raises
+    ResultError, in one line, where results are of no split, or those of a method may not be averaged.
     """
     path = path / "results.json" if path.is_dir() else path
     results = read_results(path)
@@ -90,8 +90,8 @@ def records_of(path: Path, by: Attribution, notify: Notify = lambda text: None) 
 
 
 def publish(store: RecordStore, records: Iterable[Drawn]) -> list[tuple[Record, str, bool]]:
-    """Keep records, each in place of the current one of its method, team and board; with their digests, and whether
-    they are new: the same results are kept once."""
+    """Store records, each superseding the current one of its method, team and board; return them with their digests,
+    and whether they are new: identical results are stored once."""
     done = []
     for given, curves in records:
         record = given if curves is None else replace(given, curves=store.add_curves(curves))
@@ -109,11 +109,11 @@ def publish(store: RecordStore, records: Iterable[Drawn]) -> list[tuple[Record, 
 
 
 def _earlier(store: RecordStore, record: Record) -> list[tuple[str, Record]]:
-    """Records of the same method, team and board. What cannot be read is passed over: `verify` tells of it."""
+    """Records of the same method, team and board. Unreadable ones are skipped; `verify` reports them."""
     found = []
     for digest in store.digests():
         try:
-            # Most are of others, and reading them whole takes long.
+            # Most are of other methods, and parsing them takes long.
             if json.dumps(record.method, ensure_ascii=False).encode() not in store.data(digest):
                 continue
             other = store.record(digest)
@@ -130,8 +130,8 @@ def _text(one: Record, other: Record) -> bool:
 
 
 def without_places(result: ResultRecord) -> ResultRecord:
-    """A result whose command names files without the folders of the machine that it was run on: these say nothing to
-    others, and may say more than their owner wants."""
+    """Remove the folders of the machine that a result was run on from the file names in its command: they mean nothing
+    to others, and may reveal more than their owner wants."""
     run = result.info.get("run")
     if not isinstance(run, Mapping) or not isinstance(run.get("command"), list):
         return result
@@ -156,11 +156,12 @@ def _check(path: Path, method: str, split: str, group: Sequence[ResultRecord]) -
             )
     for result in group:
         check_plausible(result, f"{path}: {method} on {result.sequence}")
-    aggregate(group)  # refuses what cannot be averaged
+    aggregate(group)  # raises where results cannot be averaged
 
 
 def _recipe(split: str, result: ResultRecord, notify: Notify) -> Any:
-    """The split's recipe as it is here; None where the results are of another, or it is not known."""
+    """Return the split's recipe in this version; None, and notify the user, where the split is unknown or the results
+    are of another recipe."""
     from oysterbench.recipe import load_split
     from oysterbench.simulation.generate import digest
 
@@ -188,7 +189,7 @@ def _check_sequences(path: Path, method: str, group: Sequence[ResultRecord], rec
 
 
 def _manifest(recipe: Any) -> str:
-    """SHA-256 of the released manifest."""
+    """SHA-256 of the released manifest; empty where there is none."""
     if recipe is None:
         return ""
     from oysterbench.hub.manifest import released_manifest
@@ -198,15 +199,16 @@ def _manifest(recipe: Any) -> str:
 
 
 def _data_sets(path: Path) -> dict[str, Any]:
-    """Method -> what is known over all sequences together."""
+    """Method -> values over all sequences together, from a results.json."""
     rows = json.loads(path.read_text(encoding="utf-8")).get("data_set") or []
     return {row["method"]: row for row in rows if isinstance(row, dict) and "method" in row}
 
 
 def keep_estimates(record: Record, folder: Path, estimates: Path) -> Record:
-    """A record that names the paths beside its results, which are kept by their SHA-256 for scoring again.
+    """Copy the paths beside a record's results to `estimates`, named by their SHA-256, for rescoring; return the record
+    with their digests.
 
-    folder: of the results; estimates: private, as paths on hidden splits would tell of the truth
+    folder: of the results; estimates: private, as paths on hidden splits would reveal the ground truth
     """
     runs: dict[str, int] = {}
     for result in record.results:
@@ -222,13 +224,13 @@ def keep_estimates(record: Record, folder: Path, estimates: Path) -> Record:
 
 
 def _estimate(folder: Path, method: str, result: ResultRecord, runs: int) -> Path:
-    """Where `oysterbench run` left a path."""
+    """File in which `oysterbench run` left the path of a result. runs: number of runs on its sequence."""
     number = f"-{result.run + 1}" if runs > 1 else ""
     return folder / f"{result.sequence}-{method}{number}.tum"
 
 
 def _curves(folder: Path, method: str, group: Sequence[ResultRecord], notify: Notify) -> dict[str, Any] | None:
-    """Of each sequence the run whose score is the median; None where no path lies beside the results."""
+    """Curves of each sequence, from the run with the median score; None where no paths are beside the results."""
     of_sequence: dict[str, list[ResultRecord]] = {}
     for result in group:
         of_sequence.setdefault(result.sequence, []).append(result)
@@ -266,7 +268,7 @@ def _curve(truth: Path, estimate: Path, result: ResultRecord) -> dict[str, Any]:
 
 
 def slam_settings(values: Mapping[str, Any]) -> Any:
-    """The evaluator's settings from a result's."""
+    """Evaluator settings made from those of a result. Raises TrajectoryError where they are of another evaluator."""
     from oysterbench.evaluate.slam.scoring import SlamSettings
 
     given: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}

@@ -1,4 +1,4 @@
-"""Which records of a board are current, and their places: pure functions of what the records say."""
+"""Which records of a board are current, and their places: pure functions of the records."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from oysterbench_leaderboard.store import StatusChange
 
 @dataclass(frozen=True)
 class Claim:
-    """What decides whether a record is current."""
+    """The fields of a record that decide whether it is current."""
 
     digest: str
     board: str
@@ -41,7 +41,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Ranked:
-    """What a record's place is made of. low, high: its interval, where it is known already."""
+    """What a record's place is computed from. low, high: its interval, if it is known already."""
 
     digest: str
     state: str
@@ -53,17 +53,17 @@ class Ranked:
 
 
 def withdrawn(changes: Iterable[StatusChange]) -> set[str]:
-    """Digests of the records whose latest change withdraws them; changes in any order."""
+    """Digests of the records whose latest status change withdraws them; changes may be in any order."""
     latest = {change.record: change.action for change in sorted(changes, key=StatusChange.order)}
     return {digest for digest, action in latest.items() if action == "withdrawn"}
 
 
 def states(claims: Iterable[Claim], gone: set[str]) -> dict[str, State]:
-    """Digest -> whether a record is current, superseded, or withdrawn (one of `gone`).
+    """Digest -> state of a record: current, superseded, or withdrawn (those in `gone`).
 
-    A record is superseded by any of the same team that names it, on its own board or another (a new evaluator has a
-    board of its own), or by the latest created one of its method, team and board; of two of one second the greater
-    digest is the later. A withdrawn record supersedes nothing: what it took the place of comes back.
+    A record is superseded by any of the same team that names it, on its own board or another (a new evaluator has its
+    own board), or by the latest one of its method, team and board; of two created in the same second, the one with the
+    greater digest is later. A withdrawn record supersedes nothing: the one that it had replaced comes back.
     """
     every = list(claims)
     there = [one for one in every if one.digest not in gone]
@@ -81,14 +81,15 @@ def states(claims: Iterable[Claim], gone: set[str]) -> dict[str, State]:
 
 
 def board_of(record: Record) -> BoardInfo:
-    """The board of a record, as its first one finds it."""
+    """Board of a record, still without entries, ranks and sequences."""
     track, split, recipe, evaluator, settings = comparable_key(record.results[0])
     about = (record.board, track, split, recipe, evaluator, json.loads(settings), PRIMARY[track], COLUMNS[track])
     return BoardInfo(*about, sequences=(), entries=0, updated="", newest=False)
 
 
 def columns_of(record: Record, digest: str) -> tuple[dict[str, Any], RecordSummary]:
-    """What a record says by itself, in the columns of `board.Row`, and `words` for searching; what ranks it."""
+    """Columns of `board.Row` that follow from a record by itself, with `words` for searching; and its summary, by which
+    it is ranked."""
     summary = summarise_record(record)
     same = ("board", "method", "team", "tier", "url", "summary", "created", "supersedes")
     return {
@@ -104,11 +105,12 @@ def columns_of(record: Record, digest: str) -> tuple[dict[str, Any], RecordSumma
 
 
 def rank(board: BoardInfo, found: Sequence[Ranked]) -> tuple[BoardInfo, list[dict[str, Any]]]:
-    """The board as it is now, and its records in order, the `key` of each its digest: score, interval, place and rank.
+    """Rank a board's records; return the updated board, and its records in order with score, interval, place and rank,
+    where `key` is the digest.
 
-    Its sequences are those of the ranked records, or of the current ones, or of all where there are no others: what was
-    withdrawn takes no part. What is self-reported is not ranked: anybody can write a number down. It has a score alone,
-    as have records that are not current, and follows in the order of the scores.
+    The board's sequences are those of the ranked records; without any, those of the current ones; without any, those of
+    all: withdrawn records take no part. Self-reported records are not ranked: anybody can write a number down. Like
+    records that are not current, they have only a score, and follow in order of score.
     """
     summaries = [one.summary for one in found]
     current = [k for k, one in enumerate(found) if one.state == "current"]
@@ -116,7 +118,8 @@ def rank(board: BoardInfo, found: Sequence[Ranked]) -> tuple[BoardInfo, list[dic
     sequences = sorted({name for k in ranked or current or range(len(found)) for name in summaries[k].sequences})
     table = ScoreTable.of([summary.scores for summary in summaries], sequences, board.track)
     means = table.means().tolist()
-    # An interval costs half a millisecond; it stays while the board's sequences do, and the record has them all.
+    # An interval takes half a millisecond to compute; it is reused while the board's sequences are the same, if the
+    # record has all of them.
     intervals = {
         k: (one.low, one.high)
         for k, one in enumerate(found)
@@ -161,8 +164,8 @@ def _coverage(summary: RecordSummary, sequences: Iterable[str], track: str) -> f
 
 
 def in_order(boards: Iterable[BoardInfo]) -> list[BoardInfo]:
-    """Tracks in order, of a split the newest evaluator first; each with whether it is the newest of its split: by the
-    recipe of the split's last record, on whichever track, and by the newest evaluator of that."""
+    """Sort boards by track, and within a split with the newest evaluator first; set `newest` and `former` of each. The
+    newest board has the recipe of the split's last record, on any track, and the newest evaluator for that recipe."""
     found, tracks = list(boards), list(PRIMARY)
     recipes = {board.split: board.split_digest for board in sorted(found, key=lambda b: (b.updated, b.split_digest))}
     latest: dict[tuple[str, ...], str] = {}
@@ -185,6 +188,6 @@ def in_order(boards: Iterable[BoardInfo]) -> list[BoardInfo]:
 
 
 def evaluator_order(version: str) -> tuple[tuple[int, int, str], ...]:
-    """A key by which "slam 10" is later than "slam 9"."""
+    """Sort key of evaluator versions, by which "slam 10" is later than "slam 9"."""
     parts = re.findall(r"[0-9]{1,18}|[^0-9]+", version)
     return tuple((1, int(part), "") if part[0] in digits else (0, 0, part) for part in parts)

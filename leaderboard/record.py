@@ -1,4 +1,4 @@
-"""Record: what is published of one method on one split by one evaluator. Immutable, and named by its own hash."""
+"""Record: the published results of one method on one split by one evaluator. Immutable, and named by its own hash."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from oysterbench.results.records import ResultRecord, checked, comparable_key, n
 FORMAT = "oysterbench-record/1"
 
 Tier = Literal["baseline", "scored", "reported"]
-"""Who vouches for the numbers. baseline: run and scored by us, from this tree; scored: estimates of others, scored by a
-server against truth that they need not have seen; reported: results that their authors computed themselves."""
+"""Who vouches for the numbers. baseline: run and scored by us, from this source tree; scored: estimates by others,
+scored by a server against ground truth that they may never have seen; reported: results computed by their authors."""
 
 TIERS: tuple[Tier, ...] = get_args(Tier)
 
 RANKED: tuple[Tier, ...] = ("baseline", "scored")
-"""Those that a board ranks: of these it is known that a program computed the numbers from an estimate."""
+"""Tiers that a board ranks: for these it is known that a program computed the numbers from an estimate."""
 
 MOST_TEXT = {"method": 80, "team": 80, "url": 300, "summary": 500, "reason": 500}
-"""Key of a record -> characters that it may have."""
+"""Key of a record -> maximum number of characters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,11 +34,11 @@ class Record:
     method, team:  names for the board; url, summary: where the method is described, and one sentence about it
     tier:          who vouches for the numbers
     results:       one per sequence and run, of one method, split, evaluator and setting
-    data_set:      what is known over all sequences together, for tracks that have such a thing (`results.document`)
+    data_set:      values over all sequences together, for tracks that have them (`results.document`)
     manifest:      SHA-256 of the released manifest of the split; empty where none was released
-    estimates:     "sequence/run" (runs from 1) -> SHA-256 of the estimate, where the server keeps it for scoring again
+    estimates:     "sequence/run" (runs from 1) -> SHA-256 of the estimate, where it is kept for rescoring
     curves:        SHA-256 of the paths and error curves to be drawn (`curves.py`); empty for hidden splits
-    supersedes:    digest of the record whose place this one takes; empty for none. reason: why
+    supersedes:    digest of the record that this one replaces; empty for none. reason: why
     created:       UTC, ISO 8601
     """
 
@@ -95,7 +95,7 @@ class Record:
 
     @property
     def split_digest(self) -> str:
-        """Of the recipe."""
+        """Digest of the split's recipe."""
         return self.results[0].split_digest
 
     @property
@@ -104,8 +104,8 @@ class Record:
 
     @cached_property
     def board(self) -> str:
-        """What its numbers may be set against, as 16 hex digits: records of one board share track, split, recipe,
-        evaluator and the evaluator's settings."""
+        """Id of the board, 16 hex digits: records whose numbers may be compared share track, split, recipe, evaluator
+        and the evaluator's settings."""
         return sha256(canonical(list(comparable_key(self.results[0]))))[:16]
 
     def to_dict(self) -> dict[str, Any]:
@@ -115,17 +115,17 @@ class Record:
 
     @cached_property
     def data(self) -> bytes:
-        """Canonical JSON."""
+        """The record as canonical JSON."""
         return canonical(self.to_dict())
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of `data`: its name."""
+        """SHA-256 of `data`, which is the record's name."""
         return sha256(self.data)
 
     @classmethod
     def from_dict(cls, values: Any, where: str = "record") -> Record:
-        """A record from plain values. Raises ResultError naming `where` and the key."""
+        """Make a record from plain values. Raises ResultError naming `where` and the key."""
         if isinstance(values, Mapping) and isinstance(results := values.get("results"), list):
             read = [ResultRecord.from_dict(r, f"{where}: results[{i}]") for i, r in enumerate(results)]
             values = {**values, "results": read}
@@ -133,7 +133,8 @@ class Record:
 
 
 def check_text(key: str, value: Any, most: int) -> None:
-    """Refuse what is no plain text of one line. Raises ResultError naming the key."""
+    """Refuse a value that is not plain text in one line of at most `most` characters; in names, also letters in
+    disguise and words of mixed scripts. Raises ResultError naming the key."""
     if not isinstance(value, str):
         raise ResultError(f"record: key {key!r}: expected text, got {value!r:.60}")
     if len(value) > most:

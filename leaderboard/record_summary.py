@@ -1,4 +1,4 @@
-"""What the index keeps of a record: its columns in tables, and what ranks it."""
+"""What the index keeps of a record: its columns in tables, and the summary by which it is ranked."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     track: tuple(dict.fromkeys(c.key for c in (*STANDING_OF_TRACK[track], *OF_TRACK[track]) if c.key != metric))
     for track, metric in PRIMARY.items()
 }
-"""Track -> metrics that stand beside the one that ranks."""
+"""Track -> metrics shown beside the ranking one."""
 
 SENSORS = {"mono", "stereo", "imu", "dvl", "sonar", "pressure", "compass", "altimeter"}
-"""Words that a method may use for what it reads."""
+"""Words that a method may use for the sensors that it reads."""
 
 MOST_SAID = {"code": 300, "paper": 500}
-"""Characters of what it says besides."""
+"""Other statement of a method -> maximum number of characters."""
 
 MOST_MACHINE = 120
-"""Characters of a machine that are shown."""
+"""Maximum number of characters shown of a machine's description."""
 
 
 class RecordSummary(msgspec.Struct, frozen=True):
-    """What ranks a record; the database holds it as JSON.
+    """Summary by which a record is ranked; the database stores it as JSON.
 
-    scores:    on each sequence; NaN, in JSON null, where there is no value although the sequence was run
+    scores:    on each sequence; NaN, null in JSON, where there is no value although the sequence was run
     coverage:  of the sequences that have one
-    sequences: that it has, in its order; failed: runs that failed
+    sequences: of the record, in its order; failed: number of failed runs
     """
 
     scores: SequenceScores
@@ -51,7 +51,7 @@ class RecordSummary(msgspec.Struct, frozen=True):
 
     @classmethod
     def decode(cls, data: str) -> RecordSummary:
-        """What `msgspec.json.encode` wrote."""
+        """Decode what `msgspec.json.encode` wrote."""
         values = msgspec.json.decode(data)
         scores = values["scores"]["values"]
         values["scores"]["values"] = {name: math.nan if value is None else value for name, value in scores.items()}
@@ -59,7 +59,8 @@ class RecordSummary(msgspec.Struct, frozen=True):
 
 
 def read_record(data: bytes, digest: str) -> Record:
-    """A record from the bytes of its file. Raises ResultError, without its name, where they are not those of one."""
+    """Read a record from the bytes of its file. Raises ResultError, without its name, where they do not match `digest`
+    or are no record of a known track."""
     if sha256(data) != digest:
         raise ResultError("its bytes do not match its name: it was changed")
     try:
@@ -72,11 +73,11 @@ def read_record(data: bytes, digest: str) -> Record:
 
 
 def summarise_record(record: Record) -> RecordSummary:
-    """What ranks a record. Raises ResultError where a value lacks the weight by which it counts."""
+    """Summarise a record for ranking. Raises ResultError where a value lacks its weight in the mean."""
     metric = PRIMARY[record.track]
     values, (sample, weights) = samples(record.results, metric), _weighed_sample(record.results, metric)
     unpredicted = UNPREDICTED_WEIGHT.get(_weight(metric))
-    # Predicted, and yet without a value, as AP is where nothing is to be found: no failure, and in no mean.
+    # Predicted but without a value, such as AP where there is nothing to find: not a failure, and not in any mean.
     without = {name: math.nan for name, of in values.items() if all(map(math.isnan, of))}
     return RecordSummary(
         SequenceScores(
@@ -91,7 +92,8 @@ def summarise_record(record: Record) -> RecordSummary:
 
 
 def column_means(record: Record) -> dict[str, float | None]:
-    """`means_over_sequences` of `COLUMNS`; None where there is none. Records on hidden splits know these alone."""
+    """`means_over_sequences` of `COLUMNS`; None where there is no value. Records on hidden splits have only these
+    means."""
     known: Any = (record.data_set or {}).get("means")
     if isinstance(known, dict):
         return {key: known.get(key) for key in COLUMNS[record.track]}
@@ -99,8 +101,8 @@ def column_means(record: Record) -> dict[str, float | None]:
 
 
 def means_over_sequences(results: Sequence[ResultRecord], keys: Iterable[str]) -> dict[str, float | None]:
-    """Means of metrics over the sequences that have them, weighed where the metric is, and of errors the medians over
-    those that are not lost; None where there is none."""
+    """Means of metrics over the sequences that have them, weighted where the metric is; for errors, medians over the
+    sequences that are not lost. None where there is no value."""
     errors, lost = TRACKS[results[0].track].errors, lost_of(results) or ()
     means = {
         key: kept_median(samples(results, key), lost)
@@ -112,15 +114,16 @@ def means_over_sequences(results: Sequence[ResultRecord], keys: Iterable[str]) -
 
 
 def data_set_value(record: Record) -> float | None:
-    """The ranking metric over all sequences at once, where the record knows it."""
+    """Ranking metric over all sequences at once; None where the record does not have it."""
     metrics: Any = (record.data_set or {}).get("metrics")
     value = metrics.get(PRIMARY[record.track]) if isinstance(metrics, dict) else None
     return float(value) if isinstance(value, int | float) else None
 
 
 def _weighed_sample(results: Sequence[ResultRecord], key: str) -> tuple[Sample, Sample | None]:
-    """Values of a metric by sequence, and their weights where it has some. A sequence with a failed run that knows no
-    weight is left out: what it weighs where nothing is predicted is the board's to know."""
+    """Values of a metric by sequence, and their weights; None for a metric without weights. A sequence with a failed
+    run that has no weight is left out: its weight without predictions is known only to the board. Raises ResultError
+    where a run that did not fail lacks its weight."""
     values, weight = samples(results, key), _weight(key)
     if not weight:
         return values, None
@@ -134,15 +137,15 @@ def _weighed_sample(results: Sequence[ResultRecord], key: str) -> tuple[Sample, 
 
 
 def _weight(key: str) -> str:
-    """Key of the metric that weighs another; empty where each sequence has one vote."""
+    """Key of the metric that gives the weights of another; empty where each sequence has one vote."""
     found = find_metric(key)
     return "" if found is None else found.weight
 
 
 def said_of_method(record: Record) -> dict[str, str]:
-    """What a method says of itself, in the columns of `board.Row`: sensors, and "online" or "offline", in these words
-    alone; where its code is, and the paper on it, as plain text. Empty where its results say nothing of them. And the
-    machine that it ran on."""
+    """What a method states about itself, as columns of `board.Row`: sensors, and "online" or "offline", in fixed words
+    only; where its code is, and its paper, as plain text. Each empty where its results do not state it. Also the
+    machine that it ran on; empty where there were several."""
     said = record.results[0].info.get("method")
     said = said if isinstance(said, dict) else {}
     machines = {machine_of(result.hardware) for result in record.results}
@@ -157,7 +160,7 @@ def said_of_method(record: Record) -> dict[str, str]:
 
 
 def _shortened(machine: str) -> str:
-    """Of a long name the beginning and the end, where its cores are: it is a machine all the same."""
+    """Shorten a long description of a machine to its start and its end, which has the number of cores."""
     if len(machine) <= MOST_MACHINE:
         return machine
     return f"{machine[: MOST_MACHINE - 40]}\N{HORIZONTAL ELLIPSIS}{machine[-39:]}"

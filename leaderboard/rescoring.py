@@ -1,4 +1,4 @@
-"""Scoring again: a new evaluator over kept estimates. Records are appended, each in place of the one it was made of."""
+"""Rescoring of kept estimates with a new evaluator. Records are appended, each superseding the one it was made from."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from oysterbench_leaderboard.record import Record
 
 @dataclass(frozen=True)
 class Again:
-    """What came of a record. record: None where it was not scored again, with the reason in `why`; curves: to be kept
-    with it, where the split is public."""
+    """Outcome of rescoring one record. record: None if it could not be rescored, with the reason in `why`; curves: to
+    be stored with it, where the split is public."""
 
     old: str
     record: Record | None
@@ -29,15 +29,16 @@ class Again:
 
 
 def evaluator_of(track: str) -> tuple[str, dict[str, Any]]:
-    """Version and settings by which this version of oysterbench scores for the board. Raises Refusal for a track whose
-    estimates are never kept."""
+    """Version and settings of the evaluator with which this version of oysterbench scores for the board. Raises Refusal
+    for a track whose estimates are never kept."""
     from oysterbench_leaderboard.submissions.scoring import evaluator
 
     return evaluator(track)
 
 
 def is_outdated(record: Record) -> bool:
-    """Whether another evaluator, or other settings, scored it: of tracks that can be scored again."""
+    """Whether a record was scored by another evaluator, or with other settings; False for tracks that cannot be
+    rescored."""
     from oysterbench_leaderboard.submissions.catalogue import SCORED
 
     if record.track not in SCORED:
@@ -54,12 +55,12 @@ def score_again(
     recipe: str | None = None,
     created: str | None = None,
 ) -> Again:
-    """Score what a record was made of.
+    """Rescore the estimates that a record was made from.
 
     estimates: folder of files named by their SHA-256; truth: folder with the sequences of a hidden split; recipe: of
-    the split, where it does not come with oysterbench
+    the split, if it is not shipped with oysterbench
 
-    What an upload holds is read and scored in a sandbox, as when it came. Nothing is written.
+    Uploads are read and scored in a sandbox, as when they were submitted. Nothing is written.
     """
     if not record.estimates:
         return Again(record.digest, None, "its estimates were not kept")
@@ -97,11 +98,11 @@ def _file(folder: Path, digest: str) -> Path:
 
 
 Made = tuple[tuple[ResultRecord, ...], Mapping[str, Any] | None, dict[str, Any] | None]
-"""Results, what is known over all sequences together, and curves."""
+"""Results, values over all sequences together, and curves."""
 
 
 def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None, split: str) -> Made:
-    """What a team sent, as one file, through the same sandbox as when it came."""
+    """Score a team's upload, one file, in the same sandbox as when it was submitted."""
     from oysterbench_leaderboard.submissions import sandbox
     from oysterbench_leaderboard.submissions.catalogue import serve_split
     from oysterbench_leaderboard.submissions.settings import SubmissionSettings
@@ -128,7 +129,8 @@ def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None,
 
 
 def _truths(record: Record, folder: Path | None, recipe: str) -> dict[str, Trajectory]:
-    """Sequence -> true path, of the split as it is here."""
+    """Sequence -> true path, for the sequences of a record that have an estimate. Raises ResultError where the split is
+    of another recipe or not rendered."""
     from oysterbench.recipe import load_split
     from oysterbench.sequence import open_sequence
     from oysterbench.simulation.generate import digest, sequence_files, split_folder
@@ -151,7 +153,7 @@ def _check_recipe(record: Record, here: str) -> None:
 
 
 def _score_paths(record: Record, files: Mapping[str, Path], truths: Mapping[str, Trajectory]) -> Made:
-    """Kept paths, one file per run; a run without one stays the failure that it was, and costs stay as measured."""
+    """Score kept paths, one file per run; a run without a path counts as failed, and costs stay as measured."""
     from oysterbench.evaluate.slam.scoring import SlamSettings, score
     from oysterbench_leaderboard.submissions.catalogue import KIND_OF
 

@@ -1,4 +1,4 @@
-"""Records and changes of their status as files named by their hash: what boards are made of. Nothing ever changes."""
+"""Store of records and their status changes, from which boards are made: files named by their hash, never changed."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ Action = Literal["withdrawn", "restored"]
 
 @dataclass(frozen=True)
 class StatusChange:
-    """That a record was withdrawn (it is no longer ranked, and its page says so) or put back, and why. The latest one
-    of a record counts."""
+    """The withdrawal of a record (it is no longer ranked, and its page says so) or its restoration, with the reason.
+    The latest change of a record counts."""
 
     record: str
     action: Action
@@ -31,7 +31,7 @@ class StatusChange:
     created: str
 
     def order(self) -> tuple[str, str, str]:
-        """What they are sorted by."""
+        """Sort key of changes."""
         return self.created, self.record, self.action
 
 
@@ -42,16 +42,16 @@ class RecordStore:
         self.folder = Path(folder)
 
     def add(self, record: Record) -> str:
-        """Keep a record; its digest. One that is there is left alone."""
+        """Store a record, unless it is stored already; return its digest."""
         return self._keep("records", record.data)
 
     def add_status_change(self, change: StatusChange) -> str:
-        """Keep a change of a record's status; its digest."""
+        """Store a change of a record's status; return the change's digest."""
         return self._keep("changes", canonical({"format": FORMAT, **asdict(change)}))
 
     def change_status(self, record: str, action: Action, reason: str) -> str:
-        """Withdraw or restore a record now, after all earlier changes of it: of two changes of one second the order
-        would be lost. The change's digest."""
+        """Withdraw or restore a record now; return the change's digest. Its time is made later than that of all earlier
+        changes of the record: the order of two changes in the same second would be lost."""
         last = max((each.created for each in self.read_status_changes()[0] if each.record == record), default="")
         at = now()
         if at <= last:
@@ -59,35 +59,35 @@ class RecordStore:
         return self.add_status_change(StatusChange(record, action, reason, at))
 
     def add_curves(self, document: dict[str, Any]) -> str:
-        """Keep what is drawn on a record's page; its digest."""
+        """Store the curves for a record's page; return their digest."""
         return self._keep("curves", canonical(document))
 
     def digests(self) -> list[str]:
-        """Of all records, in order."""
+        """Digests of all records, sorted."""
         return self.names("records")
 
     def data(self, digest: str) -> bytes:
-        """A record's bytes, as they are in the file."""
+        """Return a record's bytes, as they are in the file."""
         return self._read("records", digest)
 
     def record(self, digest: str) -> Record:
-        """A record. Raises ResultError where there is none of that digest, or its file was changed."""
+        """Read a record. Raises ResultError where there is none of that digest, or its file was changed."""
         data = self._read("records", digest)
         return Record.from_dict(parse(data, str(self._path("records", digest))), f"record {digest[:12]}")
 
     def curves(self, digest: str) -> dict[str, Any]:
-        """What `add_curves` kept."""
+        """Read curves stored by `add_curves`. Raises ResultError."""
         return parse(self._read("curves", digest), str(self._path("curves", digest)))
 
     def status_changes(self) -> list[StatusChange]:
-        """All changes of status, the oldest first. Raises ResultError where one of them cannot be used."""
+        """All status changes, oldest first. Raises ResultError where one of them cannot be used."""
         found, wrong = self.read_status_changes()
         for reason in wrong.values():
             raise ResultError(reason)
         return found
 
     def read_status_changes(self) -> tuple[list[StatusChange], dict[str, str]]:
-        """The changes of status that can be used, the oldest first; and those that cannot, digest -> why."""
+        """Status changes that can be used, oldest first; and digests of those that cannot -> reason."""
         found, wrong = [], {}
         for name in self.names("changes"):
             try:
@@ -97,7 +97,7 @@ class RecordStore:
         return sorted(found, key=StatusChange.order), wrong
 
     def status_change(self, name: str) -> StatusChange:
-        """The change of that digest. Raises ResultError where it cannot be used."""
+        """Read the status change of that digest. Raises ResultError where it cannot be used."""
         path = str(self._path("changes", name))
         return checked(parse(self._read("changes", name), path), StatusChange, FORMAT, path)
 
@@ -107,8 +107,8 @@ class RecordStore:
         return self.folder / kind / f"{digest}.json"
 
     def names(self, kind: str) -> list[str]:
-        """Digests of all files of a kind, in order."""
-        folder = self.folder / kind  # a killed writer's files, which have other names, are passed over
+        """Digests of all files of a kind, sorted."""
+        folder = self.folder / kind  # files left by a killed writer have other names, and are skipped
         names = os.listdir(folder) if folder.is_dir() else []
         return sorted(name[:64] for name in names if name[64:] == ".json" and SHA256.fullmatch(name[:64]))
 

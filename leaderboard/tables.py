@@ -1,4 +1,4 @@
-"""Boards, records and literature as tables of the report: for the terminal, Markdown, LaTeX; and as CSV."""
+"""Boards, records and literature as report tables, for the terminal, Markdown and LaTeX, and as CSV."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from oysterbench_leaderboard.record import RANKED
 from oysterbench_leaderboard.vehicle import lacks
 
 SHORT = 8
-"""Digits of a digest that is shown."""
+"""Number of digits shown of a digest."""
 
 DATA_SET = "{} ranks by its mean over sequences; 'data set' is of all sequences at once, and does not rank."
-"""Said of a ranking metric, or a record, that has both."""
+"""Note on a ranking metric, or a record, that has both."""
 
 NOT_RANKED = "What is self-reported (tier 'reported') is not ranked: nobody but its authors computed it."
 
 
 def board_name(board: BoardInfo) -> str:
-    """Track, split, evaluator and those of its settings that are not usual."""
+    """Name of a board: track, split, evaluator, and its settings that are not defaults."""
     return f"{board.track} on {board.split} ({board.scored_by})"
 
 
 def board_table(page: BoardPage) -> Table:
-    """Rows by rank: score with interval, coverage beside the errors, who vouches for them, and when."""
+    """Table of a board's rows by rank: score with interval, coverage beside the errors, tier and date."""
     board, rows = page.board, page.rows
     metric = metric_column(board.metric)
     beside = [replace(column, wide=i > 1) for i, column in enumerate(STANDING_OF_TRACK[board.track])]
@@ -78,7 +78,7 @@ def board_table(page: BoardPage) -> Table:
 
 
 def lost_or_failed(board: BoardInfo) -> Column:
-    """How many sequences are lost, where the track has such a thing; else how many runs failed."""
+    """Column with the number of lost sequences, where the track defines them; otherwise of failed runs."""
     if TRACKS[board.track].lost_below is not None:
         return lost_column(board.track, len(board.sequences), sort="lost")
     about = "Failed runs, and sequences without an estimate."
@@ -92,26 +92,26 @@ def data_set_column(metric: Column) -> Column:
 
 
 def has_data_set(board: BoardInfo, rows: Sequence[Row]) -> bool:
-    """Whether the ranking metric over the whole data set is another number than the mean, and any record knows it. A
-    metric that is weighed is the same both ways."""
+    """Whether the ranking metric over the whole data set differs from the mean, and any record has it. For a metric
+    with a weighted mean the two are the same."""
     metric = find_metric(board.metric)
     return not (metric is not None and metric.weight) and any(row.data_set is not None for row in rows)
 
 
 LEADING = ("val", "test", "", "train", "mini", "stress")
-"""Roles of splits, those on which methods are told apart first."""
+"""Roles of splits, those on which methods are compared first."""
 
 
 def role_of(split: str) -> str:
-    """What a split of ours is there for: "val", "test", "mini", "train", "stress"; empty for one of others, and for
-    sets that are framed like real pictures."""
+    """Role of one of our splits: "val", "test", "mini", "train" or "stress"; empty for splits of others, and for sets
+    that are framed like real images."""
     role = split.partition("-")[2]
     return role if role in ("val", "test", "mini", "train", "stress") else ""
 
 
 @cache
 def learnt_on(split: str) -> str:
-    """What is said of a board whose pictures a method may have learnt from; nothing of the others."""
+    """Warning on a board whose images a method may have been trained on; empty for other boards."""
     if role_of(split) in ("mini", "val", "test") or split not in split_names():
         return ""
     kind = split.partition("-")[0]
@@ -119,8 +119,8 @@ def learnt_on(split: str) -> str:
 
 
 def rank_text(row: Row) -> str:
-    """The rank, after "=" where others have it; a place in brackets where no difference can be significant; the state
-    where there is neither."""
+    """Rank, with "=" in front where it is shared; or the place in brackets where no difference can be significant; or
+    the state where there is neither."""
     if row.place is None:
         return row.state if row.state != "current" else ABSENT
     shown = f"{'=' if row.tied else ''}{row.rank or row.place}"
@@ -128,14 +128,14 @@ def rank_text(row: Row) -> str:
 
 
 def interval_of(row: Row) -> Interval:
-    """Of the score."""
+    """Confidence interval of a row's score."""
     if row.low is None or row.high is None:
         return Interval(math.nan, math.nan, "too few sequences")
     return Interval(row.low, row.high)
 
 
 def machines_note(rows: Sequence[Row]) -> str:
-    """What must be said where speeds are of several machines; else empty."""
+    """Note where speeds were measured on several machines; otherwise empty."""
     machines = dict.fromkeys(row.machine for row in rows if row.machine)
     if len(machines) < 2:
         return ""
@@ -171,7 +171,7 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
 
 
 def boards_csv(pages: Sequence[BoardPage]) -> str:
-    """One line per row, every digit; an empty field where there is no value. No field begins a formula."""
+    """CSV with one line per row and full precision; a field without a value is empty. No field starts a formula."""
     columns = list(dict.fromkeys(key for page in pages for key in page.board.columns))
     facts = [key for key in Row.__dataclass_fields__ if key not in ("metrics", "board")]
     keys = ("board", "track", "split", "evaluator_version", "metric", *facts, *columns)
@@ -185,18 +185,18 @@ def boards_csv(pages: Sequence[BoardPage]) -> str:
 
 
 def page_plain(page: BoardPage) -> dict[str, Any]:
-    """For JSON."""
+    """Page of a board as plain values for JSON."""
     return {"board": asdict(page.board), "rows": [asdict(row) for row in page.rows], "total": page.total}
 
 
 def record_table(row: Row, means: Mapping[str, Mapping[str, float | None]], keys: Sequence[str]) -> Table:
-    """A record's numbers by sequence; keys: of metrics."""
+    """Table of a record's values by sequence; keys: of metrics."""
     rows = [TableRow((name, *map(of.get, keys))) for name, of in means.items()]
     return Table(f"{row.method} by sequence", (*name_columns("sequence"), *metric_columns(keys)), tuple(rows))
 
 
 def history_table(rows: Sequence[Row], boards: Mapping[str, BoardInfo]) -> Table:
-    """Records of a method: where, what became of them, what they reached."""
+    """Table of a method's records: their boards, states, ranks and scores."""
     table_rows = []
     for row in rows:
         board = boards[row.board]
@@ -214,7 +214,7 @@ def history_table(rows: Sequence[Row], boards: Mapping[str, BoardInfo]) -> Table
 
 
 def literature_tables(rows: Sequence[Literature]) -> list[Table]:
-    """What others reported: a table for each source, metric and data."""
+    """Tables of results reported by others, one for each track, metric, data and source."""
     groups: dict[tuple[str, ...], list[Literature]] = {}
     for row in rows:
         groups.setdefault((row.track, row.metric, row.data, row.source, row.url), []).append(row)

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from oysterbench_leaderboard.board import BoardInfo, BoardReader
 
 TOP = 5
-"""Rows of each board, where there are several."""
+"""Maximum number of rows of each board, where there are several."""
 
 MOST = 100_000
-"""Rows of a single one."""
+"""Maximum number of rows of a single board."""
 
 
 def show_boards(
@@ -36,7 +36,7 @@ def show_boards(
     tex_file: Path | None,
     md_file: Path | None,
 ) -> None:
-    """Print boards, or write them: what `oysterbench leaderboard` does without a command."""
+    """Print boards, or write them to files: what `oysterbench leaderboard` does without a command."""
     from oysterbench.report.renderers import latex_text, markdown_table
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.board import Query
@@ -123,7 +123,7 @@ def show_command(context: click.Context, digest: str, as_json: bool) -> None:
     index = find_place(context).reader()
     row = index.row(digest)
 
-    from oysterbench.evaluate.metrics import TRACKS  # once there is such a record
+    from oysterbench.evaluate.metrics import TRACKS  # imported only once the record was found
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.tables import record_table
 

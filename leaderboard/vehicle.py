@@ -1,4 +1,4 @@
-"""What the vehicle of a split carries, in the words in which methods say what they use."""
+"""Sensors on the vehicle of a split, in the words in which methods state what they use."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ SENSORS = {
     "magnetometer": "compass",
     "altimeter": "altimeter",
 }
-"""Block of a rig -> the word for it."""
+"""Block of a rig -> word for that sensor."""
 
 
 @cache
 def carried(split: str) -> tuple[str, ...]:
-    """Sensors on board, in the order of `SENSORS` after the cameras; empty for a split that does not come with
-    oysterbench."""
+    """Sensors on board: the cameras, then the others in the order of `SENSORS`; empty for a split that is not shipped
+    with oysterbench."""
     if split not in split_names():
         return ()
     rig = load_split(split).rig
@@ -30,8 +30,8 @@ def carried(split: str) -> tuple[str, ...]:
 
 
 def lacks(split: str, track: str) -> str:
-    """Said of a board whose vehicle has not all that methods may use: they ran without. Empty where it has, where that
-    is not known, and for tracks of pictures."""
+    """Note on a board whose vehicle lacks sensors that methods may use: they ran without. Empty where it has all, where
+    that is not known, and for image tracks."""
     there = carried(split)
     lacking = [word for word in SENSORS.values() if word not in there]
     if track not in ("slam", "density") or not there or not lacking:

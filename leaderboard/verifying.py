@@ -1,4 +1,4 @@
-"""Checking a board's files: every byte against its name, and all that is in them against what this version knows."""
+"""Checks of a board's files: their bytes against their names, and their contents against what this version knows."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from oysterbench_leaderboard.store import KINDS, RecordStore
 
 @dataclass(frozen=True)
 class Verified:
-    """checked: kind -> how many files; problems: file, relative to the folder -> what is wrong with it."""
+    """Outcome of a check. checked: kind -> number of files; problems: file, relative to the folder -> what is wrong."""
 
     checked: dict[str, int]
     problems: dict[str, str]
 
 
 def verify(store: RecordStore) -> Verified:
-    """Read every file of a store whole, and what records name."""
+    """Read every file of a store completely, and check that the curves that records name exist."""
     problems: dict[str, str] = {}
     checked = dict.fromkeys(KINDS, 0)
     known = {kind: set(store.names(kind)) for kind in KINDS}
@@ -27,7 +27,7 @@ def verify(store: RecordStore) -> Verified:
         for path in sorted((store.folder / kind).glob("*")) if (store.folder / kind).is_dir() else []:
             where = f"{kind}/{path.name}"
             if path.name == ".gitkeep" or (path.name.startswith(".") and ".json." in path.name):
-                continue  # left by a writer that was killed; no reader takes it for a file
+                continue  # left by a killed writer; readers ignore it
             if path.stem not in known[kind] or path.suffix != ".json":
                 problems[where] = "its name is no SHA-256 with .json: it is in no index"
                 continue

@@ -1,4 +1,4 @@
-"""Pages kept as bytes, ready to be sent: of one revision of the index, the longest unused given up first."""
+"""Cache of pages as bytes, ready to be sent: of one revision of the index, evicting the least recently used first."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 
 LEAST_GZIP = 600
-"""Bytes below which compressing saves nothing to speak of."""
+"""Size in bytes below which compression saves nothing worth having."""
 
 MOST_BYTES = 96_000_000
 
 
 @dataclass(frozen=True)
 class Kept:
-    """A page as it is sent. small: compressed; empty where that is not worth it."""
+    """A page as it is sent. small: the body compressed with gzip; empty where that is not worth it; tag: its ETag."""
 
     body: bytes
     media: str
@@ -25,18 +25,18 @@ class Kept:
 
     @classmethod
     def of(cls, body: bytes, media: str) -> Kept:
-        """Compressed with no time in it: the same page, the same bytes."""
+        """Compress a page without a timestamp, so that the same page always gives the same bytes."""
         small = gzip.compress(body, 6, mtime=0) if len(body) >= LEAST_GZIP else b""
         return cls(body, media, small, hashlib.sha256(body).hexdigest()[:32])
 
     @property
     def size(self) -> int:
-        """Bytes in memory, nearly."""
+        """Approximate size in memory, bytes."""
         return len(self.body) + len(self.small) + 500
 
 
 class PageCache:
-    """At most so many bytes of pages, all of one revision."""
+    """At most `most_bytes` bytes of pages, all of one revision."""
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
         self.most_bytes = most_bytes
@@ -48,7 +48,7 @@ class PageCache:
         return len(self._pages)
 
     def get(self, revision: str, key: Hashable) -> Kept | None:
-        """A page, if it is kept and of that revision."""
+        """Return a page, if it is stored and of that revision. A new revision empties the cache."""
         self._turn_to(revision)
         kept = self._pages.get(key)
         if kept is not None:
@@ -56,7 +56,7 @@ class PageCache:
         return kept
 
     def put(self, revision: str, key: Hashable, kept: Kept) -> None:
-        """Keep a page; one that was made of an older revision than is kept now is passed over."""
+        """Store a page, unless it is of another revision than the stored ones, or larger than the whole cache."""
         if revision != self._revision or kept.size > self.most_bytes:
             return
         old = self._pages.pop(key, None)

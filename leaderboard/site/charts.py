@@ -1,4 +1,4 @@
-"""What is drawn on a page: paths over the truth, and errors, from the curves that were kept with records."""
+"""Plots on pages: paths against ground truth, and errors, from the curves stored with records."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from oysterbench.report.plots import Curve, height_plot, map_plot, swatch, time_
 AXES = ("east x [m]", "north y [m]", "height z [m]")
 TIME = "time [s]"
 MOST_SEQUENCES = 40
-"""That are drawn on one page."""
+"""Maximum number of sequences drawn on one page."""
 
 
 @dataclass(frozen=True)
 class Path:
-    """On a sequence. t_s: (N,) since the first stamp of the truth; truth, path: (N, 3) m, in `map`, and error_m: (N,);
-    path and error are NaN where there is no answer."""
+    """Path on a sequence. t_s: (N,) since the first stamp of the ground truth; truth, path: (N, 3) m, in `map`;
+    error_m: (N,). path and error_m are NaN where there is no estimate."""
 
     t_s: Array
     truth: Array
@@ -50,9 +50,9 @@ class Drawing:
 
 
 def drawings(documents: Mapping[str, Mapping[str, Any] | None]) -> list[Drawing]:
-    """One for each sequence that the first of the documents has; label -> document (`curves.curves_document`).
+    """One drawing for each sequence of the first document; documents: label -> document (`curves.curves_document`).
 
-    What cannot be drawn is left out: the numbers stand without it.
+    What cannot be drawn is left out: the numbers do not depend on it.
     """
     read = {label: paths(document) for label, document in documents.items() if document is not None}
     if not read:
@@ -67,7 +67,7 @@ def drawings(documents: Mapping[str, Mapping[str, Any] | None]) -> list[Drawing]
 
 
 def paths(document: Mapping[str, Any]) -> dict[str, Path]:
-    """The paths of a document by their sequences, without those that are not as they should be."""
+    """Paths of a document by sequence, without malformed ones."""
     found = {}
     sequences = document.get("sequences")
     for name, values in sequences.items() if isinstance(sequences, Mapping) else ():
@@ -106,12 +106,12 @@ def _drawing(name: str, of: Mapping[str, Path], align: str) -> Drawing:
     runs = " and ".join(dict.fromkeys(str(p.run + 1) for p in of.values()))
     about = f"Run {runs}, shown where it has an estimate, aligned by {align or 'the evaluator'}, thinned."
     entries = [("truth", 0), *((label, k) for k, label in enumerate(of, 1))]
-    # `plots` escapes what it is given; labels of the legend are escaped here.
+    # `plots` escapes its arguments; labels of the legend are escaped here.
     return Drawing(name, about, legend(entries), tuple(Card(title, Markup(plot)) for title, plot in cards))
 
 
 def legend(entries: list[tuple[str, int]], truth: bool = True) -> Markup:
-    """Labels and their styles; truth: whether the marks of its ends are explained."""
+    """Legend of labels and their styles; truth: whether to explain the marks at the ends of the true path."""
     items = "".join(
         f'<li data-label="{escape(label)}">{swatch(style)}<span>{escape(label)}</span></li>' for label, style in entries
     )

@@ -25,7 +25,7 @@ INDEX = click.option(
 
 
 def _place(context: click.Context, folder: Path | None, url: str | None) -> Place:
-    """As this command was given, or else its group."""
+    """Folder and index as given to this command, or else to its group."""
     given = find_place(context)
     return Place(folder or given.folder, url or given.url)
 

@@ -1,5 +1,5 @@
-"""Data sets as their pages show them: from the recipes that come with oysterbench, or from records where there is no
-such recipe."""
+"""Data sets as their pages show them: from the recipes shipped with oysterbench, or from records where there is no such
+recipe."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ Conditions = Mapping[str, float | str]
 
 @dataclass(frozen=True)
 class DataSet:
-    """A split. What a record does not tell is empty.
+    """A split. Fields that a record does not tell are empty.
 
     sequences:  in order
     duration_s: of all sequences together; None where it is not known
-    digest:     of the recipe, as records name it
-    manifest:   SHA-256 of the one that was released; size: bytes of its files
+    digest:     of the recipe, as in records
+    manifest:   SHA-256 of the released manifest; size: of its files, bytes
     """
 
     name: str
@@ -48,7 +48,7 @@ class DataSet:
 
 @lru_cache(maxsize=1)
 def known() -> dict[str, DataSet]:
-    """Those that come with oysterbench, by name."""
+    """Data sets shipped with oysterbench, by name."""
     return {name: _of_recipe(load_split(name)) for name in split_names()}
 
 
@@ -73,7 +73,7 @@ def _of_recipe(split: SplitRecipe) -> DataSet:
 
 
 def all_data_sets(site: Site) -> dict[str, DataSet]:
-    """Those that come with oysterbench, then others that records are on."""
+    """Data sets shipped with oysterbench, followed by others that have records."""
     found = dict(known())
     for info in site.index.boards():
         if info.split not in found:
@@ -84,7 +84,7 @@ def all_data_sets(site: Site) -> dict[str, DataSet]:
 
 
 def conditions_of(site: Site, data_set: DataSet) -> dict[str, Conditions]:
-    """Sequence -> what it is like: by the recipe, or as a record tells; empty where neither does."""
+    """Sequence -> its conditions, from the recipe or else from a record; empty where neither tells them."""
     if data_set.name in known():
         return dict(_of_sequences(data_set.name))
     for info in site.index.boards():
@@ -97,10 +97,11 @@ def conditions_of(site: Site, data_set: DataSet) -> dict[str, Conditions]:
 
 @lru_cache(maxsize=1)
 def classes_note() -> str:
-    """What the words for water and density mean, which say nothing of its colour, and of how oysters lie together."""
+    """Note on what the classes of water and density mean; they say nothing of the water's colour, or of how oysters are
+    clustered. Empty without the packages that rendering needs."""
     try:
         from oysterbench.simulation.conditions import DENSITY_CLASSES_PER_M2, SECCHI_CLASSES_M
-    except ImportError:  # without what rendering needs
+    except ImportError:  # without the packages that rendering needs
         return ""
     (turbid_m, turbid), (murky_m, murky), (_, clear) = SECCHI_CLASSES_M
     (bare_m2, bare), (sparse_m2, sparse), (_, dense) = DENSITY_CLASSES_PER_M2
@@ -118,5 +119,5 @@ def _of_sequences(split: str) -> dict[str, Conditions]:
 
         recipe = load_split(split)
         return {sequence.name: conditions(recipe, sequence.name) for sequence in recipe.sequence}
-    except (ImportError, OysterbenchError):  # without what rendering needs
+    except (ImportError, OysterbenchError):  # without the packages that rendering needs
         return {}

@@ -1,4 +1,5 @@
-"""The whole site as files, for any web host or none: pages, their other forms, records; links work from a folder."""
+"""Export of the whole site as files, for any web host or none: pages, their other representations, records. Links work
+from any folder."""
 
 from __future__ import annotations
 
@@ -27,26 +28,26 @@ from oysterbench_leaderboard.site.routes import ROUTES
 from oysterbench_leaderboard.site.site import Site
 
 MARK = ".oysterbench-board"
-"""A file that says that a folder was written here, and may be replaced."""
+"""File that marks a folder as written by the export, so that it may be replaced."""
 
 Progress = Callable[[int, int], None]
-"""Called with the number of pages that are written, and of all."""
+"""Called with the number of pages written so far, and of all pages."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """A page to be written. path: of its file; it may differ from the page's own where that needs a server."""
+    """A page to be written. path: that of its file, which may differ from the page's own where that needs a server."""
 
     path: str
     make: Callable[[], Page]
 
 
 def export(site: Site, folder: str | os.PathLike[str], progress: Progress = lambda done, of: None) -> int:
-    """Write the site, and put it in the place of what was there; how many files.
+    """Write the site in place of an earlier export; return the number of files.
 
-    The folder is swapped when all is written: a host that serves it never shows half a site. Files whose bytes are the
-    same are kept as they are, with their times, so that a copy to elsewhere sends only what is new. Raises ResultError
-    where the folder holds something else.
+    The folder is swapped once everything is written: a host that serves it never shows half a site. Unchanged files are
+    kept with their timestamps, so that copying the site elsewhere transfers only what is new. Raises ResultError where
+    the folder holds something else.
     """
     target = Path(folder).resolve()
     if target.exists() and (not target.is_dir() or (any(target.iterdir()) and not (target / MARK).is_file())):
@@ -69,7 +70,7 @@ def export(site: Site, folder: str | os.PathLike[str], progress: Progress = lamb
 
 
 def files(site: Site, progress: Progress = lambda done, of: None) -> Iterator[tuple[str, bytes]]:
-    """Names and bytes of all files; the same records give the same."""
+    """Yield names and bytes of all files; the same records give the same files."""
     work = list(_work(site))
     there = {one.path for one in work} | {"/openapi"}
     digests = sorted({one.path.split("/")[2] for one in work if one.path.startswith("/records/")})
@@ -125,14 +126,14 @@ def _work(site: Site) -> Iterator[Work]:
 
 
 def _digests(site: Site, info: BoardInfo) -> Iterator[str]:
-    """Of all records of a board, whatever became of them."""
+    """Digests of all records of a board, whatever their state."""
     query = Query(states=STATES, size=MOST_ROWS)
     for number in range(1, site.index.page(info.id, query).pages + 1):
         yield from (row.digest for row in site.index.page(info.id, replace(query, page=number)).rows)
 
 
 def _write(path: Path, data: bytes, before: Path) -> None:
-    """A file; the one that was there before where it is the same."""
+    """Write a file; where the one in the earlier export has the same bytes, link to it instead."""
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         if not before.is_symlink() and before.stat().st_size == len(data) and before.read_bytes() == data:
@@ -144,7 +145,7 @@ def _write(path: Path, data: bytes, before: Path) -> None:
 
 
 def _swap(new: Path, target: Path) -> None:
-    """Put a folder in the place of another."""
+    """Replace a folder by another, restoring it where that fails."""
     if not target.exists():
         os.replace(new, target)
         return

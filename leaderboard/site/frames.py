@@ -1,5 +1,5 @@
-"""A frame of each data set, as its pages show it: which one is said in `datasets/frames/frames.toml`, and the pictures
-lie beside that."""
+"""The preview frame of each data set on its pages: `datasets/frames/frames.toml` says which frame it is, and the images
+are stored beside that file."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from oysterbench.recipe import load_split
 
 PREFIX, SUFFIX = "frame-", ".webp"
 WIDTH_PX = 560
-"""Of the pictures: what a card is wide on a screen of 1280 px, and a little more for finer ones."""
+"""Width of the images: that of a card on a screen of 1280 px, and a little more for finer screens."""
 MOST_BYTES = 60_000
 QUALITIES = (82, 75, 68, 60, 50, 40)
-"""Of WebP: the first that gives at most MOST_BYTES."""
+"""WebP qualities to try: the first that gives at most MOST_BYTES is used."""
 
 
 @dataclass(frozen=True)
 class FrameChoice:
-    """A frame of a split: that of the rig's first camera nearest to a time since the sequence began."""
+    """A frame of a split: that of the rig's first camera nearest to `at_s` seconds after the start of the sequence."""
 
     split: str
     sequence: str
@@ -33,35 +33,35 @@ class FrameChoice:
 
 
 def folder() -> Traversable:
-    """Where choices and pictures lie."""
+    """Folder of the choices and images."""
     return resources.files("oysterbench_datasets") / "frames"
 
 
 def choices() -> dict[str, FrameChoice]:
-    """Split -> its frame."""
+    """Split -> choice of its frame."""
     found = tomllib.loads((folder() / "frames.toml").read_text(encoding="utf-8"))
     return {split: FrameChoice(split, row["sequence"], float(row["at_s"])) for split, row in found.items()}
 
 
 @lru_cache(maxsize=1)
 def pictures() -> dict[str, bytes]:
-    """Split -> its frame, WebP, of those that have been made."""
+    """Split -> its frame as WebP, for the splits whose frame was rendered."""
     files = {split: folder() / f"{split}{SUFFIX}" for split in choices()}
     return {split: file.read_bytes() for split, file in files.items() if file.is_file()}
 
 
 def file_name(split: str) -> str:
-    """Of a split's picture among the site's files; empty where there is none."""
+    """File name of a split's image on the site; empty where there is none."""
     return f"{PREFIX}{split}{SUFFIX}" if split in pictures() else ""
 
 
 def split_of(file: str) -> str:
-    """Whose picture a file of the site is."""
+    """Split that an image file of the site belongs to."""
     return file.removeprefix(PREFIX).removesuffix(SUFFIX)
 
 
 def render_picture(choice: FrameChoice) -> bytes:
-    """The frame, rendered from the recipe: WebP, WIDTH_PX wide at most, of MOST_BYTES at most.
+    """Render the frame from the recipe as WebP, at most WIDTH_PX wide, of MOST_BYTES where a quality reaches that.
 
     Raises RecipeError where the recipe has no such sequence, no camera, or the time is beyond its end.
     """
@@ -82,7 +82,8 @@ def render_picture(choice: FrameChoice) -> bytes:
 
 
 def small_webp(colour: np.ndarray) -> bytes:
-    """A picture (H, W, 3) uint8 RGB as WebP, WIDTH_PX wide at most, of MOST_BYTES at most."""
+    """Encode an image (H, W, 3) uint8 RGB as WebP, at most WIDTH_PX wide, of at most MOST_BYTES if any of QUALITIES
+    reaches that, or else at the lowest."""
     height, width = colour.shape[:2]
     if width > WIDTH_PX:
         size = (WIDTH_PX, round(height * WIDTH_PX / width))

@@ -1,4 +1,4 @@
-"""Changes to records: withdrawn, put back, superseded, scored again."""
+"""Changes to records: withdrawn, restored, superseded, rescored."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from oysterbench_leaderboard.board import Query, Row
 from oysterbench_leaderboard.site.site import Site
 
 MOST = 200
-"""Superseded records of each board that the log tells of: the latest ones. Each record's page tells of itself."""
+"""Number of superseded records of each board in the log: the latest ones. Every record's page shows its own status."""
 
 Action = Literal["withdrawn", "restored", "superseded", "scored again"]
 
@@ -28,7 +28,8 @@ class Event:
 
 
 def successor(site: Site, row: Row) -> Row | None:
-    """The record that took the place of a superseded one: the one that names it, or the team's current one there."""
+    """Return the record that replaced a superseded one: the one that names it, or else the team's current one on the
+    same board. None where there is none, or the record is not superseded."""
     if row.state != "superseded":
         return None
     others = [other for other in site.index.method(row.method, row.team) if other.digest != row.digest]
@@ -38,7 +39,7 @@ def successor(site: Site, row: Row) -> Row | None:
 
 
 def events(site: Site) -> list[Event]:
-    """All that happened, the latest first."""
+    """All events, latest first."""
     found = [*_status_changes(site), *_successions(site)]
     return sorted(found, key=lambda event: (event.created, event.record.digest, event.action), reverse=True)
 
@@ -47,7 +48,7 @@ def _status_changes(site: Site) -> Iterator[Event]:
     for change in site.all_status_changes():
         try:
             row = site.index.row(change.record)
-        except ResultError:  # announced of what is not here
+        except ResultError:  # about a record that is not here
             continue
         yield Event(change.created, change.action, row, change.reason)
 

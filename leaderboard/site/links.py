@@ -1,4 +1,4 @@
-"""How a page of the site is linked to: from a server by its address, from exported files by their way to each other."""
+"""Links between pages of the site: by address on a server, by relative path between exported files."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ Query = Mapping[str, str | int | Iterable[str]]
 
 
 class Links(Protocol):
-    """static: whether pages are files, with no server that could answer a form."""
+    """How pages link to each other. static: whether pages are files, with no server that could answer a form."""
 
     @property
     def static(self) -> bool:
         """Whether pages are files."""
 
     def page(self, path: str, query: Query | None = None, suffix: str = "") -> str:
-        """A link to a page, or to its representation with that suffix (".json"); empty where it cannot be had."""
+        """Link to a page, or to its representation with that suffix (".json"); empty where it does not exist."""
 
     def asset(self, name: str) -> str:
-        """A link to a file of style or script."""
+        """Link to a style sheet, script or image."""
 
 
 @dataclass(frozen=True)
 class ServerLinks:
-    """Addresses below `root`, which is empty or what a proxy puts before ours. version: of the assets, so that they may
+    """Addresses below `root`, which is empty or the prefix that a proxy adds. version: of the assets, so that they can
     be cached for long."""
 
     root: str = ""
@@ -45,9 +45,9 @@ class ServerLinks:
 
 @dataclass(frozen=True)
 class FileLinks:
-    """Ways from the file of the page at `here` to others, of which `there` are all paths that are written.
+    """Relative paths from the file of the page at `here` to others; `there` holds the paths of all exported pages.
 
-    Of a query only the number of the page is known, and which two are compared: its other keys need a server.
+    Of a query only the page number, and the two records to compare, are supported: other keys need a server.
     """
 
     here: str
@@ -56,7 +56,7 @@ class FileLinks:
 
     def page(self, path: str, query: Query | None = None, suffix: str = "") -> str:
         known = {key: str(value) for key, value in (query or {}).items() if str(value)}
-        known.pop("size", None)  # pages are written in one size
+        known.pop("size", None)  # exported pages have one size
         target = numbered(path, int(known.pop("page", "1")))
         if path == "/compare":
             target = pair_path(known.pop("a", ""), known.pop("b", ""))
@@ -72,12 +72,12 @@ class FileLinks:
 
 
 def numbered(path: str, page: int) -> str:
-    """The path of a further page of a list."""
+    """Path of a page of a list by its number, from 1."""
     return path if page == 1 else f"{path}/page-{page}"
 
 
 def pair_path(a: str, b: str) -> str:
-    """The path of two records head to head, by their digests, where no server could read them from a query."""
+    """Path of the comparison of two records by their digests, for files, where no server reads a query."""
     return f"/compare/{a[:16]}-{b[:16]}"
 
 

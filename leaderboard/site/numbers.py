@@ -15,44 +15,44 @@ from oysterbench.report.table import Bar, Column
 
 ARROWS = {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}", "": ""}
 LEAST_DRAWN = 4
-"""Intervals of a table, at least, that are drawn whole."""
+"""Least number of intervals of a table that are drawn in full."""
 
 LEVEL = f"{100 * statistics.LEVEL:.0f} %"
 
 
 def track_name(track: str) -> str:
-    """As headings write it; of a track that is not known here, its own word."""
+    """Title of a track for headings; for an unknown track, its own name capitalised."""
     return TRACKS[track].title if track in TRACKS else track.capitalize()
 
 
 def text(key: str, value: float | None) -> str:
-    """One value of a metric as shown."""
+    """Format a value of a metric as pages show it."""
     return metric_column(key).text(finite(value))
 
 
 def difference_column(key: str) -> Column:
-    """The column of a metric's differences, with their signs."""
+    """Column of a metric's signed differences."""
     return replace(metric_column(key), key="difference", signed=True, cut=False, sort="")
 
 
 def interval(low: float | None, high: float | None) -> Interval:
-    """From both ends, where there are."""
+    """Interval from its two ends; unknown, with the reason, where one is None."""
     if low is None or high is None:
         return Interval(math.nan, math.nan, "too few sequences")
     return Interval(low, high)
 
 
 def unit(of: Column) -> str:
-    """Of a column, with an arrow to where better is."""
+    """Unit of a column, with an arrow towards better values."""
     return f"{of.unit} {ARROWS[of.better]}".strip()
 
 
 def bar(
     low: float | None, middle: float | None, high: float | None, axis: tuple[float, float] = (0.0, 1.0), name: str = ""
 ) -> Bar | None:
-    """An interval to be drawn on an axis; None where it has no ends, or one of shares leaves the axis of these.
+    """Interval as a bar on an axis; None where it has no ends, or leaves the default axis from 0 to 1.
 
-    name: of the axis's ends as pages write them, where it is another than that of shares
+    name: the axis's ends as pages write them, for any other axis
     """
     if low is None or middle is None or high is None or not low <= high:
         return None
@@ -65,8 +65,8 @@ def bar(
 
 
 def bars_axis(intervals: Sequence[tuple[float | None, float | None]]) -> tuple[float, float] | None:
-    """From where to where the intervals of a table, the best first, are drawn: round values around those of its better
-    half, which differ by less than they do from the others. None where there are none.
+    """Ends of the axis on which the intervals of a table, best first, are drawn: round values around those of the
+    better half, which differ less from each other than from the rest. None where there are none.
 
     >>> bars_axis([(0.92, 0.96), (0.86, 0.95), (0.8, 0.9), (0.7, 0.9), (0.1, 0.5), (0.0, 0.0)])
     (0.65, 1.0)
@@ -81,17 +81,17 @@ def bars_axis(intervals: Sequence[tuple[float | None, float | None]]) -> tuple[f
 
 
 def setting_text(value: Any) -> str:
-    """A setting as pages show it."""
+    """Format a setting as pages show it."""
     return "none" if value in (None, [], ()) else ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def finite(value: float | None) -> float | None:
-    """None for what is no number."""
+    """Return the value, or None where it is not finite."""
     return None if value is None or not math.isfinite(value) else value
 
 
 def count(number: int, noun: str) -> str:
-    """A number of things.
+    """Format a number of things, with the noun in singular or plural.
 
     >>> count(1, "record"), count(999, "record")
     ('1 record', '999 records')

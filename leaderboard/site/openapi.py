@@ -1,4 +1,4 @@
-"""The description of all addresses, OpenAPI 3.1; its schemas by msgspec, of the dataclasses of the answers."""
+"""OpenAPI 3.1 description of all addresses; msgspec makes its schemas from the dataclasses of the responses."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ ABOUT = {
 
 @dataclass(frozen=True)
 class RequestError:
-    """What stands in place of a page: error: in words; see: addresses, and what is there."""
+    """Response in place of a page. error: message; see: addresses of other pages -> what is there."""
 
     error: str
     see: dict[str, str]
 
 
 def describe(root: str = "", static: bool = False) -> dict[str, Any]:
-    """The document. root: what a proxy puts before our addresses; static: of exported files, which answer no query."""
+    """Make the OpenAPI document. root: prefix that a proxy adds; static: for exported files, which take no queries."""
     _, schemas = _schemas((RequestError, *(kind for route in ROUTES for kind in route.answers.values())))
     paths: dict[str, Any] = {}
     for route in ROUTES:
@@ -113,8 +113,8 @@ def _answer(route: Route) -> dict[str, Any]:
 
 
 def _schemas(kinds: Iterable[Any]) -> tuple[tuple[dict[str, Any], ...], dict[str, Any]]:
-    """Of each kind, and of the dataclasses in them by their names; a key of theirs is always given, and a number that
-    does not exist is null."""
+    """Schemas of the types, and of the dataclasses in them by name; all their keys are always present, and a missing
+    number is null."""
     found, named = msgspec.json.schema_components(kinds, ref_template="#/components/schemas/{name}")
     for schema in named.values():
         schema["required"] = list(schema.get("properties", {}))

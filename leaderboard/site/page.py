@@ -1,4 +1,4 @@
-"""A page, before it is written as HTML, JSON, CSV or TeX: title, template, context, and the tables in it."""
+"""A page before it is rendered as HTML, JSON, CSV or TeX: its title, template, context and tables."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from oysterbench.report.table import Table
 
 
 class PageError(OysterbenchError):
-    """A page that cannot be had. status: of HTTP; the message says what was expected and got; hints: addresses within
-    the site -> what is to be found there."""
+    """A page that cannot be shown. status: HTTP status; the message says what was expected and got; hints: addresses
+    within the site -> what is to be found there."""
 
     def __init__(self, message: str, status: int = 404, hints: Mapping[str, str] | None = None) -> None:
         super().__init__(message)
@@ -22,7 +22,7 @@ class PageError(OysterbenchError):
 
 
 class Later(Mapping[str, Any]):
-    """Values that are made when somebody asks for them: the JSON of a page that is read as HTML costs nothing."""
+    """A mapping that is made on first access: the JSON of a page that is shown as HTML costs nothing."""
 
     def __init__(self, make: Callable[[], Mapping[str, Any]]) -> None:
         self._make = make
@@ -43,12 +43,12 @@ class Later(Mapping[str, Any]):
 
 @dataclass(frozen=True)
 class Page:
-    """What an address stands for.
+    """Content of an address.
 
-    path:    without suffix, as `paths` writes it; query: what of the question is not as usual
-    context: what the template is given besides title, path and tables
-    tables:  the first is what CSV gives; TeX gives all
-    data:    what JSON gives
+    path:    without suffix, as `paths` writes it; query: those parameters of the query that are not at their defaults
+    context: values for the template besides title, path and tables
+    tables:  CSV has the first; TeX has all
+    data:    content of the JSON
     """
 
     path: str
@@ -61,5 +61,5 @@ class Page:
 
     @property
     def table(self) -> Table | None:
-        """The main one."""
+        """The main table; None where there is none."""
         return self.tables[0] if self.tables else None

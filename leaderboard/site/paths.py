@@ -1,5 +1,5 @@
-"""Addresses of pages. What stands in them is a slug, a board's id or a digest, whatever methods and splits are called,
-so that an address is also a safe name of a file."""
+"""Addresses of pages. They contain only slugs, board ids and digests, whatever methods and splits are called, so that
+an address is also a safe file name."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import re
 from oysterbench_leaderboard.board import BoardInfo
 
 SLUG = "[a-z0-9][a-z0-9_+~-]{0,79}"
-"""Pattern of a slug: lower case, as some file systems do not tell cases apart; no dot, which begins a suffix."""
+"""Pattern of a slug: lower case, as some file systems ignore case; no dot, which starts a suffix."""
 
 _PLAIN = re.compile("[a-z0-9][a-z0-9_+-]{0,59}")
 
 
 def slug(name: str) -> str:
-    """A name that is plain as it is, any other as what is plain in it and a hash of the whole.
+    """Slug of a name: a plain name unchanged, any other as its plain characters with a hash of the whole.
 
     >>> slug("gtsam_vi"), slug("Über <b>")
     ('gtsam_vi', 'ber-b~61070d1dcc')
@@ -27,17 +27,17 @@ def slug(name: str) -> str:
 
 
 def split_path(track: str, split: str) -> str:
-    """The newest board of a split."""
+    """Path of the newest board of a split."""
     return f"/boards/{slug(track)}/{slug(split)}"
 
 
 def board_path(board: BoardInfo) -> str:
-    """A board by its id, which stays the same when a newer one takes the place above."""
+    """Path of a board by its id, which remains valid when a newer board takes over the split's path."""
     return f"{split_path(board.track, board.split)}/{board.id}"
 
 
 def method_path(method: str) -> str:
-    """All records of a method."""
+    """Path of the page with all records of a method."""
     return f"/methods/{slug(method)}"
 
 
@@ -47,5 +47,5 @@ def record_path(digest: str) -> str:
 
 
 def data_path(split: str) -> str:
-    """A data set."""
+    """Path of a data set's page."""
     return f"/data/{slug(split)}"

@@ -1,4 +1,4 @@
-"""Pages as HTML: the templates, in which every value is escaped, and the style sheet."""
+"""Rendering of pages as HTML: templates, in which every value is escaped, and the style sheet."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ ASSETS = {
     "icon.svg": "image/svg+xml",
     **{frames.file_name(split): "image/webp" for split in frames.pictures()},
 }
-"""Files of style and script, and pictures -> media type."""
+"""Style sheets, scripts and images -> media type."""
 
 
 @lru_cache(maxsize=8)
 def environment(*folders: str | os.PathLike[str]) -> Environment:
-    """The templates of the site, and those of more folders, which may extend `base.html`. Always escaped; a name that
-    is not given is an error."""
+    """Environment of the site's templates and those in further folders, which may extend `base.html`. Values are always
+    escaped; an undefined name is an error."""
     loaders = [
         FileSystemLoader(folders),
         PackageLoader("oysterbench_leaderboard.site"),
@@ -71,14 +71,14 @@ def environment(*folders: str | os.PathLike[str]) -> Environment:
 
 
 def px(value: float) -> str:
-    """A coordinate of a drawing."""
+    """Format a coordinate of a drawing, px."""
     return f"{value:.1f}" if math.isfinite(value) else "0"
 
 
 def html(template: str, links: Links, context: Mapping[str, Any], env: Environment | None = None) -> str:
-    """A template that extends `base.html`, filled in.
+    """Render a template that extends `base.html`.
 
-    context: `title` at least; `path` of the page, for the navigation; `representations`, whether it has any.
+    context: at least `title`; `path` of the page, for the navigation; `representations`, whether it has any.
     """
     given = {"path": "", "query": {}, "representations": False, **context}
     return (
@@ -89,7 +89,7 @@ def html(template: str, links: Links, context: Mapping[str, Any], env: Environme
 
 
 def page_html(page: Page, links: Links) -> str:
-    """A page as HTML."""
+    """Render a page as HTML."""
     context = {
         "title": page.title,
         "path": page.path,
@@ -102,7 +102,7 @@ def page_html(page: Page, links: Links) -> str:
 
 @lru_cache
 def asset(name: str) -> bytes:
-    """A file of style or script, or a picture; the style sheet begins with the report's, whose colours and plots are
+    """Bytes of a style sheet, script or image; the style sheet starts with the report's, so that colours and plots are
     the same."""
     if name.endswith(frames.SUFFIX):
         return frames.pictures()[frames.split_of(name)]
@@ -117,7 +117,7 @@ def asset(name: str) -> bytes:
 
 @lru_cache
 def assets_version() -> str:
-    """Changes when any of these files does."""
+    """Version of the assets, which changes when any of them does."""
     return hashlib.sha256(b"\0".join(asset(name) for name in ASSETS)).hexdigest()[:12]
 
 

@@ -1,4 +1,4 @@
-"""A page in other representations: JSON, CSV, LaTeX, made of the same tables and values as its HTML."""
+"""Other representations of a page: JSON, CSV and LaTeX, made from the same tables and values as its HTML."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from oysterbench_leaderboard.site.page import Page
 
 
 def represent(page: Page, suffix: str) -> bytes:
-    """A page as JSON (what it is about, and all that it holds), as CSV (its first table), or as LaTeX (all tables)."""
+    """Represent a page as JSON (its path, title and all data), as CSV (its first table), or as LaTeX (all tables)."""
     if suffix == ".json":
         about = {"path": page.path, "title": page.title}
         return orjson.dumps({**about, **page.data}, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)

@@ -1,4 +1,4 @@
-"""Every page of the site: its address, what may be asked of it, what makes it, and what its JSON holds."""
+"""Every page of the site: its address, its query parameters, what makes it, and what its JSON holds."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ PATTERNS = {
     "board": "[0-9a-f]{16}",
     "digest": "[0-9a-f]{8,64}",
 }
-"""Part of an address -> what it may be."""
+"""Part of an address -> regular expression that it must match."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """Of a query. schema: as in JSON Schema."""
+    """Parameter of a query. schema: as in JSON Schema."""
 
     name: str
     about: str
@@ -50,9 +50,9 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Route:
-    """path: with the parts of `PATTERNS` in braces, without suffix.
+    """Route of a page. path: with the parts of `PATTERNS` in braces, without suffix.
 
-    ask:     the query, read: what a page is cached by; make: the page
+    ask:     parses the query into the key that the page is cached by; make: makes the page
     answers: keys of its JSON -> their types
     """
 
@@ -65,7 +65,7 @@ class Route:
 
     @property
     def parts(self) -> list[str]:
-        """Names of what stands in braces."""
+        """Names of the parts in braces."""
         return [part[1:-1] for part in self.path.split("/") if part.startswith("{")]
 
 
@@ -96,7 +96,7 @@ BOARD = {"board": BoardInfo, "query": Query, "total": int, "pages": int, "rows":
 
 
 def _chosen(asked: Asked) -> tuple[str, ...]:
-    """What is to be compared, given as a and b or as several r."""
+    """What is to be compared, given as `a` and `b` or as several `r`; at least two names, which may be empty."""
     a, b = ((asked.get(key) or [""])[-1] for key in ("a", "b"))
     ticked = [name for name in asked.get("r", ()) if name.strip()]
     names = [a, b] if a or b else [*ticked, "", ""][: max(2, len(ticked))]
@@ -104,7 +104,7 @@ def _chosen(asked: Asked) -> tuple[str, ...]:
 
 
 def _compared(site: Site, names: Sequence[str]) -> Page:
-    """Two head to head, more side by side."""
+    """Page that compares two records head to head, or more side by side."""
     return compare_page(site, *names) if len(names) == 2 else several_page(site, names)
 
 
@@ -213,4 +213,4 @@ FILES = {
     "/openapi.json": "This description.",
     "/health": "Whether the site is up.",
 }
-"""Other addresses -> what they give."""
+"""Other addresses -> what they return."""

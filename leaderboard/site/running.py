@@ -1,4 +1,4 @@
-"""Running the site: the application with all that belongs to it, and new records taken in while it is up."""
+"""Running the site: the complete application, which loads new records while it is up."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from oysterbench_leaderboard.site.server import application
 from oysterbench_leaderboard.site.site import Site
 
 LOOK_S = 2.0
-"""How often the folder of records is looked at."""
+"""Interval of looking for new records in the folder."""
 
 LOG = logging.getLogger("uvicorn.error")
 
 
 def site_of(index: BoardIndex, form: str = "") -> Site:
-    """All that pages are made of."""
+    """Site of an index: everything that pages are made from. form: path of the submission form."""
     return Site(index, literature(), form)
 
 
 class Watch:
-    """Whether something came into the folders of the board since they were last looked at."""
+    """Watches the board's folders for new files."""
 
     def __init__(self, index: BoardIndex) -> None:
         self.index = index
@@ -47,7 +47,7 @@ class Watch:
         return tuple(found)
 
     def look(self) -> bool:
-        """Take in what is new; whether there was anything."""
+        """Load what is new since the last look; return whether there was anything."""
         times = self._times()
         if times == self._seen:
             return False
@@ -62,7 +62,7 @@ async def _keep_up(index: BoardIndex) -> None:
         await asyncio.sleep(LOOK_S)
         try:
             await anyio.to_thread.run_sync(watch.look)
-        except (OysterbenchError, OSError) as error:  # a disk that is full now may not be later
+        except (OysterbenchError, OSError) as error:  # may be temporary, such as a full disk
             LOG.error("new records were not loaded: %s", error)
 
 
@@ -75,9 +75,9 @@ def whole(
     scheduler: str = "",
     metrics: str = "",
 ) -> Starlette:
-    """The application. submissions: private folder of a service that takes them, None for none; truths: SPLIT=FOLDER
-    of what it scores against, with so many workers or on the cluster of a scheduler; root: what a proxy puts before our
-    addresses; metrics: HOST:PORT of what Prometheus may know, empty for none."""
+    """Make the whole application. submissions: private folder of the submission service, None for no service; truths:
+    SPLIT=FOLDER, the ground truth that it scores against, with `workers` workers or on the cluster of a scheduler;
+    root: prefix that a proxy adds to our addresses; metrics: HOST:PORT for Prometheus, empty for none."""
     taken: Any = None
     closing: list[Callable[[], None]] = []
     if submissions is not None:
@@ -98,7 +98,7 @@ def whole(
                 await stack.enter_async_context(taken.running())
             for close in closing:
                 stack.callback(close)
-            await anyio.to_thread.run_sync(datasets.known)  # seconds, which no visitor should wait for
+            await anyio.to_thread.run_sync(datasets.known)  # takes seconds: no visitor should have to wait
             task = asyncio.create_task(_keep_up(index))
             try:
                 yield

@@ -1,5 +1,5 @@
-"""Pages over HTTP: cached by address and revision of the index, compressed, with entity tags, and nothing of a failure
-but that there was one."""
+"""Pages over HTTP: cached by address and index revision, compressed, with entity tags. Of an internal error, clients
+learn only that it occurred."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ from oysterbench_leaderboard.site.site import Site
 LOG = logging.getLogger("uvicorn.error")
 
 FRESH_S = 1.0
-"""For so long the index is not asked again whether it has changed."""
+"""Time for which the revision of the index is not looked up again."""
 
 MAKERS = 4
-"""Pages that are made at once; others wait, and do not fight for the processor."""
+"""Number of pages made at once; others wait instead of competing for the processor."""
 
 SECURITY = {
     b"content-security-policy": (
@@ -52,7 +52,7 @@ SECURITY = {
     b"cross-origin-opener-policy": b"same-origin",
     b"permissions-policy": b"camera=(), geolocation=(), microphone=()",
 }
-"""Headers of every response that does not set them itself."""
+"""Headers of every response, unless it sets them itself."""
 
 CHANGING, FOREVER = "no-cache", "public, max-age=31536000, immutable"
 HTML = "text/html; charset=utf-8"
@@ -63,7 +63,7 @@ for _name, _pattern_of in PATTERNS.items():
 
 
 class Pages:
-    """The pages of a site, made when they are first asked for."""
+    """Pages of a site, made on first request."""
 
     def __init__(self, site: Site, root: str = "", fresh_s: float = FRESH_S, most_bytes: int | None = None) -> None:
         self.site = site
@@ -76,7 +76,7 @@ class Pages:
         self._makers: anyio.CapacityLimiter | None = None
 
     async def revision(self) -> str:
-        """Of the index, not older than `fresh_s`; of many who ask at once, one looks."""
+        """Return the revision of the index, at most `fresh_s` old; concurrent callers share one lookup."""
         if time.monotonic() - self._asked < self.fresh_s:
             return self._revision
         if self._asking is None or self._asking.done():
@@ -89,7 +89,7 @@ class Pages:
         return self._revision
 
     async def get(self, route: Route, given: dict[str, str], asked: Any, suffix: str) -> Kept:
-        """A page, or its representation. Many who ask for the same at once wait for one making of it."""
+        """Return a page, or its representation. Concurrent requests for the same page wait for it to be made once."""
         revision = await self.revision()
         key = (route.path, tuple(sorted(given.items())), asked, suffix)
         if (kept := self.cache.get(revision, key)) is not None:
@@ -107,14 +107,14 @@ class Pages:
         return await anyio.to_thread.run_sync(self.make, route, given, asked, suffix, limiter=self._makers)
 
     def make(self, route: Route, given: dict[str, str], asked: Any, suffix: str) -> Kept:
-        """A page, or its representation, as bytes."""
+        """Make a page, or its representation, as bytes."""
         page = route.make(self.site, given, asked)
         if suffix:
             return Kept.of(represent(page, suffix), render.REPRESENTATIONS[suffix][1])
         return Kept.of(render.page_html(page, self.links).encode(), HTML)
 
     def error(self, request: Request, status: int, message: str, hints: dict[str, str]) -> Response:
-        """What is said in place of a page, in the form that was asked for."""
+        """Error response in place of a page, in the representation that was requested."""
         headers = {"Cache-Control": "no-store"}
         if request.url.path.endswith(".json") or request.url.path.startswith("/api/"):
             return JSONResponse({"error": message, "see": hints}, status, headers)
@@ -134,7 +134,7 @@ def application(
     fresh_s: float = FRESH_S,
     most_bytes: int | None = None,
 ) -> Starlette:
-    """The web application. more: routes of other rooms, such as submissions; root: what a proxy puts before ours."""
+    """Make the web application. more: further routes, such as those of submissions; root: prefix that a proxy adds."""
     pages = Pages(site, root, fresh_s, most_bytes)
     description = Kept.of(canonical(describe(root)), "application/json")
 
@@ -184,7 +184,7 @@ def application(
         return PlainTextResponse("User-agent: *\nDisallow: /compare\nDisallow: /*?\n")
 
     async def answer_error(request: Request, error: Exception) -> Response:
-        """What was expected, and what is there."""
+        """Answer an exception: what was expected and what there is, or only that an internal error was logged."""
         if isinstance(error, PageError):
             return pages.error(request, error.status, str(error), error.hints)
         if isinstance(error, HTTPException) and error.status_code < 500:
@@ -192,12 +192,12 @@ def application(
             response = pages.error(request, error.status_code, message, {"/": "all boards", "/data": "data sets"})
             response.headers.update(error.headers or {})
             return response
-        if isinstance(error, OysterbenchError):  # it may name files, which are nobody's business
+        if isinstance(error, OysterbenchError):  # its message may name private files
             LOG.error("%s: %s", request.url.path, error)
         response = pages.error(
             request, 500, "this page could not be generated; the error has been logged", {"/": "all boards"}
         )
-        for name, value in SECURITY.items():  # what answers a failure stands outside of `Secured`
+        for name, value in SECURITY.items():  # responses to failures bypass `Secured`
             response.headers[name.decode()] = value.decode()
         return response
 
@@ -218,13 +218,13 @@ def application(
 
 
 def _pattern(path: str, suffix: str) -> str:
-    """A route's address as Starlette spells it."""
+    """Path of a route in Starlette's syntax."""
     bare = "/index" if path == "/" and suffix else path
     return re.sub(r"\{(\w+)\}", r"{\1:board_\1}", bare) + suffix
 
 
 def send(request: Request, kept: Kept, headers: dict[str, str] | None = None) -> Response:
-    """A page, compressed where the client takes that; 304 where it has it."""
+    """Response with a page, compressed where the client accepts that; 304 where the client has it already."""
     small = bool(kept.small) and _takes_gzip(request.headers.get("accept-encoding", ""))
     tag = f'"{kept.tag}-gz"' if small else f'"{kept.tag}"'
     given = {"ETag": tag, "Cache-Control": CHANGING, "Vary": "Accept-Encoding", **(headers or {})}
@@ -245,7 +245,7 @@ def _takes_gzip(header: str) -> bool:
 
 
 class Secured:
-    """Puts `SECURITY` on every response."""
+    """Middleware that adds the headers of `SECURITY` to every response."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app

@@ -1,4 +1,4 @@
-"""What pages are made of: the index, numbers from the literature, and what is known of all records at once."""
+"""What pages are made from: the index, numbers from the literature, and what is derived from all records at once."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ Known = TypeVar("Known")
 
 @dataclass
 class Site:
-    """index: of the records; literature: numbers that others reported; form: path of the submission form, empty where
-    this site takes none."""
+    """Everything that pages are made from. index: of the records; literature: numbers reported by others; form: path of
+    the submission form, empty where this site accepts no submissions."""
 
     index: BoardIndex
     literature: Sequence[Literature] = ()
@@ -34,7 +34,7 @@ class Site:
         return self.index.store
 
     def row(self, digest: str) -> Row:
-        """Of a record, by its digest or the first digits of it. Raises PageError."""
+        """Return the row of a record by its digest or the first digits of it. Raises PageError."""
         try:
             return self.index.row(digest)
         except ResultError:
@@ -44,26 +44,26 @@ class Site:
             ) from None
 
     def record(self, digest: str) -> Record:
-        """A record as it was published."""
+        """Return a record as it was published."""
         return self.store.record(digest)
 
     def conditions(self, board: str, digest: str) -> dict[str, Mapping[str, Any]]:
-        """What the sequences of a board are like, by one of its records."""
+        """Sequence -> conditions on a board, from one of its records."""
         return self._once(
             f"conditions of {board} by {digest}",
             lambda: {result.sequence: result.conditions for result in self.record(digest).results},
         )
 
     def has_disturbances(self, board: str, digest: str) -> bool:
-        """Whether the sequences of a board are single disturbances, by one of its records."""
+        """Whether the sequences of a board are single disturbances, judging by one of its records."""
         return any("disturbance" in like for like in self.conditions(board, digest).values())
 
     def status_changes(self, digest: str) -> list[StatusChange]:
-        """What was announced of a record, the oldest first."""
+        """Status changes of a record, oldest first."""
         return self._once("status_changes", self._status_changes).get(digest, [])
 
     def all_status_changes(self) -> list[StatusChange]:
-        """The oldest first."""
+        """Status changes of all records, oldest first."""
         by_record = self._once("status_changes", self._status_changes)
         return sorted((change for several in by_record.values() for change in several), key=lambda c: c.created)
 
@@ -74,11 +74,11 @@ class Site:
         return found
 
     def methods(self) -> dict[str, str]:
-        """Slug -> name of a method. Plain names are their own slugs, and are left out."""
+        """Slug -> name of a method. Plain names, which are their own slugs, are left out."""
         return self._once("methods", lambda: {slug(m): m for m, _, _ in self.index.methods() if slug(m) != m})
 
     def _once(self, name: str, make: Callable[[], Known]) -> Known:
-        """What is made anew only when the index has changed."""
+        """Return what `make` returns, made anew only when the index has changed. name: key under which it is kept."""
         with self._lock:
             revision = self.index.revision
             kept = self._known.get(name)
@@ -88,7 +88,7 @@ class Site:
 
 
 def curves_of(site: Site, record: Record) -> dict[str, Any] | None:
-    """What is drawn on a record's page; None where there is nothing, or it cannot be read."""
+    """Curves drawn on a record's page; None where there are none, or they cannot be read."""
     if not record.curves:
         return None
     try:

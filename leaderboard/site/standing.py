@@ -1,4 +1,4 @@
-"""A record set against a board's sequences: what it says of each, and what stands where it says nothing."""
+"""A record's results on the sequences of a board, including those for which it has none."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ NOT_ANSWERED = "was not answered"
 
 
 def named(record: Record, label: str) -> tuple[ResultRecord, ...]:
-    """A record's results under one name, whatever the settings of the method."""
+    """A record's results under one label, with the settings of the method dropped."""
     return tuple(replace(result, method=label, method_settings={}) for result in record.results)
 
 
 def filled(
     results: Sequence[ResultRecord], sequences: Sequence[str], known: Sequence[ResultRecord]
 ) -> tuple[ResultRecord, ...]:
-    """The same results and, for each sequence of the board that has none, a run that failed: so the board ranks it.
+    """The same results with a failed run added for each sequence of the board that has none, which is how the board
+    ranks them.
 
-    known: results of others, which tell what such a sequence is like, and what it weighs in a mean
+    known: results of others, which give the conditions of such a sequence, and its weight in a mean
     """
     answered = {result.sequence for result in results}
     missing = []
@@ -52,8 +53,8 @@ def filled(
 
 
 def weighed(results: Sequence[ResultRecord], known: Sequence[ResultRecord]) -> tuple[ResultRecord, ...]:
-    """The same results, those of failed runs with the weights by which they count in a mean: those of a sequence where
-    nothing was answered, as another result on it tells them."""
+    """The same results, with the weights added by which failed runs count in a mean: those of a sequence without any
+    estimate, taken from another result on it."""
     found = []
     for result in results:
         lacking = {}
@@ -75,10 +76,10 @@ def _weight(key: str, sequence: str, known: Sequence[ResultRecord]) -> float:
 
 
 def means(results: Sequence[ResultRecord], key: str) -> Mapping[str, float]:
-    """Mean over runs of a metric on each sequence that has a value."""
+    """Sequence -> mean of a metric over its runs, for sequences that have a value."""
     return sequence_means(samples(results, key))
 
 
 def board(results: Sequence[ResultRecord]) -> Board:
-    """All results as one board: what `oysterbench compare` would make of them."""
+    """All results as one board, as `oysterbench compare` would make it."""
     return boards(results)[0]

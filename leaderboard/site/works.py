@@ -1,4 +1,4 @@
-"""Papers and programs of methods, as they are named on pages: in a few words, with an address where they have one."""
+"""Short names of methods' papers and programs on pages, with an address where they have one."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ MOST_NAME = 40
 
 
 def code_cell(code: str) -> Cell:
-    """The name of the program, which leads to it. code: where it is."""
+    """Cell with the name of the program, linked to it. code: where it is."""
     return Cell(code or None, code_name(code) or None, url=code if ADDRESS.fullmatch(code) else "")
 
 
 def paper_cell(paper: str) -> Cell:
-    """First author and year, which lead to the paper. paper: a citation, such as "A. Author, B. Author: Title. Venue
-    2020, doi:..."."""
+    """Cell with first author and year, linked to the paper. paper: a citation, such as "A. Author, B. Author: Title.
+    Venue 2020, doi:..."."""
     return Cell(paper or None, paper_name(paper) or None, about=paper, url=paper_address(paper))
 
 
 def work_cell(code: str, paper: str) -> Cell:
-    """Both in one cell: the program, and below it the paper; each alone where there is but one."""
+    """Cell with the program, and the paper below it; with only one of them where the other is missing."""
     named, cited = code_cell(code), paper_cell(paper)
     if not code or not paper:
         return named if code else cited
@@ -37,7 +37,7 @@ def work_cell(code: str, paper: str) -> Cell:
 
 
 def code_name(place: str) -> str:
-    """Of the address of a repository, or a path, its last part; of another page, its host.
+    """Short name of a program: the last part of a repository's address or of a path; for other addresses, the host.
 
     >>> code_name("https://github.com/rpng/open_vins"), code_name("https://colmap.github.io/x")
     ('open_vins', 'colmap.github.io')
@@ -48,7 +48,7 @@ def code_name(place: str) -> str:
 
 
 def paper_name(citation: str) -> str:
-    """First author and year of the first of several, where they can be told.
+    """First author and year of a citation, of the first where there are several; "paper" where they cannot be found.
 
     >>> paper_name("C. Campos, R. Elvira: ORB-SLAM3. IEEE T-RO 37(6), 2021"), paper_name("S. Leutenegger: OKVIS2. 2022")
     ('Campos et al. 2021', 'Leutenegger 2022')
@@ -66,7 +66,7 @@ def paper_name(citation: str) -> str:
 
 
 def paper_address(citation: str) -> str:
-    """Where it can be read: an address in the text, a DOI or a number of arXiv; empty where there is none."""
+    """Address where a cited paper can be read: a URL in the text, a DOI or an arXiv number; empty without any."""
     if found := ADDRESS.search(citation):
         return found[0]
     if found := DOI.search(citation):

@@ -1,4 +1,4 @@
-"""The interface for programs: `POST /api/submissions` and what comes of it. A token in the header Authorization."""
+"""The HTTP API: `POST /api/submissions` and what follows it, authorised by a token in the header Authorization."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.service import Service
 
 MOST_BODY = 4000
-"""Bytes of a small body."""
+"""Size limit of a small request body, bytes."""
 
 
 def routes(auth: Auth) -> list[Route]:
-    """Of the interface."""
+    """Routes of the HTTP API."""
     service = auth.service
 
     async def team(request: Request) -> str:
@@ -34,7 +34,7 @@ def routes(auth: Auth) -> list[Route]:
         return JSONResponse(await run_in_threadpool(shown, service, found), status)
 
     async def splits(request: Request) -> Response:
-        if "authorization" in request.headers:  # who is going to send is told of a wrong token before
+        if "authorization" in request.headers:  # a client about to upload learns of a wrong token before it does
             await team(request)
         limits = {key: getattr(service.settings, key) for key in ("file_bytes", "upload_bytes", "per_day", "per_split")}
         return JSONResponse({"splits": service.catalogue.public(), "limits": limits})
@@ -43,7 +43,7 @@ def routes(auth: Auth) -> list[Route]:
         made, new = await auth.submit(request, await team(request))
         found = await answer(made, 201 if new else 200)
         if not new:
-            found.headers["Connection"] = "close"  # what is still being sent, though it is known, is not waited for
+            found.headers["Connection"] = "close"  # a duplicate: do not wait for the rest of its body
         return found
 
     async def listed(request: Request) -> Response:
@@ -79,7 +79,7 @@ def routes(auth: Auth) -> list[Route]:
 
 
 def brief(submission: Submission) -> dict[str, Any]:
-    """What a list says of a submission."""
+    """Fields of a submission that a list of submissions shows."""
     keys = (
         "id",
         "state",
@@ -102,7 +102,7 @@ def brief(submission: Submission) -> dict[str, Any]:
 
 
 def shown(service: Service, submission: Submission) -> dict[str, Any]:
-    """All that a team may know of its submission."""
+    """Everything that a team may see of its own submission."""
     found = brief(submission)
     if submission.state == "queued":
         found["queued_before"] = service.queued_before(submission)
@@ -118,7 +118,7 @@ def shown(service: Service, submission: Submission) -> dict[str, Any]:
 
 
 async def small_body(request: Request) -> bytes:
-    """A body of at most MOST_BODY bytes."""
+    """Read a request body of at most MOST_BODY bytes. Raises Refusal where it is longer."""
     body = b""
     async for chunk in request.stream():
         body += chunk

@@ -1,4 +1,4 @@
-"""Archives, read in place: nothing of one is ever written to disk, and nothing in one is believed."""
+"""Zip archives read in place: nothing is ever extracted to disk, and nothing in an archive is trusted."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from oysterbench_leaderboard.submissions.refusals import Refusal
 
 ZIP_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""Kinds of compression that are read: others reach far higher ratios."""
+"""Compression methods that are accepted: others reach far higher ratios."""
 
 BROKEN = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, NotImplementedError, RuntimeError)
-"""What the library raises where an archive is not one."""
+"""Exceptions that `zipfile` raises for a file that is not a valid archive."""
 
 ENCRYPTED = 0x1
 EPOCH = (1980, 1, 1, 0, 0, 0)
-"""Date of files in archives that are made here."""
+"""Modification time of every file in archives that are written here."""
 
 NAMED = "expected names as `SEQUENCE.tum`"
 OF_THE_SYSTEM = (".DS_Store", "Thumbs.db", "desktop.ini")
 SHOWN = 80
-"""Characters of a name in a message."""
+"""Maximum number of characters of a name in a message."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Of what is read (`SubmissionSettings`)."""
+    """Limits on what is read (see `SubmissionSettings`)."""
 
     file_bytes: int
     results_bytes: int
@@ -48,7 +48,7 @@ class Limits:
 
 
 class Budget:
-    """What may still be unpacked of one submission, over all archives in it."""
+    """Count of what has been unpacked of one submission, over all archives in it, against its limits."""
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
@@ -56,7 +56,7 @@ class Budget:
         self.bytes = 0
 
     def take(self, entries: int, size: int) -> None:
-        """Raises Refusal where that is too much."""
+        """Count these entries and bytes. Raises Refusal where the total exceeds a limit."""
         self.entries += entries
         self.bytes += size
         if self.entries > self.limits.entries:
@@ -67,19 +67,19 @@ class Budget:
 
 
 def shown(name: str) -> str:
-    """A name of somebody else's as it stands in a message."""
+    """Form in which an untrusted name appears in a message: ASCII-escaped and truncated."""
     return ascii(name[:SHOWN])
 
 
 def _is_of_the_system(name: str) -> bool:
-    """Whether an entry is what a desktop puts into archives beside the files of its user. It is never read."""
+    """Whether an entry is one that a desktop system adds to archives by itself. Such entries are never read."""
     return name.startswith("__MACOSX/") or name.rpartition("/")[2] in OF_THE_SYSTEM
 
 
 class Archive:
     """A zip archive. All its entries are checked before the first is read.
 
-    arrays: whether it is an .npz, whose members may shrink as much as they like
+    arrays: whether it is an .npz, whose members may have any compression ratio
     """
 
     def __init__(self, file: IO[bytes] | Path, label: str, budget: Budget, arrays: bool = False) -> None:
@@ -99,7 +99,7 @@ class Archive:
             self.entries[entry.orig_filename] = entry
 
     def _check(self, entry: zipfile.ZipInfo, arrays: bool) -> None:
-        # `filename` has been mended by the library; what was written says what was meant.
+        # `filename` has been cleaned up by the library; `orig_filename` is what the sender wrote.
         name = entry.orig_filename
         kind = stat.S_IFMT(entry.external_attr >> 16)
         size, most, ratio = entry.file_size, self.limits.file_bytes, self.limits.ratio
@@ -130,7 +130,7 @@ class Archive:
                 raise Refusal("archive", f"{self.label}: {shown(name)} {what}")
 
     def read(self, name: str) -> bytes:
-        """The bytes of an entry; no more than its size says."""
+        """Return the bytes of an entry, `file_bytes` + 1 of them at most."""
         entry = self.entries[name]
         try:
             with self._zip.open(entry) as file:
@@ -142,7 +142,7 @@ class Archive:
 
 
 def pack(files: Mapping[str, Path | IO[bytes]], target: IO[bytes]) -> None:
-    """Write a zip archive of files, by their names in it: the same bytes for the same files, whenever it is made."""
+    """Write a zip archive of files, given by their names in it. The same files always give the same bytes."""
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in sorted(files):
             entry = zipfile.ZipInfo(name, EPOCH)
@@ -157,12 +157,12 @@ def pack(files: Mapping[str, Path | IO[bytes]], target: IO[bytes]) -> None:
 
 
 def is_zip(data: bytes) -> bool:
-    """Whether a file that begins so is an archive."""
+    """Whether a file that starts with these bytes is a zip archive."""
     return data.startswith(ZIP_MAGIC)
 
 
 def arrays_of(data: bytes, label: str, budget: Budget) -> Archive:
-    """The archive of an .npz: nothing but .npy files in it."""
+    """Open an .npz as an archive. Raises Refusal where it holds anything but .npy files."""
     archive = Archive(io.BytesIO(data), label, budget, arrays=True)
     for name in archive.entries:
         if not name.endswith(".npy"):
@@ -172,7 +172,7 @@ def arrays_of(data: bytes, label: str, budget: Budget) -> Archive:
 
 @contextmanager
 def in_memory(data: bytes, label: str) -> Iterator[Path]:
-    """A path that leads to these bytes, for readers that want one: they stay in memory."""
+    """Path to these bytes, for readers that require a path; the bytes stay in memory."""
     descriptor = os.memfd_create(label[:64].encode("ascii", "replace").decode())
     try:
         view = memoryview(data)

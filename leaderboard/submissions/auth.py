@@ -1,4 +1,4 @@
-"""Who is asking, and how refusals are answered: what the interface for programs and the web form share."""
+"""Authentication, and responses to refusals: what the HTTP API and the web form share."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from oysterbench_leaderboard.submissions.words import Form
 HEADERS = {
     "Cache-Control": "no-store",
     "X-Content-Type-Options": "nosniff",
-    # Without a referrer at all, browsers send no origin with forms.
+    # With no referrer at all, browsers send no Origin header with forms.
     "Referrer-Policy": "same-origin",
     "Content-Security-Policy": "default-src 'none'; style-src 'self'; img-src 'self' data:; script-src 'self'; "
     "form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
@@ -45,7 +45,7 @@ Show = Callable[[Request, Refusal], Awaitable[Response]]
 
 
 class Auth:
-    """Of a service: tokens, and what comes with them."""
+    """Tokens of a service, and the uploads that arrive with them."""
 
     def __init__(self, service: Service) -> None:
         self.service = service
@@ -53,7 +53,7 @@ class Auth:
         self.places = Places(service.settings)
 
     async def holder(self, request: Request, token: str) -> Holder:
-        """Who holds a token. Raises Refusal for a wrong one or none, and where too many of these came."""
+        """Return the holder of a token. Raises Refusal where it is wrong or missing, and after too many failures."""
         address = address_of(request)
         self.guesses.check(address)
         if not token:
@@ -72,8 +72,9 @@ class Auth:
 
     @contextmanager
     def _counting(self, team: str) -> Iterator[None]:
-        """Count a body that came too slowly, or broke off, as one that was read: else who is sent away would come again
-        at once, and keep a place from others all day. Raises Refusal at once where the team may have no more read."""
+        """Count a body that arrives too slowly, or breaks off, as one that was read: otherwise a client that is turned
+        away could return at once and block a place all day. Raises Refusal at once where the team's daily reads are
+        used up."""
         self.service.reads.check(team)
         try:
             yield
@@ -85,7 +86,8 @@ class Auth:
     async def submit(
         self, request: Request, team: str, check_fields: Callable[[dict[str, str]], None] = lambda fields: None
     ) -> tuple[Submission, bool]:
-        """Receive a body, one file or a form, and take it in. Raises Refusal."""
+        """Receive a request body, one file or a form, and submit it; return the submission and whether it is new.
+        Raises Refusal."""
         settings, folder = self.service.settings, self.service.incoming
         check_headers(request, settings)
         fields = dict(request.query_params)
@@ -104,7 +106,7 @@ class Auth:
                     file = await run_in_threadpool(one_file, form, body)
                 else:
                     check_fields({})
-                    # What is wrong with the question is said before the answer is sent.
+                    # Report what is wrong with the fields before receiving the body.
                     asked, _ = self.service.check_form(form_of(fields))
                     if digest := fields.get("digest"):
                         known = await run_in_threadpool(self.service.announced, team, asked, digest)
@@ -121,7 +123,7 @@ class Auth:
                 return await run_in_threadpool(take_in)
 
     def answered(self, handler: Handler, show: Show) -> Handler:
-        """The handler, with refusals logged and shown, and nothing told of what went wrong inside."""
+        """Wrap a handler so that refusals are logged and shown, and internal errors are logged but not revealed."""
 
         async def answer(request: Request) -> Response:
             try:
@@ -136,10 +138,10 @@ class Auth:
                 response = await show(request, refusal)
                 if refusal.retry_s:
                     response.headers["Retry-After"] = str(refusal.retry_s)
-                response.headers["Connection"] = "close"  # what is still being sent is not waited for
+                response.headers["Connection"] = "close"  # do not wait for the rest of the body
             except asyncio.CancelledError:
                 raise
-            except ClientDisconnect:  # nobody is there who could read an answer, and it is no failure of the server
+            except ClientDisconnect:  # the client is gone; not a server failure
                 response = Response(status_code=400)
             except Exception:
                 self.service.log.exception("%s %s", request.method, request.url.path)
@@ -152,10 +154,10 @@ class Auth:
 
 
 def form_of(fields: dict[str, str]) -> Form:
-    """What a sender says of a submission."""
+    """Form made of the fields of a request; absent fields are empty."""
     return Form(**{key: fields.get(key, "") for key in ("method", "split", "track", "url", "summary")})
 
 
 def address_of(request: Request) -> str:
-    """Of the client, as far as the server in front tells it."""
+    """Address of the client, as far as the server in front passes it on; "unknown" without one."""
     return request.client.host if request.client else "unknown"

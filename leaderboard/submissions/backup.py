@@ -1,8 +1,8 @@
-"""A server of submissions as one file, and back: rows of its database as JSON, and the files that these speak of.
+"""Backup of a submission server into one file, and restore: its database rows as JSON, and the files they refer to.
 
-The rows are those of one moment. Files are named by their hash, never changed, and on the disk before a row names them:
-so they are copied afterwards, while the server runs. Rows go back into SQLite as well as PostgreSQL, and into a later
-version of oysterbench. Estimates in an object store stay there.
+The rows are a snapshot of one moment. Files are named by their hash, never changed, and on disk before a row names
+them, so they can be copied afterwards while the server runs. Rows can be restored into SQLite or PostgreSQL, and into a
+later version of oysterbench. Estimates in an object store stay there.
 """
 
 from __future__ import annotations
@@ -34,26 +34,26 @@ from oysterbench_leaderboard.submissions.settings import FILE, SubmissionSetting
 ABOUT = "backup.json"
 PRIVATE = ("estimates/*", "scored/*/*.json", "key", FILE)
 PUBLIC = ("records/*.json", "changes/*.json", "curves/*.json")
-"""Files of the private folder and of the board's."""
+"""Files of the board's folder that are backed up; PRIVATE are those of the private folder."""
 
 HASH = "[0-9a-f]{64}"
 KNOWN = re.compile(
     rf"rows/\w+\.jsonl|private/(key|settings\.toml|estimates/{HASH}|scored/\w+/{HASH}\.json)|board/\w+/{HASH}\.json"
 )
 BATCH = 1000
-"""Rows that are inserted at once."""
+"""Number of rows per insert."""
 
 
 @dataclass(frozen=True)
 class Backup:
-    """What is in a file: rows by table, and how many files."""
+    """Contents of a backup: the number of rows of each table, and the number of files."""
 
     rows: dict[str, int]
     files: int
 
 
 def backup(settings: SubmissionSettings, file: Path, board: Path | None = None) -> Backup:
-    """Write all of a server into a file that only its owner can read. board: folder of records that come along."""
+    """Write a whole server into a file that only its owner can read. board: folder of records to include."""
     database = Database(settings)
     rows: Counter[str] = Counter()
     files = 0
@@ -86,7 +86,7 @@ def _add(archive: tarfile.TarFile, name: str, data: bytes) -> None:
 
 
 def _files(folder: Path, board: Path | None) -> Iterator[tuple[str, Path]]:
-    """Name in the archive, and where it is. What is being written has other names and is passed over."""
+    """Yield the archive name and path of each file. Files still being written have other names and are skipped."""
     for prefix, root, patterns in (("private", folder, PRIVATE), ("board", board or Path(), PUBLIC if board else ())):
         for path in (path for pattern in patterns for path in sorted(root.glob(pattern))):
             name = f"{prefix}/{path.relative_to(root).as_posix()}"
@@ -95,9 +95,9 @@ def _files(folder: Path, board: Path | None) -> Iterator[tuple[str, Path]]:
 
 
 def restore(file: Path, folder: Path, board: Path | None = None) -> Backup:
-    """Make a private folder, its database, and where it is named the board's folder, of a backup. The folder may hold a
-    settings.toml alone, which then counts instead of the old one. Raises ResultError where one of them is not empty,
-    and where the file is none of ours or is damaged."""
+    """Restore the private folder, its database and, if given, the board's folder from a backup. Either folder may hold
+    a settings.toml and nothing else; that of the private folder then replaces the old one. Raises ResultError where one
+    of them is not empty, or where the file is damaged or not a backup of oysterbench."""
     for place in (folder, *([board] if board else [])):
         if place.exists() and any(path.name != FILE for path in place.iterdir()):
             raise ResultError(f"{place}: expected an empty or new folder to restore into; nothing was changed")
@@ -148,13 +148,13 @@ def _restore(archive: tarfile.TarFile, folder: Path, board: Path | None) -> Back
 
 
 def _insert(connection: Connection, tables: dict[str, list[bytes]]) -> None:
-    """Rows, by the columns that the tables had then."""
+    """Insert rows into the tables as they were at the backup's revision."""
     then = MetaData()
     then.reflect(connection)
     for name, lines in tables.items():
         rows: list[dict[str, Any]] = [json.loads(line) for line in lines]
         for row in rows if name == "events" else ():
-            del row["number"]  # which the database gives anew, in the same order
+            del row["number"]  # the database numbers them anew, in the same order
         for k in range(0, len(rows), BATCH):
             connection.execute(insert(then.tables[name]), rows[k : k + BATCH])
 
@@ -165,7 +165,7 @@ def _read(archive: tarfile.TarFile, name: str) -> bytes:
 
 
 def _extract(archive: tarfile.TarFile, entry: tarfile.TarInfo, target: Path, secret: bool) -> None:
-    """A file, whose bytes are those that it is named for."""
+    """Extract a file. Raises ValueError where its name is a SHA-256 that does not match its bytes."""
     found = sha256()
     source = archive.extractfile(entry)
     with appearing(target, mode=0o600 if secret else 0o644) as output:

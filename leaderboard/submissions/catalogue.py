@@ -1,6 +1,6 @@
-"""What a server takes submissions for: splits, their sequences and images, and where their truth lies.
+"""The splits that a server accepts submissions to: their sequences and images, and where their ground truth is.
 
-`Wanted` is what may be known of a split by everybody; `Served` adds where the truth is, and stays on the server.
+`Wanted` is what anybody may know of a split; `Served` adds where the ground truth is, and stays on the server.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ELSEWHERE = {
 """Track that cannot be submitted -> why."""
 
 Kind = Literal["poses", "predictions", "commands", "results"]
-"""What is sent: paths, masks or instances of images, commands at pictures, or results that were computed elsewhere."""
+"""What is sent: paths, masks or instances of images, commands at images, or results that were computed elsewhere."""
 
 KIND_OF: dict[str, Kind] = {
     "slam": "poses",
@@ -43,21 +43,21 @@ KIND_OF: dict[str, Kind] = {
     "detection": "predictions",
     "steering": "commands",
 }
-"""Track -> the predictions that it takes."""
+"""Track -> kind of predictions that it takes."""
 
 Images = Mapping[str, Mapping[str, tuple[int, int]]]
-"""Sequence -> name of an image -> height and width."""
+"""Sequence -> name of an image -> height and width, px."""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What predictions on a split and track are made of.
+    """What predictions on a split and track must cover.
 
-    split_digest, conditions: as results hold them; hidden: whether nobody but the server has the truth
-    images: that predictions or commands are wanted of; empty where they are not known, as on a client that has not
+    split_digest, conditions: as in results; hidden: whether only the server has the ground truth
+    images: those that need predictions or commands; empty where they are not known, as on a client that has not
             downloaded them
-    task:   of the track steering, the table [steering] of the recipe
-    spans:  sequence -> begin and end of its recording, ns: what every message of it tells
+    task:   for the track steering, the table [steering] of the recipe
+    spans:  sequence -> start and end of its recording, ns, which are not secret: every message's stamp tells them
     """
 
     track: str
@@ -72,12 +72,12 @@ class Wanted:
 
     @property
     def kind(self) -> Kind:
-        """Of the predictions."""
+        """Kind of the predictions."""
         return KIND_OF[self.track]
 
     @property
     def of_images(self) -> bool:
-        """Whether what is sent are masks or instances."""
+        """Whether masks or instances of images are sent."""
         return self.kind == "predictions"
 
     def size(self, image: str) -> tuple[int, int] | None:
@@ -87,15 +87,15 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Served:
-    """A split that is served. truth: sequence -> its file; empty for a public split that was not rendered here, of
-    which results are taken that others computed."""
+    """A split that is served. wanted: by track; truth: sequence -> its file; empty for a public split that was not
+    rendered here, for which only results computed elsewhere are accepted."""
 
     wanted: Mapping[str, Wanted]
     truth: Mapping[str, Path]
 
     @property
     def any(self) -> Wanted:
-        """Of one of its tracks: they share split, digest and sequences."""
+        """`Wanted` of one of its tracks: all share split, digest and sequences."""
         return next(iter(self.wanted.values()))
 
 
@@ -106,7 +106,7 @@ class Catalogue:
         self.splits = {one.any.split: one for one in served}
 
     def find(self, split: str, track: str) -> tuple[Served, Wanted]:
-        """Raises Refusal naming what there is."""
+        """Return a split, and its track (the first if empty). Raises Refusal that lists those there are."""
         if split not in self.splits:
             known = ", ".join(self.splits) or "none"
             if not split:
@@ -118,7 +118,7 @@ class Catalogue:
         return served, served.wanted[track] if track else served.any
 
     def public(self) -> list[dict[str, Any]]:
-        """For clients: what may be sent to where."""
+        """Description of the splits for clients: what each accepts."""
         return [
             {
                 "split": name,
@@ -135,7 +135,7 @@ class Catalogue:
 
 
 def why(track: str) -> str:
-    """Why a track cannot be submitted, to be put behind a refusal of it; empty where it can."""
+    """Reason why a track cannot be submitted, to be appended to a refusal; empty where it can."""
     if track in SCORED:
         return ""
     reason = f": {ELSEWHERE[track]}" if track in ELSEWHERE else ""
@@ -143,10 +143,12 @@ def why(track: str) -> str:
 
 
 def serve_split(name_or_path: str, truth: Path | None = None, cache: Path | None = None) -> Served:
-    """A split by its name or recipe, with its truth: a folder of sequence files, or where public splits are rendered.
+    """Load a split by its name or recipe, with its ground truth.
 
-    cache: folder that keeps the names of images, which take long to be read. Raises ResultError where a file of the
-    truth is missing or of another split.
+    truth: folder of its sequence files; None for where public splits are rendered
+    cache: folder for the names of images, which are slow to read
+
+    Raises ResultError where a file of the ground truth is missing or belongs to another split.
     """
     from oysterbench.recipe import load_split
     from oysterbench.simulation.conditions import conditions
@@ -179,14 +181,14 @@ def serve_split(name_or_path: str, truth: Path | None = None, cache: Path | None
 
 
 def spans_of(split: SplitRecipe) -> dict[str, tuple[int, int]]:
-    """Sequence -> begin and end of its recording, ns."""
-    from oysterbench.core.ros import EPOCH_NS  # which a reader of uploads would load all of ROS's messages for
+    """Sequence -> start and end of its recording, ns."""
+    from oysterbench.core.ros import EPOCH_NS  # here, so that a reader of uploads need not load all ROS messages
 
     return {one.name: (EPOCH_NS, EPOCH_NS + round(1e9 * one.duration_s)) for one in split.sequence}
 
 
 def _check(split: Any, name: str, path: Path) -> None:
-    """Refuse truth of another split, or of another recipe of a public one."""
+    """Refuse ground truth of another split or, for a public split, of another recipe. Raises ResultError."""
     from oysterbench.sequence.read import McapSequence
     from oysterbench.simulation.generate import digest
 
@@ -216,11 +218,11 @@ def _steered(path: Path) -> tuple[str, ...]:
 
 
 NAMED: dict[str, Callable[[Path], tuple[str, ...]]] = {"segmentation": _masked, "steering": _steered}
-"""Track of a recipe -> names of the images of a sequence that have a truth."""
+"""Track of a recipe -> function that lists the images of a sequence that have ground truth."""
 
 
 def _images_of(path: Path, track: str, cache: Path | None) -> dict[str, tuple[int, int]]:
-    """Names and sizes of the images of a sequence that have a truth."""
+    """Names of the images of a sequence that have ground truth, with their heights and widths, px."""
     from oysterbench.sequence import open_sequence
 
     state = path.stat()
@@ -239,7 +241,7 @@ def _images_of(path: Path, track: str, cache: Path | None) -> dict[str, tuple[in
 
 
 def local_wanted(split_name: str, track: str) -> Wanted:
-    """What a client knows of a split: its recipe and, where it was downloaded or rendered, its images."""
+    """What a client knows of a split: its recipe and, if it was downloaded or rendered, its images."""
     from oysterbench.recipe import load_split
     from oysterbench.simulation.generate import digest, is_complete, split_folder
 
@@ -254,7 +256,8 @@ def local_wanted(split_name: str, track: str) -> Wanted:
 
 
 def served_splits(truths: Iterable[str], cache: Path | None = None) -> Catalogue:
-    """What there is to be served."""
+    """All splits to serve: those of `truths` (SPLIT=FOLDER), and every other public split of a track that is scored.
+    Raises ResultError."""
     from oysterbench.recipe import load_split, split_names
 
     found: dict[str, Served] = {}

@@ -1,5 +1,5 @@
-"""Sending to a leaderboard, and asking how it went. Whatever fails on the way is tried again: the same bytes for the
-same method and split are one submission, however often they arrive."""
+"""Client of a leaderboard: sends a submission and asks for its outcome. Failed requests can safely be retried: the same
+bytes for the same method and split are one submission, however often they arrive."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from oysterbench_leaderboard.submissions.refusals import STATUS
 
 MOST_ANSWER = 64_000_000
 WAIT_S = (1.0, 10.0)
-"""Between two requests for a submission that is not scored yet: at first, and at most."""
+"""Pause between two requests for a submission that is not scored yet: the first, and the longest."""
 
 CHECKED_S = 300.0
-"""Within which a server answers."""
+"""Time within which a server answers."""
 
 NO_BOARD = "no leaderboard that takes submissions is there: expected the address of its first page"
-"""Said of the address of something else."""
+"""Message where something else is at the address."""
 
 REFUSED_FOR_GOOD = ("quota", "guessing", "slow")
-"""Kinds of refusals that come with a status that otherwise is worth another attempt."""
+"""Kinds of refusals that are not retried, although their HTTP status normally is."""
 
 Progress = Callable[[int, int], None]
-"""Called with the bytes sent and those to be sent."""
+"""Called with the number of bytes sent, and that of all bytes."""
 
 
 class Refused(HubError):
-    """The server said no; the message is its reason. kind: as the server names it."""
+    """A refusal by the server; the message is its reason. kind: the server's name for it."""
 
     def __init__(self, kind: str, reason: str) -> None:
         super().__init__(reason)
@@ -48,7 +48,7 @@ class Refused(HubError):
 
 
 class Client:
-    """Of one server, with the token of a team."""
+    """Client of one server, with the token of a team."""
 
     def __init__(self, url: str, token: str = "", patience: Patience | None = None) -> None:
         parts = urllib.parse.urlsplit(url)
@@ -58,16 +58,16 @@ class Client:
         self.url = url.rstrip("/")
         self.open = parts.scheme == "http" and parts.hostname not in ("localhost", "127.0.0.1", "::1")
         self._patience = patience or Patience()
-        self._met = False  # a server that has answered once is waited for while it restarts
-        # What was sent is read and checked before it is answered.
+        self._met = False  # once a server has answered, wait for it while it restarts
+        # The server reads and checks an upload before it answers.
         self._pool = open_pool(self.url, 1, replace(self._patience, idle_s=CHECKED_S, window_s=CHECKED_S))
         self._headers = {"User-Agent": f"oysterbench/{VERSION}", "Accept": "application/json"}
         if token:
             self._headers["Authorization"] = f"Bearer {token}"
 
     def splits(self) -> dict[str, Any]:
-        """What the server takes, and its limits. Raises Refused where it does not know the token, and HubError where
-        it is no server of submissions."""
+        """Return the splits that the server accepts, and its limits. Raises Refused where it does not know the token,
+        and HubError where it does not take submissions."""
         try:
             found = self._ask("GET", "/api/submissions/splits")
         except Refused as refused:
@@ -79,24 +79,24 @@ class Client:
         return found
 
     def send(self, package: Package, method: str, url: str, summary: str, progress: Progress) -> dict[str, Any]:
-        """Send a package: the submission, which is the one that is there where it was sent before."""
+        """Send a package; return the submission, which is the existing one if the package was sent before."""
         wanted = package.wanted
         asked = {"method": method, "split": wanted.split, "track": wanted.track, "url": url, "summary": summary}
-        asked["digest"] = package.digest  # by which a full quota is noticed before anything is sent
+        asked["digest"] = package.digest  # so that a full quota is noticed before the upload
         path = f"/api/submissions?{urllib.parse.urlencode(asked)}"
         headers = {"Content-Type": package.content_type, "Content-Length": str(package.size)}
         return self._ask("POST", path, package.path, headers, progress)
 
     def get(self, id: str) -> dict[str, Any]:
-        """A submission, as it stands."""
+        """Return a submission in its present state."""
         return self._ask("GET", f"/api/submissions/{urllib.parse.quote(id, safe='')}")
 
     def publish(self, id: str) -> dict[str, Any]:
-        """Put it on the board."""
+        """Publish a submission on the board."""
         return self._ask("POST", f"/api/submissions/{urllib.parse.quote(id, safe='')}/publish")
 
     def wait(self, id: str, on_change: Callable[[dict[str, Any]], None] = lambda found: None) -> dict[str, Any]:
-        """A submission when it is scored; `on_change` is called whenever its state has changed."""
+        """Wait until a submission is scored, and return it; `on_change` is called on each change of its state."""
         pause, state = WAIT_S[0], ""
         while True:
             found = self.get(id)
@@ -147,7 +147,7 @@ class Client:
     def _once(
         self, method: str, path: str, body: Path | None, headers: dict[str, str], progress: Progress
     ) -> tuple[int, dict[str, Any], float]:
-        """Status, answer and the seconds to wait that it asks for."""
+        """Send one request; return the status, the answer, and the wait in s that the answer asks for."""
         url = f"{self.url}{path}"
         if body is None:
             response = self._pool.request(method, url, headers=headers, redirect=False, preload_content=False)

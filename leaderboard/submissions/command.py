@@ -133,7 +133,7 @@ def _token(file: Path | None) -> str:
 
 
 def _choose(splits: list[dict[str, Any]], name: str, place: Path) -> dict[str, Any]:
-    """The split of that name, or the only one that the names of the files fit."""
+    """Return the split of that name, or the only one that matches the file names."""
     known = {one["split"]: one for one in splits}
     if name:
         if name not in known:
@@ -160,7 +160,7 @@ def _before(found: dict[str, Any]) -> str:
 
 
 def _show(sent: dict[str, Any], as_json: bool) -> None:
-    """On stdout, what became of it; exit status 1 where it failed."""
+    """Print the outcome of a submission to stdout; exit with status 1 where it failed or was withdrawn."""
     if as_json:
         echo(json.dumps(sent, indent=2))
     else:

@@ -69,7 +69,7 @@ def add(name: str, folder: Path, replace: bool, another: bool, file: Path | None
     held: Literal["refuse", "revoke", "keep"] = "revoke" if replace else "keep" if another else "refuse"
     use = f"--team-token-file {file or 'FILE'}"
     if file is not None:
-        with appearing(file, mode=0o600) as private:  # first of all, so that no token is made that nobody gets
+        with appearing(file, mode=0o600) as private:  # open the file first, so that no token is issued and then lost
             private.write(f"{issue(_database(folder), name, held)}\n".encode())
         echo(json.dumps({"team": name, "file": str(file)}) if as_json else file)
     else:

@@ -1,7 +1,7 @@
-"""The durable state of a server: teams, tokens, submissions and the log of events, in SQLite or PostgreSQL.
+"""Durable state of a server: teams, tokens, submissions and the log of events, in SQLite or PostgreSQL.
 
-Whatever is answered to a client has been committed before. Every change of a submission and the event that tells of it
-are one transaction; no event is ever changed. `migrations` makes the tables, and takes earlier ones to what they are
+Everything is committed before a client is told of it. Every change of a submission and the event that records it are
+one transaction; events are never changed. `migrations` creates the tables, and upgrades earlier ones to those defined
 here.
 """
 
@@ -44,10 +44,11 @@ from oysterbench_leaderboard.submissions.migrations import upgrade
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
 LOCK = 0x6469_7370_6174
-"""The advisory lock of PostgreSQL that the one dispatcher holds."""
+"""Key of the PostgreSQL advisory lock that the one dispatcher holds."""
 
 KEEPALIVES = {"idle": 10, "interval": 5, "count": 4}
-"""Seconds, and how often: after half a minute of silence a host counts as gone, and its lock is free."""
+"""TCP keepalive: seconds, and the number of probes. After half a minute of silence a host counts as gone, and its lock
+is free."""
 
 State = Literal["queued", "running", "done", "failed", "withdrawn"]
 
@@ -90,10 +91,10 @@ class Submission:
     """One submission: its fields are the columns of the table.
 
     kind:      poses, predictions, commands or results
-    digest:    SHA-256 of what was sent: the name of its file
-    attempt:   how often it was begun to be scored
+    digest:    SHA-256 of the upload, which is also the name of its file
+    attempt:   number of times that its scoring was started
     reason:    why it failed, or was withdrawn
-    record:    digest of what was scored, kept privately; published: of what the board shows; empty for none
+    record:    digest of the scored record, kept privately; published: of the record on the board; empty for none
     notice:    when it was withdrawn from the board; empty where it was not
     created, updated: UTC, ISO 8601
     """
@@ -133,7 +134,7 @@ submissions = Table(
 
 
 def utc(seconds: float) -> str:
-    """Unix seconds as UTC in ISO 8601, to the second."""
+    """Format Unix seconds as UTC in ISO 8601, to the second."""
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
@@ -158,27 +159,27 @@ class Database:
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
-        """All of the block, or nothing of it, is there when it has ended."""
+        """Connection in a transaction that is committed as a whole when the block ends, or rolled back on an error."""
         with self._writing.begin() as connection:
             yield connection
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
-        """One moment of the database."""
+        """Connection in a transaction for reading."""
         with self.engine.begin() as connection:
             yield connection
 
     @contextmanager
     def alone(self) -> Iterator[Connection | None]:
-        """A connection that no other process has like this one as long as it lives, to begin transactions on; None
-        where one has it. The lock goes with the connection, or with the process of SQLite's."""
+        """Connection that holds the dispatcher's lock as long as it lives, without a transaction; None where another
+        process holds the lock. The lock is released with the connection or, for SQLite, with the process."""
         with contextlib.ExitStack() as stack:
             if self.engine.dialect.name == "sqlite":
                 held = stack.enter_context(locked(f"{self.engine.url.database}.dispatcher", wait=False))
                 connection = stack.enter_context(self._writing.connect())
             else:
                 connection = stack.enter_context(self._writing.connect())
-                # Of a host that is gone without a word, the server hears nothing else.
+                # The only way for the server to notice a host that vanished silently.
                 for key, seconds in KEEPALIVES.items():
                     connection.execute(text(f"SET tcp_keepalives_{key} = {seconds}"))
                 held = connection.execute(select(func.pg_try_advisory_lock(LOCK))).scalar_one()
@@ -187,7 +188,7 @@ class Database:
             yield connection if held else None
 
     def close(self) -> None:
-        """No more connections."""
+        """Close all connections."""
         self.engine.dispose()
 
 
@@ -201,26 +202,26 @@ def _not_opened(error: Exception) -> ResultError:
 
 
 def log_event(connection: Connection, at: str, who: str, what: str, submission: str = "", why: str = "") -> None:
-    """Append an event."""
+    """Append an event to the log."""
     values = {"at": at, "who": who[:120], "what": what, "submission": submission, "why": why[:2000]}
     connection.execute(insert(events).values(values))
 
 
 def find(connection: Connection, *conditions: Any, newest: bool = True, limit: int | None = None) -> list[Submission]:
-    """Submissions for which all conditions hold."""
+    """Return the submissions that meet all conditions, in order of creation; newest: the newest first."""
     time = submissions.c.created_s.desc() if newest else submissions.c.created_s
     query = select(submissions).where(*conditions).order_by(time, submissions.c.id).limit(limit)
     return [Submission(**row) for row in connection.execute(query).mappings()]
 
 
 def change(connection: Connection, id: str, at: str, *conditions: Any, **values: Any) -> bool:
-    """Change a submission where the conditions hold; whether they did."""
+    """Update a submission if it meets the conditions; return whether it did."""
     statement = update(submissions).where(submissions.c.id == id, *conditions).values(**values, updated=at)
     return connection.execute(statement).rowcount == 1
 
 
 def log(connection: Connection, submission: str = "", limit: int = 200) -> list[dict[str, Any]]:
-    """The newest events, the oldest of them first; of one submission, where it is named."""
+    """Return the newest `limit` events in chronological order; only those of one submission, if it is given."""
     query = select(events).order_by(events.c.number.desc()).limit(limit)
     if submission:
         query = query.where(events.c.submission == submission)

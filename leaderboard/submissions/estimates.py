@@ -1,4 +1,4 @@
-"""What was sent, as files named by their SHA-256: in a folder, or in any store that fsspec has a URL for."""
+"""Uploads, stored as files named by their SHA-256, in a folder or in any store that fsspec has a URL for."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from oysterbench.core.errors import ResultError
 
 @dataclass(frozen=True)
 class Upload:
-    """What was received: a file in the private folder, with its SHA-256 and size."""
+    """A received file in the private folder, with its SHA-256 and its size in bytes."""
 
     path: Path
     digest: str
@@ -24,20 +24,20 @@ class Upload:
 
 
 def upload_of(path: Path) -> Upload:
-    """A file that is there."""
+    """Upload of an existing file; computes its SHA-256."""
     with open(path, "rb") as file:
         return Upload(path, hashlib.file_digest(file, "sha256").hexdigest(), path.stat().st_size)
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """Of a place: the path of a folder, or a URL such as s3://bucket/estimates. The environment has what a store wants
-    to know besides (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ...)."""
+    """Uploads at a place: the path of a folder, or a URL such as s3://bucket/estimates. A store takes further settings
+    from the environment (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ...)."""
 
     place: str
 
     def keep(self, upload: Upload) -> None:
-        """Take a file over; it is in the store, or on the disk, when this returns."""
+        """Store an upload; it is in the store, or synced to disk, when this returns. A folder has the file moved in."""
         if self._is_far:
             self._store().put_file(str(upload.path), f"{self.place}/{upload.digest}")
             return
@@ -52,8 +52,8 @@ class Estimates:
 
     @contextmanager
     def opened(self, digest: str) -> Iterator[Path]:
-        """A file of that digest, for as long as the block runs. Raises ResultError where its bytes are others, and
-        OSError where there is none."""
+        """Path of the file of that digest, valid while the block runs. Raises ResultError where its bytes do not match
+        the digest, and OSError where there is no such file."""
         with tempfile.TemporaryDirectory(prefix="oysterbench-") as folder:
             path = Path(folder if self._is_far else self.place) / digest
             if self._is_far:

@@ -1,13 +1,13 @@
-"""A fork server: one process that has loaded what reading takes, and forks a reader for each upload.
+"""A fork server: one process that has loaded the modules for reading, and forks a reader for each upload.
 
-To start Python with its libraries takes a second of processor time; a fork takes milliseconds. The server's side is
-ForkServer; the other one, `serve`, is in namespaces (`namespaces`), is given no file of anybody's, and has one right
-there that a sandbox of its own lacks: to make mounts and further namespaces. By that each reader gets processes, /proc,
-folder, network and IPC of its own; then it gives the right up, for good, and enters the sandbox with its limits.
+Starting Python with its libraries takes a second of processor time; a fork takes milliseconds. The server's side is
+ForkServer. The other side, `serve`, runs in namespaces (`namespaces`), is given no user's file, and has one privilege
+that the sandbox lacks: to create mounts and further namespaces. With it, each reader gets its own processes, /proc,
+folder, network and IPC; the reader then drops the privilege for good, and enters the sandbox with its limits.
 
-A keeper stands between: it says on its channel with which code its reader ended, and kills the reader when nobody
-listens there any more. What was sent comes as a copy in memory that cannot be written: no file of the server's, not
-even by its descriptor, is in reach of what reads it.
+A keeper process stands in between: it reports its reader's exit code on its channel, and kills the reader when nobody
+listens there any more. The upload is passed as a sealed, read-only copy in memory, so that its reader can reach no file
+of the server's, not even through a descriptor.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from oysterbench.methods.sandbox import Sandbox
 from oysterbench_leaderboard.submissions import namespaces
 
 UPLOAD = "/proc/self/fd/3"
-"""Where a reader finds what was sent, after its three standard streams."""
+"""Path at which a reader finds the upload: the descriptor after its three standard streams."""
 
 LOADED = (
     "cv2",
@@ -53,10 +53,10 @@ LOADED = (
     "oysterbench_leaderboard.submissions.reported",
     "oysterbench_leaderboard.submissions.times",
 )
-"""What readers import where they need it."""
+"""Modules that readers import lazily, loaded before the first fork."""
 
 MOST_MESSAGE = 1 << 20
-FOLDER_BYTES = 1 << 12  # of its own folder, which it does not use
+FOLDER_BYTES = 1 << 12  # of the fork server's own folder, which it does not use
 CLONE_NEWNS, CLONE_NEWIPC, CLONE_NEWPID, CLONE_NEWNET = 0x00020000, 0x08000000, 0x20000000, 0x40000000  # linux/sched.h
 MS_RDONLY, MS_NOSUID_NODEV_NOEXEC = 1, 14  # linux/mount.h
 CAPABILITY_VERSION = 0x20080522  # linux/capability.h
@@ -64,9 +64,9 @@ SEALS = fcntl.F_SEAL_SEAL | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SE
 
 
 class ForkServer:
-    """The server's side. Started when the first upload comes, and again when it has died.
+    """The server's side. The process is started on the first upload, and again after it has died.
 
-    program: what calls `serve` when its argument is "serve"
+    program: script that calls `serve` when its argument is "serve"
     """
 
     def __init__(self, program: Path, environment: Mapping[str, str]) -> None:
@@ -74,12 +74,12 @@ class ForkServer:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._control: socket.socket | None = None
-        # bubblewrap ends with the thread that started it: one that lasts.
+        # bubblewrap dies with the thread that started it, so start it from one that lasts.
         self._starter = ThreadPoolExecutor(1, "fork-server")
 
     def run(self, sandbox: Sandbox, upload: str, streams: Sequence[IO[bytes]], wall_s: float) -> int | None:
-        """The exit code of a reader with these standard streams; None where its time was over. Raises OSError where
-        no reader was to be had."""
+        """Run a reader of an upload with these standard streams; return its exit code, or None where it took longer
+        than `wall_s`. Raises OSError where no reader could be forked."""
         ours, theirs = socket.socketpair()
         with ours:
             with theirs, open(os.memfd_create("upload", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING), "wb") as copy:
@@ -101,11 +101,11 @@ class ForkServer:
 
     @property
     def pid(self) -> int | None:
-        """Of its process; None where it is not running."""
+        """Process ID of the fork server; None where it is not running."""
         return self._process.pid if self._process is not None and self._process.poll() is None else None
 
     def close(self) -> None:
-        """End it, and what it does."""
+        """Kill the fork server and its process group."""
         with self._lock:
             self._end()
         self._starter.shutdown()
@@ -132,14 +132,15 @@ class ForkServer:
 
     def _end(self) -> None:
         if self._process is not None and self._control is not None:
-            if self.pid is not None:  # with what it may have begun to start
+            if self.pid is not None:  # together with anything that it was about to start
                 os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
             self._control.close()
 
 
 def serve(read: Callable[[], None]) -> None:
-    """Fork until the server is gone. read: what a reader does, on its standard streams and UPLOAD."""
+    """Fork a reader for each message until the server is gone. read: what a reader does, with its standard streams and
+    UPLOAD. Raises RuntimeError where this process has other threads."""
     control = socket.socket(fileno=0)
     for name in LOADED:
         importlib.import_module(name)
@@ -161,7 +162,7 @@ def serve(read: Callable[[], None]) -> None:
 
 
 def _end_after(do: Callable[[], None], stderr: int) -> NoReturn:
-    """End this process when that is done, and do nothing else that its parent would do."""
+    """Call `do`, then exit this process at once, without running any code of its parent."""
     try:
         os.dup2(stderr, 2)
         do()
@@ -185,7 +186,7 @@ def _keep(settings: dict[str, Any], files: list[int], read: Callable[[], None]) 
     _, status, used = os.wait4(reader, 0)
     code = os.waitstatus_to_exitcode(status)
     if code == -signal.SIGKILL and used.ru_utime + used.ru_stime >= settings["cpu_s"]:
-        code = -signal.SIGXCPU  # which the first process of a namespace does not get
+        code = -signal.SIGXCPU  # the first process of a namespace does not receive SIGXCPU
     os.write(channel, str(code).encode())
 
 

@@ -1,4 +1,4 @@
-"""The web form: sign in with a token, send, look, publish, withdraw. It works without scripts."""
+"""The web form: sign in with a token, send, view, publish and withdraw submissions. It works without scripts."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ STATES = {
     "failed": "could not be scored",
     "withdrawn": "has been withdrawn",
 }
-"""State -> in words."""
+"""State -> description."""
 
 REFRESH_S = 5
-"""After which the page of a submission that waits asks again."""
+"""Interval at which the page of a pending submission reloads."""
 
 
 class WebForm:
@@ -50,7 +50,7 @@ class WebForm:
         self.environment = environment(str(TEMPLATES))
 
     def routes(self) -> list[Route]:
-        """Of the form."""
+        """Routes of the form."""
 
         def route(path: str, handler: Any, method: str) -> Route:
             return Route(path, self.auth.answered(handler, self._refused), methods=[method])
@@ -71,7 +71,7 @@ class WebForm:
         return await self._form(request)
 
     async def _form(self, request: Request, error: str = "", status: int = 200) -> Response:
-        """The form for whoever is signed in, or that for signing in."""
+        """Page with the submission form for a team that is signed in, or else with the sign-in form."""
         value = self.sessions.value(request)
         holder = await run_in_threadpool(self.sessions.holder, value)
         own = await run_in_threadpool(self.service.of_team, holder.team) if holder else []
@@ -106,7 +106,7 @@ class WebForm:
         return self._page(request, value, "submit_one.html", context, status)
 
     def _scored(self, found: Submission) -> dict[str, Any]:
-        """What a page shows of the record."""
+        """Fields of the record that the page shows, and the number of submissions ahead in the queue."""
         record = self.service.record(found)
         if record is None:
             return {"key": "", "rows": [], "score": None, "before": self.service.queued_before(found)}
@@ -135,7 +135,7 @@ class WebForm:
         return set_cookie(request, page, value, self.links.page("/submit"))
 
     async def _refused(self, request: Request, refusal: Refusal) -> Response:
-        """The page again, with what was wrong."""
+        """Render the page again, with the reason for the refusal."""
         path = request.url.path
         if refusal.kind in ("state", "text") and path.endswith(("/publish", "/withdraw")):
             try:
@@ -189,7 +189,7 @@ class WebForm:
         return self._go(request, f"/submit/{found.id}", value)
 
     async def _fields(self, request: Request) -> tuple[dict[str, str], str]:
-        """The fields of a small form of ours, and the session. Raises Refusal for one that is not."""
+        """Read a small form of this site; return its fields and the session. Raises Refusal for any other form."""
         kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
         if kind != "application/x-www-form-urlencoded":
             raise Refusal("type", f"expected a form (application/x-www-form-urlencoded), got {kind!r:.80}")

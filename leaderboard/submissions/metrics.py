@@ -1,6 +1,6 @@
-"""What Prometheus may know of a server of submissions, at an address of its own that is not for the world: how many
-wait and for how long, what failed and why, the room on the disks, the sandbox that is in force; memory and open files
-of the process, too. All of it is looked up when it is asked for."""
+"""Prometheus metrics of a submission server, at a separate address that is not for the public: how many submissions
+wait and for how long, what failed and why, the space on the disks, the sandbox in force, and the memory and open files
+of the process. Everything is looked up on request."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ STATES = ("queued", "running", "done", "failed", "withdrawn")
 
 
 class Numbers(Collector):
-    """Of a service."""
+    """Metrics of a service."""
 
     def __init__(self, service: Service) -> None:
         self.service = service
 
     def collect(self) -> Iterator[Any]:
-        """Each number under its name."""
+        """Yield the families of metrics."""
         c = submissions.c
         with self.service.database.reading() as connection:
             counts = connection.execute(select(c.state, func.count()).group_by(c.state))
@@ -65,7 +65,8 @@ class Numbers(Collector):
 
 
 def serve_metrics(service: Service, place: str) -> Callable[[], None]:
-    """Answer at HOST:PORT until what is returned is called. Raises ResultError where that cannot be."""
+    """Serve the metrics at `place`, HOST:PORT; return a function that stops this. Raises ResultError where the address
+    is invalid or in use."""
     host, _, port = place.rpartition(":")
     registry = CollectorRegistry(auto_describe=False)
     registry.register(Numbers(service))

@@ -1,8 +1,8 @@
-"""The sandbox inside of namespaces of its own, by bubblewrap, where the system lets it have them.
+"""Namespaces around the sandbox, made by bubblewrap where the system permits it.
 
-What runs there sees a root that it cannot write to and that holds Python, our packages and the files of its job, and an
-empty folder in memory; no other process, /proc included, no network, no device but /dev/null, zero and urandom; it is
-nobody, and can make no further namespaces. All that the sandbox itself forbids is forbidden there as well.
+A process in them sees a read-only root that holds Python, our packages and the files of its job, and an empty folder in
+memory; no other process (not even in /proc), no network, no device but /dev/null, zero and urandom. It runs as nobody,
+and cannot create further namespaces. Everything that the sandbox itself forbids is forbidden there as well.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ OPTIONS = (
 
 
 def inside(command: Sequence[str], files: Iterable[str], folder_bytes: int, may_mount: bool = False) -> list[str]:
-    """The command that runs `command` so, beginning in FOLDER, which holds so many bytes.
+    """Command that runs `command` in such namespaces, starting in FOLDER, which holds at most `folder_bytes` bytes.
 
-    files: what it can read; may_mount: whether it has the right to make mounts and namespaces within its own
+    files: what it can read; may_mount: whether it may create mounts and namespaces within its own
     """
     code = (*sys.path, *(place for package in PACKAGES for place in package.__path__))
     paths = (path for path in (*SYSTEM, sys.prefix, sys.base_prefix, *code, *files) if os.path.isabs(path))
     seen = [option for path in paths for option in ("--ro-bind-try", path, path)]
     devices = [option for path in DEVICES for option in ("--dev-bind", path, path)]
-    proc = ["--proc", "/proc"]  # of its own processes: images are decoded from memory by names in /proc/self/fd
+    proc = ["--proc", "/proc"]  # its own processes only; images in memory are decoded through names in /proc/self/fd
     empty = ["--size", str(folder_bytes), "--tmpfs", FOLDER, "--remount-ro", "/", "--chdir", FOLDER]
     rights = ["--cap-add", "CAP_SYS_ADMIN"] if may_mount else []
     return [PROGRAM, *OPTIONS, *rights, *seen, *devices, *proc, *empty, "--", *command]
@@ -49,7 +49,7 @@ def inside(command: Sequence[str], files: Iterable[str], folder_bytes: int, may_
 
 @functools.cache
 def missing() -> str:
-    """Why there is no such thing here, in a line; empty where there is. Tried once."""
+    """Reason in one line why namespaces are not available here; empty where they are. Tried once only."""
     if shutil.which(PROGRAM) is None:
         return f"{PROGRAM} is not installed"
     command = inside([sys.executable, "-I", "-c", "import oysterbench_leaderboard, numpy"], (), 1 << 20)

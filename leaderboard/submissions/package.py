@@ -1,4 +1,4 @@
-"""What a client sends: found in a file or folder, put into one file, and checked before it goes."""
+"""What a client sends: found in a file or folder, packed into one file, and checked before it is sent."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ KINDS |= {".csv": "text/csv", ".npz": "application/octet-stream"}
 """Suffix of a file that is sent as it is -> its content type."""
 
 SUFFIXES = tuple(dict.fromkeys(suffix for openers in OPENERS.values() for suffix in openers if suffix != IMAGE))
-"""Of files named by a sequence."""
+"""Suffixes of files named by a sequence."""
 
 OF_A_SEQUENCE = (".tum", ".txt", ".csv")
-"""Suffixes of files that are of one sequence each."""
+"""Suffixes of files that each hold a single sequence."""
 
-NO_RATIO = 1e9  # what is sent is one's own
+NO_RATIO = 1e9  # the client's own files need no limit on their compression ratio
 
 
 @dataclass(frozen=True)
 class Package:
-    """A file to be sent, and what is in it (`check_predictions`)."""
+    """A file to be sent. facts: what it holds (`check_predictions`)."""
 
     path: Path
     content_type: str
@@ -48,8 +48,8 @@ class Package:
 
 @dataclass(frozen=True)
 class Found:
-    """What there is to be sent: one file, or several by their names in an archive. others: names of files beside them
-    that are of no sequence, and stay here."""
+    """What is to be sent: one file, or several by their names in an archive. others: names of further files there that
+    match no sequence, and are not sent."""
 
     file: Path | None
     files: dict[str, Path]
@@ -57,13 +57,14 @@ class Found:
 
     @property
     def names(self) -> list[str]:
-        """Sequences that the names tell of."""
+        """Names of the sequences that the file names refer to, sorted."""
         return sorted({name.split("/")[0].rpartition(".")[0] or name.split("/")[0] for name in self.files})
 
 
 def find_package(place: Path, sequences: Sequence[str], method: str = "", run: int = 1, results: bool = False) -> Found:
-    """What a path holds for these sequences: a file; a folder with a file for each sequence, or an image folder for
-    each; or what `oysterbench run` and `eval` leave. method, run: which of its estimates there. Raises ResultError."""
+    """Find what a path holds for these sequences: a file; a folder with a file or an image folder for each sequence; or
+    the output of `oysterbench run` and `eval`. method, run: which of the estimates in that output. results: send its
+    results.json instead. Raises ResultError."""
     if place.is_file():
         if place.suffix.lower() not in KINDS:
             raise ResultError(f"{place}: expected a file that ends in {', '.join(KINDS)}, got {place.suffix or 'none'}")
@@ -111,7 +112,7 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
 
 
 def _of_run(place: Path, sequences: Sequence[str], method: str, run: int) -> dict[str, Path]:
-    """The estimates of a method in a folder of results, SEQUENCE-METHOD.tum, by the names they are sent under."""
+    """Find the estimates of a method in a folder of results, SEQUENCE-METHOD.tum, by the names they are sent under."""
     methods = methods_in(place / RESULTS)
     if not method and len(methods) > 1:
         raise ResultError(f"{place} has results of {', '.join(methods)}; say whose estimates to send (--of NAME)")
@@ -128,21 +129,21 @@ def _of_run(place: Path, sequences: Sequence[str], method: str, run: int) -> dic
 
 
 def methods_in(path: Path) -> list[str]:
-    """Names of the methods of a results.json."""
+    """Names of the methods in a results.json."""
     from oysterbench.results.records import read_results
 
     return list(dict.fromkeys(record.method for record in read_results(path)))
 
 
 def split_in(place: Path) -> tuple[str, str]:
-    """Split and track that a results.json, or a folder with one, is of; empty where there is none."""
+    """Split and track of a results.json, or of the one in a folder; empty where there is none."""
     path = place / RESULTS if place.is_dir() else place
     found = _first_result(path) if path.name.endswith(".json") and path.is_file() else {}
     return str(found.get("split", "")), str(found.get("track", ""))
 
 
 def _first_result(path: Path) -> dict[str, Any]:
-    """The first row of a results.json, as it says of itself; empty where the file is none."""
+    """First row of a results.json, unchecked; empty where the file is not one."""
     try:
         return dict(read_json(path.read_bytes())["results"][0])
     except (ValueError, LookupError, TypeError):
@@ -150,7 +151,7 @@ def _first_result(path: Path) -> dict[str, Any]:
 
 
 def wanted_of(split: str, track: str, known: dict[str, Any]) -> Wanted:
-    """What the split asks for: as this installation knows it, or else as the server says."""
+    """What the split requires, as this installation knows it, or else as the server describes it in `known`."""
     spans = {name: (int(begin), int(end)) for name, (begin, end) in known.get("spans", {}).items()}
     try:
         return replace(local_wanted(split, track), spans=spans)
@@ -161,7 +162,8 @@ def wanted_of(split: str, track: str, known: dict[str, Any]) -> Wanted:
 
 @contextmanager
 def packed(found: Found, wanted: Wanted, limits: dict[str, int]) -> Iterator[Package]:
-    """One file of what was found, checked as the server will check it. Raises Refusal by file and line."""
+    """Pack what was found into one file, and check it as the server will. Raises Refusal naming file and line, and
+    ResultError where it is larger than the server accepts."""
     with scratch() as folder:
         if found.file is not None:
             path, kind = found.file, KINDS[found.file.suffix.lower()]
@@ -175,7 +177,7 @@ def packed(found: Found, wanted: Wanted, limits: dict[str, int]) -> Iterator[Pac
             raise ResultError(f"{path.name}: {size / 1e6:.0f} MB to send; the server takes at most {most} MB")
         within = Limits(limits["file_bytes"], limits["file_bytes"], 1 << 30, 1 << 40, NO_RATIO)
         known = wanted
-        if not wanted.split_digest:  # then nothing is known but what results say of themselves
+        if not wanted.split_digest:  # then the digest is known from the results alone
             known = replace(wanted, split_digest=str(_first_result(path).get("split_digest", "")))
         facts = check_predictions(open_predictions(path, known, within), known)
         with open(path, "rb") as file:

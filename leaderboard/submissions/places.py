@@ -1,5 +1,5 @@
-"""Who may send at once. Places are few, and whoever sends slowly holds one for long: so where all are taken, the team
-that has held places for longest gives way to one that has had less."""
+"""Who may upload at the same time. Places are few, and a slow upload holds one for long: so when all are taken, the
+team that has held places for longest gives way to one that has had less time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RETRY_S = 60
 
 
 class Place:
-    """Of one upload. Only while its body is received can it be taken."""
+    """The place of one upload. It can be taken away only while the upload's body is being received."""
 
     def __init__(self, team: str, address: str, since: float) -> None:
         self.team, self.address, self.since = team, network(address), since
@@ -26,18 +26,18 @@ class Place:
 
     @property
     def takeable(self) -> bool:
-        """Whether its body is being received."""
+        """Whether its body is being received, so that it can be taken away."""
         return self._end is not None
 
     def take(self) -> None:
-        """End what is being received."""
+        """Take the place away: end the reception of its body."""
         if self._end is not None:
             self._end.reschedule(asyncio.get_running_loop().time())
             self._end = None
 
     @asynccontextmanager
     async def receiving(self) -> AsyncIterator[None]:
-        """Around what receives the body. Raises Refusal when the place is taken."""
+        """Context in which the body is received. Raises Refusal when the place is taken away."""
         try:
             async with asyncio.timeout(None) as self._end:
                 yield
@@ -53,11 +53,11 @@ class Place:
 
 
 class Places:
-    """Of all uploads that a server receives; for one event loop.
+    """Places of all uploads that a server receives; for one event loop.
 
-    A team's time is the seconds for which it has held places, of which each counts half after a day. Whoever wants to
-    keep others out has to hold all places with accounts that have had less time than an upload of theirs takes: for one
-    that takes T seconds, round the clock, with `uploads_at_once` * 125 000 / T accounts.
+    A team's time is the number of seconds for which it has held places, with a half-life of one day. To keep others
+    out, an attacker must hold all places with accounts that have had less time than the others' upload takes: against
+    one that takes T seconds, round the clock, this needs `uploads_at_once` * 125 000 / T accounts.
     """
 
     def __init__(self, settings: SubmissionSettings, clock: Callable[[], float] = time.monotonic) -> None:
@@ -70,7 +70,7 @@ class Places:
 
     @contextmanager
     def hold(self, team: str, address: str) -> Iterator[Place]:
-        """A place while the block runs. Raises Refusal where there is none."""
+        """Hold a place while the block runs. Raises Refusal where none is to be had."""
         self._make_room(team, network(address))
         place = Place(team, address, self._clock())
         self._held.append(place)
@@ -99,13 +99,13 @@ class Places:
         self._leave(longest)
 
     def _leave(self, place: Place) -> None:
-        """Free a place, which may have been taken before, and count the time that its team had it."""
+        """Free a place, unless it was taken away before, and count the time for which its team held it."""
         if place in self._held:
             self._had[place.team] = self._seconds(place.team), self._clock()
             self._held.remove(place)
 
     def _seconds(self, team: str) -> float:
-        """A team's time, that of its uploads which go on included."""
+        """A team's time in seconds, including its uploads in progress."""
         now = self._clock()
         seconds, at = self._had.get(team, (0.0, -math.inf))
         since = [max(place.since, at) for place in self._held if place.team == team]

@@ -1,5 +1,6 @@
-"""An upload, opened: readers of paths or commands by sequence, of masks or instances by image, or results. Each reading
-ends in these, or in a Refusal that names file and line; no truth is needed for it, so that all of it may be said."""
+"""Opening an upload: it gives readers of paths or commands by sequence, readers of masks or instances by image, or
+results. A failed reading raises a Refusal that names file and line; no ground truth is involved, so its message may be
+shown in full."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ from oysterbench_leaderboard.submissions.archive import (
 from oysterbench_leaderboard.submissions.catalogue import Kind, Wanted
 from oysterbench_leaderboard.submissions.refusals import Refusal, without_options
 
-# A reader of uploads is started for each submission: what only some kinds need is imported where it is needed.
+# A reader process is started for each submission: what only some kinds of upload need is imported lazily.
 if TYPE_CHECKING:
     from oysterbench.core.trajectory import Trajectory
     from oysterbench.evaluate.detection import ImageInstances
@@ -38,25 +39,25 @@ if TYPE_CHECKING:
 IMAGE = ".png"
 
 Reader = Callable[..., Any]
-"""Reads a prediction when it is asked to. Of a path: takes the options that its file leaves open, returns a Trajectory;
-of a table of commands: a list of Steering, one for each picture; of an image: an EstimateImage
-(segmentation) or ImageInstances (detection)."""
+"""Reads a prediction when it is called. For a path: takes the options that its file leaves open, and returns a
+Trajectory; for a table of commands: returns a list of Steering, one for each image; for an image: returns an
+EstimateImage (segmentation) or ImageInstances (detection)."""
 
 
 LONGEST_LINE = 4000
-"""Bytes of a line of text: a pose with its covariance has a thousand."""
+"""Maximum length of a line of text, bytes: a pose with its covariance has a thousand."""
 
 
 @dataclass(frozen=True)
 class Predictions:
-    """What an upload holds. readers: by sequence, or by name of an image; results: as they are in a results.json."""
+    """Contents of an upload. readers: by sequence, or by image name; results: as in a results.json."""
 
     kind: Kind
     readers: Mapping[str, Reader] = field(default_factory=dict)
     results: tuple[ResultRecord, ...] = ()
 
     def sequences(self, wanted: Wanted) -> list[str]:
-        """Those that it has something on."""
+        """Sequences that the upload has predictions or results for."""
         if self.kind == "results":
             return sorted({record.sequence for record in self.results})
         found = {name.partition("/")[0] for name in self.readers}
@@ -64,8 +65,8 @@ class Predictions:
 
 
 def open_predictions(path: Path, wanted: Wanted, limits: Limits) -> Predictions:
-    """Open an upload: a zip archive, or one file. What it is says its content; names are only compared with what the
-    split has."""
+    """Open an upload: a zip archive, or one file. Its type is found from its content; names are only compared with
+    those of the split. Raises Refusal."""
     with open(path, "rb") as file:
         first = file.read(4096)
     if not first:
@@ -110,7 +111,7 @@ def open_predictions(path: Path, wanted: Wanted, limits: Limits) -> Predictions:
 
 
 def _begins_with_array(first: bytes) -> bool:
-    """Whether the first entry is an array: such an archive may shrink as much as it likes."""
+    """Whether the first entry of a zip archive is an array; such an archive may have any compression ratio."""
     length = int.from_bytes(first[26:28], "little")
     return first[30 : 30 + length].endswith(b".npy")
 
@@ -139,7 +140,8 @@ def _members(archive: Archive, wanted: Wanted, budget: Budget) -> dict[str, Read
 
 @contextmanager
 def refusing(label: str, path: Path | None = None, prefix: bool = False) -> Iterator[None]:
-    """Turns errors of readers into refusals in the sender's words: `path`, wherever the bytes lay, becomes `label`."""
+    """Turn errors of readers into refusals that the sender understands: `path`, where the bytes were, is replaced by
+    `label`. prefix: whether to put `label` before the message."""
     try:
         yield
     except Refusal:
@@ -157,7 +159,7 @@ def refusing(label: str, path: Path | None = None, prefix: bool = False) -> Iter
 
 
 def _check_text(data: bytes, label: str, budget: Budget) -> None:
-    """Refuse text that would take long to be read, before it is."""
+    """Refuse text that would take long to parse: too many lines, or lines that are too long."""
     lines = data.splitlines()
     if len(lines) > budget.limits.lines:
         raise Refusal("size", f"{shown(label)}: expected at most {budget.limits.lines} lines, got {len(lines)}")
@@ -214,7 +216,8 @@ def _commands(
 
 
 def _check_image(name: str, wanted: Wanted, file: str, sequence: str = "") -> None:
-    """sequence: that all images in the file are of; empty for any."""
+    """Refuse a name that is no image of the split. sequence: the one that all images in the file must belong to; empty
+    for any."""
     of = name.partition("/")[0]
     if of not in wanted.sequences or (wanted.images and name not in wanted.images[of]):
         named = next((image for images in wanted.images.values() for image in images), f"{wanted.sequences[0]}/...")
@@ -231,7 +234,7 @@ def _check_shape(name: str, shape: tuple[int, ...], wanted: Wanted, where: str) 
 
 
 def _png(read: Callable[[], bytes], label: str, name: str, wanted: Wanted, budget: Budget) -> dict[str, Reader]:
-    """A mask in a file of its own, which is read from the archive when it is asked for."""
+    """Reader of a mask in a file of its own, which is read from the archive on demand."""
     _check_image(name, wanted, label)
 
     def pixels() -> Any:
@@ -244,7 +247,7 @@ def _png(read: Callable[[], bytes], label: str, name: str, wanted: Wanted, budge
 
 
 def _arrays(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, budget: Budget) -> dict[str, Reader]:
-    """An .npz with a mask for each image."""
+    """Readers of an .npz with one mask per image."""
     import numpy as np
 
     archive = arrays_of(read(), label, budget)
@@ -253,7 +256,7 @@ def _arrays(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted
         data = archive.read(f"{name}.npy")
         try:
             return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
-        except Exception as error:  # whatever comes of a header that is evaluated
+        except Exception as error:  # an array's header is evaluated, and may raise anything
             raise Refusal("format", f"{label}: array {shown(name)} cannot be read: {in_one_line(error, 120)}") from None
 
     names = [key.removesuffix(".npy") for key in archive.entries]
@@ -263,7 +266,7 @@ def _arrays(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted
 
 
 def _mask_reader(name: str, pixels: Callable[[], Any], wanted: Wanted) -> Reader:
-    """Of what the track takes of a mask."""
+    """Reader that converts a mask into what the track scores."""
 
     def prediction() -> EstimateImage | ImageInstances:
         from oysterbench.annotations import MaskFiles
@@ -285,7 +288,7 @@ def _mask_reader(name: str, pixels: Callable[[], Any], wanted: Wanted) -> Reader
 
 
 def image_track(name: str) -> ImageTrack:
-    """A track of images, by its name."""
+    """Return an image track by its name."""
     from oysterbench.tracks import TRACKS
     from oysterbench.tracks.images import ImageTrack
 
@@ -295,7 +298,7 @@ def image_track(name: str) -> ImageTrack:
 
 
 def _coco(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, budget: Budget) -> dict[str, Reader]:
-    """COCO annotations of any number of images."""
+    """Readers of COCO annotations of any number of images."""
     from oysterbench.annotations import read_coco
 
     with in_memory(read(), label) as path, refusing(label, path):
@@ -320,26 +323,27 @@ def _coco(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, 
 
 
 Opener = Callable[[Callable[[], bytes], str, str, Wanted, Budget], dict[str, Reader]]
-"""Takes what reads a file, the file's name, the name without its suffix, what is wanted, and what may be unpacked."""
+"""Takes a function that reads the file, the file's name, the name without suffix, what is wanted, and the budget for
+unpacking."""
 
 OPENERS: dict[Kind, dict[str, Opener]] = {
     "poses": {".tum": _path, ".txt": _path, ".csv": _path, ".npz": _path},
     "predictions": {".json": _coco, ".npz": _arrays, IMAGE: _png},
     "commands": {".csv": _commands},
 }
-"""What is sent -> suffix of a file -> what opens it. All but single masks are named by their sequence."""
+"""Kind of upload -> suffix of a file -> its opener. All files but single masks are named by their sequence."""
 
 SENT: dict[Kind, str] = {
     "poses": "paths (TUM, EuRoC, CSV, .npz), or a results.json",
     "predictions": "COCO annotations (.json), arrays (.npz) or PNG masks in a zip archive, or a results.json",
     "commands": "tables of commands (.csv), one for each sequence, or a results.json",
 }
-"""What is sent -> in words."""
+"""Kind of upload -> description of the files it takes."""
 
 
 def check_predictions(predictions: Predictions, wanted: Wanted) -> dict[str, Any]:
-    """Read all of it. Raises Refusal where something cannot be read, or a sequence has predictions for a part of its
-    images; what it holds, in numbers, and what its sender may want to know."""
+    """Read everything in an upload; return its counts, and notes for its sender. Raises Refusal where something cannot
+    be read, or a sequence has predictions for only some of its images."""
     sequences = predictions.sequences(wanted)
     for sequence in sequences if predictions.kind == "predictions" and wanted.images else ():
         if missing := [name for name in wanted.images[sequence] if name not in predictions.readers]:

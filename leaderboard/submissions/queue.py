@@ -1,8 +1,8 @@
-"""The dispatcher: hands out what is queued, to threads of this process or a Dask cluster, and notes how it ended.
+"""The dispatcher: hands queued submissions to threads of this process or to a Dask cluster, and records the outcomes.
 
-The database has the state. Of all servers over it one dispatches, by a lock that goes when it does; what one that is
-gone had begun is begun again. Whatever scores knows no database: it is given a Task, and answers. An end counts for the
-attempt that it is of alone: what comes late, or twice, changes nothing.
+The state is in the database. Of all servers that share it, one dispatches, under a lock that is released when it ends;
+what a vanished dispatcher had started is started again. Workers know no database: each is given a Task, and answers. An
+outcome counts only for the attempt it belongs to: one that arrives late, or twice, changes nothing.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from oysterbench_leaderboard.submissions.sandbox import Allowance, Ended, Job, S
 from oysterbench_leaderboard.submissions.service import Service
 
 POLL_S = 1.0
-"""How often it is looked for what another host has queued, and whether the other one still dispatches."""
+"""Interval of looking for submissions queued by another host, and of checking whether another one still dispatches."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One scoring. job: without the path of the upload, which `estimates` has under its digest."""
+    """One scoring task. job: without the path of the upload, which `estimates` has under its digest."""
 
     estimates: Estimates
     digest: str
@@ -42,13 +42,13 @@ class Task:
 
 
 def perform(task: Task, stopped: Callable[[], bool] = lambda: False) -> Ended:
-    """Score, in a sandbox of this machine. Raises Stopped where that was to end."""
+    """Score a submission in a sandbox on this machine. Raises Stopped where `stopped` returned True first."""
     with task.estimates.opened(task.digest) as path:
         return sandbox.run(replace(task.job, path=str(path)), task.allowance, stopped)
 
 
 def perform_remotely(task: Task, version: str) -> Ended:
-    """The same on a cluster's worker."""
+    """Do the same on a worker of a cluster. Raises OysterbenchError where its version is not `version`."""
     if version != VERSION:
         raise OysterbenchError(f"a worker has oysterbench {VERSION}, and was asked by {version}: install one version")
     return perform(task, find_withdrawn())
@@ -56,7 +56,7 @@ def perform_remotely(task: Task, version: str) -> Ended:
 
 @dataclass(frozen=True)
 class Engine:
-    """What tasks are handed to. room: how many it takes at a time"""
+    """What tasks are handed to. room: returns the number of tasks that it takes at a time; work: performs one"""
 
     executor: Executor
     room: Callable[[], int]
@@ -65,7 +65,7 @@ class Engine:
 
 @contextmanager
 def in_threads(count: int) -> Iterator[Engine]:
-    """So many sandboxes at a time on this machine, ended with the block."""
+    """Engine of `count` concurrent sandboxes on this machine, which are stopped at the end of the block."""
     ended = threading.Event()
     with ThreadPoolExecutor(count, "worker") as pool:
         try:
@@ -76,7 +76,7 @@ def in_threads(count: int) -> Iterator[Engine]:
 
 @contextmanager
 def on_cluster(address: str) -> Iterator[Engine]:
-    """The workers of a Dask scheduler, as many as there are at the time."""
+    """Engine of all workers that a Dask scheduler has at the time."""
     with connect(address) as client:
         executor = client.get_executor(pure=False)
         try:
@@ -90,7 +90,7 @@ def on_cluster(address: str) -> Iterator[Engine]:
 
 
 def recover(service: Service, connection: Connection) -> None:
-    """Queue again what a dispatcher that is gone had begun."""
+    """Requeue the submissions that a vanished dispatcher had started."""
     with connection.begin():
         for lost in find(connection, submissions.c.state == "running"):
             change(connection, lost.id, service.now(), state="queued")
@@ -98,7 +98,8 @@ def recover(service: Service, connection: Connection) -> None:
 
 
 def claim(service: Service, connection: Connection) -> Submission | None:
-    """The next submission, now running; what was begun most often comes last."""
+    """Mark the next queued submission as running and return it; those with the most attempts come last. None where none
+    is queued."""
     c, at = submissions.c, service.now()
     with connection.begin():
         waiting = select(submissions).where(c.state == "queued").order_by(c.attempt, c.created_s, c.id).limit(1)
@@ -116,7 +117,7 @@ def claim(service: Service, connection: Connection) -> Submission | None:
 def finish(
     service: Service, connection: Connection, mine: Submission, state: str, record: str = "", reason: str = ""
 ) -> bool:
-    """End an attempt; whether it was still the one that counts."""
+    """Record the end of an attempt; return whether that attempt was still the current one."""
     guard = (submissions.c.state == "running", submissions.c.attempt == mine.attempt)
     at = service.now()
     with connection.begin():
@@ -127,7 +128,7 @@ def finish(
 
 
 def task_of(service: Service, mine: Submission) -> Task | None:
-    """What scores a submission; None where its split is no longer served."""
+    """Task that scores a submission; None where its split is no longer served."""
     served = service.catalogue.splits.get(mine.split)
     wanted = None if served is None else served.wanted.get(mine.track)
     if served is None or wanted is None:
@@ -139,7 +140,7 @@ def task_of(service: Service, mine: Submission) -> Task | None:
 
 
 def outcome_of(service: Service, mine: Submission, ended: Ended) -> dict[str, str]:
-    """What a scoring comes to: the state, with the record or the reason."""
+    """Outcome of a scoring as values for `finish`: the state, with the record or the reason."""
     if ended.stderr:
         service.log.info("scoring %s, attempt %d: %s", mine.id, mine.attempt, ended.stderr)
     if ended.answer is None:
@@ -147,7 +148,7 @@ def outcome_of(service: Service, mine: Submission, ended: Ended) -> dict[str, st
             return {"state": "queued"}
         return {"state": "failed", "reason": FAILED[ended.cause]}
     reported = mine.kind == "results"
-    if "refused" in ended.answer:  # of a public split, where reported: no reason tells of a truth that is kept back
+    if "refused" in ended.answer:  # reported results are of public splits: their reasons reveal no hidden ground truth
         return {"state": "failed", "reason": ended.answer["refused"]["reason"] if reported else FAILED["refused"]}
     try:
         record = service.build(mine, ended.answer)
@@ -165,9 +166,9 @@ def outcome_of(service: Service, mine: Submission, ended: Ended) -> dict[str, st
 
 
 class Dispatcher:
-    """A thread that dispatches as long as no other server does, until it is stopped.
+    """A thread that dispatches whenever no other server does, until it is stopped.
 
-    workers: at a time, in threads; scheduler: address of a Dask cluster instead
+    workers: number of concurrent scorings, in threads; scheduler: address of a Dask cluster to use instead
     """
 
     def __init__(self, service: Service, workers: int | None = None, scheduler: str = "") -> None:
@@ -179,11 +180,11 @@ class Dispatcher:
         self._thread = threading.Thread(target=self._work, name="dispatcher", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End; what is being scored goes back into the queue."""
+        """Stop the thread; submissions being scored go back into the queue."""
         self._stop.set()
         self.service.wake.set()
         self._thread.join()
@@ -196,7 +197,7 @@ class Dispatcher:
                         dispatch(self.service, connection, self._engine(), self._stop.is_set)
             except OysterbenchError as error:
                 self.service.log.error("the dispatcher: %s", error)
-            except Exception:  # of the database or the cluster, which may come back
+            except Exception:  # from the database or the cluster, which may recover
                 self.service.log.exception("the dispatcher failed")
             self._stop.wait(POLL_S)
 
@@ -204,7 +205,7 @@ class Dispatcher:
 def dispatch(
     service: Service, connection: Connection, with_engine: AbstractContextManager[Engine], enough: Callable[[], bool]
 ) -> None:
-    """Hand out what is queued and note how it ended, until that is enough. connection: of `Database.alone`"""
+    """Hand out queued submissions and record their outcomes, until `enough()`. connection: from `Database.alone`"""
     recover(service, connection)
     running: dict[Future[Ended], Submission] = {}
     with with_engine as engine:
@@ -232,6 +233,6 @@ def _settle(service: Service, connection: Connection, mine: Submission, future: 
         outcome = outcome_of(service, mine, future.result(timeout=0))
     except (Stopped, CancelledError, TimeoutError):
         outcome = {"state": "queued"}
-    except Exception as error:  # of a worker: that it died again and again, cannot read the upload, is another version
+    except Exception as error:  # from a worker: it died repeatedly, cannot read the upload, or has another version
         outcome = outcome_of(service, mine, Ended(None, "crash", f"{type(error).__name__}: {error}"))
     finish(service, connection, mine, **outcome)

@@ -1,4 +1,4 @@
-"""How often something may be: lines in the log, of which the others are counted, and uploads that are read."""
+"""Rate limits: on lines in the log, where those left out are counted, and on uploads that are read."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from oysterbench_leaderboard.submissions.refusals import Refusal
 DAY_S = 86400.0
 WINDOW_S = 60.0
 STRANGERS = ""
-"""What all addresses are counted under."""
+"""Key under which all addresses are counted together."""
 
 
 class Sampler:
-    """Which lines are written: in a window so many of one team or address, and of all addresses together."""
+    """Decides which lines are written: in a window of WINDOW_S, at most `of_one` for each team or address, and at most
+    `of_strangers` for all addresses together."""
 
     def __init__(self, of_one: int, of_strangers: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._of_one, self._of_strangers, self._clock = of_one, of_strangers, clock
@@ -25,8 +26,8 @@ class Sampler:
         self._lock = threading.Lock()
 
     def ask(self, who: str, stranger: bool) -> int | None:
-        """How many lines of the same were left out before this one; None where this one is left out as well. Those of
-        strangers are told of with the next line of any."""
+        """Return how many lines from the same source were left out before this one; None where this one is left out
+        too. Lines left out for strangers are reported with the next line from any stranger."""
         shares = {who: self._of_one} | ({STRANGERS: self._of_strangers} if stranger else {})
         counted = STRANGERS if stranger else who
         with self._lock:
@@ -48,8 +49,8 @@ class Sampler:
 
 
 class DailyReads:
-    """Uploads of each team that are read in 24 hours. Reading costs the server as much where it ends in a refusal,
-    which no other quota counts."""
+    """Limit on the uploads of each team that are read in 24 hours. Reading costs the server as much when it ends in a
+    refusal, which no other quota counts."""
 
     def __init__(self, most: int, clock: Callable[[], float] = time.time) -> None:
         self._most, self._clock = most, clock
@@ -57,7 +58,7 @@ class DailyReads:
         self._lock = threading.Lock()
 
     def check(self, team: str) -> None:
-        """Raises Refusal where one more is too many."""
+        """Raises Refusal where one more upload would exceed the limit."""
         now = self._clock()
         times = self._read.get(team, deque())
         if len(times) == self._most and times[0] > now - DAY_S:
@@ -70,14 +71,14 @@ class DailyReads:
             )
 
     def count(self, team: str) -> None:
-        """One more. Raises Refusal where that is too many."""
+        """Count one more upload. Raises Refusal where that would exceed the limit."""
         with self._lock:
             self.check(team)
             self._read.setdefault(team, deque(maxlen=self._most)).append(self._clock())
 
 
 def hours_and_minutes(wait_s: int) -> str:
-    """A time to wait, rounded up to minutes.
+    """Format a waiting time in s, rounded up to minutes.
 
     >>> hours_and_minutes(86399), hours_and_minutes(60), hours_and_minutes(61)
     ('24 h 0 min', '0 h 1 min', '0 h 2 min')

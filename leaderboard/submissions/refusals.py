@@ -1,4 +1,4 @@
-"""What a server refuses, and how it says so: a kind for programs and logs, and a sentence for people."""
+"""Refusals by a server: a kind for programs and logs, and a sentence for people."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ OPTIONS = re.compile(
     r"| \([^()]*--[a-z][^()]*\)"  # " (--sort)"
     r"|; [^;]*--estimate-kind[^;]*"
 )
-"""Advice to set an option of `oysterbench eval`."""
+"""Matches advice to set an option of `oysterbench eval`."""
 
 STATUS = {
     "token": 401,
@@ -37,8 +37,8 @@ STATUS = {
 
 
 class Refusal(OysterbenchError):
-    """A request that is not met: `kind` is a key of STATUS, the message is for the one who asked. retry_s: when it may
-    be asked again; 0 where that would not help."""
+    """A refused request: `kind` is a key of STATUS, the message is for the client. retry_s: seconds after which to try
+    again; 0 where that would not help."""
 
     def __init__(self, kind: str, reason: str, retry_s: int = 0) -> None:
         super().__init__(reason)
@@ -47,12 +47,12 @@ class Refusal(OysterbenchError):
 
     @property
     def reason(self) -> str:
-        """In one line."""
+        """The message in one line."""
         return " ".join(str(self).split())
 
     @property
     def status(self) -> int:
-        """Of the HTTP answer."""
+        """HTTP status of the response."""
         return STATUS[self.kind]
 
 
@@ -64,14 +64,14 @@ FAILED = {
     "absent": "the split is no longer served here",
     "none": "no sequence could be scored; ",
 }
-"""Why a submission failed, for its team: sentences that no truth is in."""
+"""Cause of a failure -> message for the team: sentences that reveal no ground truth."""
 
 SERVER_FAULTS = tuple(FAILED[cause] for cause in ("crash", "refused", "absent"))
-"""Those that a server which was mended may not give again."""
+"""Messages of failures that may not recur once the server is repaired."""
 
 
 def without_options(text: str) -> str:
-    """The text of an error of `eval` without its advice to set an option: a submission is read without any.
+    """Remove advice to set an option from the text of an `eval` error: a submission is read without options.
 
     >>> without_options("poses.tum:3: expected increasing timestamps; sort the poses by time (--sort)")
     'poses.tum:3: expected increasing timestamps; sort the poses by time'

@@ -1,4 +1,4 @@
-"""Results that others computed: a results.json of a public split, as it may stand on the board."""
+"""Reported results, computed by others: checks of a results.json of a public split before it may go on the board."""
 
 from __future__ import annotations
 
@@ -18,18 +18,21 @@ from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.scoring import evaluator
 
 LONGEST = 2000
-"""Characters of a text in results, and of a key."""
+"""Maximum length of a text or key in results, characters."""
 
 MOST_MACHINE = 200
-"""Characters of processor and cores."""
+"""Maximum length of the description of processor and cores, characters."""
 
 EARLIEST, TOLERANCE = datetime(2020, 1, 1, tzinfo=UTC), timedelta(days=1)
-"""When there was no such benchmark, and how far clocks may be apart."""
+"""Earliest plausible date of results (before the benchmark existed), and tolerance for clocks that differ."""
 
 
 def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: Limits) -> tuple[ResultRecord, ...]:
-    """Results that somebody else computed: of this split, by an evaluator of this version, with no key that is not of
-    the track, and no number that cannot be."""
+    """Read reported results. They must be of this split and this version's evaluator, with known metrics only, the
+    metrics that bound others, and plausible values. Raises Refusal.
+
+    data, content: the bytes of the results.json, and what they were parsed into
+    """
     if wanted.hidden:
         raise Refusal("type", f"{wanted.split} is hidden: results are computed here; expected estimates")
     if len(data) > limits.results_bytes:
@@ -80,7 +83,7 @@ def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: L
 
 
 def _check_created(created: str, where: str) -> None:
-    """Refuse what is no time in UTC at which results can have been computed."""
+    """Refuse a `created` that is not a plausible UTC time. Raises Refusal."""
     try:
         at = datetime.strptime(created, "%Y-%m-%dT%H:%M:%S%z")
     except ValueError:
@@ -91,7 +94,7 @@ def _check_created(created: str, where: str) -> None:
 
 
 def _check_texts(value: Any, where: str) -> None:
-    """Refuse texts in results that no page could show."""
+    """Refuse texts in results that no page could show. Raises Refusal."""
     if isinstance(value, str):
         try:
             check_text("text", value, LONGEST)

@@ -1,12 +1,12 @@
-"""Untrusted bytes are read, and scored, in a sandbox (`oysterbench.methods.sandbox`): `run` is the server's side of it.
+"""Server side of the sandbox (`oysterbench.methods.sandbox`) in which untrusted bytes are read and scored; see `run`.
 
-The process has a session, an empty folder and an environment of its own, no network where the kernel lets it go, no
-reach of what the server keeps but the files that its job names, and limits to its processor time, address space, file
-sizes, open files and processes; it is killed when its time is over or the server dies. It gets a Job on its standard
-input, and answers with JSON on its standard output. Whatever it says on its standard error goes to the private log.
+The process has its own session, empty folder and environment, no network where the kernel permits that, no access to
+the server's files except those named in its job, and limits on processor time, address space, file sizes, open files
+and processes; it is killed when its time is up or the server dies. It receives a Job on its standard input, and answers
+with JSON on its standard output. Its standard error goes to the private log.
 
-Where bubblewrap is installed and may do its work, all of that happens in namespaces of its own (`namespaces`), and what
-reads an upload is forked there, not started (`fork_server`).
+Where bubblewrap is installed and permitted, all of this happens in separate namespaces (`namespaces`), and readers of
+uploads are forked there instead of started (`fork_server`).
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 WORKER = Path(__file__).with_name("sandbox_worker.py")
 OPEN_FILES = 64
 MOST_STDERR = 64_000
-"""Bytes of what it says to the log."""
+"""Maximum number of bytes of standard error that go to the log."""
 
 OUT_OF_TIME = (-signal.SIGXCPU, 128 + signal.SIGXCPU)
-"""Exit codes of a process that has used its time, and of what waits for it in namespaces."""
+"""Exit codes of a process that has used up its time, and of the process that waits for it in namespaces."""
 
 POLL_S = 0.05
 ENVIRONMENT = {
@@ -52,10 +52,10 @@ ENVIRONMENT = {
 
 @dataclass(frozen=True)
 class Job:
-    """What is to be done with an upload: it is read and checked, or scored where there is a truth (sequence -> file).
+    """What to do with an upload: read and check it, or score it where there is ground truth (sequence -> file).
 
-    hidden: folders of the server that the process cannot open, `path` and `truth` in them excepted
-    created: of the submission, UTC
+    hidden: folders of the server that the process cannot open, except for `path` and `truth` in them
+    created: when the submission was made, UTC
     """
 
     path: str
@@ -69,8 +69,8 @@ class Job:
 
 @dataclass(frozen=True)
 class Ended:
-    """How the process ended. answer: None where it gave none; cause: then, out of a closed list: "time", "memory" or
-    "crash"; stderr: for the private log."""
+    """How the process ended. answer: None where it gave none; cause: in that case one of "time", "memory" and "crash";
+    stderr: for the private log."""
 
     answer: dict[str, Any] | None
     cause: str
@@ -79,7 +79,7 @@ class Ended:
 
 @dataclass(frozen=True)
 class Allowance:
-    """Of the process."""
+    """Limits of the process: wall-clock and processor time in s, address space and size of a file in bytes."""
 
     wall_s: float
     cpu_s: int
@@ -88,21 +88,21 @@ class Allowance:
 
 
 class Stopped(Exception):
-    """The process was ended because whoever waited for it is to stop."""
+    """Raised where the process was killed because its caller is to stop."""
 
 
 def checking(settings: SubmissionSettings) -> Allowance:
-    """For reading what was sent."""
+    """Allowance for reading an upload."""
     return Allowance(settings.check_wall_s, settings.check_cpu_s, settings.check_memory_bytes, settings.file_bytes + 1)
 
 
 def scoring(settings: SubmissionSettings) -> Allowance:
-    """For scoring it."""
+    """Allowance for scoring an upload."""
     return Allowance(settings.score_wall_s, settings.score_cpu_s, settings.memory_bytes, settings.file_bytes + 1)
 
 
 def never() -> bool:
-    """That a job is not to be ended."""
+    """Never stop a job: the default `stopped` of `run`."""
     return False
 
 
@@ -112,10 +112,10 @@ def run(
     stopped: Callable[[], bool] = never,
     forks: ForkServer | None = None,
 ) -> Ended:
-    """Do a job in a sandbox. stopped: asked many times a second whether to end it, which raises Stopped.
+    """Run a job in a sandbox. stopped: polled many times a second; where it returns True, raises Stopped.
 
-    forks: of what the process is forked where there are namespaces, and then never stopped; it raises OSError where it
-    cannot
+    forks: fork server from which the process is forked where namespaces are available; such a process is never stopped,
+    and raises OSError where it cannot be forked
     """
     sandbox = Sandbox(
         hidden=job.hidden,
@@ -163,12 +163,12 @@ def run(
 
 
 def fork_server() -> ForkServer:
-    """Of processes that read."""
+    """Fork server for reader processes, not started yet."""
     return ForkServer(WORKER, {**ENVIRONMENT, "HOME": namespaces.FOLDER, "TMPDIR": namespaces.FOLDER})
 
 
 def in_force() -> str:
-    """Which sandbox this is here, in a line."""
+    """Describe the sandbox available on this machine, in one line."""
     why = namespaces.missing()
     if not why:
         return "separate namespaces (bubblewrap), Landlock and limits"
@@ -177,7 +177,7 @@ def in_force() -> str:
 
 
 def _wait(process: subprocess.Popen[bytes], wall_s: float, stopped: Callable[[], bool]) -> bool:
-    """Whether it has ended within its time."""
+    """Wait for a process; return whether it ended within `wall_s`. Raises Stopped."""
     begun = time.monotonic()
     while time.monotonic() - begun <= wall_s:
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -189,7 +189,7 @@ def _wait(process: subprocess.Popen[bytes], wall_s: float, stopped: Callable[[],
 
 
 def _ended(code: int | None, answer: IO[bytes], stderr: IO[bytes]) -> Ended:
-    """code: None where the time was over."""
+    """Outcome of a process. code: its exit code; None where its time was up."""
     stderr.seek(0)
     words = stderr.read(MOST_STDERR).decode(errors="replace")
     if code is None or code in OUT_OF_TIME:
@@ -209,7 +209,7 @@ CHECK_ENDED = {
     "memory": "reading the upload exceeded the memory limit",
     "crash": "the upload cannot be read",
 }
-"""Why a reader gave no answer."""
+"""Cause -> message where a reader gave no answer."""
 
 
 def check(
@@ -220,7 +220,11 @@ def check(
     log: Callable[[str], None],
     forks: ForkServer | None = None,
 ) -> dict[str, Any]:
-    """Read what was sent, all of it, with no truth near: what it holds. Raises Refusal with the reason."""
+    """Read all of an upload in a sandbox, without access to ground truth; return what it holds. Raises Refusal with the
+    reason.
+
+    hidden: folders that the process cannot open; log: receives messages for the private log
+    """
     job = Job(str(path), wanted, settings.limits, tuple(hidden))
     try:
         ended = run(job, checking(settings), never, forks)

@@ -1,7 +1,7 @@
-"""Scoring predictions against the truth: what the sandbox does that sees the truth.
+"""Scoring of predictions against the ground truth, in a sandbox that has access to it.
 
-What leaves it are metrics, and sentences out of a closed list: no message that was made with the truth in sight. Of a
-hidden split few metrics leave, and coarsely (`hidden.discreet`).
+Only metrics, and sentences from a closed list, leave the sandbox: no message made with knowledge of the ground truth.
+For a hidden split only a few metrics leave, and coarsely rounded ones (`hidden.discreet`).
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ CAUSES = {
     "turned": "its poses are not those of base_link",
     "swapped": "its axes are swapped",
 }
-"""Why a path is refused that `oysterbench eval` would refuse (`evaluate.diagnose`)."""
+"""Cause of a finding -> sentence on a path that `oysterbench eval` would refuse (`evaluate.diagnose`)."""
 
 READ_AS = "it was read so that {} no longer holds"
-"""Of a path that can be meant in one sense only."""
+"""Note on a path that has only one possible interpretation."""
 
 
 def evaluator(track: str) -> tuple[str, dict[str, Any]]:
@@ -55,8 +55,8 @@ def evaluator(track: str) -> tuple[str, dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Scored:
-    """Results; what is known over all sequences together, for tracks that have such a thing; and what is drawn of
-    paths, on public splits."""
+    """Results; what is computed over all sequences together, for tracks that have it; and, for paths on public splits,
+    the curves to be drawn."""
 
     results: tuple[ResultRecord, ...]
     data_set: Any = None
@@ -65,7 +65,7 @@ class Scored:
 
 @dataclass(frozen=True)
 class Found:
-    """What a sequence's predictions score, as `ResultRecord` has it."""
+    """Score of a sequence's predictions, as in `ResultRecord`."""
 
     metrics: Mapping[str, float]
     reasons: Mapping[str, str] = field(default_factory=dict)
@@ -73,32 +73,35 @@ class Found:
 
 
 class Scorer(ABC):
-    """Of a kind of predictions, over the sequences of a split, one after the other."""
+    """Scorer of one kind of predictions, over the sequences of a split one after the other."""
 
     def __init__(self, wanted: Wanted, method: str) -> None:
         self.wanted, self.method = wanted, method
 
     @abstractmethod
     def open(self, path: Path, sequence: str) -> str:
-        """Go to a sequence; the digest of its truth."""
+        """Open a sequence's ground truth, for the next call of `score`; return its digest."""
 
     @abstractmethod
     def score(self, readers: Mapping[str, Reader]) -> Found:
-        """Hold the predictions against the truth. Raises Refusal, TrajectoryError, LabelError, MethodError."""
+        """Compare the predictions with the ground truth. Raises Refusal, TrajectoryError, LabelError, MethodError."""
 
     def failed(self) -> Mapping[str, float]:
-        """The metrics by which a sequence that has no score counts."""
+        """Metrics with which a sequence that could not be scored counts."""
         return {}
 
     @abstractmethod
     def whole(self, results: tuple[ResultRecord, ...]) -> Scored:
-        """With what is known over all sequences."""
+        """Results together with what is computed over all sequences."""
 
 
 def score_predictions(
     predictions: Predictions, wanted: Wanted, truth: Mapping[str, Path], method: str, created: str
 ) -> Scored:
-    """The same bytes for the same input, whenever and wherever it is scored. created: of the submission, UTC."""
+    """Score predictions; deterministic: the same input gives the same bytes, whenever and wherever it is scored.
+
+    created: when the submission was made, UTC
+    """
     if predictions.kind == "results":
         return _reported(predictions.results, wanted, truth, method)
     version, settings = evaluator(wanted.track)
@@ -136,8 +139,8 @@ def score_predictions(
 
 
 def _reported(results: Sequence[ResultRecord], wanted: Wanted, truth: Mapping[str, Path], method: str) -> Scored:
-    """As their authors computed them; what the split is like says the server. Raises Refusal where they were computed
-    against another truth than the one that is here."""
+    """Results as their authors computed them, with the conditions of the split as the server knows them. Raises Refusal
+    where they were computed against another ground truth than the server's."""
     scorer = SCORERS[wanted.kind](wanted, method)
     digests = {name: scorer.open(truth[name], name) for name in {one.sequence for one in results} & truth.keys()}
     for one in results:
@@ -151,7 +154,7 @@ def _reported(results: Sequence[ResultRecord], wanted: Wanted, truth: Mapping[st
 
 
 class PathScorer(Scorer):
-    """Of the track slam."""
+    """Scorer of the track slam."""
 
     def __init__(self, wanted: Wanted, method: str) -> None:
         super().__init__(wanted, method)
@@ -175,7 +178,8 @@ class PathScorer(Scorer):
         return Found(found.metrics, found.reasons, notes)
 
     def _read(self, read: Reader) -> tuple[Any, tuple[str, ...]]:
-        """The path, read in the one sense that it can have, and what was decided. Raises Refusal where it has none."""
+        """Read the path in its only possible interpretation; return it with notes on what was decided. Raises Refusal
+        where it has none."""
         from oysterbench.evaluate.slam.diagnose import diagnose
 
         estimate = read()
@@ -199,7 +203,7 @@ class PathScorer(Scorer):
 
 
 class ImageScorer(Scorer):
-    """Of the tracks segmentation and detection."""
+    """Scorer of the tracks segmentation and detection."""
 
     def __init__(self, wanted: Wanted, method: str) -> None:
         super().__init__(wanted, method)
@@ -233,7 +237,7 @@ class ImageScorer(Scorer):
 
 
 class CommandScorer(Scorer):
-    """Of the track steering, at labelled pictures."""
+    """Scorer of the track steering, at labelled images."""
 
     def __init__(self, wanted: Wanted, method: str) -> None:
         super().__init__(wanted, method)
@@ -272,4 +276,4 @@ SCORERS: dict[Kind, type[Scorer]] = {
     "predictions": ImageScorer,
     "commands": CommandScorer,
 }
-"""Kind of predictions -> what scores them."""
+"""Kind of predictions -> its scorer."""

@@ -1,4 +1,4 @@
-"""What may be done with submissions: sent, looked at, published, withdrawn; by the team that owns them."""
+"""Operations on submissions by the team that owns them: send, look at, publish, withdraw."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ LATER = "a later submission of the same method by the same team"
 
 
 class Service:
-    """Everything a server of submissions does but talking HTTP.
+    """Everything that a submission server does, except for HTTP.
 
-    store: of the board, where records come on publication; changed: called when one has
+    store: record store of the board, where published records go; changed: called after each change of the board
     """
 
     def __init__(
@@ -75,11 +75,11 @@ class Service:
         self._settle()
 
     def now(self) -> str:
-        """UTC in ISO 8601."""
+        """Current UTC time in ISO 8601."""
         return utc(self.clock())
 
     def close(self) -> None:
-        """No more work."""
+        """Release all resources: fork server, database and log."""
         self.forks.close()
         self.database.close()
         for handler in list(self.log.handlers):
@@ -89,9 +89,10 @@ class Service:
     # Sending:
 
     def submit(self, team: str, form: Form, upload: Upload) -> tuple[Submission, bool]:
-        """Take in what a team has sent; whether it is new: the same bytes for the same place are one submission.
+        """Check and queue an upload of a team; return the submission and whether it is new: the same bytes for the same
+        method, split and track are one submission.
 
-        Raises Refusal with the reason, by file and line; then nothing was counted.
+        Raises Refusal with the reason, naming file and line; then no submission is counted.
         """
         form, wanted = self.check_form(form)
         known = self.announced(team, form, upload.digest)
@@ -110,10 +111,10 @@ class Service:
         return self._accept(team, form, upload, facts)
 
     def announced(self, team: str, form: Form, digest: str) -> Submission | None:
-        """The submission that bytes of this SHA-256 are already; None where they are to be taken in.
+        """Return the existing submission of bytes with this SHA-256; None where they are to be uploaded.
 
-        form: as `check_form` gives it. Raises Refusal where the team's quota is full, so that nobody uploads for an
-        hour to be told.
+        form: as `check_form` returns it. Raises Refusal where the team's quota is used up, so that nobody learns of it
+        only after an upload of an hour.
         """
         with self.database.reading() as connection:
             known = self._same(connection, team, form, digest)
@@ -122,7 +123,8 @@ class Service:
         return None if known is None or self._ours(known) else known
 
     def check_form(self, form: Form) -> tuple[Form, Wanted]:
-        """The form with its track, and what it has to be answered by. Raises Refusal naming the field."""
+        """Return the form with its track filled in, and what its predictions must cover. Raises Refusal naming the
+        field."""
         form.check()
         _, wanted = self.catalogue.find(form.split, form.track)
         stripped = {key: getattr(form, key).strip() for key in ("method", "url", "summary")}
@@ -153,7 +155,7 @@ class Service:
         at_s = self.clock()
         at = utc(at_s)
         with self.database.writing() as connection:
-            # Of one team at a time: its quota is counted, and the same bytes are looked for, with nobody between.
+            # Lock the team, so that its quota and duplicates are checked without interference.
             connection.execute(select(teams.c.name).where(teams.c.name == team).with_for_update()).first()
             known = self._same(connection, team, form, upload.digest)
             if known is not None:
@@ -176,13 +178,13 @@ class Service:
         return made, True
 
     def _ours(self, known: Submission) -> bool:
-        """Whether a submission failed by the server's fault, so that it may be sent again: no more than once an hour,
-        as an upload may as well have been made to end its reader."""
+        """Whether a submission failed through the server's fault and may be sent again: at most once an hour, because
+        an upload may have been crafted to crash its reader."""
         long_ago = known.updated < utc(self.clock() - AGAIN_S)
         return known.state == "failed" and known.reason in SERVER_FAULTS and long_ago
 
     def _again(self, connection: Connection, known: Submission, at: str) -> tuple[Submission, bool]:
-        """Score once more what failed by the server's fault; whether it is."""
+        """Queue a submission again that failed through the server's fault; return it, and whether it was queued."""
         state = submissions.c.state == "failed"
         if not self._ours(known) or not change(connection, known.id, at, state, state="queued", reason="", attempt=0):
             return known, False
@@ -191,7 +193,8 @@ class Service:
         return replace(known, state="queued", reason="", attempt=0, updated=at), True
 
     def self_test(self) -> None:
-        """Read an upload as those of teams are read. Raises ResultError where this server cannot."""
+        """Check that uploads can be read, by reading a small one. Raises ResultError where this server cannot, or where
+        the namespaces that its settings require are not available."""
         if self.settings.needs_namespaces and (why := namespaces.missing()):
             raise ResultError(f"needs_namespaces of {FILE} requires a sandbox that is not available here: {why}")
         self.log.info("sandbox: %s", sandbox.in_force())
@@ -208,8 +211,10 @@ class Service:
                 ) from None
 
     def refused(self, who: str, what: str, refusal: Refusal, stranger: bool) -> None:
-        """Log a refusal, with its reason; of many in a minute some, and how many more there were. who: a team, or the
-        address of a stranger."""
+        """Log a refusal with its reason; of many within a minute only some, with the number of those left out.
+
+        who: a team, or the address of a stranger; what: method and path of the request
+        """
         before = self._refusals.ask(network(who) if stranger else f"team {who}", stranger)
         if before is None:
             return
@@ -220,12 +225,13 @@ class Service:
     # Looking:
 
     def of_team(self, team: str, limit: int = 200) -> list[Submission]:
-        """A team's submissions, the newest first."""
+        """Return a team's submissions, newest first."""
         with self.database.reading() as connection:
             return find(connection, submissions.c.team == team, limit=limit)
 
     def get(self, team: str, id: str) -> Submission:
-        """One of a team's own. Raises Refusal for those of others as for those that do not exist."""
+        """Return a submission of a team. Raises the same Refusal for those of other teams as for those that do not
+        exist."""
         with self.database.reading() as connection:
             return self._own(connection, team, id)
 
@@ -236,11 +242,11 @@ class Service:
         return found[0]
 
     def record(self, submission: Submission) -> Record | None:
-        """What was scored, for the eyes of its team."""
+        """Scored record of a submission, for its team only; None where it has none."""
         return self.scored.record(submission.record) if submission.record else None
 
     def queued_before(self, submission: Submission) -> int:
-        """How many wait longer."""
+        """Number of queued submissions that are older than this one."""
         c = submissions.c
         query = select(func.count()).select_from(submissions)
         with self.database.reading() as connection:
@@ -249,7 +255,8 @@ class Service:
     # Publishing:
 
     def publish(self, team: str, id: str) -> Submission:
-        """Put a submission on the board; once more changes nothing. Raises Refusal where it is not done."""
+        """Put a submission on the board, where it supersedes the team's current record of the same method; idempotent.
+        Raises Refusal where its state is not "done"."""
         c = submissions.c
         with self.database.writing() as connection:
             found = self._own(connection, team, id)
@@ -265,7 +272,7 @@ class Service:
             current = [each for each in shown if each.board == record.board and each.digest not in replaced]
             if current:
                 record = replace(record, supersedes=current[0].digest, reason=LATER)
-            # On the disk before the database says so: what it says can then be done after a crash as well.
+            # On disk before the database refers to it, so that publication can be completed after a crash.
             self.scored.add(record)
             at = self.now()
             change(connection, id, at, published=record.digest)
@@ -275,7 +282,7 @@ class Service:
         return replace(found, published=record.digest, updated=at)
 
     def withdraw(self, team: str, id: str, reason: str = "") -> Submission:
-        """Take a submission back, whatever its state; a published record stays where it is, marked as withdrawn."""
+        """Withdraw a submission, whatever its state; a published record stays in the store, marked as withdrawn."""
         check_words("reason", reason)
         at = self.now()
         with self.database.writing() as connection:
@@ -293,7 +300,7 @@ class Service:
         return found
 
     def _show(self, record: Record) -> None:
-        """Put a record on the board; once more changes nothing."""
+        """Put a record and its curves on the board; idempotent."""
         if record.curves:
             self.store.add_curves(self.scored.curves(record.curves))
         self.store.add(record)
@@ -304,8 +311,8 @@ class Service:
         )
 
     def _settle(self) -> None:
-        """Do what a crash left undone: what the database calls published or withdrawn is so on the board; files that
-        were being received when the server ended are nobody's."""
+        """Complete what a crash left undone: bring the board in line with what the database calls published or
+        withdrawn, and delete files that were being received when the server ended."""
         c = submissions.c
         with self.database.reading() as connection:
             shown = find(connection, c.published != "")
@@ -324,7 +331,7 @@ class Service:
     # Scoring, for the dispatcher:
 
     def build(self, submission: Submission, answer: dict[str, Any]) -> Record:
-        """The record of what the sandbox has answered, as the board would read it. Raises ResultError."""
+        """Build the record of an answer from the sandbox, parsed as the board would read it. Raises ResultError."""
         results = tuple(ResultRecord.from_dict(values) for values in answer["results"])
         reported = submission.kind == "results"
         predicted = [] if reported else [result.sequence for result in results if result.failure is None]
@@ -347,7 +354,7 @@ class Service:
 
 
 def _private_log(path: Path) -> logging.Logger:
-    """What only operators read; a file of its own for each private folder."""
+    """Logger for operators only, with one rotating file per private folder."""
     log = logging.getLogger(f"oysterbench.submissions.{path.parent.resolve()}")
     log.propagate = False
     log.setLevel(logging.INFO)

@@ -1,4 +1,4 @@
-"""Signing in to the web form: a session in a cookie that no script and no other site can use."""
+"""Sessions of the web form: sign-in with a cookie that no script and no other site can use."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ BYTES = 32
 
 
 class Sessions:
-    """Of the web form. A session begins without a team, so that the form for signing in is protected as well."""
+    """Sessions of the web form. A session starts without a team, so that the sign-in form is protected as well."""
 
     def __init__(self, service: Service) -> None:
         self._service = service
         self._key = _key(service)
 
     def value(self, request: Request) -> str:
-        """Of the cookie; a new one where there is none, or none of ours."""
+        """Return the value of the session cookie; a new one where there is none, or an invalid one."""
         found = request.cookies.get(COOKIE, "")
         good = len(found) == 2 * BYTES and all(c in "0123456789abcdef" for c in found)
         return found if good else secrets.token_hex(BYTES)
 
     def csrf(self, value: str) -> str:
-        """What every form of a session carries."""
+        """CSRF token that every form of a session carries."""
         return hmac.new(self._key, b"csrf " + value.encode(), hashlib.sha256).hexdigest()
 
     def check(self, request: Request, value: str, csrf: str) -> None:
-        """Raises Refusal for a form that was not ours to send."""
+        """Raises Refusal for a form that does not come from a page of this site and session."""
         check_origin(request)
         if request.cookies.get(COOKIE) != value or not hmac.compare_digest(self.csrf(value), csrf):
             raise Refusal("origin", "the form is too old, or was not made by this site; open the page again")
 
     def holder(self, value: str) -> Holder | None:
-        """Who is signed in; None for nobody."""
+        """Return who is signed in; None for nobody."""
         now = self._service.clock()
         with self._service.database.reading() as connection:
             query = select(sessions.c.token, sessions.c.expires).where(sessions.c.hash == _hash(value))
@@ -57,7 +57,7 @@ class Sessions:
         return None if team is None else Holder(team, found.token)
 
     def begin(self, holder: Holder, old: str) -> str:
-        """Sign in, with a new value: one that was known before is worth nothing."""
+        """Sign in and return the new session value, so that one known before the sign-in is worth nothing."""
         value, now = secrets.token_hex(BYTES), self._service.clock()
         with self._service.database.writing() as connection:
             connection.execute(delete(sessions).where((sessions.c.expires < now) | (sessions.c.hash == _hash(old))))
@@ -72,14 +72,14 @@ class Sessions:
 
 
 def set_cookie(request: Request, response: Response, value: str, path: str) -> Response:
-    """The response with the session."""
+    """Set the session cookie on a response, and return the response."""
     secure = request.url.scheme == "https"
     response.set_cookie(COOKIE, value, path=path, secure=secure, httponly=True, samesite="strict")
     return response
 
 
 def check_origin(request: Request) -> None:
-    """Raises Refusal for a request that a page of another site makes a browser send."""
+    """Raises Refusal for a request that a page of another site made the browser send."""
     origin, site = request.headers.get("origin"), request.headers.get("sec-fetch-site")
     own = request.headers.get("host", "")
     if (origin is None or urlsplit(origin).netloc != own) and not (origin is None and site == "same-origin"):
@@ -91,14 +91,14 @@ def _hash(value: str) -> str:
 
 
 def _key(service: Service) -> bytes:
-    """A secret of this server, drawn when it is first asked for."""
+    """Return the secret key of this server, which is generated on first use."""
     path = service.settings.folder / "key"
     with contextlib.suppress(FileExistsError):
         draft = path.with_name(f"key.{secrets.token_hex(8)}")
         with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
             file.write(secrets.token_bytes(BYTES))
         try:
-            os.link(draft, path)  # whole, or not at all
+            os.link(draft, path)  # atomic: the key is complete, or not there
         finally:
             draft.unlink()
     return path.read_bytes()

@@ -1,4 +1,4 @@
-"""SubmissionSettings of a server that takes submissions: where it keeps them, and how much of anything it takes."""
+"""Settings of a server that takes submissions: where it keeps them, and its limits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.submissions.archive import Limits
 
 FILE = "settings.toml"
-"""In the private folder: any of the keys below but `folder`."""
+"""File in the private folder, with any of the keys below except `folder`."""
 
 MB = 1_000_000
 
@@ -22,36 +22,37 @@ Seconds = Annotated[float, msgspec.Meta(gt=0)]
 
 
 class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a server allows. Sizes in bytes, times in seconds.
+    """Limits and places of a server. Sizes in bytes, times in seconds.
 
-    folder:             private: the database, estimates, records that are not published, the log. Never served
+    folder:             private, never served: the database, estimates, unpublished records, the log
     database:           SQLAlchemy URL; empty for SQLite in `folder`
-    estimates:          what was sent: a folder, or a URL of a store that fsspec knows (s3://bucket/estimates); empty
-                        for `estimates` in `folder`
-    file_bytes, upload_bytes: of one file (also inside an archive), and of a whole submission
-    results_bytes:      of a results.json
-    entries:            files in an archive, those of its .npz files included
-    unpacked_bytes:     of all that an archive holds
-    ratio:              of an entry's size to what it takes in the archive. Images compress hundreds of times as arrays,
-                        so .npz files are held by `unpacked_bytes` alone
-    lines:              of a file of text: 120 000 are poses of 10 min at 200 Hz
-    annotations:        of an image, in COCO annotations
-    reads_per_day:      uploads of a team that are read in 24 hours, those that are refused or came too slowly included
-    per_day, per_split: submissions that are accepted of a team in 24 hours, and of a team on one split in all
-    uploads_at_once, checks_at_once: of all clients; uploads_of_team, uploads_of_address: of one
-    upload_safe_s:      of a team's time in places for uploads (`places`); then it gives way to who has had less, where
-                        all places are taken
-    idle_s:             after which a client that sends nothing is sent away; upload_s: an upload takes at most
-    upload_grace_s, upload_bytes_per_s: seconds after which what has come of an upload must be as much as a line of this
-                        rate would have brought since: whoever trickles holds a place among `uploads_at_once` no longer
-    workers:            submissions scored at once, where no cluster does it
+    estimates:          place of the uploads: a folder, or a URL of a store that fsspec knows (s3://bucket/estimates);
+                        empty for `estimates` in `folder`
+    file_bytes, upload_bytes: size of one file (also inside an archive), and of a whole submission
+    results_bytes:      size of a results.json
+    entries:            files in an archive, including those of its .npz files
+    unpacked_bytes:     unpacked size of all that an archive holds
+    ratio:              compression ratio of an archive's entry. Images as arrays compress by a factor of hundreds, so
+                        .npz files are limited by `unpacked_bytes` alone
+    lines:              of a text file: 120 000 are poses of 10 min at 200 Hz
+    annotations:        of one image, in COCO annotations
+    reads_per_day:      uploads of a team that are read in 24 hours, including those refused or too slow
+    per_day, per_split: submissions accepted from a team in 24 hours, and from a team on one split in all
+    uploads_at_once, checks_at_once: from all clients; uploads_of_team, uploads_of_address: from one
+    upload_safe_s:      a team's time in places for uploads (`places`) after which, when all places are taken, it gives
+                        way to a team that has had less
+    idle_s:             after which a client that sends nothing is disconnected; upload_s: longest time of an upload
+    upload_grace_s, upload_bytes_per_s: after the grace time, an upload must keep up with this rate: a client that
+                        trickles loses its place among `uploads_at_once`
+    workers:            submissions scored at once, without a cluster
     scheduler:          address of the Dask scheduler whose workers score; empty for this machine
-    check_wall_s, check_cpu_s, score_wall_s, score_cpu_s: of the sandbox
-    check_memory_bytes, memory_bytes: address space of the sandbox, for reading what was sent and for scoring it
-    needs_namespaces:   whether to refuse to start where the sandbox can have none of its own, instead of doing without
-    attempts:           how often a process that ends without an answer is tried again, in all
-    guesses_of_address, guesses: wrong tokens in `guess_window_s`, of one address and of all
-    refusals_of_one, refusals_of_strangers: that are logged in a minute, of a team or address, and of all addresses
+    check_wall_s, check_cpu_s, score_wall_s, score_cpu_s: wall-clock and processor time of the sandbox
+    check_memory_bytes, memory_bytes: address space of the sandbox, for reading an upload and for scoring it
+    needs_namespaces:   whether to refuse to start where the sandbox cannot have its own namespaces, instead of doing
+                        without
+    attempts:           total number of attempts for a process that ends without an answer
+    guesses_of_address, guesses: wrong tokens in `guess_window_s`, from one address and from all
+    refusals_of_one, refusals_of_strangers: logged per minute, for a team or address, and for all addresses
     session_s:          how long a sign-in to the web form lasts
     """
 
@@ -97,29 +98,30 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
     @property
     def url(self) -> str:
-        """Of the database."""
+        """SQLAlchemy URL of the database."""
         if not self.database:
             return f"sqlite:///{self.folder / 'submissions.sqlite'}"
         return re.sub(r"^postgres(ql)?://", "postgresql+psycopg://", self.database)
 
     @property
     def place(self) -> str:
-        """Of what was sent: as absolute as `folder`, or a URL."""
+        """Place of the uploads: a path that is absolute if `folder` is, or a URL."""
         return self.estimates if "://" in self.estimates else str(self.folder / (self.estimates or "estimates"))
 
     @property
     def limits(self) -> Limits:
-        """Of what is read."""
+        """Limits on what is read from an upload."""
         return Limits(**{key: getattr(self, key) for key in Limits.__dataclass_fields__})
 
 
 def load_settings(folder: Path, **changes: Any) -> SubmissionSettings:
-    """The settings of a private folder: its settings.toml, and `changes` over it. Raises ResultError naming the key."""
+    """Load the settings of a private folder: its settings.toml, overridden by `changes`. Raises ResultError naming the
+    key."""
     path, found = folder / FILE, {}
     try:
         if path.is_file():
             found = tomllib.loads(path.read_text(encoding="utf-8"))
-        # Absolute, as what reads uploads works in a folder of its own.
+        # Absolute, because readers of uploads run in a folder of their own.
         return msgspec.convert({**found, **changes, "folder": folder.absolute()}, SubmissionSettings)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ResultError(f"{path}: not valid TOML: {error}") from None

@@ -1,4 +1,4 @@
-"""When the poses of a path are, held against the times of its sequence: what needs no ground truth."""
+"""Checks of a path's timestamps against the time span of its sequence, which need no ground truth."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from oysterbench.evaluate.slam.diagnose import TIME_UNITS
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
 SLACK_NS = 100_000_000
-"""Beyond begin and end of a recording: clocks of sensors that are not synchronised, and rounding."""
+"""Tolerance before the start and after the end of a recording, for unsynchronised sensor clocks and rounding."""
 
 UNIT_SLACK_NS = 1_000_000_000
-"""The same, of times that are to be recognised in another unit, such as whole seconds."""
+"""The same, for recognising timestamps in another unit, such as whole seconds."""
 
 
 def check_times(path: Trajectory, label: str, sequence: str, span: tuple[int, int]) -> None:
-    """Refuse a path none of whose poses is at a time of its sequence; the refusal says in which unit they would be.
+    """Refuse a path with no pose within the time span of its sequence; the refusal names the unit in which they would
+    be, if there is one.
 
-    label: of the file; span: begin and end of the recording, ns
+    label: name of the file; span: start and end of the recording, ns
     """
     if _inside(path, span).any():
         return
@@ -37,7 +38,7 @@ def check_times(path: Trajectory, label: str, sequence: str, span: tuple[int, in
 
 
 def outside_notes(path: Trajectory, sequence: str, span: tuple[int, int] | None) -> list[str]:
-    """A sentence on poses beyond begin or end of the recording, which count for nothing; none where there are none."""
+    """Note on poses before the start or after the end of the recording, which are not scored; empty without any."""
     outside = 0 if span is None else int(np.count_nonzero(~_inside(path, span)))
     if not outside:
         return []

@@ -1,4 +1,4 @@
-"""Teams and their tokens: shown once, kept as hashes; and a limit to guessing."""
+"""Teams and their tokens, which are shown once and stored as hashes; and a limit on guessing."""
 
 from __future__ import annotations
 
@@ -24,26 +24,27 @@ from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
 PREFIX = "oyb"
 SECRET_BYTES = 32
-"""Of entropy: too much to be guessed, so that a plain hash keeps it."""
+"""Bytes of entropy in a token: too many to guess, so that storing a plain hash is safe."""
 
-LONGEST = 200  # characters of a token that are looked at
+LONGEST = 200  # characters of a token that are considered
 NOBODY = hashlib.sha256(b"").hexdigest()
-"""What an unknown token is compared with, so that it takes as long as a known one."""
+"""Hash that an unknown token is compared with, so that it takes as long as a known one."""
 
 
 @dataclass(frozen=True)
 class Holder:
-    """Who holds a token."""
+    """The team that holds a token, and the token's id."""
 
     team: str
     token: str
 
 
 def issue(database: Database, team: str, held: Literal["refuse", "revoke", "keep"] = "refuse") -> str:
-    """A new token of a team, which is made if it is new. It is nowhere kept: who loses it asks for another one.
+    """Issue a new token for a team, which is created if it is new. The token itself is not stored: a team that loses it
+    has to ask for another one.
 
-    held: what becomes of tokens that the team has. Raises ResultError where it has one, and nobody decided that; and
-    for a new name that a reader would take for that of another team.
+    held: what to do where the team has valid tokens. Raises ResultError where it has one and held is "refuse", and for
+    an invalid team name, or a new one that a reader could take for that of another team.
     """
     check_text("team", team, MOST_TEXT["team"])
     if not team.strip() or team != team.strip():
@@ -84,7 +85,8 @@ def _check_new(team: str, known: Iterable[str]) -> None:
 
 
 def revoke(database: Database, name: str) -> list[str]:
-    """Revoke a token by its id, or all of a team; ids of those that were not revoked before."""
+    """Revoke a token by its id, or all tokens of a team; return the ids of those that were still valid. Raises
+    ResultError where there is no such token or team."""
     at = utc(time.time())
     with database.writing() as connection:
         chosen = (tokens.c.id == name) | (tokens.c.team == name)
@@ -99,7 +101,7 @@ def revoke(database: Database, name: str) -> list[str]:
 
 
 def listed(database: Database) -> list[dict[str, str]]:
-    """Tokens of all teams, without what is secret."""
+    """Return the tokens of all teams, without their secrets."""
     columns = (tokens.c.team, tokens.c.id, tokens.c.created, tokens.c.revoked)
     with database.reading() as connection:
         rows = connection.execute(select(*columns).order_by(tokens.c.team, tokens.c.created, tokens.c.id))
@@ -107,7 +109,7 @@ def listed(database: Database) -> list[dict[str, str]]:
 
 
 def recognise(connection: Connection, token: str) -> Holder | None:
-    """Whose token this is; None for nobody's. Takes as long for a wrong secret as for a right one."""
+    """Return the holder of a token; None where it is invalid. A wrong secret takes as long as a right one."""
     prefix, _, rest = token[:LONGEST].partition("_")
     id, _, secret = rest.partition("_")
     found = connection.execute(select(tokens.c.team, tokens.c.hash, tokens.c.revoked).where(tokens.c.id == id)).first()
@@ -118,7 +120,7 @@ def recognise(connection: Connection, token: str) -> Holder | None:
 
 
 def team_of(connection: Connection, token: str) -> str | None:
-    """The team of a token by its id, where it is not revoked."""
+    """Return the team of a token, given by its id; None where it is unknown or revoked."""
     found = connection.execute(select(tokens.c.team, tokens.c.revoked).where(tokens.c.id == token)).first()
     return None if found is None or found.revoked else found.team
 
@@ -128,8 +130,8 @@ def _hash(secret: str) -> str:
 
 
 class Guesses:
-    """Wrong tokens of late. An address that has sent too many is not listened to for a while; when all together have
-    sent too many, nobody is who has sent a wrong one."""
+    """Recent wrong tokens. An address that has sent too many is blocked for a while; when all addresses together have
+    sent too many, so is every address that has sent one."""
 
     def __init__(self, settings: SubmissionSettings) -> None:
         self._settings = settings
@@ -138,7 +140,7 @@ class Guesses:
         self._lock = threading.Lock()
 
     def check(self, address: str) -> None:
-        """Raises Refusal where this address has to wait."""
+        """Raises Refusal where this address is blocked for now."""
         key, limits = network(address), self._settings
         with self._lock:
             now = self._forget()
@@ -148,7 +150,7 @@ class Guesses:
                 raise Refusal("guessing", f"too many wrong tokens; try again in {wait_s} s", wait_s)
 
     def failed(self, address: str) -> None:
-        """A wrong token came from there."""
+        """Count a wrong token from an address."""
         with self._lock:
             now = self._forget()
             self._of.setdefault(network(address), deque()).append(now)

@@ -1,5 +1,5 @@
-"""Receiving what is sent: bytes are counted while they stream, into files that have no name, or a name of ours. Nothing
-that the sender says of it decides anything: its length, its kind and its names are looked at, not used."""
+"""Receiving uploads: bytes are counted while they are streamed into files without a name, or with a name of our own.
+What the sender claims is never relied upon: length, type and names are checked, not used."""
 
 from __future__ import annotations
 
@@ -32,37 +32,38 @@ KINDS = {
     "text/csv": "text",
     "application/octet-stream": "",
 }
-"""Content type of a body that is one file -> what its first bytes must then be."""
+"""Content type of a body that is one file -> kind that its first bytes must have; empty for any."""
 
 FIRST = 64
-"""Bytes by which a file is known."""
+"""Number of leading bytes by which the kind of a file is recognised."""
 
 OVERHEAD = 1_000_000
-"""Bytes of a form beside its files."""
+"""Maximum size of a form besides its files, bytes."""
 
 MOST_FILES, MOST_FIELDS = 100, 20
-"""Parts of a form. A file of it of more than a megabyte is an open one of the server; more go into an archive."""
+"""Maximum number of files and fields in a form. Each file above a megabyte is an open file of the server; more files
+must be sent in an archive."""
 
 MOST_FIELD = 4000
-"""Bytes of a field of a form."""
+"""Maximum size of a form field, bytes."""
 
 
 def too_large(settings: SubmissionSettings) -> Refusal:
-    """For what is longer than is allowed."""
+    """Refusal of an upload that is larger than allowed."""
     return Refusal("size", f"expected at most {settings.upload_bytes // 1_000_000} MB, got more; nothing was kept")
 
 
 async def paced(stream: AsyncIterator[bytes], settings: SubmissionSettings, most: int) -> AsyncGenerator[bytes, None]:
-    """The chunks of a body. Raises Refusal where there are more than `most` bytes, or they come too slowly."""
+    """Yield the chunks of a body. Raises Refusal where there are more than `most` bytes, or they arrive too slowly."""
     size, begun = 0, time.monotonic()
     while True:
-        # By what has come, whatever length was promised: so a promise of much buys no time.
+        # Counts what has arrived, not the length announced: announcing a large body buys no time.
         due_s = min(settings.upload_s, settings.upload_grace_s + size / settings.upload_bytes_per_s)
         left_s = begun + due_s - time.monotonic()
         if left_s <= 0:
             raise _too_slow(settings, size, time.monotonic() - begun, left_s)
         try:
-            # Not wait_for, which in Python 3.11 loses the end that `places` may set meanwhile.
+            # Not wait_for, which in Python 3.11 loses a deadline that `places` may set meanwhile.
             async with asyncio.timeout(min(settings.idle_s, left_s)):
                 chunk = await anext(stream)
         except StopAsyncIteration:
@@ -76,7 +77,7 @@ async def paced(stream: AsyncIterator[bytes], settings: SubmissionSettings, most
 
 
 def _too_slow(settings: SubmissionSettings, size: int, took_s: float, left_s: float) -> Refusal:
-    """For a body of which so many bytes have come in so many seconds, with so many left for the next."""
+    """Refusal of a slow body: `size` bytes arrived in `took_s` seconds, with `left_s` left for the next chunk."""
     if settings.idle_s < left_s:
         return Refusal("slow", f"no data arrived for {settings.idle_s:g} s; send it again")
     if took_s >= settings.upload_s:
@@ -89,7 +90,8 @@ def _too_slow(settings: SubmissionSettings, size: int, took_s: float, left_s: fl
 
 
 def check_headers(request: Request, settings: SubmissionSettings) -> None:
-    """Refuse at once what says itself that it is too long; what says otherwise is counted all the same."""
+    """Refuse at once a body whose headers announce too large a size, or a content encoding; a body that claims to be
+    smaller is counted nevertheless. Raises Refusal."""
     length = request.headers.get("content-length", "")
     if length.isascii() and length.isdigit() and int(length[:20]) > settings.upload_bytes + OVERHEAD:
         raise too_large(settings)
@@ -98,7 +100,8 @@ def check_headers(request: Request, settings: SubmissionSettings) -> None:
 
 
 async def receive_file(request: Request, file: IO[bytes], settings: SubmissionSettings) -> None:
-    """A body that is one file. Raises Refusal where it is not what its type says."""
+    """Receive a body that is one file. Raises Refusal where it does not match its content type, is too large, or
+    arrives too slowly."""
     content_type = request.headers.get("content-type", "")
     kind = KINDS.get(content_type.partition(";")[0].strip().lower())
     if kind is None:
@@ -119,7 +122,7 @@ async def receive_file(request: Request, file: IO[bytes], settings: SubmissionSe
 
 
 def kind_of(first: bytes) -> str:
-    r"""What a file is by its first bytes.
+    r"""Kind of a file, recognised by its first bytes.
 
     >>> kind_of(b"PK\x03\x04"), kind_of(b' {"a": 1'), kind_of(b"1.0 2.0")
     ('zip', 'json', 'text')
@@ -135,7 +138,7 @@ def kind_of(first: bytes) -> str:
     if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "UTF-16"
     try:
-        text, _ = codecs.utf_8_decode(first, "strict", False)  # whose last letter may go on in what follows
+        text, _ = codecs.utf_8_decode(first, "strict", False)  # not final: the last character may be cut off
     except UnicodeDecodeError:
         return "of no known form"
     if any(c < " " and not c.isspace() for c in text):
@@ -144,7 +147,7 @@ def kind_of(first: bytes) -> str:
 
 
 class _Parser(MultiPartParser):
-    """ended: whether the form came to its end."""
+    """Parser that notes whether the form was complete (`ended`)."""
 
     ended = False
 
@@ -153,7 +156,7 @@ class _Parser(MultiPartParser):
 
 
 async def receive_form(request: Request, settings: SubmissionSettings) -> FormData:
-    """The fields and files of a form (multipart/form-data). Raises Refusal."""
+    """Receive the fields and files of a form (multipart/form-data). Raises Refusal."""
     content_type = request.headers.get("content-type", "")
     kind, options = parse_options_header(content_type)
     if kind != b"multipart/form-data" or not 0 < len(options.get(b"boundary", b"")) <= 200:
@@ -179,15 +182,15 @@ async def receive_form(request: Request, settings: SubmissionSettings) -> FormDa
 
 
 def texts_of(form: FormData) -> dict[str, str]:
-    """The fields of a form that are not files, the first of each name."""
+    """Text fields of a form; of several with the same name, the first."""
     return {key: value for key, value in reversed(form.multi_items()) if isinstance(value, str)}
 
 
 def one_file(form: FormData, whole: IO[bytes]) -> IO[bytes]:
-    """The files of a form as one; several are put into an archive, `whole`, under the names that they came with, which
-    are looked at like those of any archive."""
+    """Return the files of a form as one file; several are packed into an archive, `whole`, under the names given by the
+    sender, which are checked like those of any archive. Raises Refusal."""
     parts = [part for _, part in form.multi_items() if isinstance(part, UploadFile)]
-    files = [(part.filename or "", part.file) for part in parts if part.filename or part.size]  # a choice may be empty
+    files = [(part.filename or "", part.file) for part in parts if part.filename or part.size]  # inputs may be empty
     if not files:
         raise Refusal("request", "expected a file, got none")
     if len(files) == 1:
@@ -208,7 +211,7 @@ def _first(file: IO[bytes]) -> bytes:
 
 @contextmanager
 def kept(source: IO[bytes], folder: Path) -> Iterator[Upload]:
-    """These bytes in a file of the private folder, gone at the end where nobody has taken it over."""
+    """Copy these bytes into a file in the private folder, which is deleted at the end unless it was moved away."""
     path = folder / secrets.token_hex(16)
     try:
         with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:

@@ -1,4 +1,4 @@
-"""What a site that takes submissions has beside its pages: routes to be mounted, and a dispatcher to be started."""
+"""What a site that takes submissions adds to its pages: routes to mount, and a dispatcher to start."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ __all__ = ["NEW", "TEMPLATES", "Submissions"]
 
 
 class Submissions:
-    """Of a service. `application(site, more=submissions.routes())`, then `submissions.attach(app)`.
+    """Submissions to a service as part of a site: `application(site, more=submissions.routes())`, then
+    `submissions.attach(app)`.
 
-    Requests reach it with all their bytes still to come: no middleware may read bodies before it.
+    Requests must arrive with their bodies unread: no middleware may read bodies before.
     """
 
     def __init__(self, service: Service, links: Links, workers: int | None = None, scheduler: str = "") -> None:
@@ -40,12 +41,12 @@ class Submissions:
         return NEW
 
     def routes(self) -> list[Route]:
-        """To be put before the site's own, which has /submit itself: how to submit."""
+        """Routes, to be placed before the site's own, which include /submit itself: the page on how to submit."""
         auth = Auth(self.service)
         return [*api_routes(auth), *WebForm(auth, self._links).routes()]
 
     def attach(self, app: Starlette) -> None:
-        """Score for as long as an application is up."""
+        """Score submissions for as long as an application is up."""
 
         @asynccontextmanager
         async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -56,7 +57,7 @@ class Submissions:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """Score what is queued. When it ends, what is being scored goes back into the queue."""
+        """Score queued submissions. At the end, those being scored go back into the queue."""
         self._dispatcher.start()
         try:
             yield
@@ -68,11 +69,11 @@ class Submissions:
 def open_service(
     folder: Path, truths: Iterable[str], store: RecordStore, changed: Callable[[], None] = lambda: None
 ) -> Service:
-    """The service of a private folder. truths: SPLIT=FOLDER, of hidden splits and of public ones that are kept
-    elsewhere; SPLIT is a name, or a recipe (.toml). changed: called when a record came onto the board, or off it.
+    """Open the service of a private folder. truths: SPLIT=FOLDER, for hidden splits and for public ones that are kept
+    elsewhere; SPLIT is a name, or a recipe (.toml). changed: called after a record was published or withdrawn.
 
-    Every public split is served: its estimates are scored where it is rendered here, and its results are taken.
-    Raises ResultError where a truth is missing, or of another split, or where it cannot read what is sent.
+    Every public split is served: estimates are scored if it is rendered here, and results are accepted. Raises
+    ResultError where ground truth is missing or belongs to another split, or where the service cannot read uploads.
     """
     settings = load_settings(folder)
     service = Service(settings, served_splits(truths, folder / "catalogue"), store, changed)

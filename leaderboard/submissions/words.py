@@ -1,4 +1,4 @@
-"""What a sender says of a submission, in words: checked by the client before it sends, and by the server."""
+"""The texts that describe a submission: checked by the client before it sends them, and by the server."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from oysterbench_leaderboard.submissions.refusals import Refusal
 
 @dataclass(frozen=True)
 class Form:
-    """What a sender says of a submission; track may be empty where the split has one."""
+    """A sender's description of a submission; an empty track means the split's first."""
 
     method: str
     split: str
@@ -20,7 +20,7 @@ class Form:
     summary: str = ""
 
     def check(self) -> None:
-        """Raises Refusal naming the field that no page could show."""
+        """Raises Refusal naming a field that no page could show, an empty method, or a URL that is not http(s)."""
         for key in ("method", "url", "summary"):
             check_words(key, getattr(self, key))
         if not self.method.strip():
@@ -30,7 +30,7 @@ class Form:
 
 
 def check_words(key: str, text: str) -> None:
-    """Refuse what no page could show in a line. key: of `MOST_TEXT`."""
+    """Refuse a text that no page could show in one line. key: a key of `MOST_TEXT`. Raises Refusal."""
     try:
         check_text(key, text, MOST_TEXT[key])
     except ResultError as error:

@@ -1,1 +1,1 @@
-"""The pages: from the index and some arguments to a `Page`, with no server in between."""
+"""The pages: functions from the index and some arguments to a `Page`, with no server involved."""

@@ -1,4 +1,4 @@
-"""A board: records in their order, sortable and filtered."""
+"""Page of a board: its records in order, sortable and filtered."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from oysterbench_leaderboard.vehicle import carried, lacks
 
 MOST_ROWS = 1000
 LONGEST_TEXT = 100
-"""Rows of a page and characters to look for, at most."""
+"""Maximum number of characters in a text search; MOST_ROWS is that of rows on a page."""
 
 HIDDEN = (
     "place",
@@ -47,7 +47,7 @@ HIDDEN = (
     "supersedes",
     "url",
 )
-"""Columns in CSV and JSON alone."""
+"""Columns that only CSV and JSON have."""
 
 MODE = "Online: each estimate uses only earlier data; offline: the whole sequence."
 
@@ -56,15 +56,16 @@ WORK = "The code and the paper that describes it, as given by the method."
 FAILED = "Failed runs, and sequences without an estimate."
 
 MOST_SHOWN = 5
-"""Metrics beside the one that ranks, on the page; CSV and JSON have all of them."""
+"""Number of columns of metrics shown on the page beside the ranking one; CSV and JSON have all."""
 
 STATES: tuple[State, ...] = get_args(State)
 NAMED = ("rank", "method", "team", "created", "data_set")
-"""What a board is sorted by besides its metrics."""
+"""Keys that a board can be sorted by besides its metrics."""
 
 
 def find_board(site: Site, track: str, split: str, board: str | None = None) -> BoardInfo:
-    """A board by the slugs of its address. Raises PageError naming what there is."""
+    """Find a board by the slugs of its address; the newest of the split where no id is given. Raises PageError with
+    links to those there are."""
     found = [info for info in site.index.boards() if slug(info.track) == track and slug(info.split) == split]
     for info in found:
         if info.id == board or (board is None and info.newest):
@@ -77,7 +78,7 @@ def find_board(site: Site, track: str, split: str, board: str | None = None) -> 
 
 
 def parse_query(asked: Mapping[str, Sequence[str]], size: int = 50) -> Query:
-    """What an address asks of a board; keys that are not known are passed over. Raises PageError (400)."""
+    """Parse the query in the address of a board; unknown keys are ignored. Raises PageError (400)."""
 
     def last(key: str, default: str) -> str:
         values = asked.get(key) or [default]
@@ -115,7 +116,7 @@ def parse_query(asked: Mapping[str, Sequence[str]], size: int = 50) -> Query:
 
 
 def asked_by(query: Query, size: int = 50) -> dict[str, str | list[str]]:
-    """A query as it stands in an address: only what is not as usual."""
+    """Query as the parameters of an address, without those at their defaults."""
     found: dict[str, str | list[str]] = {
         "sort": "" if query.sort == "rank" else query.sort,
         "order": "desc" if query.descending else "",
@@ -129,9 +130,9 @@ def asked_by(query: Query, size: int = 50) -> dict[str, str | list[str]]:
 
 
 def board_page(site: Site, track: str, split: str, board: str | None = None, query: Query | None = None) -> Page:
-    """A board by the slugs of its address; the newest of the split where no id is given.
+    """Page of a board, by the slugs of its address; the newest of the split where no id is given.
 
-    Raises PageError where there is none, or the query asks for what it does not have.
+    Raises PageError where there is none, or where the query asks for a column or page that it does not have.
     """
     query = query or Query()
     info = find_board(site, track, split, board)
@@ -172,13 +173,13 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
 
 
 def heats(site: Site, info: BoardInfo, rows: Sequence[Row]) -> list[Table]:
-    """Scores of the rows by sequence and by conditions, each where it says more than the board's table."""
+    """Heat maps of the rows' scores by sequence and by conditions, each only where it adds to the board's table."""
     scores = scores_of(site, info, rows)
     return [] if scores is None else [table for table in (sequences_heat(scores), classes_heat(scores)) if table]
 
 
 def _data(found: BoardPage) -> dict[str, Any]:
-    """For JSON."""
+    """Content of the page's JSON."""
     data: dict[str, Any] = plain(
         {
             "board": asdict(found.board),
@@ -197,7 +198,7 @@ def _counted(found: BoardPage) -> str:
 
 
 def _sorting(table: Table, query: Query) -> dict[str, dict[str, Any]]:
-    """Key of a column -> what a click on its heading asks for, and how it is sorted now."""
+    """Key of a column -> query that a click on its heading makes, and its present sort order."""
     found = {}
     for column in table.columns:
         if not column.sort:
@@ -212,7 +213,7 @@ def _sorting(table: Table, query: Query) -> dict[str, dict[str, Any]]:
 
 
 def board_table(site: Site, found: BoardPage, title: str) -> Table:
-    """Rank, method, score with interval, coverage beside errors, failures, tier; digests in CSV."""
+    """Table of a board: rank, method, score with interval, coverage beside errors, failures, tier; digests in CSV."""
     info, rows = found.board, found.rows
     whole = has_data_set(info, rows)
     keys = [info.metric, *(key for key in info.columns if key != info.metric)]
@@ -288,7 +289,7 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
 
 
 def _measured(row: Row, key: str) -> Cell:
-    """A metric beside the one that ranks; of a speed, its machine is told where a pointer rests."""
+    """Cell of a metric beside the ranking one; that of a speed shows its machine on hover."""
     return Cell(row.metrics.get(key), about=row.machine if key in SPEEDS else "")
 
 

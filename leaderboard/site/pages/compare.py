@@ -1,4 +1,4 @@
-"""Two records head to head: is one better, where, and by how much."""
+"""Page that compares two records head to head: whether one is better, where, and by how much."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from oysterbench_leaderboard.site.site import Site, curves_of
 from oysterbench_leaderboard.tables import machines_note
 
 PAIRED = 10
-"""First records of each newest board of which every two stand head to head where pages are files."""
+"""Number of first records of each newest board of which the exported site compares every two."""
 
 DIGEST = re.compile("[0-9a-f]{8,64}")
 
 
 @dataclass(frozen=True)
 class Side:
-    """One of those compared. label: its name where the others' are different, or else with what distinguishes them."""
+    """One of the compared records. label: its method, with what distinguishes it where others have the same name."""
 
     label: str
     row: Row
@@ -41,9 +41,9 @@ class Side:
 
 
 def compare_page(site: Site, a: str, b: str) -> Page:
-    """Two records by their digests, or two methods by their names: then on the first board that has both.
+    """Compare two records by their digests, or two methods by their names: then on the first board that has both.
 
-    Raises PageError where there are no two, or their numbers may not be set against each other.
+    Raises PageError where there are no two, or their numbers may not be compared.
     """
     rows = _find(site, a, b)
     records = [site.record(row.digest) for row in rows]
@@ -92,7 +92,7 @@ def compare_page(site: Site, a: str, b: str) -> Page:
 
 
 def _find(site: Site, a: str, b: str) -> list[Row]:
-    """The rows of the two that were asked for."""
+    """Find the rows of the two records that were asked for, on one board if possible. Raises PageError."""
     for name, value in (("a", a), ("b", b)):
         if not value.strip():
             raise PageError(f"{name}: expected a record's digest or a method, got nothing", 400, {"/": "all boards"})
@@ -114,12 +114,13 @@ def _stamp(row: Row) -> int:
 
 
 def records_of(site: Site, name: str) -> list[Row]:
-    """A record by its digest, or the current ones of a method."""
+    """Rows of a record by its digest, or of a method's current records, or of all its records where none is current.
+    Raises PageError."""
     if DIGEST.fullmatch(name):
         try:
             return [site.index.row(name)]
         except ResultError:
-            pass  # a method may be called so
+            pass  # it may be the name of a method
     name = site.methods().get(name, name)
     rows = site.index.method(name)
     current = [row for row in rows if row.state == "current"]
@@ -130,7 +131,7 @@ def records_of(site: Site, name: str) -> list[Row]:
 
 
 def labels_of(rows: Sequence[Row]) -> list[str]:
-    """Methods, with what tells those of one name apart: their teams, or else their records."""
+    """Methods, with what tells those of the same name apart: their teams, or else their records."""
     same = [[other for other in rows if other.method == row.method] for row in rows]
     teams = [len({other.team for other in several}) == len(several) for several in same]
     return [
@@ -140,13 +141,13 @@ def labels_of(rows: Sequence[Row]) -> list[str]:
 
 
 def means_of(board: Board, sides: Sequence[Side]) -> dict[str, dict[str, float]]:
-    """Label -> metric -> what it is over the sequences of the board (`MethodRuns.over`), for JSON."""
+    """Label -> metric -> its value over the sequences of the board (`MethodRuns.over`), for JSON."""
     runs = {side.label: board.runs_of(side.label) for side in sides}
     return {label: {key: of.over(key, board.sequences) for key in board.keys} for label, of in runs.items()}
 
 
 def whole_board(info: BoardInfo, sides: Sequence[Side]) -> Board:
-    """All on all sequences of the board: what one was not run on, or failed on, counts as it does there."""
+    """Board of all sides on all its sequences: those that one was not run on, or failed on, count as in the ranking."""
     named = [standing.named(side.record, side.label) for side in sides]
     everyone: list[ResultRecord] = []
     for k, own in enumerate(named):
@@ -156,7 +157,7 @@ def whole_board(info: BoardInfo, sides: Sequence[Side]) -> Board:
 
 
 def verdict(sides: Sequence[Side], whole: Comparison, metric: str) -> str:
-    """In a sentence."""
+    """State the outcome of a comparison in one sentence."""
     a, b = (side.label for side in sides)
     if not whole.interval.known:
         return f"It cannot be said which of the two is better: {whole.interval.reason}."
@@ -167,7 +168,7 @@ def verdict(sides: Sequence[Side], whole: Comparison, metric: str) -> str:
 
 
 def _compared_cells(key: str, comparison: Comparison) -> tuple[Cell, ...]:
-    """Difference of the means, interval, won / tied / lost, verdict."""
+    """Cells of a comparison: difference of the means, interval, won / tied / lost, verdict."""
     known, signed = comparison.interval.known, numbers.difference_column(key)
     kind = {"better": "best", "worse": "warn"}.get(comparison.verdict, "") if known else ""
     return (
@@ -189,7 +190,7 @@ def _compared_columns(sides: Sequence[Side]) -> tuple[Column, ...]:
 
 
 def _sequences(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:
-    """The ranking metric of both on each sequence, and coverage beside it."""
+    """Table of the ranking metric of both on each sequence, with coverage beside it."""
     keys = (info.metric, *(["coverage"] if any("coverage" in result.metrics for result in board.given) else []))
     known = [key for key in STRATA if any(key in r.conditions for r in board.given)]
     means = {key: [standing.means(board.runs_of(side.label).records, key) for side in sides] for key in keys}
@@ -216,8 +217,8 @@ def _sequences(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:
 
 
 def _metrics(board: Board, sides: Sequence[Side]) -> Table:
-    """Every metric of the track's tables that has a direction; of errors the medians over what each has not lost, and
-    the difference over what neither has."""
+    """Table of every metric in the track's tables that has a direction; for errors, the median of each over the
+    sequences that it has not lost, and the difference over those that neither has."""
     track = TRACKS[board.track]
     a, b = (board.runs_of(side.label) for side in sides)
     lost = {name for of in (a, b) for name in lost_of(of.records) or ()}
@@ -256,7 +257,7 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
 
 
 def _strata(board: Board, sides: Sequence[Side], pairs: Sequence[MethodPair]) -> Table:
-    """The ranking metric within each class of conditions."""
+    """Table of the ranking metric within each class of conditions."""
     columns: tuple[Column, ...] = (
         Column("condition", "Condition"),
         Column("class", "Class"),

@@ -1,4 +1,4 @@
-"""Three records or more side by side: scores, where they differ, and which of every two is better."""
+"""Page that compares three or more records: scores, where they differ, and which of every two is better."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from oysterbench_leaderboard.site.site import Site, curves_of
 from oysterbench_leaderboard.tables import LEADING, machines_note, role_of
 
 MOST = 50
-"""Records that one page sets against each other: every two of them."""
+"""Maximum number of records that one page compares, every two of them."""
 
 OF_TWO = ("a", "b", "difference", "pairs")
-"""Keys of the JSON that a comparison of two has alone."""
+"""Keys of the JSON that only a comparison of two has."""
 
 KINDS = {"better": "best", "worse": "warn"}
-"""What a comparison finds -> how its cell looks."""
+"""Verdict of a comparison -> kind of its cell."""
 
 
 def several_page(site: Site, names: Sequence[str]) -> Page:
-    """Records by their digests, or methods by their names: then the records on the first board that has all.
+    """Compare records by their digests, or methods by their names: then their records on the first board that has all.
 
     Raises PageError where there are too many, one is unknown, or no board has all of them.
     """
@@ -73,7 +73,7 @@ def several_page(site: Site, names: Sequence[str]) -> Page:
 
 
 def _common(site: Site, names: Sequence[str]) -> tuple[BoardInfo, list[Row]]:
-    """The first board that has all of them, and there the newest of each; the best first."""
+    """Find the first board that has all of them, and the newest record of each there, best first. Raises PageError."""
     found = [records_of(site, name) for name in names]
     for info in sorted(site.index.boards(), key=lambda info: LEADING.index(role_of(info.split))):
         here = [next((row for row in several if row.board == info.id), None) for several in found]
@@ -85,7 +85,8 @@ def _common(site: Site, names: Sequence[str]) -> tuple[BoardInfo, list[Row]]:
 
 
 def _metrics(board: Board, sides: Sequence[Side]) -> Table:
-    """A row per record: rank, and every metric of the track's tables that has a direction, over all sequences."""
+    """Table with a row per record: rank, and every metric in the track's tables that has a direction, over all
+    sequences."""
     keys = dict.fromkeys(
         column.key
         for column in (metric_column(board.metric), *STANDING_OF_TRACK[board.track], *OF_TRACK[board.track])
@@ -112,7 +113,7 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
 
 
 def _pairs(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:
-    """Whether the record of a row is better than that of a column, by how much, each with a link to both."""
+    """Table of whether the record of a row is better than that of a column, and by how much."""
     difference = numbers.difference_column(info.metric)
     columns = [Column("method", "Is this one better?"), *(Column(side.row.digest, side.label) for side in sides)]
     lines = []

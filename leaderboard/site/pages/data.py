@@ -1,4 +1,4 @@
-"""Data sets: what there is, what each sequence is like, and how to get it."""
+"""Pages of the data sets: what there is, the conditions of each sequence, and how to get it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DECIMALS = {"secchi_m": 1, "altitude_m": 2, "speed_m_s": 2, "oysters_per_m2": 0,
 
 
 def data_page(site: Site) -> Page:
-    """All data sets."""
+    """Page of all data sets."""
     columns = (
         Column("split", "Data set"),
         Column("track", "Made for"),
@@ -63,7 +63,7 @@ def data_page(site: Site) -> Page:
 
 
 def split_page(site: Site, split: str) -> Page:
-    """A data set by the slug of its name. Raises PageError naming what there is."""
+    """Page of a data set, by the slug of its name. Raises PageError with links to those there are."""
     known = all_data_sets(site)
     found = next((one for name, one in known.items() if slug(name) == split), None)
     if found is None:
@@ -93,7 +93,7 @@ def _board(info: BoardInfo) -> dict[str, Any]:
 
 
 def conditions_table(found: DataSet, like: Mapping[str, Conditions]) -> Table:
-    """What each sequence is like; conditions that no sequence has, such as waves, have no column."""
+    """Table of the conditions of each sequence; conditions that no sequence has, such as waves, have no column."""
     keys = [key for key in CONDITIONS if any(values.get(key) for values in like.values())]
     columns = (
         Column("sequence", "Sequence"),

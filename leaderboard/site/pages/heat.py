@@ -1,4 +1,4 @@
-"""Scores as heat maps: methods down, sequences or classes of conditions across."""
+"""Heat maps of scores: methods in rows, sequences or classes of conditions in columns."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from oysterbench_leaderboard.site.paths import record_path
 from oysterbench_leaderboard.site.site import Site
 
 LEVELS = 10
-"""Shades of a heat map; `style.css` has as many."""
+"""Number of shades of a heat map above the lowest, as defined in `style.css`."""
 MOST_COLUMNS = 24
-"""Sequences of a heat map: a split of more is shown by its classes alone."""
+"""Maximum number of columns: a split with more sequences is shown by its classes alone."""
 MOST_ROWS = 25
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Of the rows of a board on each of its sequences; what a record lacks counts as failed."""
+    """Scores of a board's rows on each of its sequences, where missing ones count as failed. values: digest -> sequence
+    -> score; like: sequence -> conditions."""
 
     info: BoardInfo
     rows: Sequence[Row]
@@ -32,13 +33,14 @@ class Scores:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The worst and the best; of what is better the higher, from 0 on."""
+        """Lowest and highest of the scores and 0."""
         known = [value for of in self.values.values() for value in of.values() if math.isfinite(value)] or [0.0]
         return min(0.0, *known), max(*known, 1e-12)
 
 
 def scores_of(site: Site, info: BoardInfo, rows: Sequence[Row]) -> Scores | None:
-    """Of the first rows; None where nothing is known by sequence, as on a hidden split, or there are no rows."""
+    """Scores of the first MOST_ROWS rows; None where none is known by sequence, as on a hidden split, or without
+    rows."""
     rows = rows[:MOST_ROWS]
     found = site.index.scores(row.digest for row in rows)
     failed = FAILED[info.track].get(info.metric, math.nan)
@@ -48,7 +50,8 @@ def scores_of(site: Site, info: BoardInfo, rows: Sequence[Row]) -> Scores | None
 
 
 def sequences_heat(scores: Scores) -> Table | None:
-    """A column per sequence; None where there are too many, or one alone, which the board's own table shows."""
+    """Heat map with a column per sequence; None where there are too many, or only one, which the board's own table
+    shows."""
     names = scores.info.sequences
     if not 2 <= len(names) <= MOST_COLUMNS:
         return None
@@ -59,10 +62,11 @@ def sequences_heat(scores: Scores) -> Table | None:
 
 
 def classes_heat(scores: Scores) -> Table | None:
-    """A column per class of each condition that has several: means over its sequences; None where there is none.
+    """Heat map with a column per class of each condition that has several: means over its sequences. None where there
+    are too few or too many columns.
 
-    A class of one sequence is left out where that has a column of its own (`sequences_heat`). Of what is weighed in its
-    mean, as IoU is by pixels, the sequences of a class have one vote each, which is said.
+    A class of one sequence is left out where that sequence has its own column (`sequences_heat`). For metrics with a
+    weighted mean, such as IoU by pixels, each sequence of a class has one vote here, which a note says.
     """
     columns, groups = [], []
     least = 2 if len(scores.info.sequences) <= MOST_COLUMNS else 1
@@ -116,7 +120,8 @@ def _number(column: Column) -> Column:
 
 
 def heat_kind(value: float, low: float, high: float, lower_is_better: bool = False) -> str:
-    """The class of a cell: heat-0 of 0, or of the worst, to heat-10 of the best; "below" of what is less than 0.
+    """CSS class of a cell: from heat-0 for 0, or the worst, to heat-10 for the best; "below" for values below 0, unless
+    lower is better; "soft" for no value.
 
     >>> heat_kind(0.5, 0.0, 1.0), heat_kind(-0.1, -0.2, 1.0), heat_kind(math.nan, 0.0, 1.0)
     ('heat-5', 'below', 'soft')
@@ -135,5 +140,5 @@ def _mean(values: Mapping[str, float], names: Sequence[str]) -> float:
 
 
 def _said(like: Mapping[str, object]) -> str:
-    """Of a sequence, below its name: what tells it apart, in few letters."""
+    """Short text below the name of a sequence: its class of water."""
     return str(like.get("water", "")) if like else ""

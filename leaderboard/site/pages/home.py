@@ -1,4 +1,4 @@
-"""The first page: what is measured on, with a frame of it and who leads; then all boards."""
+"""The home page: the data sets with a frame of each and their leaders, followed by all boards."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.tables import LEADING, role_of
 
 LEADERS = 5
-"""Records of a board that are shown."""
+"""Number of records shown of each board."""
 
 
 @dataclass(frozen=True)
 class Leader:
-    """A record on the first page. score: as shown."""
+    """A record on the home page. score: as shown."""
 
     rank: Cell
     row: Row
@@ -34,8 +34,8 @@ class Leader:
 
 @dataclass(frozen=True)
 class Card:
-    """A board on the first page. name: the split, with the settings of its evaluator where it is not the first of that
-    split; about: what its data is."""
+    """A board on the home page. name: the split, with the settings of the evaluator where it is not the first board of
+    that split; about: description of its data."""
 
     info: BoardInfo
     path: str
@@ -47,7 +47,8 @@ class Card:
 
 
 def home_page(site: Site) -> Page:
-    """The newest board of every split; of each track the first split as a card, the others in a line."""
+    """Home page with the newest board of every split: for each track the first split as a card, the others in a
+    line."""
     cards: dict[str, list[Card]] = {}
     lines, data = [], []
     seen: set[tuple[str, str]] = set()
@@ -80,7 +81,7 @@ def home_page(site: Site) -> Page:
 
 
 def _card(info: BoardInfo, rows: Sequence[Row], first: bool) -> Card:
-    """first: whether it is what the address of its split shows."""
+    """Card of a board. first: whether it is the board that the address of its split shows."""
     metric = metric_column(info.metric)
     axis = numbers.bars_axis([(row.low, row.high) for row in rows])
     name = "" if axis is None else f"{metric.text(axis[0])} to {metric.text(axis[1])}"
@@ -100,7 +101,7 @@ def _card(info: BoardInfo, rows: Sequence[Row], first: bool) -> Card:
 
 
 def _line(card: Card) -> TableRow:
-    """Of the table of all boards."""
+    """Row of a board in the table of all boards."""
     info, first = card.info, card.leaders[0] if card.leaders else None
     absent = Cell("", ABSENT)
     return TableRow(

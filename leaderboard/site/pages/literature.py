@@ -1,4 +1,4 @@
-"""Numbers that others reported on other data, by metric and data: tables of their own, never ranked with ours."""
+"""Page of results reported by others on other data, by metric and data: in separate tables, never ranked with ours."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from oysterbench_leaderboard.site.site import Site
 
 @dataclass(frozen=True)
 class Group:
-    """Numbers of one metric on one data, from one source. about: what is said of all of them."""
+    """Results in one metric on the same data. source: that of the first; about: what holds for all of them."""
 
     data: str
     metric: str
@@ -34,7 +34,7 @@ COLUMNS = (
 
 
 def literature_page(site: Site) -> Page:
-    """Tracks in the order of the list; of each, what was measured on the same data stands together."""
+    """Page of reported results: tracks in the order of the list, results on the same data grouped."""
     tracks = list(dict.fromkeys(one.track for one in site.literature))
     by_track = {
         numbers.track_name(track): _groups([one for one in site.literature if one.track == track]) for track in tracks
@@ -52,7 +52,7 @@ def literature_page(site: Site) -> Page:
 
 
 def _groups(of_track: Sequence[Literature]) -> list[Group]:
-    """What may be read side by side: the same metric on the same data."""
+    """Group results that may be read side by side: the same metric on the same data."""
     groups: dict[tuple[str, str], list[Literature]] = {}
     for one in of_track:
         groups.setdefault((one.data, one.metric), []).append(one)
@@ -60,8 +60,8 @@ def _groups(of_track: Sequence[Literature]) -> list[Group]:
 
 
 def _group(several: Sequence[Literature]) -> Group:
-    """Of one metric on one data; what the notes of all have in common is said once, and a source of one's own in its
-    note."""
+    """Group of results in one metric on the same data; what all notes have in common is said once, and a result's
+    differing source in its own note."""
     first = several[0]
     shared = set.intersection(*({part for part in one.note.split("; ") if part} for one in several))
     lines = []

@@ -1,4 +1,4 @@
-"""The log: what was withdrawn, put back, superseded or scored again, and why."""
+"""Page of the log: which records were withdrawn, restored, superseded or rescored, and why."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from oysterbench_leaderboard.site.site import Site
 
 
 def log_page(site: Site) -> Page:
-    """The latest first."""
+    """Page of all changes to records, latest first, and of the files that are on no board."""
     boards = {info.id: info for info in site.index.boards()}
     columns = (
         Column("created", "Date", "UTC"),

@@ -1,4 +1,4 @@
-"""A method: all that was published of it, on every board."""
+"""Page of a method: all its published records, on every board."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from oysterbench_leaderboard.site.site import Site
 
 
 def find_method(site: Site, slug: str) -> tuple[str, list[Row]]:
-    """A method's name and rows, by its slug. Raises PageError."""
+    """Find a method's name and rows by its slug. Raises PageError."""
     name = site.methods().get(slug, slug)
     try:
         rows = site.index.method(name)
@@ -29,7 +29,7 @@ def find_method(site: Site, slug: str) -> tuple[str, list[Row]]:
 
 
 def method_page(site: Site, slug: str) -> Page:
-    """Current records first, each with its rank on its board; then those that were superseded or withdrawn."""
+    """Page of a method: current records first, each with its rank on its board, then superseded and withdrawn ones."""
     name, rows = find_method(site, slug)
     boards = {info.id: info for info in site.index.boards()}
     order = {board: i for i, board in enumerate(boards)}

@@ -1,4 +1,4 @@
-"""How to submit, and what the numbers mean."""
+"""Pages on how to submit, and on what the numbers mean."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ FORMS = {
     "steering": "a CSV file for each sequence, named like it (val-01.csv): stamp_ns,yaw,pitch with the classes per "
     "image, or stamp_ns,yaw_0,...,pitch_0,... with their probabilities",
 }
-"""Track of a board -> what is sent."""
+"""Track of a board -> what to send."""
 
 
 def submit_page(site: Site) -> Page:
-    """What may be sent, and how."""
+    """Page on what can be submitted, and how."""
     columns = (
         Column("track", "Track"),
         Column("split", "Data set"),
@@ -61,7 +61,7 @@ def submit_page(site: Site) -> Page:
 
 
 def about_page(site: Site) -> Page:
-    """What rank, tie, tier, coverage and each metric mean."""
+    """Page on what rank, tie, tier, coverage and each metric mean."""
     columns = (
         Column("track", "Track"),
         Column("name", "Name"),

@@ -21,7 +21,8 @@ UNRANKED = "a place by the mean only: with so few sequences, no difference is si
 
 
 def rank_cells(rows: Sequence[Row]) -> list[Cell]:
-    """The rank of each row as `rank_text` writes it, and why it is so; no value where there are no ranks."""
+    """Cells with the rank of each row as `rank_text` writes it, and the reason; without a value where there is no
+    rank."""
     cells = []
     for row in rows:
         if row.place is None:
@@ -34,5 +35,5 @@ def rank_cells(rows: Sequence[Row]) -> list[Cell]:
 
 
 def state_mark(row: Row) -> str:
-    """What must be said of a record that is not current."""
+    """State of a record that is not current; empty for a current one."""
     return "" if row.state == "current" else row.state

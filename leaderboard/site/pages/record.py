@@ -1,4 +1,4 @@
-"""A record: all that was published of a method on a split, under an address that stays."""
+"""Page of a record: everything published of a method on a split, at a permanent address."""
 
 from __future__ import annotations
 
@@ -33,15 +33,16 @@ from oysterbench_leaderboard.tables import DATA_SET, has_data_set
 HIDDEN = "The split is hidden: most metrics are shown only as a mean, and values by sequence only in steps, if at all."
 
 NO_INTERVAL = Interval(math.nan, math.nan, "only a mean has an interval")
-"""Of a median."""
+"""Interval of a median, which has none."""
 
 LEADERS = 3
-"""First records of the board that every record may be compared with; its neighbours are offered, too."""
+"""Number of first records of the board offered for comparison with every record, besides its neighbours."""
 
 
 @dataclass(frozen=True)
 class Notes:
-    """What must be said before the numbers. withdrawn: why, and when; by: the record that superseded it."""
+    """Notes to show before the numbers. withdrawn: reason and date; by: the record that superseded it; reason: that of
+    the superseding."""
 
     withdrawn: tuple[str, str] | None
     by: Row | None
@@ -49,7 +50,7 @@ class Notes:
 
 
 def record_page(site: Site, digest: str) -> Page:
-    """A record by its digest, or the first digits of it. Raises PageError where there is none."""
+    """Page of a record, by its digest or the first digits of it. Raises PageError where there is none."""
     row = site.row(digest)
     record = site.record(row.digest)
     info = next(info for info in site.index.boards() if info.id == row.board)
@@ -104,7 +105,7 @@ def record_page(site: Site, digest: str) -> Page:
 
 
 def rivals(site: Site, info: BoardInfo, row: Row) -> list[Row]:
-    """The first records of its board and its neighbours there: whom it may be compared with."""
+    """Records offered for comparison with this one: the first of its board, and its neighbours there."""
     found = list(site.index.page(info.id, Query(size=LEADERS)).rows)
     for place in (row.place - 1, row.place + 1) if row.place is not None else ():
         if place >= 1:
@@ -121,7 +122,7 @@ def _notes(site: Site, row: Row) -> Notes:
 
 
 def _per_sequence(results: Sequence[ResultRecord], sequences: Sequence[str]) -> list[dict[str, Any]]:
-    """For JSON: means over runs of all metrics, on each sequence."""
+    """Means over runs of all metrics on each sequence, for JSON."""
     keys = list(dict.fromkeys(key for result in results for key in result.metrics))
     means = {key: standing.means(results, key) for key in keys}
     found = []
@@ -140,7 +141,7 @@ def _per_sequence(results: Sequence[ResultRecord], sequences: Sequence[str]) -> 
 
 
 def sequences_table(results: Sequence[ResultRecord], sequences: Sequence[str], title: str) -> Table:
-    """What the sequence is like, and the mean over runs of each metric of the track's tables."""
+    """Table with the mean over runs of each metric in the track's tables, and the conditions, of every sequence."""
     track = results[0].track
     keys = list(dict.fromkeys(column.key for column in OF_TRACK[track]))
     known = [key for key in STRATA if any(key in result.conditions for result in results)]
@@ -169,8 +170,8 @@ def sequences_table(results: Sequence[ResultRecord], sequences: Sequence[str], t
 
 
 def metrics_table(results: Sequence[ResultRecord], title: str, data_set: Mapping[str, Any] | None = None) -> Table:
-    """Mean, interval and spread of each metric of the track's tables, of errors the median and spread over what is not
-    lost; and what the record knows of all sequences at once."""
+    """Table with mean, interval and spread of each metric in the track's tables, for errors the median and spread over
+    sequences that are not lost; and the record's values over all sequences at once."""
     track = results[0].track
     keys = dict.fromkeys(column.key for column in (*OF_TRACK[track], *STANDING_OF_TRACK[track]))
     known = data_set or {}
@@ -215,7 +216,8 @@ def _weighed(results: Sequence[ResultRecord]) -> bool:
 
 
 def _number(values: Any, key: str) -> float | None:
-    """Of what a record holds besides its results, which nobody has checked."""
+    """Number from the unchecked part of a record that comes besides its results; None where it is missing or not a
+    number."""
     value = values.get(key) if isinstance(values, Mapping) else None
     return float(value) if isinstance(value, int | float) else None
 
@@ -251,7 +253,7 @@ def _summary_cells(
 
 
 def strata_table(results: Sequence[ResultRecord], title: str) -> Table:
-    """The ranking metric within each class of conditions, where there are several."""
+    """Table of the ranking metric within each class of conditions, where there are several."""
     board = standing.board(results)
     metric = metric_column(board.metric)
     columns = (
@@ -273,7 +275,7 @@ def strata_table(results: Sequence[ResultRecord], title: str) -> Table:
 
 
 def making(record: Record) -> dict[str, list[str]]:
-    """How the numbers came about: each distinct value once."""
+    """How the results were made: label -> distinct values, each once."""
     found: dict[str, list[str]] = {}
 
     def add(label: str, value: str) -> None:
@@ -292,6 +294,6 @@ def making(record: Record) -> dict[str, list[str]]:
 
 
 def settings_text(values: Mapping[str, Any]) -> str:
-    """Keys and values in one line; long values are cut, since the whole is in the record."""
+    """Keys and values in one line; long values are cut, since the record has them in full."""
     texts = {k: v if isinstance(v, str) else json.dumps(plain(v), ensure_ascii=False) for k, v in values.items()}
     return ", ".join(f"{k} = {v if len(v) <= 300 else v[:297] + '...'}" for k, v in texts.items())

@@ -1,4 +1,4 @@
-"""Scores against speed."""
+"""Plot of scores against speed."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from oysterbench_leaderboard.board import BoardInfo, Row
 from oysterbench_leaderboard.site.charts import Card
 
 SPEEDS = {"slam": "realtime_factor", "exploration": "steps_per_s"}
-"""Track -> the metric of its tables that says how fast a method is."""
+"""Track -> metric in its tables that measures a method's speed."""
 REAL_TIME = {"realtime_factor": 1.0}
-"""Such a metric -> what keeps up with the sensors."""
+"""Metric of speed -> value that keeps up with the sensors."""
 MOST_POINTS = 30
 AXIS = (0.01, 1000.0)
-"""Of the chart: no record stretches it. What is beyond stands at its edge, with its value."""
+"""Fixed range of the chart's speed axis. Points beyond it are drawn at its edge, with their value."""
 
 
 def speed_card(info: BoardInfo, rows: Sequence[Row]) -> Card | None:
-    """Of the rows that have both; None where fewer than three have. A record all of whose runs failed has no speed."""
+    """Plot of the rows that have both score and speed; None where fewer than three do. A record whose runs all failed
+    has no speed."""
     key = SPEEDS.get(info.track, "")
     points = []
     for row in rows[:MOST_POINTS]:

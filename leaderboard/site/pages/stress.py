@@ -1,4 +1,4 @@
-"""On a board of single disturbances: the score of the methods shown against the strength of each."""
+"""Plots for a board of single disturbances: scores of the methods shown against the strength of each disturbance."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from oysterbench_leaderboard.site import charts, standing
 from oysterbench_leaderboard.site.site import Site
 
 MOST_METHODS = 8
-"""First of a page, as many as differ by their marks."""
+"""Number of first rows of a page that are drawn: as many as there are distinct marks."""
 
 
 def stress_drawing(site: Site, info: BoardInfo, rows: Sequence[Row]) -> charts.Drawing | None:
-    """None where the split has no single disturbances, or no row is shown."""
+    """Plots for the rows of a board; None where the split has no single disturbances, or there are no rows."""
     shown = rows[:MOST_METHODS]
     if not shown or not site.has_disturbances(info.id, shown[0].digest):
         return None
@@ -32,5 +32,5 @@ def stress_drawing(site: Site, info: BoardInfo, rows: Sequence[Row]) -> charts.D
     if group is None:
         return None
     about = "0 is the calm dive. Medians over the runs; failures score 0."
-    cards = tuple(charts.Card(card.title, Markup(card.svg)) for card in group.cards)  # escaped where they are drawn
+    cards = tuple(charts.Card(card.title, Markup(card.svg)) for card in group.cards)  # escaped when drawn
     return charts.Drawing(group.heading, about, charts.legend(list(group.legend), truth=False), cards)

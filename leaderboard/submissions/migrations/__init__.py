@@ -1,9 +1,9 @@
-"""How the database of submissions came to its tables, step by step: alembic's, one file of `versions/` for each.
+"""Migrations of the submission database with alembic, one file in `versions/` per step.
 
-Whatever opens the database takes it to the newest step first, all steps in one transaction: after an upgrade of
-oysterbench, the next start is enough, and a copy from `oysterbench leaderboard submissions backup` is the way back.
-A change of `database.metadata` needs a step more, which names the last one as `down_revision`; a test compares the two.
-The board's index needs none, as it is made anew from the records (`oysterbench leaderboard rebuild`).
+Opening the database first upgrades it to the newest step, all steps in one transaction: after an upgrade of
+oysterbench, a restart is enough. The way back is a copy from `oysterbench leaderboard submissions backup`. A change of
+`database.metadata` needs a further step, which names the last one as `down_revision`; a test compares the two. The
+board's index needs no migrations, as it is rebuilt from the records (`oysterbench leaderboard rebuild`).
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from alembic.config import Config
 from sqlalchemy import Connection, text
 
 LOCK = 0x7375_626D_6974
-"""The advisory lock of PostgreSQL under which one process upgrades, and the others wait."""
+"""Key of the PostgreSQL advisory lock under which one process upgrades while the others wait."""
 
 
 def upgrade(connection: Connection, revision: str = "head") -> None:
-    """Take a database to a revision, in the transaction of the connection. Raises alembic's CommandError where it is of
-    a later version than this one knows."""
+    """Upgrade a database to a revision, in the transaction of the connection. Raises alembic's CommandError where it
+    was made by a later version than this one."""
     if connection.dialect.name == "postgresql":
         connection.execute(text(f"SELECT pg_advisory_xact_lock({LOCK})"))
     config = Config(attributes={"connection": connection})

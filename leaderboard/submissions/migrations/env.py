@@ -1,4 +1,4 @@
-"""What alembic runs for every command: over the connection that it was given, in the transaction of that one."""
+"""Script that alembic runs for every command, on the connection that it was given and in its transaction."""
 
 from __future__ import annotations
 

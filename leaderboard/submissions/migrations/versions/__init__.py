@@ -1,1 +1,1 @@
-"""The steps, named in their order."""
+"""The migration steps, named in their order."""

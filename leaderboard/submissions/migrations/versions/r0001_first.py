@@ -1,4 +1,4 @@
-"""The first tables, which may be there already: before there were steps, each start made what was absent."""
+"""The first tables, which may exist already: before there were migrations, each start created what was missing."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ revision, down_revision = "0001", None
 
 
 def upgrade() -> None:
-    """Teams and their tokens, sessions of the form, submissions, the log of events."""
+    """Create the tables of teams and their tokens, sessions of the form, submissions, and the log of events."""
 
     def text(name: str, length: int, nullable: bool = False, **options: Any) -> sa.Column[str]:
         return sa.Column(name, sa.String(length), nullable=nullable, **options)

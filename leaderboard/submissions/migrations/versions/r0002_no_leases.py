@@ -1,4 +1,4 @@
-"""Scorings have no lease any more: what a dispatcher that is gone had begun is known by that."""
+"""Scorings no longer have a lease: a dispatcher that takes over finds what its predecessor had started by its state."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ revision, down_revision = "0002", "0001"
 
 
 def upgrade() -> None:
-    """Drop the column."""
+    """Drop the column `lease`."""
     op.drop_column("submissions", "lease")
