@@ -1,4 +1,4 @@
-"""Checks a built site, offline: every link and anchor leads somewhere, and no page loads anything from outside.
+"""Check of a built site, offline: every link and anchor leads somewhere, and no page loads anything from outside.
 
 python -m docs.check build/docs
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "video": "src", "link": "href"}
-"""Elements by which a page loads something, and the attribute that says what."""
+"""Elements that load something, and the attribute that names it."""
 
 LINK_RELATIONS_THAT_LOAD = {"stylesheet", "icon", "preload", "manifest", "modulepreload"}
 HOST = re.compile(r"([\w-]+\.)+[a-z]{2,}|localhost(:\d+)?|[\d.]+(:\d+)?", re.I)
@@ -22,7 +22,7 @@ HOST = re.compile(r"([\w-]+\.)+[a-z]{2,}|localhost(:\d+)?|[\d.]+(:\d+)?", re.I)
 
 @dataclass
 class Page(HTMLParser):
-    """What a page links to, loads, and can be linked to."""
+    """Parser of a page: collects its links, what it loads, and its anchors."""
 
     links: list[str] = field(default_factory=list)
     loads: list[str] = field(default_factory=list)
@@ -43,7 +43,7 @@ class Page(HTMLParser):
 
 
 def problems(site: Path) -> Iterator[str]:
-    """One line for each dead link and each thing that is loaded from outside."""
+    """Iterate over problems, one line for each dead link and each external resource that is loaded."""
     pages = {path.resolve(): _read(path) for path in sorted(site.rglob("*.html"))}
     for path, page in pages.items():
         place = path.relative_to(site.resolve())
@@ -59,7 +59,7 @@ def _read(path: Path) -> Page:
 
 
 def _problem(target: str, path: Path, pages: dict[Path, Page], site: Path, loads: bool) -> str:
-    """What is wrong with a link, or nothing."""
+    """What is wrong with a link; empty if nothing is."""
     parts = urlsplit(target)
     if parts.scheme in ("data", "mailto", "javascript"):
         return ""
@@ -83,7 +83,7 @@ def _problem(target: str, path: Path, pages: dict[Path, Page], site: Path, loads
 
 
 def main(site: Path) -> int:
-    """Print what is wrong; 1 if anything is."""
+    """Print all problems; return 1 if there are any, else 0."""
     found = list(problems(site))
     print("\n".join(found) or f"{site}: every link leads somewhere, and nothing is loaded from outside", flush=True)
     return 1 if found else 0

@@ -1,4 +1,4 @@
-"""A griffe extension, which mkdocstrings loads: docstrings as Markdown."""
+"""Griffe extension, loaded by mkdocstrings, that converts docstrings to Markdown."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from docs.generate.docstrings import as_markdown
 
 
 class Layout(griffe.Extension):
-    """Applies `as_markdown` to every docstring."""
+    """Extension that applies `as_markdown` to every docstring."""
 
     def on_instance(self, *, obj: griffe.Object, **_: Any) -> None:
         if obj.docstring:

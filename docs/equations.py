@@ -11,7 +11,7 @@ _ARITHMATEX = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]<
 
 
 def with_mathml(page: str) -> str:
-    """HTML of a page with its TeX, as pymdownx.arithmatex marks it, turned into MathML."""
+    """Convert the TeX in the HTML of a page, as marked by pymdownx.arithmatex, to MathML."""
 
     def turned(match: re.Match[str]) -> str:
         _, opening, tex = match.groups()

@@ -1,4 +1,4 @@
-"""What MkDocs calls while it builds: generated pages, pages of the repository's folders, links, and equations."""
+"""MkDocs hooks: generated pages, pages from the repository's folders, links, and equations."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Links as the site has them."""
+    """Convert links to those of the site."""
     return site_links(markdown, page.file.src_uri, lambda path: None)
 
 
 def on_page_content(content: str, **_: Any) -> str:
-    """Equations that need no script."""
+    """Convert equations to MathML, which needs no script."""
     return with_mathml(content)

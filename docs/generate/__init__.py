@@ -1,4 +1,4 @@
-"""Pages of the site that are made from the code when it is built, so that none can fall behind it."""
+"""Pages of the site that are generated from the code at build time, so that they are never out of date."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from docs.generate.versions import versions_page
 
 
 def generated_pages() -> dict[str, str]:
-    """Place in the site -> its Markdown, of every page that is made from the code."""
+    """Place in the site -> Markdown, for every page that is generated from the code."""
     return {
         "reference/commands.md": commands_page(),
         "reference/recipe.md": recipe_page(),

@@ -22,5 +22,5 @@ MODULES = {
 
 
 def api_pages() -> dict[str, str]:
-    """Place in the site -> Markdown, of the reference of each public module."""
+    """Place in the site -> Markdown, for the reference of each public module."""
     return {f"reference/{place}": f"# {title}\n\n::: {module}\n" for place, (module, title) in MODULES.items()}

@@ -1,4 +1,4 @@
-"""How to cite: CITATION.cff as BibTeX, and what else to name."""
+"""The page on how to cite: CITATION.cff as BibTeX, and what else to name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every command and each of its options, from the click commands themselves."""
+"""The page of all commands and their options, from the click commands themselves."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import click
 
 from docs.generate.markdown import code, fence, table
 
-WIDTH = 100  # characters, of what is laid out as in a terminal
+WIDTH = 100  # characters, of text that is laid out as in a terminal
 
 HEAD = """# Commands
 
@@ -22,7 +22,7 @@ Every command takes `--help`, which prints the same text as here. Data goes to s
 
 
 def all_commands() -> list[click.Context]:
-    """The context of every command that the installation has, those of entry points included, in order."""
+    """Contexts of all commands of the installation, including those from entry points, in order."""
     from oysterbench.cli.main import main
 
     return list(_below(click.Context(main, info_name="oysterbench", max_content_width=WIDTH)))
@@ -64,7 +64,7 @@ def _row(context: click.Context, item: click.Parameter) -> tuple[str, str]:
 
 
 def _paragraph(text: str) -> str:
-    """A paragraph of a help text; one that click is told not to wrap is a heading over a block of code."""
+    """Convert a paragraph of a help text; one that click must not wrap is a heading followed by a block of code."""
     if not text.startswith("\b"):
         return _plain(" ".join(text.split())) + "\n"
     first, _, rest = text.removeprefix("\b").lstrip("\n").partition("\n")
@@ -74,7 +74,7 @@ def _paragraph(text: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text in which nothing but code is marked up."""
+    """Escape text so that only code is marked up."""
     return "".join(
         piece if piece.startswith("`") else re.sub(r"([\\*_\[\]<>#])", r"\\\1", piece)
         for piece in re.split(r"(`[^`]*`)", text)

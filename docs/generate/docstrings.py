@@ -1,4 +1,4 @@
-"""What docstrings mean by their layout, as Markdown: examples outside of a section, and lists of fields."""
+"""Conversion of the layout of docstrings to Markdown: examples outside of a section, and lists of fields."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _COLUMN = re.compile(r"^(\w[\w. ]*?) {2,}(?=\S)", re.M)
 
 
 def as_markdown(docstring: str) -> str:
-    """A docstring with its loose examples in fences and its lists of fields as lists; its sections are left as is."""
+    """Convert a docstring: examples outside of sections become fenced, lists of fields become lists; sections stay."""
     section = _SECTION.search(docstring)
     end = section.start() if section else len(docstring)
     return "\n\n".join(map(_paragraph, docstring[:end].split("\n\n"))) + docstring[end:]

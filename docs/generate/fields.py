@@ -1,4 +1,4 @@
-"""The fields of a dataclass with what the source says of each: the comment behind or above it, or the text below."""
+"""Fields of a dataclass with their documentation in the source: comments after or above them, or the string below."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Told:
-    """A field, and what its source says of it; empty where it says nothing."""
+    """A field and its documentation in the source; empty if there is none."""
 
     field: dataclasses.Field[Any]
     text: str
 
 
 def told_fields(kind: type) -> list[Told]:
-    """The fields of a dataclass, those that it inherits included, in their order."""
+    """Fields of a dataclass, including inherited ones, in order."""
     texts: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         if dataclasses.is_dataclass(base):
-            # A field that only narrows what it inherits keeps its text.
+            # A field that only narrows the inherited one keeps its text.
             texts |= {name: text for name, text in _texts(base).items() if text or name not in texts}
     return [Told(field, texts.get(field.name, "")) for field in dataclasses.fields(kind)]
 
 
 @functools.cache
 def _texts(kind: type) -> dict[str, str]:
-    """Field -> text, of the fields that a class itself defines."""
+    """Field -> text, for the fields that the class itself defines."""
     source = inspect.getsource(kind)
     comments = _comments(source)
     (definition,) = ast.parse(source).body
@@ -48,7 +48,7 @@ def _texts(kind: type) -> dict[str, str]:
 
 
 def _comments(source: str) -> dict[int, str]:
-    """Line -> its comment."""
+    """Line number -> comment."""
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
     return {token.start[0]: token.string.lstrip("# ") for token in tokens if token.type == tokenize.COMMENT}
 
@@ -61,7 +61,7 @@ def _block_above(comments: dict[int, str], line: int) -> str:
 
 
 def _text_of(statement: ast.stmt | None) -> str:
-    """The string that stands as a statement of its own, as one line."""
+    """Text of a string that is a statement of its own, on one line; else empty."""
     if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant):
         return " ".join(str(statement.value.value).split())
     return ""

@@ -1,4 +1,4 @@
-"""Pieces of Markdown that the generated pages are made of."""
+"""Markdown elements that the generated pages are made of."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table; cells are Markdown of one line, in which a bar is written as an entity."""
+    """Write a table; cells are Markdown on one line, in which a bar is written as an entity."""
     lines = [headings, ["---"] * len(headings), *rows]
     return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines) + "\n"
 
@@ -16,10 +16,10 @@ def _cell(text: str) -> str:
 
 
 def code(text: object) -> str:
-    """Text as code within a line."""
+    """Write text as inline code."""
     return f"`{text}`"
 
 
 def fence(text: str, language: str = "text") -> str:
-    """Text as a block of code."""
+    """Write text as a block of code."""
     return f"```{language}\n{text}\n```\n"

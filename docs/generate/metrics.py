@@ -1,4 +1,4 @@
-"""Every metric of every track, from the tables by which results are checked and shown."""
+"""The page of all metrics of all tracks, from the tables that results are checked and shown with."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every key of a recipe and of a rig, from the dataclasses that read them."""
+"""Pages of all keys of a recipe and of a rig, from the dataclasses that read them."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def rig_page() -> str:
 
 
 def recipe_tables(kind: type, prefix: str = "") -> Iterator[tuple[str, type]]:
-    """Name of each table of a split's file -> the dataclass that reads it, the rig's left out."""
+    """Name of each table of a split file, and the dataclass that reads it; without the rig."""
     yield prefix, kind
     for told in told_fields(kind):
         inner = _table_of(typing.get_type_hints(kind)[told.field.name])
@@ -84,14 +84,14 @@ def _row(told: Told, hint: Any) -> tuple[str, ...]:
 
 
 def _bare(hint: Any) -> Any:
-    """A type without the None of what may be left out."""
+    """Type without the None of an optional field."""
     if isinstance(hint, types.UnionType):
         return next(kind for kind in typing.get_args(hint) if kind is not type(None))
     return hint
 
 
 def _table_of(hint: Any) -> type | None:
-    """The dataclass of a table, or of a list of tables."""
+    """Dataclass of a table, or of the tables of a list; None for other types."""
     hint = _bare(hint)
     if typing.get_origin(hint) is tuple:
         hint = typing.get_args(hint)[0]

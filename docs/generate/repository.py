@@ -1,7 +1,7 @@
-"""Pages that the site takes from the repository as they are: READMEs of its folders, data card, changelog.
+"""Pages that the site takes unchanged from the repository: READMEs of its folders, data card, changelog.
 
-The site has them at the paths that they have in the repository, so that links between them hold in both. What lies in
-`docs/` is at the root of the site.
+They have the same paths in the site as in the repository, so that links between them work in both. The contents of
+`docs/` are at the root of the site.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ ROOT = Path(__file__).parents[2]
 SINGLE = ("CHANGELOG.md", "CONTRIBUTING.md", "datasets/DATA_CARD.md")
 ROOMS = ("oysterbench", "datasets", "baselines", "leaderboard", "containers", "notebooks")
 FILES = (".toml", ".jpg", ".png", ".cff", ".yaml", ".conf", ".ipynb", "Caddyfile", "Containerfile", "LICENSE")
-"""What a link may lead to besides pages, and is copied into the site. Links to anything else become its path."""
+"""Endings of files that links may lead to besides pages, and that are copied into the site. A link to anything else is
+replaced by the path."""
 
 _LINK_OR_CODE = re.compile(
     r"^```.*?^```|(?P<picture>!?)\[(?P<text>(?:[^\[\]]|\[[^\]]*\])*)\]\((?P<target>[^()\s]+)\)|`[^`\n]*`", re.M | re.S
@@ -24,7 +25,7 @@ _LINK_OR_CODE = re.compile(
 
 
 def repository_pages() -> dict[str, Path]:
-    """Place in the site -> file, of the pages that are taken as they are."""
+    """Place in the site -> file, for the pages that are taken unchanged."""
     found = {name: ROOT / name for name in SINGLE}
     for room in ROOMS:
         for path in sorted((ROOT / room).rglob("README.md")):
@@ -33,9 +34,9 @@ def repository_pages() -> dict[str, Path]:
 
 
 def site_links(markdown: str, place: str, add_file: Callable[[str], None]) -> str:
-    """A page with the links that it has in the repository turned into those of the site.
+    """Convert the links of a page from those of the repository to those of the site.
 
-    place: of the page in the site. add_file: is told the path in the repository of each file that the site needs.
+    place: of the page in the site. add_file: called with the path in the repository of each file that the site needs.
     """
     pages = repository_pages()
     source = place if place in pages else f"docs/{place}"
@@ -49,7 +50,7 @@ def site_links(markdown: str, place: str, add_file: Callable[[str], None]) -> st
         path = posixpath.normpath(posixpath.join(posixpath.dirname(source), parts.path))
         inside = _place_of(path, pages)
         if inside is None and not (ROOT / path).exists():
-            return match.group()  # of a page that is generated, or dead: the check of links tells
+            return match.group()  # to a generated page, or dead: the link check will tell
         if inside is None:
             return f"{text} (`{path}`)" if text.strip("`") != path else f"`{path}`"
         if inside.endswith(FILES):
@@ -61,7 +62,7 @@ def site_links(markdown: str, place: str, add_file: Callable[[str], None]) -> st
 
 
 def _place_of(path: str, pages: dict[str, Path]) -> str | None:
-    """Where the site has a file of the repository, or None where it has not."""
+    """Place in the site of a file of the repository; None if the site does not have it."""
     if path == "README.md":
         return "index.md"
     if path.startswith("docs/"):

@@ -1,4 +1,4 @@
-"""Every split with its length and what rendering takes, from the recipes and the estimate of `oysterbench splits`."""
+"""The page of all splits with size and rendering cost, from the recipes and the estimate of `oysterbench splits`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ rendering, as estimated by `oysterbench splits SPLIT`. What each is for and what
 
 @dataclass(frozen=True)
 class SplitFacts:
-    """What a recipe says of the size of its split; cpu_h: estimated processor time of rendering it, h."""
+    """Size of a split according to its recipe; cpu_h: estimated CPU time of rendering it, h."""
 
     name: str
     version: str
@@ -31,7 +31,7 @@ class SplitFacts:
 
 
 def split_facts() -> list[SplitFacts]:
-    """Of every split that comes along, in the order of their names."""
+    """Facts of all included splits, in order of name."""
     from oysterbench.recipe import count, load_split, split_names
     from oysterbench.simulation import cost
 

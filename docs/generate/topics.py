@@ -1,4 +1,4 @@
-"""Every topic of a sequence file, and how it is read, from the kinds of sensor and the topics of the ground truth."""
+"""The page of all topics of a sequence file and their readers, from the sensor kinds and the ground-truth topics."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ sensors that the rig lacks are absent. Topics marked as ground truth are never g
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a file: its name, with NAME for that of the sensor, its ROS type, whose it is, how `Sequence` reads
-    it, and whether only a simulation knows it."""
+    """A topic of a file: its name, with NAME for that of the sensor, its ROS type, the sensor that it belongs to, how
+    `Sequence` reads it, and whether it is ground truth."""
 
     name: str
     type: str
@@ -29,7 +29,7 @@ class Topic:
 
 
 def all_topics() -> Iterator[Topic]:
-    """Every topic that a sequence file may have."""
+    """Iterate over all topics that a sequence file may have."""
     from oysterbench.core.ros import TF_STATIC
     from oysterbench.sensors.kind import topic
     from oysterbench.sensors.registry import sensor_kinds
@@ -58,7 +58,7 @@ def topics_page() -> str:
 
 
 def _messages() -> str:
-    """What a reader gives of each measurement."""
+    """Paragraph on the types of the measurements that readers return."""
     from oysterbench.core import measurements
 
     kinds = [

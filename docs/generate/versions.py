@@ -1,4 +1,4 @@
-"""Which versions there are at this commit, from the code: library, rendering, evaluators and splits."""
+"""The page of the versions at this commit, from the code: library, rendering, evaluators and splits."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ def network():
 
 
 def prepared(image):
-    """(3, H, W) uint8 to every eighth pixel, colours about their mean."""
+    """Take every eighth pixel of an image (3, H, W) uint8, each channel with mean 0 and standard deviation 1."""
     small = image[:, ::8, ::8].float()
     return (small - small.mean(dim=(1, 2), keepdim=True)) / small.std(dim=(1, 2), keepdim=True)
 

@@ -1,1 +1,1 @@
-"""Exploring a reef by commands of yaw and pitch: rollouts of policies, and what they are compared with."""
+"""Exploration of a reef by yaw and pitch commands: rollouts of policies, and the references they are compared with."""

@@ -1,4 +1,4 @@
-"""Labelled pictures: what the front camera saw, how the vehicle was, and what the expert commands there."""
+"""Labelled images: what the front camera saw, the state of the vehicle, and the expert's command there."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ COLUMNS = ("stamp_ns", "yaw", "pitch", "heading_rad", "pitch_rad", "depth_m", "a
 
 @dataclass(frozen=True)
 class LabelledViews:
-    """A sequence with labels. table: of `Sequence.steering`, a row for each picture of `camera`, in their order."""
+    """A sequence with steering labels. table: from `Sequence.steering`, a row for each image of `camera`, in order."""
 
     sequence: Sequence
     camera: str
@@ -34,11 +34,11 @@ class LabelledViews:
 
     @property
     def name(self) -> str:
-        """Of the sequence."""
+        """Name of the sequence."""
         return self.sequence.name
 
     def views(self) -> Iterator[View]:
-        """In time order."""
+        """Iterate over the views in time order. Raises LabelError where labels and images do not match."""
         stamps = self.table["stamp_ns"].to_numpy()
         states = self.table[list(COLUMNS[3:])].to_numpy(dtype=float)
         times = (stamps - stamps[:1]) * 1e-9
@@ -54,12 +54,12 @@ class LabelledViews:
             raise LabelError(f"{self.name}: {len(stamps)} labels, and only {k + 1} pictures of {self.camera}")
 
     def name_of(self, k: int) -> str:
-        """Of view k."""
+        """Name of view k."""
         return f"{self.name}/{self.camera}/{self.table['stamp_ns'].iloc[k]}"
 
     @cached_property
     def labels(self) -> Labels:
-        """Of all pictures."""
+        """Labels of all images."""
         y, p = len(self.task.yaw_deg), len(self.task.pitch_deg)
         keys = [f"value_{i}_{j}" for i in range(y) for j in range(p)]
         values = self.table[keys].to_numpy(dtype=float).reshape(-1, y, p)
@@ -67,7 +67,7 @@ class LabelledViews:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of stamps, classes and values."""
+        """SHA-256 of stamps, classes and action values."""
         found = hashlib.sha256(self.table["stamp_ns"].to_numpy(dtype="<i8").tobytes())
         found.update(self.labels.classes.astype("<i8").tobytes())
         found.update(self.labels.action_values.astype("<f8").tobytes())
@@ -75,9 +75,9 @@ class LabelledViews:
 
 
 def labelled_views(path: Path, task: SteeringRecipe) -> LabelledViews:
-    """The labelled pictures of a sequence file.
+    """Open the labelled images of a sequence file.
 
-    Raises LabelError where it has no labels, or labels of another task.
+    Raises LabelError where it has no labels, labels of another task, or no camera.
     """
     sequence = open_sequence(path)
     try:

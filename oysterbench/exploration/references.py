@@ -1,6 +1,6 @@
-"""References that every policy is compared with: the expert, a lawnmower survey and a random walk.
+"""Reference policies that every policy is compared with: the expert, a lawnmower survey and a random walk.
 
-They know the truth: the lawnmower its place, all of them their altitude over the bottom ahead.
+They know the ground truth: the lawnmower its position, all of them the altitude over the bottom ahead.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from oysterbench.simulation.steering.vehicle import nearest_class, turns
 
 REFERENCES = ("expert", "lawnmower", "random")
 
-LOOKAHEAD_M = 0.8  # of the survey's pursuit of its line
-MARGIN_M = 0.4  # of the survey's ends from the fence
-HELD_STEPS = (2, 6)  # of the random walk's turns: at least, and below
+LOOKAHEAD_M = 0.8  # distance along its line at which the survey aims
+MARGIN_M = 0.4  # distance of the ends of the survey's lanes from the fence
+HELD_STEPS = (2, 6)  # duration of the random walk's turns: minimum, and upper bound (exclusive)
 
 Command = Callable[[Array, NDArray[np.bool_]], tuple[int, int]]
-"""Classes of yaw and pitch at a state (5,), when these oysters (N,) were seen."""
+"""Returns the classes of yaw and pitch for a state (5,), given which oysters (N,) were found so far."""
 
 
 def reference(name: str, site: Site, state: Array, streams: Streams) -> Command:
-    """A policy of REFERENCES for a rollout that begins at a state."""
+    """Make a policy of REFERENCES for a rollout that starts at a state (5,). Raises ValueError for another name."""
     match name:
         case "expert":
             return Expert(site).command
@@ -39,15 +39,15 @@ def reference(name: str, site: Site, state: Array, streams: Streams) -> Command:
 
 
 def swath(site: Site) -> float:
-    """Width of bottom, m, that pictures from the middle of the altitude band show within range."""
+    """Width of the bottom, m, that images from the middle of the altitude band show within range."""
     height = 0.5 * sum(site.task.altitude_m)
     reach = np.sqrt(max(site.range_m**2 - height**2, 0.0))
-    # Between the picture's sides, at the range where these and the circle of what is near enough meet.
+    # Between the sides of the image, where they meet the circle of the points within range.
     return float(2 * reach * np.sin(np.arctan(site.slopes[0])))
 
 
 def lawnmower(site: Site, state: Array) -> Command:
-    """A survey in lanes as far apart as a picture is wide, from the corner nearest to where it begins."""
+    """Make a survey in lanes no farther apart than an image is wide, from the corner nearest to the start."""
     half = site.half_m - MARGIN_M
     lanes = max(2, int(np.ceil(2 * half / swath(site))) + 1)
     first = np.where(state[:2] < 0, -half, half)
@@ -72,7 +72,7 @@ def lawnmower(site: Site, state: Array) -> Command:
 
 
 def _passed(points: Array, leg: int, place: Array) -> bool:
-    """Whether the end of a leg is within reach, or behind."""
+    """Whether the end of a leg is within the lookahead distance, or behind."""
     away = points[leg] - place
     if np.linalg.norm(away) <= LOOKAHEAD_M:
         return True
@@ -83,7 +83,7 @@ def _passed(points: Array, leg: int, place: Array) -> bool:
 
 
 def _pursued(points: Array, leg: int, place: Array) -> Array:
-    """The point of a leg a little ahead of what is nearest to the place."""
+    """Point of a leg that is the lookahead distance ahead of the one nearest to the position (2,)."""
     if leg == 0:
         return np.asarray(points[0])
     begin, end = points[leg - 1], points[leg]
@@ -94,7 +94,7 @@ def _pursued(points: Array, leg: int, place: Array) -> Array:
 
 
 def random_walk(site: Site, generator: np.random.Generator) -> Command:
-    """Turns of any class, each kept for some steps, at a steady altitude."""
+    """Make a policy that holds random classes of yaw for some steps each, at a steady altitude."""
     yaw, _ = turns(site.task)
     held, left = 0, 0
 

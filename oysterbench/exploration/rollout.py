@@ -1,4 +1,4 @@
-"""A rollout in a closed loop: a policy commands, the vehicle moves, and what it sees next is rendered."""
+"""Closed-loop rollout: a policy commands, the vehicle moves, and its next view is rendered."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from oysterbench.simulation.steering.observation import Observation
 from oysterbench.simulation.steering.site import Site, build_site, measure_state
 from oysterbench.simulation.steering.vehicle import advance, folded, rotations, turns
 
-START_SHARE = 0.7  # of the area's half side that rollouts begin within
-CEILING_M = 0.3  # under the surface, of the vehicle's highest place
+START_SHARE = 0.7  # share of the area's half side within which rollouts start
+CEILING_M = 0.3  # minimum depth of the vehicle below the surface
 
 Progress = Callable[[int, int], None]
-"""Called with the commands done and the commands wanted."""
+"""Called with the number of commands done and the total."""
 
 TrainingExample = tuple[View, Array]
-"""A view and the action values there, as `Expert.values` has it."""
+"""A view and the action values there, from `Expert.values`."""
 
 
 def explore(
@@ -47,11 +47,11 @@ def explore(
     teacher: bool = False,
     mixture: float = 0.0,
 ) -> tuple[RolloutLog, list[TrainingExample]]:
-    """A rollout of a policy (one of REFERENCES, or a method) over the reef of a sequence.
+    """Run a policy (one of REFERENCES, or a method) over the reef of a sequence; return the log and the examples.
 
-    seconds: of the rollout, if not the task's. start: number of the place where it begins; the same for every policy.
-    teacher: also the action values of the expert at each view. mixture: share of the commands that are
-    the expert's instead of the policy's, as in the first rounds of DAgger (Ross, Gordon & Bagnell 2011).
+    seconds: length of the rollout, if not the task's. start: number of the start pose, the same for every policy.
+    teacher: whether to return the expert's action values at each view as examples. mixture: share of the commands that
+    are the expert's instead of the policy's, as in the first rounds of DAgger (Ross, Gordon & Bagnell 2011).
 
     Raises RecipeError where the split has no table [steering] or no such sequence, MethodError where the policy fails.
     """
@@ -87,8 +87,8 @@ def explore(
 
 @dataclass
 class Rollout:
-    """A rollout under path. pictures: whether the policy needs them; state (5,): as in `vehicle`; done: commands
-    carried out."""
+    """A rollout in progress. pictures: whether the policy needs images; state (5,): as in `vehicle`; done: number of
+    commands carried out."""
 
     site: Site
     reef: str
@@ -104,7 +104,7 @@ class Rollout:
         task, plan = self.site.task, self.site.simulated.recipe.path
         self._turns = turns(task)
         times = np.arange(self.steps + 1) * task.step_s
-        # Long under path: the sway has grown to its full size.
+        # As if the vehicle had been moving for long: the sway has grown to its full amplitude.
         self._sway = sway(np.asarray(times + plan.ramp_s, dtype=float), np.ones((len(times), 1)), plan, self.streams)
         self.observation = Observation(self.site)
         self.state = self._begin()
@@ -117,7 +117,7 @@ class Rollout:
         self._render_view()
 
     def _begin(self) -> Array:
-        """A place and a heading drawn in the inner area, in the middle of the altitude band, level."""
+        """Draw the start state (5,): in the inner area, any heading, in the middle of the altitude band, level."""
         generator = self.streams.generator("start")
         x, y = (2 * generator.random(2) - 1) * START_SHARE * self.site.half_m
         heading = float(generator.uniform(-np.pi, np.pi))
@@ -126,13 +126,13 @@ class Rollout:
         return np.array([x, y, max(bottom + 0.5 * sum(self.site.task.altitude_m), floor), heading, 0.0])
 
     def body(self) -> Array:
-        """T_map_base (4, 4) at this moment, with the vehicle's sway."""
+        """Current pose T_map_base (4, 4), including the vehicle's sway."""
         moved = self._sway[self.done]
         position = self.state[:3] + moved[:3]
         return transform(rotations(self.state[None])[0] @ Rotation.from_euler("ZYX", moved[3:]).as_matrix(), position)
 
     def _render_view(self) -> None:
-        """Render what can be seen from here; the truth alone for policies that need no pictures."""
+        """Render the current view; only the ground truth for policies that need no images."""
         body = self.body()
         T_map_cam = body @ self.site.mount
         renderer = self.site.simulated.renderers[self.site.camera.name]
@@ -146,12 +146,12 @@ class Rollout:
         self._covered.append(self.observation.covered)
 
     def view(self) -> View:
-        """What the policy is given now."""
+        """Current input of the policy."""
         time_s = self.done * self.site.task.step_s
         return View(f"{self.done:06d}", self._picture, measure_state(self.site, self.state), time_s)
 
     def views(self) -> Iterator[View]:
-        """A view before each command; the next one when this is carried out."""
+        """Iterate over the views, one before each command; the next once the command has been carried out."""
         while self.done < self.steps:
             yield self.view()
 
@@ -160,7 +160,7 @@ class Rollout:
         task = self.site.task
         path = advance(self.state[None], self._turns[0][[command[0]]], self._turns[1][[command[1]]], task)[0]
         path, turned = folded(path, self.site.half_m)
-        # What would touch is kept above it, as an assistance to the pilot does; the path goes on from there.
+        # Where the vehicle would touch, it is held above the bottom, as by a pilot assistance; the path goes on there.
         lifted, contact = 0.0, False
         for point in path:
             floor = float(self.site.floor(point[:1], point[1:2])[0])

@@ -1,4 +1,4 @@
-"""Finished rollouts, each kept as one file that is there whole or not at all, and is found again by what decides it."""
+"""Store of finished rollouts: one file each, written atomically, and named after everything that determines it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ARRAYS = ("states", "altitude", "commands", "seen", "contact", "turned", "covere
 
 
 def packed(log: RolloutLog) -> bytes:
-    """A rollout as .npz."""
+    """Pack a rollout as .npz."""
     plain = {f.name: getattr(log, f.name) for f in fields(RolloutLog) if f.name not in ARRAYS}
     stream = io.BytesIO()
     head = np.array(json.dumps({"format": FORMAT, **plain}))
@@ -34,14 +34,14 @@ def packed(log: RolloutLog) -> bytes:
 
 
 def unpacked(data: bytes, where: str = "rollout") -> RolloutLog:
-    """A rollout from what `packed` gave. Raises ResultError naming `where`."""
+    """Unpack a rollout from the data of `packed`. Raises ResultError naming `where`."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as held:
             head = json.loads(str(held["head"]))
             if head.pop("format") != FORMAT:
                 raise ValueError(f"expected {FORMAT}")
             return RolloutLog(**head, **{key: held[key] for key in ARRAYS})
-    except Exception as error:  # numpy, zipfile and json each have their own
+    except Exception as error:  # numpy, zipfile and json each have their own errors
         raise ResultError(
             f"{where}: not a rollout in this version's format ({type(error).__name__}: {error}); delete it, or redo it "
             "with --again"
@@ -49,19 +49,19 @@ def unpacked(data: bytes, where: str = "rollout") -> RolloutLog:
 
 
 def rollout_file(folder: Path, reef: str, policy: str, identity: Mapping[str, Any]) -> Path:
-    """Where a rollout is kept. identity: JSON values, all that decides it."""
+    """File of a rollout. identity: JSON values, everything that determines the rollout."""
     text = json.dumps(identity, sort_keys=True, default=str)
     safe = "".join(sign if sign.isalnum() or sign in "_.-" else "_" for sign in policy)
     return folder / f"{reef}-{safe}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.npz"
 
 
 def method_identity(reference: str) -> dict[str, Any]:
-    """What decides how a method steers, as far as it can be told: settings, seed, package version and the text of the
-    file that its class is in, and its trained weights. What that file imports is not known."""
+    """Identity of a method, as far as it determines how it steers: settings, seed, package versions, the text of the
+    file that defines its class, and its trained weights. What that file imports is not included."""
     method = find_method(reference)
     try:
         source = Path(inspect.getfile(type(method))).read_bytes()
-    except (OSError, TypeError):  # of no file
+    except (OSError, TypeError):  # not defined in a file
         source = b""
     weights = weights_digests(weights_of(method))
     return {
@@ -75,7 +75,7 @@ def method_identity(reference: str) -> dict[str, Any]:
 
 @cache
 def steering_source() -> str:
-    """SHA-256 of the text of what decides a rollout: the vehicle, what it sees, the expert, and the references."""
+    """SHA-256 of the source code that determines a rollout: the vehicle, what it sees, the expert, the references."""
     whole = hashlib.sha256()
     for room in ("simulation/steering", "exploration"):
         folder = resources.files("oysterbench").joinpath(room)
@@ -85,7 +85,7 @@ def steering_source() -> str:
 
 
 def read_rollout(path: Path) -> RolloutLog | None:
-    """The rollout in a file; None where there is none yet."""
+    """Read the rollout in a file; None if there is no file yet."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:

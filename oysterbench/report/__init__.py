@@ -1,4 +1,4 @@
-"""Results to read: tables for the terminal, Markdown, LaTeX and CSV, figures, and self-contained HTML pages."""
+"""Presentation of results: tables for the terminal, Markdown, LaTeX and CSV, figures, and self-contained HTML pages."""
 
 from oysterbench.report.formats import csv_text, latex_text, markdown_text, tables
 from oysterbench.report.html import html_report, write_html_report

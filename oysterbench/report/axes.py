@@ -1,4 +1,4 @@
-"""An axis of a plot: which values lie where, and which of them are named."""
+"""Axis of a plot: the positions of values, and the ticks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from oysterbench.core.geometry import Array
 
 @dataclass(frozen=True)
 class Axis:
-    """A range of values and the pixels it is drawn on (upwards the end lies before the begin); ticks by `spacing`."""
+    """A range of values and the pixels that it is drawn on (begin > end for an upward axis); spacing: between ticks,
+    px."""
 
     low: float
     high: float
@@ -20,17 +21,17 @@ class Axis:
     end: float
     spacing: float = 75.0
     logarithmic: bool = False
-    named: tuple[tuple[float, str], ...] = ()  # ticks, in place of those that spacing gives
+    named: tuple[tuple[float, str], ...] = ()  # ticks to use instead of those by spacing
 
     def place(self, values: Array | float) -> Array:
-        """Pixels of values."""
+        """Convert values to pixels."""
         low, high, values = self.low, self.high, np.asarray(values, dtype=float)
         if self.logarithmic:
             low, high, values = math.log10(low), math.log10(high), np.log10(np.maximum(values, self.low))
         return self.begin + (values - low) / (high - low) * (self.end - self.begin)
 
     def ticks(self) -> list[tuple[float, str]]:
-        """Values and labels, as many as fit."""
+        """Values and labels of the ticks, as many as fit."""
         room = abs(self.end - self.begin)
         if self.named:
             return list(self.named)

@@ -1,4 +1,4 @@
-"""A histogram as inline SVG, in the frame of the other plots."""
+"""Histogram as inline SVG, in the style of the other plots."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_BARS = 24
 
 
 def count_bins(values: Sequence[float]) -> tuple[np.ndarray[tuple[int], np.dtype[np.float64]], list[int]]:
-    """Edges (B + 1,) of bins of one whole width for counts (n,), and how many fall into each."""
+    """Edges (B + 1,) of bins of equal integer width for counts (n,), and the number of counts in each bin."""
     most = int(max(values, default=0))
     rough = (most + 1) / MOST_BARS
     steps = (factor * 10**power for power in range(12) for factor in (1, 2, 5))
@@ -26,7 +26,7 @@ def count_bins(values: Sequence[float]) -> tuple[np.ndarray[tuple[int], np.dtype
 
 
 def histogram_plot(values: Sequence[float], title: str, x_label: str, y_label: str) -> str:
-    """How many pictures have which count, of counts (n,)."""
+    """Plot a histogram of the counts (n,) of images."""
     edges, heights = count_bins(values)
     x_axis = Axis(float(edges[0]), float(edges[-1]), LEFT, LEFT + INNER)
     y_axis = Axis(0.0, 1.08 * max(heights), TOP + TALL, TOP, 40.0)
@@ -38,12 +38,12 @@ def histogram_plot(values: Sequence[float], title: str, x_label: str, y_label: s
     wide = float(edges[1] - edges[0])
     shown = nice_ticks(0.0, float(edges[-1]) - wide, 6) if edges[-1] > wide else [(0.0, "0")]
     for value, text in shown:
-        # Below the middle of a bar of one count; at the begin of one of several.
+        # Below the middle of a bar for a single count; at the start of one for several.
         x = float(x_axis.place(value + 0.5 if wide == 1 else value))
         if float(value).is_integer():
             parts.append(f'<text x="{x:.1f}" y="{bottom + 17:.1f}" text-anchor="middle">{text}</text>')
     for value, text in y_axis.ticks():
-        if float(value).is_integer():  # of pictures there are no parts
+        if float(value).is_integer():  # there are no fractions of images
             text, y = f"{value:.0f}", float(y_axis.place(value))
             parts.append(f'<path class="grid" d="M{LEFT} {y:.1f}H{right}"/>')
             parts.append(f'<text x="{LEFT - 7}" y="{y + 4.5:.1f}" text-anchor="end">{text}</text>')
@@ -64,5 +64,5 @@ def histogram_plot(values: Sequence[float], title: str, x_label: str, y_label: s
 
 
 def _span(low: float, high: float) -> str:
-    """Counts from one edge up to the next."""
+    """Text for the counts from one edge up to the next."""
     return f"{low:.0f}" if high - low == 1 else f"{low:.0f} to {high - 1:.0f}"

@@ -1,4 +1,4 @@
-"""What pages are put together from besides tables: plots in cards, with a legend, and pictures with a caption."""
+"""Building blocks of pages besides tables: plots in cards, with a legend, and images with a caption."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Card:
-    """A plot (an SVG element) in its frame, with a sentence below it."""
+    """A framed plot (an SVG element), with a sentence below it."""
 
     title: str
     svg: str
@@ -27,7 +27,7 @@ class PlotGroup:
 
 @dataclass(frozen=True)
 class Picture:
-    """A JPEG with its caption; small: what stands less large in it; about: for those who do not see it."""
+    """A JPEG with its caption; small: the part of the caption in small type; about: alternative text."""
 
     jpeg: bytes
     caption: str
@@ -36,5 +36,5 @@ class Picture:
 
     @property
     def base64(self) -> str:
-        """For an address of data."""
+        """The JPEG in base64, for a data URL."""
         return base64.b64encode(self.jpeg).decode()

@@ -1,4 +1,4 @@
-"""The columns of tables: each metric's as its definition says, and those of names."""
+"""Columns of tables: those of metrics, made from their definitions, and those of names."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.report.table import Column
 
 UNITS = {"x": "\N{MULTIPLICATION SIGN} real time"}
-"""Second line of a narrow heading -> the unit that it stands for, where that is not the metric's own."""
+"""Second line of a narrow heading -> the unit that it stands for, if that is not the metric's own."""
 
 
 def metric_column(key: str, sort: bool = False, track: str = "") -> Column:
-    """The column of a metric; sort: whether an address may ask for the order of its values; track: whose it is."""
+    """Column of a metric of a track; sort: whether a URL may ask to sort by it."""
     metric = find_metric(key, track) or Metric("This version has no definition of it.", key)
     unit = metric.unit or ("%" if metric.factor == 100.0 else UNITS.get(metric.narrow[1], ""))
     return Column(
@@ -35,12 +35,12 @@ def metric_column(key: str, sort: bool = False, track: str = "") -> Column:
 
 
 def metric_columns(keys: Iterable[str], track: str = "") -> tuple[Column, ...]:
-    """Those of several metrics."""
+    """Columns of several metrics."""
     return tuple(metric_column(key, track=track) for key in keys)
 
 
 def standing_column(key: str, track: str, sort: bool = False) -> Column:
-    """The column of what a metric is over sequences: its mean, or of an error its median, as the heading then says."""
+    """Column of a metric aggregated over sequences: the mean or, for an error, the median, as the heading then says."""
     column = metric_column(key, sort, track)
     if key not in TRACKS[track].errors:
         return column
@@ -52,13 +52,13 @@ def standing_column(key: str, track: str, sort: bool = False) -> Column:
 
 
 def lost_column(track: str, sequences: int, sort: str = "") -> Column:
-    """How many of so many sequences a method lost."""
+    """Column of the number of sequences that a method lost, out of `sequences`."""
     about = f"Sequences with a score below {TRACKS[track].lost_below:g}: no estimate, or one that went astray."
     return Column("lost", "Lost", f"of {sequences}", "number", "lost", better="lower", about=about, sort=sort)
 
 
 def lost_note(track: str) -> str:
-    """What must be said of a table with such columns; empty where the track has no such thing."""
+    """Note for a table with such columns; empty if the track does not define lost sequences."""
     least = TRACKS[track].lost_below if track in TRACKS else None
     if least is None:
         return ""
@@ -66,17 +66,17 @@ def lost_note(track: str) -> str:
 
 
 def name_columns(*keys: str) -> tuple[Column, ...]:
-    """Columns of text, each headed by its key."""
+    """Text columns, each headed by its key."""
     return tuple(Column(key, key.replace("_", " ").capitalize(), short=key.replace("_", " ")) for key in keys)
 
 
 OF_TRACK = {name: metric_columns(track.table, name) for name, track in TRACKS.items()}
-"""Track -> columns of its results."""
+"""Track -> columns of its results table."""
 
 COSTS_OF_TRACK = {name: metric_columns(track.costs, name) for name, track in TRACKS.items()}
-"""Track -> columns of what its runs cost."""
+"""Track -> columns of the cost of its runs."""
 
 STANDING_OF_TRACK = {
     name: tuple(standing_column(key, name) for key in track.standing) for name, track in TRACKS.items()
 }
-"""Track -> columns of its standings, beside the metric that ranks."""
+"""Track -> columns of its standings, beside the ranking metric."""

@@ -1,4 +1,4 @@
-"""Errors along each axis over time: of the position in the map, of the attitude in the body."""
+"""Errors along each axis over time: of the position in the map frame, of the attitude in the body frame."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from oysterbench.report.plots import Curve, broken, signed_plot, thin
 TIME = "time since start [s]"
 POSITION = ("east x", "north y", "up z")
 UNKNOWN = ("x", "y", "up z")
-"""Of a sequence of which nobody says where north is."""
+"""Names of the axes if it is unknown where north is."""
 ATTITUDE = ("roll", "pitch", "yaw")
 
 
 def position_errors(result: SlamResult) -> Array:
-    """(N, 3) m in `map`: matched estimate less truth."""
+    """Position errors (N, 3), m in `map`: matched estimate minus ground truth."""
     return np.asarray(result.estimate.positions - result.truth.positions, dtype=float)
 
 
 def attitude_errors_deg(result: SlamResult) -> Array:
-    """(N, 3) deg: the rotation vector that takes the true body into the estimated one, about the true body's own axes x
-    forward (roll), y left (pitch), z up (yaw); its length is the angle between them."""
+    """Attitude errors (N, 3), deg: the rotation vector from the true to the estimated body frame, in the true body's
+    axes x forward (roll), y left (pitch), z up (yaw); its length is the angle between the two."""
     from_quat = scipy.spatial.transform.Rotation.from_quat
     between = from_quat(result.truth.quaternions).inv() * from_quat(result.estimate.quaternions)
     return np.asarray(between.as_rotvec(degrees=True), dtype=float)
@@ -36,7 +36,7 @@ def attitude_errors_deg(result: SlamResult) -> Array:
 def component_cards(
     truth: Trajectory, scored: Sequence[tuple[str, SlamResult]], styles: Mapping[str, int], north: bool
 ) -> tuple[tuple[Card, ...], tuple[Card, ...]]:
-    """A row of three cards for the position, and one for the attitude. north: whether y is known to point there."""
+    """Two rows of three cards, for position and attitude. north: whether y is known to point north."""
     errors = {method: np.hstack((position_errors(of), attitude_errors_deg(of))) for method, of in scored}
     end_s = float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
     cards = []

@@ -1,4 +1,4 @@
-"""Confusion matrices of a policy: the expert's classes against the commanded ones, both axes side by side."""
+"""Confusion matrices of a policy: the expert's classes against the commanded ones, yaw and pitch side by side."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @figure_style()
 def confusion_figure(method: str, score: PictureScore, task: SteeringRecipe) -> Figure:
-    """A panel for yaw, from left to right as in the picture, and one for pitch, from up to down."""
+    """Draw a panel for yaw, from left to right as in the image, and one for pitch, from up to down."""
     figure = new_figure(f"Confusions of {method}", 13.0, 7.0)
     panels = figure.subplots(1, 2)
     for panel, axis, counts, degrees, ends in (
@@ -40,7 +40,7 @@ def confusion_figure(method: str, score: PictureScore, task: SteeringRecipe) -> 
 
 
 def _matrix(axes: Axes, counts: NDArray[np.int64], degrees: tuple[float, ...], ends: tuple[str, str]) -> None:
-    """A row for each class of the expert, a column for each that was commanded."""
+    """Draw a matrix with a row for each class of the expert and a column for each commanded class."""
     from matplotlib.patches import Rectangle
 
     total = counts.sum(axis=1)

@@ -1,4 +1,4 @@
-"""How sure methods are and how sure they may be: NEES over time and by state, and how each pose was had."""
+"""Consistency of the uncertainty that methods report: NEES over time and by state, and the source of each pose."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from oysterbench.results.records import ResultRecord
 
 TIME = "time since start [s]"
 STATES = {Health.COASTING: "coasts", Health.TRACKING: "tracks", Health.RELOCALISED: "found"}
-"""As short as the axis asks for."""
+"""Name of each state, short enough for the axis."""
 
 _KEYS = ("nees_position", "nees_rotation", "within_3sigma_position", "within_3sigma_rotation")
 _COLUMNS = (
@@ -33,9 +33,9 @@ _OF_STATE = ("share", "ate_rmse_m", "nees_position")
 
 
 def consistency_table(records: Sequence[ResultRecord]) -> Table | None:
-    """A row for each run that says how sure it is or how it had its poses; None where none does.
+    """Table with a row for each run that reports its uncertainty or the source of its poses; None if none does.
 
-    Of the states, those that occur have columns: their share, and error and NEES in them.
+    States that occur have columns of their own: their share, and the error and NEES in them.
     """
     known = [record for record in records if record.info.get("health") or _is_sure(record)]
     states = [one for one in _SHOWN if any(_name(one) in record.info.get("health", {}) for record in known)]
@@ -65,7 +65,7 @@ def _is_sure(record: ResultRecord) -> bool:
 
 
 def _columns(state: str) -> tuple[Column, ...]:
-    """Of a state, for each of `_OF_STATE`."""
+    """Columns of a state, one for each of `_OF_STATE`."""
     heading = state.capitalize()
     return (
         Column(f"{state}_share", heading, "% of poses", "number", digits=1, factor=100.0),
@@ -77,7 +77,7 @@ def _columns(state: str) -> tuple[Column, ...]:
 def consistency_cards(
     truth: Trajectory, scored: Sequence[tuple[str, SlamResult]], styles: Mapping[str, int]
 ) -> tuple[Card, ...]:
-    """NEES of position and of rotation over time, of the methods that say how sure they are."""
+    """Plots of the NEES of position and rotation over time, for the methods that report their uncertainty."""
     end_s = float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
     cards = []
     for part in ("position", "rotation"):
@@ -101,7 +101,8 @@ def health_cards(
     healths: Mapping[str, np.ndarray],
     styles: Mapping[str, int],
 ) -> tuple[Card, ...]:
-    """Source of each pose over time, of the methods that say so; healths: (N,) of a method's matched stamps."""
+    """Plot of the source of each pose over time, for the methods that report it; healths: method -> `Health` (N,) at
+    its matched stamps."""
     end_s = float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
     curves = []
     for method, result in scored:

@@ -1,4 +1,4 @@
-"""Counts of pictures as files: tables, a summary, annotations, a page."""
+"""Files of a count in images: tables, a summary, annotations, a page."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PAGE, PICTURES, OYSTERS, SUMMARY, COCO = "index.html", "pictures.csv", "oysters.
 
 @dataclass(frozen=True)
 class Making:
-    """How counts were made: the command, the method's identity, the settings, all for the record."""
+    """How counts were made, for the record: the command, the method's identity, the settings."""
 
     command: str
     identity: Mapping[str, Any]
@@ -36,7 +36,7 @@ class Making:
 
 
 def check_folder(store: Store, with_coco: bool = False) -> None:
-    """Raise LabelError where the folder holds files that these would overwrite, and that no count has left."""
+    """Raise LabelError where the count would overwrite files in the folder that are not from an earlier count."""
     there = [name for name in _files(with_coco) if (store.folder / name).exists()]
     if there and not store.begun and FORMAT not in _text(store.folder / SUMMARY):
         raise LabelError(
@@ -53,7 +53,7 @@ def _text(path: Path) -> str:
 
 
 def write_counts(found: Survey, counted: Counted, store: Store, making: Making, with_coco: bool = False) -> list[Path]:
-    """Write all that is said of pictures that are finished; returns the files."""
+    """Write all files of the finished images and return their paths."""
     folder = store.folder
     summary = {"format": FORMAT, **found.as_plain(), "settings": making.settings, "made_of": making.identity}
     write_atomically(folder / PICTURES, csv_of(list(picture_rows(found))).encode())
@@ -71,7 +71,7 @@ def _files(with_coco: bool) -> list[str]:
 
 
 def picture_rows(found: Survey) -> Iterator[dict[str, Any]]:
-    """A line per picture or frame, then one for each that could not be counted."""
+    """One row per image or frame, then one for each that could not be counted."""
     told = any(one.live or one.dead for one in found.pictures)
     for one in found.pictures:
         yield {
@@ -119,7 +119,7 @@ OYSTER_COLUMNS = (
 
 
 def oyster_row(picture: PictureCount, row: OysterRow) -> tuple[Any, ...]:
-    """A line of an oyster, by `OYSTER_COLUMNS`."""
+    """Row of an oyster, in the order of `OYSTER_COLUMNS`."""
     return (
         picture.name,
         _rounded(picture.time_s, 3),
@@ -138,7 +138,7 @@ def oyster_row(picture: PictureCount, row: OysterRow) -> tuple[Any, ...]:
 
 
 def _write_oysters(path: Path, store: Store, pictures: Sequence[PictureCount]) -> None:
-    """Picture by picture: of a long video there are too many oysters to hold."""
+    """Write the oysters image by image: a long video has too many to hold in memory."""
     with appearing(path) as file:
         text = io.TextIOWrapper(file, encoding="utf-8", newline="")
         lines = csv.writer(text, lineterminator="\n")

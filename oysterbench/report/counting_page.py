@@ -1,4 +1,4 @@
-"""The page of counts: what was counted, how sure that is, and what it looks like."""
+"""The HTML page of a count: what was counted, how certain it is, and what it looks like."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from oysterbench.report.plots import Curve, time_plot
 from oysterbench.report.renderers.html import FOLDER
 from oysterbench.report.table import Column, Table, TableRow
 
-SHOWN = 36  # pictures in the grid, evenly over all; those of thousands would make a page of many megabytes
-SHOWN_UNLIKE = 12  # of those that are warned of, the most unlike
-LISTED = 60  # lines of a list
-TO_LABEL = 20  # pictures that are drawn to be labelled
-SHOWN_FILMS = 6  # videos of which counts over time are drawn
+SHOWN = 36  # images in the grid, evenly over all; thousands would make a page of many megabytes
+SHOWN_UNLIKE = 12  # of the images warned about, the most unlike
+LISTED = 60  # maximum number of lines in a list
+TO_LABEL = 20  # images drawn at random for labelling
+SHOWN_FILMS = 6  # videos whose counts over time are plotted
 THUMBNAIL_PX = 480
 
 SCALES = {
@@ -40,7 +40,7 @@ SCALES = {
     "altitude": "a calibrated camera looking straight down onto a flat bottom from the given altitude",
     "quadrat": "the corners of a {size_m:g} m quadrat lying flat on the bottom",
 }
-"""Kind of a scale -> what metres come from."""
+"""Kind of scale -> where metres come from."""
 
 
 def counting_page(
@@ -52,8 +52,8 @@ def counting_page(
     settings: Mapping[str, Any],
     coco: bool = False,
 ) -> str:
-    """One HTML page; pictures and films lie beside it, in the folder of `store`, and small copies of pictures in it.
-    coco: whether annotations do, too."""
+    """Make the HTML page, which embeds small copies of images; images and films are beside it in the folder of `store`.
+    coco: whether COCO annotations are there, too."""
     unlike = found.unlike
     warned = {one.name for one in unlike}
     shown = evenly([one for one in found.pictures if one.name not in warned], SHOWN)
@@ -86,13 +86,13 @@ def counting_page(
 
 
 def evenly(pictures: Sequence[PictureCount], most: int) -> list[PictureCount]:
-    """So many of them at most, evenly over all, in their order."""
+    """Choose at most `most` of the images, evenly over all, in order."""
     places = np.unique(np.linspace(0, len(pictures) - 1, min(most, len(pictures))).round().astype(int))
     return [pictures[k] for k in places]
 
 
 def drawn(names: Sequence[str], most: int = TO_LABEL) -> list[str]:
-    """So many names at most, at random, in their order; equal names give the equal draw."""
+    """Draw at most `most` names at random, in order; the same number of names always gives the same draw."""
     chosen = stream(0, b"", "counting", "label", len(names)).permutation(len(names))[:most]
     return [names[k] for k in sorted(chosen.tolist())]
 
@@ -131,7 +131,7 @@ def _measures(found: Survey) -> Table:
 
 
 def _charts(found: Survey) -> list[Card]:
-    """How counts are spread, and how they go over the time of each video."""
+    """Charts of the distribution of counts, of the counts of images in order, and over the time of each video."""
     if not found.pictures:
         return []
     title = "Images by number of oysters"
@@ -186,7 +186,7 @@ def _film(found: Survey, store: Store, name: str, path: Path) -> dict[str, str]:
 
 
 def _colours(found: Survey) -> list[tuple[str, str]]:
-    """What outlines there are, with their colours."""
+    """Legend: colours of the outlines, with their meaning."""
     told = any(one.live or one.dead for one in found.pictures)
     kinds = {"live": "live", "dead": "dead", "unknown": "not told"} if told else {"unknown": "oyster"}
     reasons = ["its centre is outside"] * any(one.area_m2 is not None for one in found.pictures)
@@ -202,7 +202,7 @@ def _scale(settings: Mapping[str, Any]) -> str:
 
 
 def _accuracy(found: Survey) -> str:
-    """How far the method counts off on labelled pictures, in words; empty where that is not known."""
+    """Counting error of the method on labelled images, in words; empty if it is not known."""
     one = found.accuracy
     if one is None or math.isnan(one.percent):
         return ""
@@ -215,7 +215,7 @@ def _accuracy(found: Survey) -> str:
 
 
 def _making(identity: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, str]:
-    """Versions, files and settings, in a line each."""
+    """Method, versions, files and settings, one line each."""
     versions = ", ".join(f"{name} {version}" for name, version in identity.get("versions", {}).items())
     files = ", ".join(f"{name} {digest[:16]}" for name, digest in identity.get("files", {}).items())
     values = ", ".join(f"{key} = {json.dumps(value)}" for key, value in settings.items() if value is not None)

@@ -1,4 +1,4 @@
-"""What the density track shows besides the tables of every track: a map of each run."""
+"""Maps of the runs of the density track, for its report."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from oysterbench.results.records import ResultRecord
 
 @dataclass(frozen=True)
 class DensityRun:
-    """A map, scored: its record, and what was made (`density.OysterMap`), None where it failed.
+    """A scored map: its record, and the map itself (`mapping.OysterMap`), None where it failed.
 
-    panels: of its figure, by their titles, as SVG; said: count and interval, in words
+    panels: titles and SVGs of the panels of its figure; said: count and interval, in words
     """
 
     record: ResultRecord
@@ -24,7 +24,7 @@ class DensityRun:
 
 
 def map_cards(runs: Sequence[DensityRun]) -> list[tuple[Card, ...]]:
-    """The maps, sequence by sequence, those of a run side by side."""
+    """Cards of the maps, run by run, the panels of a run side by side."""
     return [
         tuple(
             Card(f"{run.record.sequence}, {run.record.method}: {title[:1].lower()}{title[1:]}", figure, run.said)

@@ -1,4 +1,4 @@
-"""The map as a figure: what was seen from above with every oyster on it, and oysters per square metre beside it."""
+"""Figure of a map: the seen ground from above with every oyster on it, and oysters per square metre beside it."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = ("#ffffcc", "#c7e9b4", "#7fcdbb", "#41b6c4", "#2c7fb8", "#253494")
-"""YlGnBu of ColorBrewer, which the colour-blind can read, and a printer in grey: light is few."""
+"""YlGnBu of ColorBrewer, which is readable for the colour-blind and in greyscale: light is few."""
 EDGES = (5.0, 15.0, 30.0, 50.0, 100.0)
-"""Live oysters per m^2 between them; 15 and 50 divide the classes of restoration."""
+"""Boundaries between them, live oysters per m^2; 15 and 50 separate the restoration classes."""
 STATES = {
     "live": ("#f7f7f7", "live"),
     "dead": ("#d95f02", "dead (boxes, single valves)"),
     "unknown": ("#ffd92f", "live or dead unknown"),
 }
-"""Of oysters: their colours and names."""
+"""State of an oyster -> its colour and name."""
 NONE = "#e5e8eb"
 DEPTHS = {
     "stereo": "depth from the stereo pair",
@@ -47,21 +47,21 @@ DEPTHS = {
     "layer": "true depth",
 }
 
-NARROW = 4.6  # the same where a panel stands by itself: it is shown as large on a telephone
+NARROW = 4.6  # inches of the longer side of a panel by itself, as wide as a phone shows it
 
 SQUARED = "\N{SUPERSCRIPT TWO}"
-MOSAIC_PX = 1200  # along the longer side
-PANEL = 7.0  # inches of the longer side of a panel
-LINE_SIZE = 12.5  # points, of the numbers below the headline
-LINE = 1.6 * LINE_SIZE / POINTS_PER_INCH  # inches
-LETTERS = 10.5  # of that size in an inch, at least
-ARROW = 20.0  # points, half of the north arrow
-TEXT_CELL = 26.0  # points of a cell's edge, from which on its number is written into it
+MOSAIC_PX = 1200  # maximum along the longer side
+PANEL = 7.0  # inches of the longer side of a panel in the figure
+LINE_SIZE = 12.5  # points, font size of the numbers below the headline
+LINE = 1.6 * LINE_SIZE / POINTS_PER_INCH  # inches, height of a line
+LETTERS = 10.5  # minimum number of letters of that size per inch
+ARROW = 20.0  # points, half the length of the north arrow
+TEXT_CELL = 26.0  # points, minimum edge of a cell for its number to be written into it
 
 
 @figure_style()
 def figure(found: OysterMap) -> Figure:
-    """The counts as headline; two panels of the same ground, +y of the path up, with scale bar, grid and legend."""
+    """Draw a map: counts as headline; two panels of the same ground, +y of the path up, scale bar, grid and legend."""
     ground = _ground(found, PANEL)
     page = 2 * max(ground.width, 4.6) + 1.0
     said = [part for line in numbers(found.total, found.grid.shares()) for part in wrap(line, int(page * LETTERS))]
@@ -76,28 +76,28 @@ def figure(found: OysterMap) -> Figure:
 
 
 def titles(found: OysterMap) -> tuple[str, str]:
-    """Of the two panels."""
+    """Titles of the two panels."""
     what = "Live oysters" if found.total.told else "Oysters, live or dead unknown,"
     return "From above, one dot per oyster", f"{what} per m{SQUARED}"
 
 
 @figure_style()
 def panels(found: OysterMap) -> tuple[Figure, Figure]:
-    """The same two panels, each by itself and without words, to be read on a narrow screen, too."""
+    """Draw the same two panels separately and without text, so that they are also readable on a narrow screen."""
     ground = _ground(found, NARROW)
     made = []
     for title, draw, room in zip(titles(found), (_seen_from_above, _density), (0.5, 0.9), strict=True):
         one = new_figure(title, max(ground.width, 3.6) + 0.4, ground.height + room)
         draw(one.subplots(), found, ground)
         one.axes[0].set_title("")
-        heading = one.suptitle(title)  # which the page writes; here it names the figure for those who do not see it
+        heading = one.suptitle(title)  # the page shows it; here it is the hidden text alternative of the figure
         heading.set(visible=False, in_layout=False)
         made.append(one)
     return made[0], made[1]
 
 
 def drawn(run: DensityRun) -> DensityRun:
-    """A run with its figures in the place of its map, which is large; one that failed as it is."""
+    """Replace the map of a run, which is large, by its figures; a failed run is returned unchanged."""
     if run.result is None:
         return run
     figures = tuple(zip(titles(run.result), map(svg_of, panels(run.result)), strict=True))
@@ -105,7 +105,7 @@ def drawn(run: DensityRun) -> DensityRun:
 
 
 def notes(found: OysterMap) -> list[str]:
-    """What must be said of it, in sentences."""
+    """Notes on a map, in sentences."""
     return [
         f"{len(found.path)} of {found.pictures} pictures of {found.camera}, {DEPTHS[found.depth]}",
         "Oysters hidden under others in every image are not counted.",
@@ -118,8 +118,8 @@ def notes(found: OysterMap) -> list[str]:
 
 @dataclass(frozen=True)
 class Ground:
-    """What of a map is drawn. rows, columns: of the raster, first and last; extent: west, east, south, north, m;
-    width, height: inches; inch_m: metres of an inch."""
+    """The part of a map that is drawn. rows, columns: slices of the raster; extent: west, east, south, north, m;
+    width, height: inches; inch_m: metres per inch."""
 
     seen: NDArray[np.bool_]
     rows: slice
@@ -131,7 +131,7 @@ class Ground:
 
 
 def _ground(found: OysterMap, panel: float) -> Ground:
-    """panel: inches of the longer side."""
+    """Choose the part of a map to draw. panel: its longer side in inches."""
     raster, seen = found.cover.raster, found.cover.closed()
     first, last, left, right = _frame(seen, raster.edge_m, found.settings.cell_m)
     inch_m = max(last - first, right - left) * raster.edge_m / panel
@@ -168,7 +168,7 @@ def _density(axes: Axes, found: OysterMap, ground: Ground) -> None:
 
 
 def _north_arrow(axes: Axes, clockwise_rad: float | None) -> None:
-    """In the upper right corner, as the magnetometer shows it; none where nothing does."""
+    """Draw magnetic north in the upper right corner; nothing if it is not known."""
     from matplotlib.patheffects import withStroke
 
     if clockwise_rad is None:
@@ -194,7 +194,7 @@ def _north_arrow(axes: Axes, clockwise_rad: float | None) -> None:
 
 
 def _frame(seen: NDArray[np.bool_], edge_m: float, cell_m: float) -> tuple[int, int, int, int]:
-    """First and last row and column of whole cells that hold all that was seen."""
+    """Bounds of the rows and columns of whole cells that contain everything that was seen."""
     per_cell = round(cell_m / edge_m)
     rows, columns = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
     if not len(rows):
@@ -226,7 +226,7 @@ def counted(total: Total) -> str:
 
 
 def numbers(total: Total, shares: dict[str, float]) -> list[str]:
-    """What the map says, in words."""
+    """Results of the map, in words."""
     lines = [counted(total)]
     if not math.isnan(total.live_per_m2):
         what = "live oysters" if total.told else "oysters, live or dead unknown,"
@@ -265,7 +265,7 @@ def _oysters(axes: Axes, found: OysterMap, points_per_m: float) -> None:
 
 
 def mosaic(found: OysterMap, seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """(rows, columns, 3): the colours of what was seen, stretched to the range that they have; light grey elsewhere."""
+    """Mosaic (rows, columns, 3) of the seen ground, its colours stretched to their range; light grey elsewhere."""
     known = found.cover.views > 0
     made = np.full((*seen.shape, 3), rgb(NONE), dtype=np.uint8)
     if known.any():
@@ -277,7 +277,7 @@ def mosaic(found: OysterMap, seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
 
 
 def _small(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """At most MOSAIC_PX along the longer side."""
+    """Shrink an image to at most MOSAIC_PX along the longer side."""
     scale = MOSAIC_PX / max(pixels.shape[:2])
     if scale >= 1:
         return pixels
@@ -285,7 +285,7 @@ def _small(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def density_pixels(found: OysterMap, seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """(rows, columns, 4) RGBA: the colours of the cells where it was seen; clear where there is no number."""
+    """Cell colours (rows, columns, 4) RGBA where the ground was seen; transparent where there is no number."""
     per_cell = round(found.settings.cell_m / found.cover.raster.edge_m)
     density = found.grid.density
     palette = np.array([rgb(colour) for colour in COLOURS], dtype=np.uint8)
@@ -297,7 +297,7 @@ def density_pixels(found: OysterMap, seen: NDArray[np.bool_]) -> NDArray[np.uint
 
 
 def _cell_pixels(found: OysterMap, seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """(rows, columns, 3): the colours of the cells on paper, two greys where there is no number."""
+    """Cell colours (rows, columns, 3) on an opaque background, with two greys where there is no number."""
     pixels = density_pixels(found, seen)
     clear = pixels[..., 3] == 0
     plain = np.where(clear[..., None], np.array(rgb(NONE), dtype=np.uint8), pixels[..., :3])
@@ -306,7 +306,7 @@ def _cell_pixels(found: OysterMap, seen: NDArray[np.bool_]) -> NDArray[np.uint8]
 
 
 def _cells(axes: Axes, found: OysterMap, seen: NDArray[np.bool_], edge: float) -> None:
-    """Lines between the cells, and in each its number where there is room for it. edge: of a cell, points."""
+    """Draw the lines between cells, and the number of each if there is room for it. edge: edge of a cell, points."""
     from matplotlib.patheffects import withStroke
 
     grid, (west, east), (south, north) = found.grid, axes.get_xlim(), axes.get_ylim()
@@ -323,7 +323,7 @@ def _cells(axes: Axes, found: OysterMap, seen: NDArray[np.bool_], edge: float) -
         level = int(np.searchsorted(EDGES, value, side="right"))
         text = f"{value:.0f}" if value >= 9.95 or value == 0 else f"{value:.1f}"
         text += "" if grid.sure[row, column] else "?"
-        # Where the cell is seen in shreds, letters would stand on the paper beside them.
+        # If only fragments of a cell were seen, the text would overlap the background beside them.
         halo = [withStroke(linewidth=3.2, foreground=COLOURS[level])]
         look: dict[str, Any] = {
             "size": min(12.6, 0.31 * edge),

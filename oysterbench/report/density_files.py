@@ -1,4 +1,4 @@
-"""The map as files: rasters with world files, tables, a summary, a figure, a page."""
+"""Files of a map: rasters with world files, tables, a summary, a figure, a page."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from oysterbench.report.renderers.html import FOLDER
 from oysterbench.results.records import plain
 
 BANDS = ("low_per_m2", "high_per_m2", "seen_m2")
-"""Of density.tif, in their order, after that of the density itself (`density_name`)."""
+"""Bands of density.tif, in order, after the density itself (`density_name`)."""
 
 FILES = {
     "grid.csv": "cells with counts, intervals and classes",
@@ -38,14 +38,14 @@ FILES = {
     "map.png": "both figures, for a document",
     "map.svg": "the same, scalable",
 }
-"""Beside the page, and what they are."""
+"""Files beside the page, with descriptions."""
 
 FORMAT = "oysterbench-map/1"
 
 
 def write_map(found: OysterMap, folder: Path, command: str = "") -> list[Path]:
-    """Write all files of a map; returns them. Rasters lie in the world frame of the trajectory, m, +y up; GeoTIFFs are
-    among them where tifffile is there to write them."""
+    """Write all files of a map and return their paths. Rasters are in the world frame of the trajectory, m, +y up;
+    GeoTIFFs are written only if tifffile is installed."""
     seen = found.cover.closed()
     drawn = figure(found)
     world = world_file(found)
@@ -71,7 +71,8 @@ def write_map(found: OysterMap, folder: Path, command: str = "") -> list[Path]:
 
 
 def geotiffs(found: OysterMap, colours: NDArray[np.uint8]) -> dict[str, bytes]:
-    """What was seen (rows, columns, 4), and the grid with a pixel for each cell; none where tifffile is not there."""
+    """GeoTIFFs of the mosaic (rows, columns, 4) and of the grid with one pixel per cell; none if tifffile is not
+    installed."""
     if importlib.util.find_spec("tifffile") is None:
         return {}
     raster, grid = found.cover.raster, found.grid
@@ -91,12 +92,12 @@ def geotiffs(found: OysterMap, colours: NDArray[np.uint8]) -> dict[str, bytes]:
 
 
 def density_name(found: OysterMap) -> str:
-    """What the density is of: live oysters, or, where no state is known, all of them."""
+    """Name of the density: of live oysters or, if no state is known, of all oysters."""
     return "live_per_m2" if found.total.told else "oysters_per_m2"
 
 
 def world_file(found: OysterMap) -> bytes:
-    """Six lines of a world file: size of a pixel, and where the middle of the first one lies (ESRI)."""
+    """The six lines of an ESRI world file: pixel size, and position of the centre of the first pixel."""
     raster = found.cover.raster
     half = raster.edge_m / 2
     values = (raster.edge_m, 0.0, 0.0, -raster.edge_m, raster.west_m + half, raster.north_m - half)
@@ -104,7 +105,7 @@ def world_file(found: OysterMap) -> bytes:
 
 
 def grid_rows(found: OysterMap) -> Iterable[dict[str, Any]]:
-    """A line per cell of which anything was seen; no number where too little was."""
+    """One row per cell of which anything was seen; without densities where too little was seen."""
     grid, density = found.grid, density_name(found)
     for row, column in zip(*np.nonzero(grid.area_m2 > 0), strict=True):
         at = (row, column)
@@ -124,7 +125,7 @@ def grid_rows(found: OysterMap) -> Iterable[dict[str, Any]]:
 
 
 def oyster_rows(found: OysterMap) -> Iterable[dict[str, Any]]:
-    """A line per oyster."""
+    """One row per oyster."""
     for k, one in enumerate(found.oysters, start=1):
         yield {
             "id": k,
@@ -138,7 +139,7 @@ def oyster_rows(found: OysterMap) -> Iterable[dict[str, Any]]:
 
 
 def summary(found: OysterMap) -> dict[str, Any]:
-    """What is known of the whole, for JSON; null where there is no number."""
+    """Summary of the whole map, for JSON; null where there is no number."""
     total, grid, north = found.total, found.grid, found.magnetic_north_rad
     made: dict[str, Any] = plain(
         {
@@ -161,7 +162,7 @@ def summary(found: OysterMap) -> dict[str, Any]:
                 "entries": len(found.oysters),
                 "cut": sum(one.weight < 1.0 for one in found.oysters),
             },
-            "states_known": total.told,  # if not, all count for the classes
+            "states_known": total.told,  # if not, all oysters count for the classes
             density_name(found): {
                 "mean": total.live_per_m2,
                 "low": total.low_per_m2,
@@ -183,7 +184,7 @@ def summary(found: OysterMap) -> dict[str, Any]:
 
 
 def map_page(found: OysterMap, command: str, files: Sequence[str] = ()) -> str:
-    """The figures, what they say in words, the files beside the page, how it is made, and what it does not know."""
+    """HTML page of a map: the figures, the same in words, the files beside it, the command, and the limitations."""
     context = {
         "title": f"Oysters of {found.name}",
         "warnings": found.notes,
@@ -199,7 +200,7 @@ def map_page(found: OysterMap, command: str, files: Sequence[str] = ()) -> str:
 
 
 def facts(found: OysterMap) -> list[tuple[str, str, str]]:
-    """Name, number, and its interval or what it is of."""
+    """Name, number, and its interval or a remark, of each key fact."""
     total = found.total
     rows = [("Oysters", f"{total.count:,.0f}", f"95 %: {total.count_low:,.0f} to {total.count_high:,.0f}")]
     if not math.isnan(total.live_per_m2):

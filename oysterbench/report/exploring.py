@@ -1,4 +1,4 @@
-"""Tables of the track steering: all pictures together, and where a policy stands between two others."""
+"""Tables of the steering track: all images together, and the position of a policy between two others."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from oysterbench.report.tables import difference_column
 from oysterbench.results.records import ResultRecord, samples
 
 INTERVALS = ("yaw_macro_f1", "pitch_macro_f1")
-"""Metrics over all pictures that are shown with their interval."""
+"""Metrics over all images that are shown with their interval."""
 
 OF_PAIRS = ("oysters_per_min", "covered_share", "contacts_per_min")
 """Metrics that policies are compared by, each on the same reefs."""
 
 LOWER, UPPER = "random", "expert"
-"""The policies between which others have a place."""
+"""The policies between which the others are placed."""
 
 
 def whole_of(runs: Sequence[PictureRun]) -> dict[str, Whole]:
-    """Each method over all pictures, if it failed on no sequence."""
+    """Score each method over all images together, if it failed on no sequence."""
     groups: dict[str, list[PictureRun]] = {}
     for run in runs:
         groups.setdefault(run.record.method, []).append(run)
@@ -40,8 +40,8 @@ def whole_of(runs: Sequence[PictureRun]) -> dict[str, Whole]:
 
 
 def pictures_table(wholes: Mapping[str, Whole]) -> Table:
-    """A row per method, over all pictures together: of what is a mean over pictures, or counts them. Skill is not among
-    it: that of a method is the mean of its sequences' everywhere, in standings, ranks and on boards."""
+    """Table with a row per method over all images together, for metrics that are means or counts over images. Skill is
+    left out: everywhere, in standings, ranks and on boards, that of a method is the mean over its sequences."""
     columns = list(name_columns("method"))
     for column in metric_columns(key for key in STEERING.table if key != "skill"):
         columns += [column, interval_column(column)] if column.key in INTERVALS else [column]
@@ -70,7 +70,7 @@ def _policies(runs: Sequence[RolloutRun]) -> dict[str, list[ResultRecord]]:
 
 
 def policies_table(runs: Sequence[RolloutRun]) -> Table:
-    """Every policy against each that comes after it: differences on the same reefs, of several metrics."""
+    """Table of every policy against each later one: differences in several metrics on the same reefs."""
     policies = _policies(runs)
     names = list(policies)
     rows = []
@@ -102,7 +102,7 @@ def policies_table(runs: Sequence[RolloutRun]) -> Table:
 
 
 def places(runs: Sequence[RolloutRun]) -> dict[str, NormalisedScore]:
-    """Where each policy stands between LOWER and UPPER, by oysters per minute; none where one of these is not there."""
+    """Position of each policy between LOWER and UPPER, by oysters per minute; empty if one of these is missing."""
     policies = {name: samples(records, "oysters_per_min") for name, records in _policies(runs).items()}
     if LOWER not in policies or UPPER not in policies:
         return {}
@@ -114,7 +114,7 @@ def places(runs: Sequence[RolloutRun]) -> dict[str, NormalisedScore]:
 
 
 def places_table(found: Mapping[str, NormalisedScore]) -> Table:
-    """A row per policy."""
+    """Table with a row per policy and its position."""
     place = Column("place", "Place", f"{LOWER} 0, {UPPER} 1", "number", "place", digits=2)
     rows = [TableRow((name, where.value, where.interval, where.reefs)) for name, where in found.items()]
     columns = (

@@ -1,4 +1,4 @@
-"""Figures by matplotlib: the same figure as SVG in a page and as PNG in a document."""
+"""Matplotlib figures: the same figure as SVG for a page and as PNG for a document."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK, SOFT, PALE = "#14202b", "#52606d", "#e3e7eb"
-DPI = 144.0  # of PNGs, and of pictures within an SVG
+DPI = 144.0  # of PNGs, and of images within an SVG
 POINTS_PER_INCH = 72.0
 STYLE: dict[str, Any] = {
-    "text.parse_math": False,  # names may have a dollar
+    "text.parse_math": False,  # names may contain a dollar sign
     "text.color": INK,
     "axes.axisbelow": True,
     "axes.edgecolor": SOFT,
@@ -48,7 +48,7 @@ STYLE: dict[str, Any] = {
 
 @contextmanager
 def figure_style() -> Iterator[None]:
-    """Around the making of a figure: the style of all of them, whatever the user's own settings are."""
+    """Context in which figures are made: the common style, whatever the user's own settings are."""
     from matplotlib import style
 
     with style.context(STYLE, after_reset=True):
@@ -56,7 +56,7 @@ def figure_style() -> Iterator[None]:
 
 
 def new_figure(title: str, width: float, height: float) -> Figure:
-    """An empty figure of so many inches, its parts laid out without overlap."""
+    """Make an empty figure, size in inches, whose parts are laid out without overlap."""
     from matplotlib.figure import Figure
 
     figure = Figure((width, height), layout="constrained")
@@ -65,12 +65,12 @@ def new_figure(title: str, width: float, height: float) -> Figure:
 
 
 def add_note(figure: Figure, *lines: str) -> None:
-    """Lines at the foot of a figure."""
+    """Add lines of text at the foot of a figure."""
     figure.supxlabel("\n".join(lines), x=0.01, ha="left", color=SOFT, size=10.5)
 
 
 def add_scale_bar(axes: Axes, width_m: float) -> None:
-    """A bar of a round length, at most 0.35 of the width that the axes show."""
+    """Add a scale bar of a round length, at most 0.35 of the width that the axes show."""
     from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
     steps = [factor * 10.0**power for power in range(-1, 4) for factor in (1, 2, 5)]
@@ -81,9 +81,9 @@ def add_scale_bar(axes: Axes, width_m: float) -> None:
 
 
 def svg_of(figure: Figure) -> str:
-    """As an SVG element, the same bytes for the same figure."""
+    """Render a figure as an SVG element: the same bytes for the same figure."""
     title = escape(figure.get_suptitle())
-    # Letters as paths look the same everywhere; the salt keeps names of marks apart from those of other figures.
+    # Letters drawn as paths look the same everywhere; the salt keeps ids distinct from those of other figures.
     text = _saved(figure, "svg", {"Date": None}, **{"svg.hashsalt": title}).decode()
     width, height = figure.get_size_inches() * POINTS_PER_INCH
     root = (
@@ -97,7 +97,7 @@ def svg_of(figure: Figure) -> str:
 
 
 def png_of(figure: Figure) -> bytes:
-    """As PNG."""
+    """Render a figure as PNG."""
     return _saved(figure, "png", {"Software": None})
 
 
@@ -115,7 +115,7 @@ def _saved(figure: Figure, form: str, metadata: dict[str, Any], **settings: str)
 
 
 def _jpeg(found: re.Match[str]) -> str:
-    """A picture within an SVG as JPEG, which is a tenth of the size."""
+    """Re-encode an image within an SVG as JPEG, a tenth of the size."""
     data = np.frombuffer(base64.b64decode(found[1]), dtype=np.uint8)
     done, made = cv2.imencode(".jpg", np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), [cv2.IMWRITE_JPEG_QUALITY, 90])
     if not done:
@@ -124,7 +124,7 @@ def _jpeg(found: re.Match[str]) -> str:
 
 
 def encoded(pixels: NDArray[np.uint8]) -> bytes:
-    """A picture (H, W, 3) RGB or (H, W, 4) RGBA as PNG."""
+    """Encode an image (H, W, 3) RGB or (H, W, 4) RGBA as PNG."""
     code = cv2.COLOR_RGBA2BGRA if pixels.shape[2] == 4 else cv2.COLOR_RGB2BGR
     done, data = cv2.imencode(".png", cv2.cvtColor(pixels, code))
     if not done:
@@ -133,5 +133,5 @@ def encoded(pixels: NDArray[np.uint8]) -> bytes:
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Of #rrggbb."""
+    """Parse a colour #rrggbb."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)

@@ -1,4 +1,4 @@
-"""Results as files of text: tables as Markdown and LaTeX, and all runs as CSV."""
+"""Results as text files: tables as Markdown and LaTeX, and all runs as CSV."""
 
 from __future__ import annotations
 
@@ -25,19 +25,20 @@ RUN_COLUMNS = (
     "oysterbench_version",
     "created",
 )
-"""Of a record, before its conditions and metrics, in CSV."""
+"""Columns of a record in CSV, before its conditions and metrics."""
 
 
 def tables(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> list[Table]:
-    """What every form shows: results by sequence, then the comparison where there is something to compare.
+    """Tables that every format shows: results by sequence, then the comparison if there is something to compare.
 
-    first: what a track shows before them.
+    first: tables that a track shows before them.
     """
     return [*first, *results_tables(records), *comparison_tables(records)]
 
 
 def csv_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> str:
-    """One line per run, all conditions and metrics, every digit; an empty field where there is no value. No tables."""
+    """Write one line per run with all conditions and metrics, all digits; an empty field where there is no value. The
+    tables `first` are left out."""
     conditions = [key for key in CONDITIONS if any(key in record.conditions for record in records)]
     conditions += sorted({key for record in records for key in record.conditions} - set(conditions))
     metrics = list(dict.fromkeys(key for record in records for key in record.metrics))
@@ -52,17 +53,17 @@ def csv_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> st
 
 
 def csv_of(lines: Sequence[Mapping[str, Any]]) -> str:
-    """Lines of values by their column, every digit; columns in the order of their first appearance."""
+    """Write rows, given as column -> value, with all digits; columns in order of first appearance."""
     keys = tuple(dict.fromkeys(key for line in lines for key in line))
     rows: list[tuple[Value, ...]] = [tuple(line.get(key) for key in keys) for line in lines]
     return renderers.csv_text(Table("", tuple(map(Column, keys)), tuple(map(TableRow, rows))))
 
 
 def markdown_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> str:
-    """Tables as GitHub shows them, each with what stands below it."""
+    """Write the tables as GitHub Markdown, each with its notes."""
     return "\n".join(map(renderers.markdown_table, tables(records, first)))
 
 
 def latex_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> str:
-    """Tables for a paper, which need what is said at the head of the file and nothing else."""
+    """Write the tables for a paper; they need only the packages stated at the head of the file."""
     return renderers.latex_text(tables(records, first))

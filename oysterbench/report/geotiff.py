@@ -1,5 +1,5 @@
-"""Rasters as GeoTIFF in a local frame of metres (OGC 19-008r4, GeoTIFF 1.1): they open in QGIS and GDAL at their scale
-and beside one another; where on the Earth they lie nobody knows."""
+"""Rasters as GeoTIFF in a local metric frame (OGC 19-008r4, GeoTIFF 1.1): they open in QGIS and GDAL at the right scale
+and relative position; their position on the Earth is unknown."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 PIXEL_SCALE, TIEPOINT, KEYS, TEXTS, NO_DATA = 33550, 33922, 34735, 34737, 42113
-"""Tags: ModelPixelScale, ModelTiepoint, GeoKeyDirectory, GeoAsciiParams; and GDAL's for what has no value."""
+"""TIFF tags: ModelPixelScale, ModelTiepoint, GeoKeyDirectory, GeoAsciiParams; and GDAL's tag for no-data values."""
 MODEL_TYPE, RASTER_TYPE, CITATION, PROJECTED_UNITS = 1024, 1025, 1026, 3076
-"""Keys: of them in the directory."""
+"""Keys in the GeoKeyDirectory."""
 USER_DEFINED, PIXEL_IS_AREA, METRE = 32767, 1, 9001
-"""Values: a model that no register has; pixels are squares, not points; EPSG's metre."""
+"""Values of keys: a model that is in no register; pixels are areas, not points; EPSG code of the metre."""
 DOUBLE, SHORT, ASCII = 12, 3, 2
-"""Types of TIFF 6.0."""
+"""Field types of TIFF 6.0."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a raster lies in the frame of a path.
+    """Position of a raster in the frame of a path.
 
-    west_m, north_m: of the outer corner of its first pixel; edge_m: of a pixel; about: what the frame is, in ASCII
+    west_m, north_m: outer corner of its first pixel; edge_m: edge of a pixel; about: description of the frame, in ASCII
     """
 
     west_m: float
@@ -35,9 +35,9 @@ class Place:
 
 
 def geotiff(bands: NDArray[Any], place: Place, names: Sequence[str] = ()) -> bytes:
-    """A raster (rows, columns, bands) as GeoTIFF: float32, whose NaN is no data, or uint8 of RGB and alpha.
+    """Encode a raster (rows, columns, bands) as GeoTIFF: float32 with NaN as no data, or uint8 RGB and alpha.
 
-    names: of the bands. Needs tifffile; ModuleNotFoundError without it.
+    names: of the bands. Raises ModuleNotFoundError without tifffile.
     """
     import tifffile
 
@@ -66,7 +66,7 @@ def geotiff(bands: NDArray[Any], place: Place, names: Sequence[str] = ()) -> byt
 
 
 def _keys(about: str) -> list[tuple[int, int, int, Any, bool]]:
-    """The directory of geographic keys: a user-defined model in metres, with a citation."""
+    """GeoKeyDirectory tags: a user-defined model in metres, with a citation."""
     text = f"{about}|"
     entries = (
         (MODEL_TYPE, 0, 1, USER_DEFINED),

@@ -1,6 +1,6 @@
-"""The report: one HTML page that needs no other file and no network, and reads without JavaScript as well.
+"""The report: one self-contained HTML page that needs no network and is readable without JavaScript.
 
-This gathers what the template `report.html` shows.
+This module gathers what the template `report.html` shows.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ from oysterbench.results.records import ResultRecord
 from oysterbench.results.remarks import remarks
 
 SHOWN_CONDITIONS = 6  # plots of the score over a condition, per board
-LEAST_POINTS = 6  # sequences of a board, below which points over a condition show nothing but chance
+LEAST_POINTS = 6  # sequences of a board below which points over a condition show nothing but chance
 NOTHING = TrackMetrics("Results", {}, (), (), "", {})
-"""Of a report of no runs."""
+"""Track of a report without runs."""
 
-SHOWN_VALUES = 8  # records whose values stand beside a definition; the JSON holds them all
+SHOWN_VALUES = 8  # records whose values are shown beside a definition; the JSON holds them all
 
 LIMITS = {
     "COMPLETE": COMPLETE,
     "LEGEND": LEGEND,
-    "OPEN_SEQUENCES": 3,  # more are folded away, all but the first
-    "SHOWN_SAMPLES": 12,  # sequences with pictures; more would make a report of many megabytes
+    "OPEN_SEQUENCES": 3,  # if there are more, all but the first are folded away
+    "SHOWN_SAMPLES": 12,  # sequences with sample images; more would make a report of many megabytes
     "SHOWN_MAPS": 12,  # each is some 100 KB
     "SHOWN_FIGURES": 40,  # each is some 50 KB
 }
@@ -64,7 +64,7 @@ Runs = Sequence[SlamRun] | Sequence[ImageRun] | Sequence[DensityRun] | Sequence[
 
 @dataclass(frozen=True)
 class BoardPart:
-    """What is shown of a comparison, each where there is something of it to say."""
+    """The parts of a comparison, each None if it has nothing to show."""
 
     standings: Table | None
     pairs: Table | None
@@ -78,7 +78,7 @@ class BoardPart:
 
 @dataclass(frozen=True)
 class Definition:
-    """Name, unit with direction, and definition of a metric, and its value in some records."""
+    """Key, heading, unit with direction, and definition of a metric, and its values in some records."""
 
     key: str
     heading: str
@@ -96,7 +96,7 @@ def write_html_report(
     first: Sequence[Table] = (),
     figures: Sequence[Card] = (),
 ) -> None:
-    """Write `html_report` to a file, nothing half-written."""
+    """Write `html_report` to a file, atomically."""
     write_atomically(path, html_report(runs, command, title, data_set, first, figures).encode())
 
 
@@ -108,10 +108,10 @@ def html_report(
     first: Sequence[Table] = (),
     figures: Sequence[Card] = (),
 ) -> str:
-    """Table, standings, trajectories, errors and recall, frames, definitions, and how it was all made.
+    """Make the report: results, standings, trajectories, errors and recall, frames, definitions, and provenance.
 
-    Of tracks of images: the data set as a whole, curves and pictures in place of trajectories. first, figures: what a
-    track shows before and after the tables of every track.
+    For image tracks: the data set as a whole, curves and sample images instead of trajectories. first, figures: what a
+    track shows before and after the tables common to all tracks.
     """
     records = [run.record for run in runs]
     splits = list(dict.fromkeys(record.split for record in records if record.split))
@@ -166,9 +166,9 @@ def _sequences(runs: Sequence[SlamRun], names: Sequence[str], styles: Mapping[st
 
 
 def _board(board: Board, styles: Mapping[str, int], compared: bool) -> BoardPart:
-    """Pairs, classes, the score over conditions, and runs.
+    """Collect pairs, classes, the score over conditions, and runs of a board.
 
-    Methods on a single sequence are compared where that is what was asked for; beside its plots they need no words.
+    Methods on a single sequence are compared only if `compared` is set; beside its plots a comparison is not needed.
     """
     alone = compared and len(board.sequences) == 1 and len(board.standings) > 1
     pairs = pairs_table(board)
@@ -197,12 +197,12 @@ def _over_conditions(board: Board, styles: Mapping[str, int]) -> PlotGroup | Non
 
 
 def _styles(board: Board, styles: Mapping[str, int]) -> dict[str, int]:
-    """A style for each method of a board, that of its name where it has one."""
+    """Style for each method of a board, that of its name if it has one."""
     return {row.label: styles.get(row.label, 1 + i % STYLES) for i, row in enumerate(board.standings)}
 
 
 def _over(board: Board, condition: str, values: Mapping[str, float], styles: Mapping[str, int]) -> list[Card]:
-    """The ranking metric, and the error beside it, of every sequence over a condition."""
+    """Plot the ranking metric, and the error shown beside it, of every sequence over a condition."""
     cards = []
     beside = TRACKS[board.track].beside
     for key in (board.metric, *((beside,) if beside in board.keys else ())):
@@ -225,7 +225,7 @@ def _over(board: Board, condition: str, values: Mapping[str, float], styles: Map
 
 
 def _definitions(records: Sequence[ResultRecord], track: TrackMetrics) -> dict[str, list[Definition]]:
-    """What the numbers mean: the metrics of the tables, then all others that were measured."""
+    """Definitions of the metrics in the tables, then of all others that were measured."""
     name = records[0].track if records else ""
     measured = dict.fromkeys(key for record in records for key in record.metrics)
     shown = [key for key in dict.fromkeys((*track.table, *track.costs, *track.standing)) if key in measured]

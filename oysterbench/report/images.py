@@ -1,4 +1,4 @@
-"""What tracks of images show besides the tables of every track: the data set as a whole, classes, curves, pictures."""
+"""Contents of reports on image tracks, besides the tables of every track: whole data set, classes, curves, images."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from oysterbench.results.records import ResultRecord, plain
 
 LEGEND = "Green: found. Blue: missed. Orange: false positive. Grey: ignored."
 STRATA = {"iou_range_": "range", "recall_height_": "shell height", "recall_area_": "visible area", "iou_": "class"}
-"""How keys of classes within images begin -> what they are classes of."""
+"""Prefix of the keys of metrics by class within images -> what the classes are of."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A picture with what a method says painted over it, as JPEG."""
+    """An image overlaid with the prediction of a method, as JPEG."""
 
     name: str
     method: str
@@ -39,7 +39,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class ImageRun:
-    """One run of a method on a clip: its record; None for a result where it failed."""
+    """One run of a method on a clip: its record, and its result, None where it failed."""
 
     record: ResultRecord
     result: ClipResult | DetectionClip | None = None
@@ -48,7 +48,8 @@ class ImageRun:
 
 @dataclass(frozen=True)
 class DatasetRow:
-    """A method over all clips together: metrics with reasons, intervals of those that have one, number of clips."""
+    """A method over all clips together: metrics, reasons for missing ones, confidence intervals where they exist, and
+    number of clips."""
 
     track: str
     method: str
@@ -59,7 +60,7 @@ class DatasetRow:
     whole: ClipResult | DetectionClip
 
     def as_plain(self) -> dict[str, Any]:
-        """For JSON; a number that does not exist is null, with the reason beside."""
+        """Convert to plain values for JSON; a number that does not exist is null, with the reason beside it."""
         intervals = {
             key: {"low": found.low, "high": found.high, "reason": found.reason} for key, found in self.intervals.items()
         }
@@ -73,7 +74,7 @@ class DatasetRow:
 
 
 def dataset_tables(rows: Sequence[DatasetRow]) -> list[Table]:
-    """The data set as a whole, counts, and classes within images, each where there is something to say."""
+    """Tables of the data set as a whole, of counts, and of classes within images, each if it has rows."""
     if not rows:
         return []
     return [_dataset_table(rows), *(table for table in (_count_table(rows), _strata_table(rows)) if table.rows)]
@@ -117,7 +118,7 @@ COUNTS = (
 
 
 def _count_table(rows: Sequence[DatasetRow]) -> Table:
-    """How many oysters there are and how many were counted, errors by image with their intervals, live and dead."""
+    """Table of true and counted numbers of oysters, errors per image with their intervals, and live and dead ones."""
     columns = [replace(column, kind="estimate") for column in metric_columns(COUNTS)]
     table_rows = [
         TableRow(
@@ -136,7 +137,7 @@ def _count_table(rows: Sequence[DatasetRow]) -> Table:
 
 
 def _strata_table(rows: Sequence[DatasetRow]) -> Table:
-    """A row per class of range, size and so on, a column per method; intervals in brackets where there are any."""
+    """Table with a row per class of range, size and so on, and a column per method; intervals in brackets if known."""
     keys = dict.fromkeys(key for row in rows for key in row.metrics)
     table_rows, by_size = [], False
     for begin, noun in STRATA.items():
@@ -160,7 +161,7 @@ def _strata_table(rows: Sequence[DatasetRow]) -> Table:
 
 
 def curves_group(rows: Sequence[DatasetRow], styles: Mapping[str, int]) -> PlotGroup | None:
-    """IoU over thresholds, and precision over recall."""
+    """Plots of IoU over thresholds, and of precision over recall."""
     cards = []
     over, against = [], []
     for row in rows:
@@ -181,7 +182,7 @@ def curves_group(rows: Sequence[DatasetRow], styles: Mapping[str, int]) -> PlotG
 
 
 def sample_pictures(runs: Sequence[ImageRun]) -> list[tuple[str, list[Picture]]]:
-    """Sequences with their pictures, the same picture of each method side by side."""
+    """Sequences with their sample images, the same image side by side for all methods."""
     shown: dict[str, dict[str, list[Picture]]] = {}
     for run in runs:
         sequence = run.record.sequence
@@ -193,7 +194,7 @@ def sample_pictures(runs: Sequence[ImageRun]) -> list[tuple[str, list[Picture]]]
 
 
 def images_csv(runs: Sequence[ImageRun]) -> str:
-    """A line per image and method; an empty field where there is no value."""
+    """CSV with a line per image, method and run; an empty field where there is no value."""
     rows: list[dict[str, Any]] = []
     for run in runs:
         about = {"clip": run.record.sequence, "method": run.record.method, "run": run.record.run}

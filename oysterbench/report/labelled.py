@@ -1,4 +1,4 @@
-"""Points with their names beside them, as inline SVG in the frame of the other plots: no legend, and no colours."""
+"""Scatter plot with names beside the points, as inline SVG in the style of the other plots: no legend, no colours."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from oysterbench.report.axes import Axis, nice_ticks
 from oysterbench.report.plots import BOTTOM, TOP
 
 WIDE, TALL, LEFT, RIGHT = 760.0, 360.0, 56.0, 20.0
-LETTER = 6.6  # of a label's letters, wide
-LINE = 15.0  # of a label, high
+LETTER = 6.6  # width of a letter of a label
+LINE = 15.0  # height of a label
 MOST_LETTERS = 34
 
 
 @dataclass(frozen=True)
 class Point:
-    """x above 0; y any number; link: where its name leads to, empty for nowhere."""
+    """A labelled point: x must be above 0, y is any number."""
 
     label: str
     x: float
@@ -26,7 +26,7 @@ class Point:
 
 
 def labelled_plot(points: Sequence[Point], title: str, x_label: str, y_label: str, line: float | None = None) -> str:
-    """y over x, which is logarithmic; line: an x at which one is drawn. There is at least one point."""
+    """Plot y over x on a logarithmic x axis, with at least one point; line: an x at which a vertical line is drawn."""
     xs, ys = [point.x for point in points], [point.y for point in points]
     if line is not None:
         xs = [*xs, line]
@@ -64,7 +64,7 @@ def labelled_plot(points: Sequence[Point], title: str, x_label: str, y_label: st
 
 
 def _ticks(axis: Axis) -> list[tuple[float, str]]:
-    """1, 2 and 5 times the powers of ten within an axis."""
+    """Ticks at 1, 2 and 5 times the powers of ten within the range of an axis."""
     first, last = math.floor(math.log10(axis.low)), math.ceil(math.log10(axis.high))
     values = [factor * 10.0**power for power in range(first, last + 1) for factor in (1, 2, 5)]
     return [(value, f"{value:g}") for value in values if axis.low <= value <= axis.high]
@@ -73,8 +73,8 @@ def _ticks(axis: Axis) -> list[tuple[float, str]]:
 def _labels(
     placed: Sequence[tuple[Point, float, float]], right: float, bottom: float
 ) -> list[tuple[float, float, str]]:
-    """Where each name stands: beside its point where there is room, to the right before the left, or else a line
-    higher or lower, or two, and so on."""
+    """Place each label: beside its point if there is room, preferably to the right, or else shifted up or down in steps
+    of half a line until it fits."""
     boxes = [(x - 5.0, y - 5.0, x + 5.0, y + 5.0) for _, x, y in placed]
     found = []
     for point, x, y in placed:

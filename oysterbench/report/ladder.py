@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STEP = 0.14
-"""Between policies on a reef, in distances of reefs."""
+"""Distance between policies on a reef, relative to the distance between reefs."""
 
 
 @figure_style()
 def ladder_figure(
     split: str, values: Mapping[str, Mapping[str, Sequence[float]]], colours: Mapping[str, str]
 ) -> Figure:
-    """values: policy -> reef -> oysters per minute; at least one of each. A failed rollout is at 0."""
+    """Draw the figure. values: policy -> reef -> oysters per minute; at least one of each. A failed rollout is at 0."""
     reefs = list(dict.fromkeys(reef for of in values.values() for reef in of))
     summaries = {policy: summarise(of) for policy, of in values.items()}
     wide, narrow = max(1.0 * len(reefs), 7.0), max(0.6 * len(values), 2.4)

@@ -1,4 +1,4 @@
-"""How the numbers of a report came about: settings, versions and machine, a line for each."""
+"""Provenance of the numbers of a report: settings, versions and machine, one line each."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from oysterbench.results.machines import machine_of
 from oysterbench.results.records import ResultRecord
 
 LONGEST = 600
-"""Characters of a value; the JSON holds the whole."""
+"""Maximum length of a value, characters; the JSON holds all of it."""
 MOST_VALUES = 8
-"""Different values of one setting; the JSON holds them all."""
+"""Maximum number of different values of one setting; the JSON holds them all."""
 
 Groups = dict[str, dict[str, list[str]]]
 """Heading -> setting -> its distinct values, in the order of the runs."""
 
 
 def making(records: Sequence[ResultRecord]) -> Groups:
-    """All that the runs say of how they were made: of the evaluation, of each method, of the machine."""
+    """Collect everything that the runs record about how they were made: evaluation, methods, machine."""
     found: Groups = {}
     for record in records:
         of_method = record.method
@@ -35,7 +35,8 @@ def making(records: Sequence[ResultRecord]) -> Groups:
 
 
 def scored_when(records: Sequence[ResultRecord]) -> str:
-    """Which methods, on how much, scored by which version when: the date of each method where they differ."""
+    """Say which methods were scored on how many sequences, by which version and when, with a date per method if they
+    differ."""
     dates: dict[str, list[str]] = {}
     for record in records:
         dates.setdefault(record.method, []).append(record.created[:10])
@@ -57,7 +58,7 @@ def _add(found: Groups, heading: str, values: Mapping[str, Any]) -> None:
 
 
 def flattened(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
-    """Keys, those of what lies inside others with a dot, and values as text.
+    """Iterate over keys, with dots for nested mappings, and values as text.
 
     >>> list(flattened({"a": {"b": 1.5, "c": None}, "d": "x"}))
     [('a.b', '1.5'), ('a.c', 'none'), ('d', 'x')]
@@ -70,7 +71,7 @@ def flattened(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str
 
 
 def text_of(value: Any) -> str:
-    """A value in a line; long ones are cut."""
+    """Text of a value in one line; long ones are cut."""
     if value is None:
         return "none"
     text = value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)

@@ -1,4 +1,4 @@
-"""Small pictures for the report: what was found, what was missed, what was called oyster and is none."""
+"""Small images for the report: oyster pixels found, missed, and falsely detected."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from oysterbench.core.errors import OysterbenchError
 from oysterbench.evaluate.segmentation import TruthImage
 from oysterbench.report.images import Sample
 
-WIDTH = 480  # px, in the report
+WIDTH = 480  # px, width in the report
 COLOURS = {"found": (0, 200, 120), "missed": (60, 130, 255), "wrong": (255, 90, 40), "ignored": (128, 128, 128)}
-"""RGB; `report.images.LEGEND` says them in words."""
+"""RGB; `report.images.LEGEND` explains them."""
 STRENGTH = 0.55
 
 
 def overlay(truth: TruthImage, pixels: NDArray[np.uint8] | None, mask: NDArray[np.bool_], method: str) -> Sample:
-    """A picture, or grey where there is none, with the pixels of each kind in their colour."""
+    """Overlay an image, or grey if there is none, with the pixels of each kind in their colour."""
     height, width = mask.shape
     base = np.full((height, width, 3), 90, np.uint8) if pixels is None else pixels
     true = truth.oyster
@@ -30,7 +30,7 @@ def overlay(truth: TruthImage, pixels: NDArray[np.uint8] | None, mask: NDArray[n
 
 
 def jpeg(pixels: NDArray[np.uint8]) -> bytes:
-    """(H, W, 3) uint8 RGB as a small JPEG."""
+    """Encode an image (H, W, 3) uint8 RGB as a small JPEG."""
     height, width = pixels.shape[:2]
     size = (min(WIDTH, width), round(height * min(WIDTH, width) / width))
     small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
@@ -41,6 +41,6 @@ def jpeg(pixels: NDArray[np.uint8]) -> bytes:
 
 
 def sampled(names: tuple[str, ...], count: int) -> set[str]:
-    """So many names, evenly over them."""
+    """Choose at most `count` names, evenly spaced."""
     count = min(count, len(names))
     return {names[round(k * (len(names) - 1) / max(1, count - 1))] for k in range(count)}

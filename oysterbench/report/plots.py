@@ -1,6 +1,6 @@
-"""Plots as inline SVG: paths with equal axes, errors, recall, scatter. Colours come from the page (`page.STYLE`).
+"""Plots as inline SVG: paths with equal axes, errors, recall, scatter. Colours come from the page (`core.page.STYLE`).
 
-A plot that may be zoomed says what its axes show in `data-` attributes; the report's script moves curves and ticks.
+A zoomable plot states the ranges of its axes in `data-` attributes; the report's script moves curves and ticks.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from oysterbench.report.axes import Axis
 
 WIDTH, LEFT, RIGHT, TOP, BOTTOM = 480.0, 56.0, 16.0, 32.0, 46.0
 INNER = WIDTH - LEFT - RIGHT
-"""Units of the drawing; the page scales it to its column, and its text up on a phone."""
+"""Width of the plot area in drawing units; the page scales it to its column, and enlarges the text on a phone."""
 
-MAX_POINTS = 600  # of one curve: more is finer than a pixel
-ROOM = 0.8  # how far, in lengths of the truth, an estimate may leave it and still be shown whole
-CROP = 0.25  # how much room, in lengths of the truth, is left around it where an estimate is not shown whole
-SHAPES = ((24, 0), (4, 45), (3, 0), (4, 0), (3, 180), (6, 0), (5, 0), (8, 22.5))  # corners and turn of points, by style
-RECALL_TICKS = (0.1, 0.25, 0.5, 1, 2, 4, 10)  # multiples of the error that counts half
-LOG_RATIO = 25.0  # between the largest errors of two methods, above which a linear axis would hide one
+MAX_POINTS = 600  # per curve: more would be finer than a pixel
+ROOM = 0.8  # how far, in extents of the ground truth, an estimate may stray from it and still be shown whole
+CROP = 0.25  # margin, in extents of the ground truth, left around it where an estimate is not shown whole
+SHAPES = ((24, 0), (4, 45), (3, 0), (4, 0), (3, 180), (6, 0), (5, 0), (8, 22.5))  # corners, rotation in deg, by style
+RECALL_TICKS = (0.1, 0.25, 0.5, 1, 2, 4, 10)  # in multiples of the error that scores half
+LOG_RATIO = 25.0  # ratio of the largest errors of two methods above which a linear axis would hide one
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a plot: x and y (N,), NaN where it is broken; style 0 is the truth, 1, 2, ... the methods."""
+    """One curve of a plot: x and y (N,), NaN at breaks; style 0 is the ground truth, 1, 2, ... are the methods."""
 
     label: str
     x: Array
@@ -41,10 +41,10 @@ class Curve:
 
 
 def map_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, least_height: float = 110.0) -> str:
-    """Curves in m with equal axes, start and end of the truth marked. The first curve is the truth.
+    """Plot curves in m with equal axes, marking start and end of the ground truth, which is the first curve.
 
-    The picture shows the whole truth, and the estimates if they stay near it (`ROOM`); what leaves it is cut and said
-    so.
+    The plot shows all of the ground truth, and the estimates if they stay near it (`ROOM`); curves that leave the plot
+    are cut and named in a note.
     """
     x_low, x_high = _limits([curve.x for curve in curves])
     y_low, y_high = _limits([curve.y for curve in curves])
@@ -72,7 +72,7 @@ def map_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, le
 
 
 def height_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float]) -> str:
-    """Curves over time in s within `span`, the vertical axis stretched to the truth's, the first curve's."""
+    """Plot curves over time in s within `span`, the vertical axis scaled to the ground truth, the first curve."""
     low, high = _limits([curve.y for curve in curves])
     truth = _limits([curves[0].y])
     length = max(truth[1] - truth[0], 0.5)
@@ -87,7 +87,7 @@ def height_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str,
 
 
 def time_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float]) -> str:
-    """Curves over time in s, or way in m, within `span`, from zero up; logarithmic where they differ greatly."""
+    """Plot curves over time in s, or distance in m, within `span`, from zero up; logarithmic if they differ greatly."""
     tops = [float(np.max(_known(curve.y))) for curve in curves]
     top, smallest = max([*tops, 1e-9]), min([top for top in tops if top > 0], default=1.0)
     x_axis = _time_axis(span)
@@ -105,9 +105,9 @@ def time_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, s
 
 
 def signed_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float]) -> str:
-    """Curves over time in s within `span`, with a line at zero, as far up as down.
+    """Plot curves over time in s within `span`, on a vertical axis symmetric about a zero line.
 
-    One that is LOG_RATIO times as large as another is left out, which is said: it would flatten the others.
+    A curve more than LOG_RATIO times as large as the smallest is left out, with a note: it would flatten the others.
     """
     tops = {curve.label: float(np.max(np.abs(_known(curve.y)))) for curve in curves}
     smallest = min((top for top in tops.values() if top > 1e-12), default=1.0)
@@ -125,9 +125,10 @@ def signed_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str,
 def nees_plot(
     curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float], freedom: int
 ) -> str:
-    """Squared normalised errors over time in s, logarithmic, with the band that holds 95 % of a consistent estimate's.
+    """Plot squared normalised errors over time in s on a logarithmic axis, with the band that holds 95 % of the values
+    of a consistent estimate.
 
-    freedom: of the chi-square distribution that they then have.
+    freedom: degrees of freedom of the chi-square distribution that they then follow.
     """
     low, high = 2.0 * scipy.special.gammaincinv(freedom / 2.0, [0.025, 0.975])
     top = max([100.0, *(float(np.max(_known(curve.y))) for curve in curves)])
@@ -142,7 +143,7 @@ def nees_plot(
 def states_plot(
     curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float], names: Sequence[str]
 ) -> str:
-    """States over time in s, whole numbers that name one of `names`: a stair for each curve, beside one another."""
+    """Plot states over time in s, indices into `names`: a step curve for each, slightly offset from one another."""
     named = tuple((float(k), name) for k, name in enumerate(names))
     y_axis = Axis(-0.5, len(names) - 0.5, TOP + 120.0, TOP, named=named)
     stairs = []
@@ -156,9 +157,9 @@ def states_plot(
 
 
 def recall_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) -> str:
-    """Recall over error: x in multiples of the error that counts half, drawn at x / (1 + x), y from 0 to 1.
+    """Plot recall over error: x in multiples of the error that scores half, drawn at x / (1 + x), y from 0 to 1.
 
-    On this axis, which has an end but no cut-off, the area under a curve is the score.
+    On this axis, which is finite but has no cut-off, the area under a curve is the score.
     """
     bent = []
     for curve in curves:
@@ -172,14 +173,14 @@ def recall_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str)
 
 
 def share_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) -> str:
-    """Curves of shares over shares or thresholds, both from 0 to 1."""
+    """Plot shares over shares or thresholds, both from 0 to 1."""
     x_axis = Axis(0.0, 1.0, LEFT, LEFT + INNER)
     y_axis = Axis(0.0, 1.0, TOP + 190.0, TOP, 40.0)
     return _drawing([thin(curve) for curve in curves], x_axis, y_axis, title, x_label, y_label, "", "")
 
 
 def strength_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) -> str:
-    """Shares from 0 to 1 over whole strengths: a line for each method, and its point at each strength."""
+    """Plot shares from 0 to 1 over integer strengths: a line for each method, with a point at each strength."""
     last = max(float(curve.x[-1]) for curve in curves)
     named = tuple((float(k), str(k)) for k in range(int(last) + 1))
     x_axis = Axis(-0.15, last + 0.15, LEFT, LEFT + INNER, named=named)
@@ -189,9 +190,9 @@ def strength_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: st
 
 
 def scatter_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, top: float | None = None) -> str:
-    """Points, not lines: one for each sequence and method; from zero, or what lies below it, up to `top`.
+    """Plot points, one for each sequence and method; the axis goes from zero, or the lowest value below it, to `top`.
 
-    Without a top the axis ends above the highest point, and is logarithmic where they differ greatly.
+    Without `top` it ends above the highest point, and is logarithmic if the values differ greatly.
     """
     x_low, x_high = _limits([curve.x for curve in curves])
     margin = 0.06 * max(x_high - x_low, 1e-9)
@@ -203,14 +204,14 @@ def scatter_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str
         y_label += ", logarithmic"
     else:
         y_axis = Axis(min(0.0, 1.08 * lowest), top or 1.08 * max(highest, 0.0) or 1.0, TOP + 170.0, TOP, 40.0)
-    # Shifted, so that equal values of two methods are both seen.
+    # Shifted, so that equal values of two methods are both visible.
     points = [_points(curve, x_axis, y_axis, 3.0 * (k - (len(curves) - 1) / 2)) for k, curve in enumerate(curves)]
     empty = [Curve(curve.label, curve.x[:0], curve.y[:0], curve.style) for curve in curves]
     return _drawing(empty, x_axis, y_axis, title, x_label, y_label, "", "".join(points))
 
 
 def _points(curve: Curve, x_axis: Axis, y_axis: Axis, shift: float = 0.0) -> str:
-    """A point at each value, `shift` px to the right of its place."""
+    """Draw a point at each value, shifted `shift` px to the right."""
     points = []
     for x, y in zip(curve.x, curve.y, strict=True):
         if math.isfinite(x) and math.isfinite(y):
@@ -222,7 +223,7 @@ def _points(curve: Curve, x_axis: Axis, y_axis: Axis, shift: float = 0.0) -> str
 
 
 def _shape(style: int) -> str:
-    """Corners of a point about the origin: methods are distinguished by shape, not by colour alone."""
+    """Corners of a point marker about the origin: methods are distinguished by shape, not by colour alone."""
     corners, turn = SHAPES[(style - 1) % len(SHAPES)]
     size = 4.2 * (2 * math.pi / (corners * math.sin(2 * math.pi / corners))) ** 0.5  # of equal area
     angles = [math.radians(turn) + 2 * math.pi * k / corners for k in range(corners)]
@@ -230,7 +231,7 @@ def _shape(style: int) -> str:
 
 
 def thin(curve: Curve) -> Curve:
-    """The same curve to the eye with at most about MAX_POINTS points: each stretch keeps its lowest and its highest."""
+    """Thin a curve to about MAX_POINTS points without visible change: each stretch keeps its lowest and its highest."""
     if len(curve.x) <= MAX_POINTS:
         return curve
     keep: set[int] = {0, len(curve.x) - 1}
@@ -245,7 +246,7 @@ def thin(curve: Curve) -> Curve:
 
 
 def broken(stamps_ns: NDArray[np.int64], x: NDArray[Any], y: NDArray[Any]) -> tuple[Array, Array]:
-    """x and y with a NaN wherever the stamps jump by more than 4 of their median steps and by more than 0.25 s."""
+    """Insert a NaN into x and y wherever the stamps jump by more than 4 median steps and by more than 0.25 s."""
     steps = np.diff(stamps_ns)
     if not len(steps):
         return x, y
@@ -291,14 +292,14 @@ def _leaves(values: Array, low: float, high: float) -> bool:
 
 
 def _time_axis(span: tuple[float, float]) -> Axis:
-    """From begin to end, or to the whole second that the last stamp just misses, so that it gets its tick."""
+    """Axis from start to end, or to the whole second that the end just misses, so that it gets a tick."""
     end = max(span[1], span[0] + 1e-3)
     whole = math.ceil(end)
     return Axis(span[0], whole if whole - end < 0.005 * (end - span[0]) else end, LEFT, LEFT + INNER)
 
 
 def _note(away: Sequence[str]) -> str:
-    """What to say of the curves that leave a picture; short enough to stand above it."""
+    """Note on the curves that leave the plot, short enough to fit above it."""
     if len(away) == 1 and len(away[0]) <= 20:
         return f"{away[0]} leaves this picture"
     if not away:
@@ -307,7 +308,7 @@ def _note(away: Sequence[str]) -> str:
 
 
 def _mark(truth: Curve, i: int, kind: str, x_axis: Axis, y_axis: Axis) -> str:
-    """Start: an open circle; end: a square."""
+    """Draw a mark on the ground truth: an open circle at the start, a square at the end."""
     x, y = float(x_axis.place(truth.x[i])), float(y_axis.place(truth.y[i]))
     if kind == "start":
         return f'<circle class="mark" cx="{x:.1f}" cy="{y:.1f}" r="5"><title>start of the true path</title></circle>'
@@ -316,13 +317,13 @@ def _mark(truth: Curve, i: int, kind: str, x_axis: Axis, y_axis: Axis) -> str:
 
 
 def _path(curve: Curve, x_axis: Axis, y_axis: Axis) -> str:
-    """Data of an SVG path, lifted where the curve is broken."""
+    """Data of an SVG path, with gaps where the curve is broken."""
     x, y = x_axis.place(curve.x), y_axis.place(curve.y)
-    # Far outside the clipped picture is far enough; huge coordinates upset renderers.
+    # Limit the coordinates to well outside the clipped plot: huge ones upset renderers.
     x, y = np.clip(x, -5000, 5000), np.clip(y, -5000, 5000)
     drawn = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     lifted = np.diff(drawn, prepend=-2) > 1
-    # One format for all numbers, not one for each: a board's site has millions.
+    # One formatting call for all numbers instead of one for each: the site of a board has millions.
     form = "".join(["M%.2f %.2f" if up else "L%.2f %.2f" for up in lifted.tolist()])
     return form % tuple(np.column_stack([x[drawn], y[drawn]]).ravel().tolist())
 
@@ -342,7 +343,8 @@ def _drawing(
     marks: str,
     zoom: str = "",
 ) -> str:
-    """Frame, grid, ticks, labels and curves. Zoom "equal" keeps the axes' scales equal, "free" does not."""
+    """Assemble frame, grid, ticks, labels and curves. Zoom "equal" keeps the scales of the axes equal, "free" does
+    not."""
     top, bottom = y_axis.end, y_axis.begin
     height = bottom + BOTTOM
     label = f"{title}: {', '.join(curve.label for curve in curves)}. {x_label}, {y_label}." + (
@@ -373,7 +375,7 @@ def _drawing(
         parts.append(f'<text class="note" x="{right}" y="{top - 11}" text-anchor="end">{escape(note)}</text>')
     left_top, size = (LEFT, top), (INNER, round(bottom - top, 1))
     place = 'x="{}" y="{}" width="{}" height="{}" viewBox="{} {} {} {}"'.format(*left_top, *size, *left_top, *size)
-    # An inner svg cuts what leaves it as one zooms; without zoom, points on the frame are whole.
+    # An inner svg clips what leaves it while zooming; without zoom, points on the frame are shown whole.
     cut = "" if zoom else ' overflow="visible"'
     parts.append(f'<svg {place}{cut}><g class="curves">')
     for curve in curves:

@@ -1,4 +1,4 @@
-"""A split as its recipe has it: its sequences, what they are like, and what they take to render."""
+"""A split according to its recipe: its sequences, their conditions, and the cost of rendering them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NUMBERS = ("difficulty", "strength", "secchi_m", "duration_s")
 
 
 def sequences_table(split: SplitRecipe) -> Table:
-    """A row for each sequence; what no sequence of the split states has no column."""
+    """Table with a row for each sequence; conditions that no sequence states have no column."""
     like = {sequence.name: conditions(split, sequence.name) for sequence in split.sequence}
     shown = [key for key in SHOWN if any(key in values for values in like.values())]
     measured = cost.measured(split_folder(split))

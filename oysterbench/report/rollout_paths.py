@@ -1,4 +1,4 @@
-"""Rollouts over a reef: each policy's path from above with what it saw, and the oysters seen over time."""
+"""Rollouts over a reef: each policy's path from above with the oysters that it saw, and oysters seen over time."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 PER_ROW = 4
 GROUND, UNSEEN, CONTACT = "#f3efe6", "#c3bcae", "#d1001f"
 AROUND = 1.04
-"""Of the area, what a panel shows of each side."""
+"""Size of a panel relative to the area."""
 
 OWN = {"expert": "#00805d", "lawnmower": "#0067a5", "random": "#a33d86"}
-"""Colours of the references, alike in all figures; ..."""
+"""Colours of the references, the same in all figures; ..."""
 OTHERS = ("#c84c00", "#3f6ad8", "#8a6100", "#444444", "#5b6b00")
-"""... those of methods, in their order (after Okabe & Ito 2008, darkened for paper)."""
+"""... and those of methods, in order (after Okabe & Ito 2008, darkened for paper)."""
 
 
 def colours_of(policies: Sequence[str]) -> dict[str, str]:
@@ -33,7 +33,7 @@ def colours_of(policies: Sequence[str]) -> dict[str, str]:
 
 @figure_style()
 def rollouts_figure(reef: str, logs: Mapping[str, RolloutLog], colours: Mapping[str, str]) -> Figure:
-    """Rollouts of policies, at least one, over one reef."""
+    """Draw the rollouts of policies, at least one, over one reef."""
     rows = math.ceil(len(logs) / PER_ROW)
     columns = math.ceil(len(logs) / rows)
     figure = new_figure(f"Rollouts over {reef}", max(4.0 * columns, 9.0), 4.6 * rows + 4.6)
@@ -81,7 +81,7 @@ def _from_above(axes: Axes, policy: str, log: RolloutLog, colour: str) -> None:
 
 
 def _over_time(axes: Axes, logs: Mapping[str, RolloutLog], colours: Mapping[str, str]) -> None:
-    """Curves, in the legend in the order of their ends."""
+    """Draw the curves, with the legend in the order of their final values."""
     for policy, log in sorted(logs.items(), key=lambda item: -item[1].seen.sum()):
         axes.plot(*seen_so_far(log), color=colours[policy], linewidth=2.6, label=policy)
     axes.set(title="Live oysters seen so far", xlabel="time, s", ylim=(0, None))

@@ -1,4 +1,4 @@
-"""One sequence of the report: paths, errors over time and along the path, recall, camera frames."""
+"""Plots of one sequence in the report: paths, errors over time and along the path, recall, camera frames."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from oysterbench.results.records import ResultRecord
 
 TIME = "time since start [s]"
 ALONG = "distance along the true path [m]"
-MAP_POINTS = 1500  # of one path: still fine when it is looked at ten times as near
+MAP_POINTS = 1500  # per path: still fine at ten times the zoom
 
 
 @dataclass(frozen=True)
 class SlamRun:
-    """One run for the report: its record, its poses if it was scored, and camera frames as (stamp in ns, JPEG); and how
-    each of its matched poses (N,) was had, where it says so."""
+    """One run for the report: its record, its result if it was scored, camera frames as (stamp in ns, JPEG), and the
+    `Health` (N,) of its matched poses, if it reports them."""
 
     record: ResultRecord
     result: SlamResult | None = None
@@ -39,7 +39,7 @@ Scored = Sequence[tuple[str, SlamResult]]
 
 @dataclass(frozen=True)
 class SequencePlots:
-    """What is shown of a sequence; no plots where no run could be scored."""
+    """Plots and frames shown for a sequence; no plots if no run could be scored."""
 
     name: str
     facts: str
@@ -60,7 +60,7 @@ def sequence_plots(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]
         pictures = tuple(_frame(*frame, None) for frame in frames)
         return SequencePlots(name, "None of the runs just made on this sequence could be scored.", frames=pictures)
     truth = scored[0][1].whole_truth
-    north = any(run.record.split_digest for run in runs)  # the world of our splits is east, north and up
+    north = any(run.record.split_digest for run in runs)  # the map frame of our splits is east, north, up
     begin_ns = int(truth.stamps_ns[0])
     end_s = (int(truth.stamps_ns[-1]) - begin_ns) * 1e-9
     several = " Of several runs, the one with the median score is drawn." if len(drawn) < len(runs) else ""
@@ -82,7 +82,7 @@ def sequence_plots(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]
 
 
 def _drawn(runs: Sequence[SlamRun]) -> list[SlamRun]:
-    """Of each method the run of median score, the lower one of two, among those that were scored."""
+    """Choose for each method the run with the median score (the lower of two) among those that were scored."""
     methods: dict[str, list[SlamRun]] = {}
     for run in runs:
         methods.setdefault(run.record.method, []).append(run)
@@ -121,7 +121,7 @@ def _maps(truth: Trajectory, scored: Scored, styles: Mapping[str, int], north: b
 
 
 def _outline(label: str, trajectory: Trajectory, style: int, i: int, j: int) -> Curve:
-    """Coordinates i and j of a trajectory, thinned evenly, broken where its stamps are."""
+    """Curve of coordinates i and j of a trajectory, thinned evenly, and broken at gaps in its stamps."""
     step = max(1, len(trajectory) // MAP_POINTS)
     index = np.unique(np.r_[0 : len(trajectory) : step, len(trajectory) - 1])
     stamps, positions = trajectory.stamps_ns[index], trajectory.positions[index]
@@ -144,7 +144,7 @@ def _errors(truth: Trajectory, end_s: float, scored: Scored, styles: Mapping[str
 
 
 def _last(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> tuple[Card, ...]:
-    """Position error along the path, and recall curves; neither exists where the truth stands still."""
+    """Plot position error along the path, and recall curves; neither exists if the ground truth stands still."""
     steps = np.linalg.norm(np.diff(truth.positions, axis=0), axis=1)
     way = np.r_[0.0, np.cumsum(steps)]
     seconds = (truth.stamps_ns - truth.stamps_ns[0]) * 1e-9

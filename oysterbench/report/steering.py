@@ -1,4 +1,4 @@
-"""What steering shows besides the tables of every track: confusions over pictures, and rollouts from above."""
+"""Runs of the steering track as its figures show them: on labelled images, and as rollouts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from oysterbench.results.records import ResultRecord
 
 @dataclass(frozen=True)
 class PictureRun:
-    """A method over the labelled pictures of a sequence; without labels, commands and score where it failed."""
+    """A method on the labelled images of a sequence; without labels, commands and score where it failed."""
 
     record: ResultRecord
     labels: Labels | None = None
@@ -19,18 +19,18 @@ class PictureRun:
 
     @property
     def result(self) -> PictureScore | None:
-        """What there is to draw."""
+        """Result for figures, None where the run failed."""
         return self.score
 
 
 @dataclass(frozen=True)
 class RolloutRun:
-    """A rollout of a policy over a reef; without a log where it failed."""
+    """A rollout of a policy on a reef; without a log where it failed."""
 
     record: ResultRecord
     log: RolloutLog | None = None
 
     @property
     def result(self) -> RolloutLog | None:
-        """What there is to draw."""
+        """Result for figures, None where the run failed."""
         return self.log

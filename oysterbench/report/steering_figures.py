@@ -1,4 +1,4 @@
-"""The figures of an evaluation: written as PNG, and handed to the report as SVG."""
+"""Figures of an evaluation of steering: written as PNG, and passed to the report as SVG."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Figures = list[tuple[Path, Card]]
-"""Each with the file of its PNG."""
+"""Figures, each as the file of its PNG and its card."""
 
 
 def picture_figures(
     dives: Sequence[LabelledViews], runs: Sequence[PictureRun], wholes: Mapping[str, Whole], folder: Path
 ) -> Figures:
-    """Some pictures with what was commanded at them, and the confusions of each method, over all pictures."""
+    """Make figures of sample images with the commands, and of each method's confusion matrices over all images."""
     methods = list(dict.fromkeys(run.record.method for run in runs if run.commands is not None))
     task = dives[0].task
     made = [
@@ -48,7 +48,7 @@ def picture_figures(
 
 
 def rollout_figures(runs: Sequence[RolloutRun], folder: Path) -> Figures:
-    """Policies over all reefs, then each reef from above with its rollouts; none where all failed."""
+    """Make figures of the policies over all reefs, then of each reef with its rollouts; empty if all of them failed."""
     policies = list(dict.fromkeys(run.record.method for run in runs))
     reefs = list(dict.fromkeys(run.record.sequence for run in runs))
     colours = colours_of(policies)

@@ -1,4 +1,4 @@
-"""Some labelled pictures: where the bow would point after the commands, and the value of each pair of commands."""
+"""Sample labelled images, with where the bow would point after each command and the value of each command pair."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ if TYPE_CHECKING:
 
 PER_ROW = 2
 SHOWN = 8
-RING = "#ffd92f"  # of the expert
-INSET = 0.03  # of a picture: where marks are shown that lie outside
+RING = "#ffd92f"  # colour of the ring around the expert's command
+INSET = 0.03  # share of the image width: marks outside the image are shown at this distance from its edge
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A labelled picture of a sequence: the expert's classes, the action values (Y, P) of all pairs, oysters, and the
-    classes of each method."""
+    """A labelled image of a sequence: the expert's classes, the action values (Y, P) of all command pairs, in oysters,
+    and the classes that each method commanded."""
 
     name: str
     view: View
-    ends: Array  # (Y, P, 2) px, where the bow would point; NaN behind the camera
-    bow: Array  # (2,) px, where it points
+    ends: Array  # (Y, P, 2) px, where the bow would point after each pair; NaN behind the camera
+    bow: Array  # (2,) px, where the bow points now
     expert: tuple[int, int]
     action_values: Array
     commanded: Mapping[str, tuple[int, int]]
 
 
 def samples_of(dives: Sequence[LabelledViews], runs: Sequence[PictureRun], count: int = SHOWN) -> list[Sample]:
-    """So many pictures, evenly over the sequences and their time."""
+    """Choose `count` images, evenly over the sequences and over time."""
     found = []
     for i, dive in enumerate(dives):
         share = count // len(dives) + (i < count % len(dives))
@@ -71,10 +71,11 @@ def samples_of(dives: Sequence[LabelledViews], runs: Sequence[PictureRun], count
 
 
 def bow_pixels(dive: LabelledViews, view: View) -> tuple[Array, Array]:
-    """Pixels (Y, P, 2) at which the bow would point after each pair of commands, and (2,) where it points.
+    """Compute the pixels (Y, P, 2) at which the bow would point after each pair of commands, and the one (2,) where it
+    points now.
 
-    A body at pitch p whose heading turns by a and whose pitch turns by b has its bow at Ry(p)^T Rz(a) Ry(p + b) x of
-    where it was.
+    If a body at pitch p turns its heading by a and its pitch by b, its bow direction is Ry(p)^T Rz(a) Ry(p + b) x in
+    its previous body frame.
     """
     task, camera = dive.task, dive.sequence.cameras[dive.camera]
     pitch = view.state.pitch
@@ -95,7 +96,7 @@ def bow_pixels(dive: LabelledViews, view: View) -> tuple[Array, Array]:
 
 @figure_style()
 def samples_figure(samples: Sequence[Sample], task: SteeringRecipe, colours: Mapping[str, str]) -> Figure:
-    """Pictures, at least one, with the values of all commands beside them."""
+    """Draw images, at least one, with the values of all command pairs beside them."""
     columns = min(PER_ROW, len(samples))
     rows = math.ceil(len(samples) / columns)
     figure = new_figure("Labelled pictures", 8.0 * columns, 4.0 * rows + 1.4)
@@ -131,7 +132,7 @@ def _picture(axes: Axes, sample: Sample, colours: Mapping[str, str]) -> None:
 
 
 def _ring(axes: Axes, x: float, y: float) -> None:
-    """Around what the expert commands."""
+    """Draw a ring around the expert's command."""
     from matplotlib.patheffects import withStroke
 
     look: dict[str, Any] = {
@@ -145,14 +146,14 @@ def _ring(axes: Axes, x: float, y: float) -> None:
 
 
 def bright(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """As a screen shows it best: stretched to the range that all channels have in common; murky water is dark."""
+    """Stretch an image to the full range, all channels alike, for display: images of murky water are dark."""
     low, high = np.percentile(pixels, [0.5, 99.5])
     stretched = (pixels.astype(float) - low) * (255.0 / max(high - low, 32.0))
     return np.asarray(np.clip(stretched, 0, 255), dtype=np.uint8)
 
 
 def _action_values(axes: Axes, sample: Sample, task: SteeringRecipe, colours: Mapping[str, str]) -> None:
-    """A cell for each pair: yaw from left to right, pitch from up to down, as they turn the picture."""
+    """Draw a cell for each command pair: yaw from left to right, pitch from up to down, as they turn the view."""
     values = sample.action_values
     axes.pcolormesh(values.T, cmap="GnBu", edgecolors="white", linewidth=0.6)
     for k, (method, (yaw, pitch)) in enumerate(sample.commanded.items()):

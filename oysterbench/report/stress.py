@@ -1,4 +1,4 @@
-"""Scores against strength, a plot for each disturbance, and the table of what breaks whom."""
+"""Scores against strength: a plot for each disturbance, and a table of which disturbance breaks which method."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from oysterbench.results.stress import BROKEN_SHARE, Disturbance, disturbances
 
 
 def stress_group(board: Board, styles: Mapping[str, int]) -> PlotGroup | None:
-    """A plot for each disturbance of the board's split; None where there is none."""
+    """Plots, one for each disturbance of the board's split; None if there are none."""
     found = disturbances(board)
     if not found:
         return None
@@ -33,7 +33,8 @@ def _card(disturbance: Disturbance, heading: str, styles: Mapping[str, int]) -> 
 
 
 def stress_table(board: Board) -> Table | None:
-    """A row per disturbance, a column per method: the score at each strength, and from which on it is broken."""
+    """Table with a row per disturbance and a column per method: the score at each strength, and the strength from which
+    the method is broken; None if there are no disturbances."""
     found = disturbances(board)
     if not found:
         return None

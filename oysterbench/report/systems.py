@@ -23,13 +23,13 @@ COLUMNS = (
 
 
 def systems_table(known: Iterable[tuple[System, Build | None]]) -> Table:
-    """A row for each method, the state of its system with the first of them."""
+    """Table with a row for each method and the state of its system."""
     rows = []
     for system, build in known:
         described = system.description
         state = "not built" if build is None else f"built, {build.commit[:8] or 'package'}"
         for name, method in described.methods.items():
-            # A method of pictures has no further sensors, and each answer is of its picture.
+            # A method that takes images has no further sensors, and is neither online nor offline.
             sensors, mode = ", ".join(method.sensors) or "pictures", "online" if method.online else "offline"
             if method.online is None:
                 mode = ""

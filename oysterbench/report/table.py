@@ -1,4 +1,4 @@
-"""The one model of a table. `renderers` writes it: to the terminal, as HTML, Markdown, CSV, JSON and LaTeX.
+"""The common model of a table. `renderers` writes it to the terminal, as HTML, Markdown, CSV, JSON and LaTeX.
 
 >>> score = Column("score", "Score", kind="number", digits=3, better="higher")
 >>> table = Table("Results", (Column("method", "Method"), score), (TableRow(("mine", 0.5)), TableRow(("lost", None))))
@@ -17,10 +17,10 @@ from typing import Literal, TypeAlias
 from oysterbench.evaluate.statistics import LEVEL, Interval
 
 ABSENT = "\N{EN DASH}"
-"""Stands where there is no value."""
+"""Shown where there is no value."""
 
 ASTRAY = 10_000
-"""Shown numbers from which on decimals mean nothing: most are errors of what diverged."""
+"""Numbers from which on decimals are meaningless: most are errors of diverged estimates."""
 
 MINUS = "\N{MINUS SIGN}"
 
@@ -29,7 +29,7 @@ Direction: TypeAlias = Literal["lower", "higher", ""]
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its interval, which is shown in brackets behind it where it is known."""
+    """A number with its interval, which is shown in brackets after it if it is known."""
 
     value: float | None
     interval: Interval
@@ -40,10 +40,10 @@ Value: TypeAlias = str | int | float | Interval | Estimate | None
 
 @dataclass(frozen=True)
 class Bar:
-    """An interval and its middle to be drawn, as shares (0 to 1) of the axis; of what begins or ends beyond it, low is
+    """An interval and its middle to be drawn, as shares (0 to 1) of the axis; if it extends beyond the axis, low is
     below 0 or high above 1.
 
-    zero:  the share of the axis at which 0 lies, where that is within it
+    zero:  the share of the axis at which 0 lies, if it is within the axis
     about: what the axis shows
     """
 
@@ -55,20 +55,20 @@ class Bar:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Of what is drawn of it."""
+        """Both ends of the part that is drawn."""
         return max(0.0, self.low), min(1.0, self.high)
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A value with more than its looks.
+    """A value with its presentation.
 
-    value: with every digit, in the metric's own unit; what CSV and JSON give, and what a page sorts by
-    text:  shown instead of the value as its column writes it
-    kind:  how it looks: "best", "warn", "soft"
-    about: said where a pointer rests, as the reason why there is no value
-    small: second line below the text; mark: a word in a frame behind it
-    path:  page of the same site that it leads to; url: another address; small_url: that of the second line
+    value: with all digits, in the metric's own unit; written to CSV and JSON, and used by pages for sorting
+    text:  shown instead of the value as formatted by its column
+    kind:  style: "best", "warn", "soft"
+    about: tooltip, such as the reason why there is no value
+    small: second line below the text; mark: a framed word after it
+    path:  page of the same site that it links to; url: another address; small_url: link of the second line
     """
 
     value: Value = None
@@ -84,12 +84,12 @@ class Cell:
 
     @property
     def reason(self) -> str:
-        """What is said of it, or why there is no interval."""
+        """Tooltip, or the reason why there is no interval."""
         return self.about or (self.value.reason if isinstance(self.value, Interval) else "")
 
     @property
     def sort_value(self) -> str | float | None:
-        """What a page sorts by, where that is not the text."""
+        """Value that a page sorts by, if it is not the text."""
         return self.value if isinstance(self.value, str) and self.text is not None else number_of(self.value)
 
 
@@ -97,16 +97,16 @@ class Cell:
 class Column:
     """A typed column.
 
-    key:     heading in CSV and name in JSON
-    heading: heading; short: the same for a terminal, where width is scarce (a line break in it takes the unit's line)
-    unit:    of the numbers as shown, below the heading
+    key:     heading in CSV and key in JSON
+    heading: heading; short: the same for a terminal, where width is scarce (a second line in it replaces the unit)
+    unit:    of the numbers as shown; printed below the heading
     kind:    "estimate" is a number with its interval
-    digits:  decimals of shown numbers; one more where a number lies below `small`; None: numbers as they are
-    factor:  of the shown number over the value; signed: a plus before what is not negative
-    cut:     decimals are cut, not rounded, so that nothing less than all is shown as 100 %
-    better:  the direction of improvement; about: the definition
-    sort:    what an address asks for to sort by it; empty where it cannot be
-    hidden:  in CSV and JSON alone; wide: not in a terminal that is too narrow for the table
+    digits:  decimals shown, one more if a number is below `small`; None: numbers as they are
+    factor:  shown number divided by the value; signed: whether to put a plus before non-negative numbers
+    cut:     truncate decimals instead of rounding, so that nothing less than all is shown as 100 %
+    better:  direction of improvement; about: definition
+    sort:    key with which a URL asks to sort by it; empty if it cannot
+    hidden:  only in CSV and JSON; wide: omitted in a terminal that is too narrow for the table
     """
 
     key: str
@@ -127,11 +127,11 @@ class Column:
 
     @property
     def number(self) -> bool:
-        """Whether its cells stand to the right."""
+        """Whether its cells are right-aligned."""
         return self.kind != "text"
 
     def texts(self, values: Sequence[Value]) -> list[str]:
-        """Values as shown, all with the same decimals, so that the eye can compare them."""
+        """Format values as shown, all with the same number of decimals, so that they are easy to compare."""
         digits = self.digits
         if digits is not None and self.small:
             digits += any(0 < abs(number * self.factor) < self.small for number in map(number_of, values) if number)
@@ -162,14 +162,14 @@ class Column:
 
 
 def interval_column(of: Column, key: str = "", heading: str = f"{LEVEL:.0%}", unit: str = "interval") -> Column:
-    """A column of intervals of another column's numbers, written as these are."""
+    """Make a column for intervals of another column's numbers, in the same format."""
     about = "" if key else f"{LEVEL:.0%} interval of the mean."
     key = key or f"{of.key}_interval"
     return Column(key, heading, unit, "interval", digits=of.digits, factor=of.factor, signed=of.signed, about=about)
 
 
 def number_of(value: Value) -> float | None:
-    """The number in a value; None where there is none."""
+    """Number in a value; None if there is none."""
     value = value.value if isinstance(value, Estimate) else value
     if value is None or isinstance(value, str | Interval) or not math.isfinite(value):
         return None
@@ -178,9 +178,9 @@ def number_of(value: Value) -> float | None:
 
 @dataclass(frozen=True)
 class TableRow:
-    """A value, or a cell, for each column.
+    """A row: a value, or a cell, for each column.
 
-    kind: "mean", "failed", "withdrawn", or "first" of a group; key: what a form sends that chooses it
+    kind: "mean", "failed", "withdrawn", or "first" of a group; key: value that a form sends to select it
     """
 
     values: tuple[Value | Cell, ...]
@@ -189,13 +189,13 @@ class TableRow:
 
     @cached_property
     def cells(self) -> tuple[Cell, ...]:
-        """All as cells."""
+        """All values as cells."""
         return tuple(value if isinstance(value, Cell) else Cell(value) for value in self.values)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Title, columns, rows, and sentences that stand below. name: what a paper refers to it by."""
+    """A table: title, columns, rows, and notes below it. name: label by which a paper refers to it."""
 
     title: str
     columns: tuple[Column, ...]
@@ -205,12 +205,12 @@ class Table:
 
     @cached_property
     def shown(self) -> tuple[tuple[int, Column], ...]:
-        """Numbers and columns of those that are shown."""
+        """Indices and columns of those that are shown."""
         return tuple((i, column) for i, column in enumerate(self.columns) if not column.hidden)
 
     @cached_property
     def texts(self) -> tuple[tuple[str, ...], ...]:
-        """Every cell as shown, by rows."""
+        """Text of every cell as shown, by rows."""
         shown = []
         for i, column in enumerate(self.columns):
             cells = [row.cells[i] for row in self.rows]
@@ -220,5 +220,5 @@ class Table:
 
     @cached_property
     def heads(self) -> int:
-        """Number of the column whose cells head the rows: the first of text."""
+        """Index of the column whose cells head the rows: the first text column; -1 if there is none."""
         return next((i for i, column in self.shown if not column.number), -1)

@@ -1,4 +1,4 @@
-"""The tables of results: by sequence, standings, pairs, classes of conditions, runs. `renderers` writes them."""
+"""Tables of results: by sequence, standings, pairs, classes of conditions, runs. `renderers` writes them."""
 
 from __future__ import annotations
 
@@ -30,13 +30,14 @@ NO_SENSORS = ("truth", "tf", "tf_static")
 """First parts of topics that are no sensor's."""
 
 COMPLETE = 0.95
-"""Of the highest coverage on a sequence: what a run must answer to be called the best there."""
+"""Share of the highest coverage on a sequence that a run must reach to be called the best there."""
 
 
 def results_table(records: Sequence[ResultRecord]) -> Table:
-    """A row per method and sequence, in the order of their first appearance; means below where there are two sequences.
+    """Table with a row per method and sequence, in order of first appearance; aggregates below if there are two or more
+    sequences.
 
-    Of several runs of a method on a sequence the medians are shown.
+    For several runs of a method on a sequence, the medians are shown.
     """
     order = list(dict.fromkeys(record.sequence for record in records))
     groups: dict[tuple[str, ...], list[ResultRecord]] = {}
@@ -67,7 +68,7 @@ def results_table(records: Sequence[ResultRecord]) -> Table:
 
 
 def median(records: Sequence[ResultRecord], key: str) -> float:
-    """Of the runs that have a value; NaN where none has."""
+    """Median of a metric over the runs that have a value; NaN if none has."""
     known = [value for record in records if not math.isnan(value := record.metrics.get(key, math.nan))]
     return float(np.median(known)) if known else math.nan
 
@@ -75,10 +76,10 @@ def median(records: Sequence[ResultRecord], key: str) -> float:
 def _best(
     sequences: Sequence[str], medians: Sequence[dict[str, float]], columns: Sequence[Column]
 ) -> dict[tuple[str, str], float]:
-    """Best value of each sequence and column, where methods were compared and the metric has a direction.
+    """Find the best value for each sequence and column, where methods differ and the metric has a direction.
 
-    Only runs that answer nearly as much as the most complete one compete: an error over the easy part is no record.
-    The score counts what is not answered, and so they all compete for it.
+    Only runs with nearly the coverage of the most complete one compete: a low error over the easy part is no record.
+    The score accounts for missing coverage, so that all runs compete for it.
     """
     coverages = [1.0 if math.isnan(covered := of.get("coverage", math.nan)) else covered for of in medians]
     most: dict[str, float] = {}
@@ -95,7 +96,7 @@ def _best(
 
 
 def failures_and_notes(records: Sequence[ResultRecord]) -> list[str]:
-    """What must be said about single runs, in sentences; the same sentence of several runs once."""
+    """Remarks on single runs, in sentences; a sentence shared by several runs appears once."""
     notes = []
     for record in records:
         name = f"{record.method} on {record.sequence}"
@@ -120,7 +121,7 @@ def topics_notes(records: Sequence[ResultRecord]) -> list[str]:
 
 
 def path_notes(records: Sequence[ResultRecord]) -> list[str]:
-    """A sentence for each method that has several paths: which of them is scored, and what the others reach."""
+    """One sentence for each method with several paths: which of them is scored, and what the others achieve."""
     methods: dict[tuple[str, ...], list[ResultRecord]] = {}
     for record in records:
         if "paths" in record.info:
@@ -145,7 +146,7 @@ def path_notes(records: Sequence[ResultRecord]) -> list[str]:
 
 
 def results_tables(records: Sequence[ResultRecord]) -> list[Table]:
-    """Results by sequence, in a table for each board: what may not be compared does not stand in one."""
+    """Results by sequence, in one table per board: what may not be compared is kept in separate tables."""
     found = boards(records)
     if len(found) < 2:
         return [results_table(found[0].records if found else [])]
@@ -153,7 +154,7 @@ def results_tables(records: Sequence[ResultRecord]) -> list[Table]:
 
 
 def standings_table(board: Board) -> Table:
-    """Methods by the ranking metric, with its interval and spread, and coverage beside the errors."""
+    """Table of methods by the ranking metric, with its interval and spread, and coverage beside the errors."""
     metric, beside = metric_column(board.metric), STANDING_OF_TRACK[board.track]
     rows = []
     for i, row in enumerate(board.standings):
@@ -187,7 +188,7 @@ def standings_table(board: Board) -> Table:
 
 
 def _rank(board: Board, i: int) -> Cell:
-    """The rank, with the worst that it may be; a place in brackets where too few sequences tell ranks."""
+    """Cell of the rank, with the worst possible rank; the place in brackets if sequences are too few for ranks."""
     standing = board.standings[i].standing
     if standing.place is None:
         return Cell(None)
@@ -221,7 +222,8 @@ def _reading(board: Board) -> list[str]:
 
 
 def pairs_table(board: Board) -> Table:
-    """Is a better than b, where, and by how much; of pairs with too few sequences to tell, only how many there are."""
+    """Table of whether, where and by how much a is better than b; pairs with too few sequences to tell are only
+    counted."""
     difference = difference_column(metric_column(board.metric))
     rows, untold = [], 0
     for pair in board.pairs:
@@ -255,13 +257,13 @@ def pairs_table(board: Board) -> Table:
 
 
 def difference_column(of: Column) -> Column:
-    """Differences of another column's numbers."""
+    """Make a column for differences between another column's numbers."""
     short = f"{of.short.partition(chr(10))[0]}\ndifference"
     return replace(of, key="difference", heading=f"{of.heading} difference", short=short, signed=True, better="")
 
 
 def strata_table(board: Board) -> Table:
-    """A row per class of conditions, a column per method, where there are several classes."""
+    """Table with a row per class of conditions and a column per method, for conditions with several classes."""
     metric = metric_column(board.metric)
     labels = [row.label for row in board.standings]
     rows = []
@@ -283,7 +285,7 @@ def strata_table(board: Board) -> Table:
 
 
 def runs_table(board: Board) -> Table:
-    """Median and spread over the runs of each method on each sequence, where some have several."""
+    """Table of the median and range over the runs of each method on each sequence with several runs."""
     beside = TRACKS[board.track].beside
     metric, error, coverage = (metric_column(key, track=board.track) for key in (board.metric, beside, "coverage"))
     errors = {(cell.label, cell.sequence): cell for cell in board.cells(beside)}
@@ -319,7 +321,7 @@ def _range(cell: SequenceRuns) -> Interval:
 
 
 def comparison_tables(records: Sequence[ResultRecord]) -> list[Table]:
-    """Runs, standings, pairs and classes of every board, each where there is something of it to say."""
+    """Tables of standings, pairs, classes and runs of every board, each where it has something to show."""
     found = boards(records)
     tables = []
     for board in found:

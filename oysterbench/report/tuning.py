@@ -15,8 +15,8 @@ SHOWN = 10
 
 
 def mean_scores(records: Sequence[ResultRecord], names: Mapping[str, str]) -> dict[str, float]:
-    """Mean over the runs of each trial of what ranks on its track, a failed run counting as one that answers nothing;
-    NaN where there is none."""
+    """Mean of the track's ranking metric over the runs of each trial; a failed run counts as one that estimates
+    nothing. NaN if there are no runs."""
     found: dict[str, list[float]] = {name: [] for name in names}
     for record in records:
         if record.method in found:
@@ -26,7 +26,7 @@ def mean_scores(records: Sequence[ResultRecord], names: Mapping[str, str]) -> di
 
 
 def ranking_heading(track: str) -> str:
-    """What ranks on a track, in a word."""
+    """Heading of the ranking metric of a track."""
     metric = find_metric(PRIMARY[track], track)
     assert metric is not None
     assert metric.column is not None
@@ -40,7 +40,7 @@ def best_of(records: Sequence[ResultRecord], names: Mapping[str, str]) -> tuple[
 
 
 def trials_table(records: Sequence[ResultRecord], names: Mapping[str, str]) -> Table:
-    """The best trials, and the first, which is the method as it is. names: of methods, with their references"""
+    """Table of the best trials, and the first, which is the method with its defaults. names: method -> reference"""
     heading = ranking_heading(records[0].track) if records else "score"
     means = mean_scores(records, names)
     order = sorted(means, key=lambda name: math.inf if math.isnan(means[name]) else -means[name])

@@ -1,1 +1,1 @@
-"""Results: records, and methods set against each other."""
+"""Results: their records, and comparisons of methods."""

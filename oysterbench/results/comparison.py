@@ -1,4 +1,4 @@
-"""Methods set against each other: standings with ties, pairs, and both again within each class of conditions."""
+"""Comparison of methods: standings with ties, pairwise comparisons, and both again within each class of conditions."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ from oysterbench.results.records import (
 from oysterbench.results.standings import PRIMARY, ScoreTable, SequenceScores, Standing, direction
 
 MOST_LISTED = 4
-"""Settings, or values of one, that a sentence or a label names: the others are counted."""
+"""Number of settings, or values of one, that a sentence or label names; the rest are only counted."""
 
 
 @dataclass(frozen=True)
 class MethodRuns:
-    """A method with its settings: a label that no other of the board has, and all its runs."""
+    """A method with its settings: a label that is unique on its board, and all its runs."""
 
     label: str
     records: tuple[ResultRecord, ...]
 
     @property
     def failures(self) -> int:
-        """How many runs gave nothing that could be scored."""
+        """Number of runs that produced nothing that could be scored."""
         return sum(record.failure is not None for record in self.records)
 
     def sample(self, key: str, sequences: Iterable[str]) -> Sample:
@@ -63,27 +63,28 @@ class MethodRuns:
         return None if found is None else {name: found[name] for name in sequences if name in found}
 
     def summary(self, key: str, sequences: Iterable[str]) -> Summary:
-        """Of a metric on some sequences."""
+        """Summarise a metric over the given sequences."""
         names = list(sequences)
         return summarise(self.sample(key, names), self.weights(key, names))
 
     def over(self, key: str, sequences: Iterable[str], summary: Summary | None = None) -> float:
-        """What a metric is over some sequences: its mean, or of an error the median over those that are not lost.
-        summary: that of the same metric and sequences, where it is known."""
+        """Aggregate a metric over the given sequences: the mean or, for an error, the median over those that are not
+        lost. summary: the summary of the same metric and sequences, if it is known already."""
         names = list(sequences)
         if key in TRACKS[self.records[0].track].errors:
             return kept_median(self.sample(key, names), lost_of(self.records) or ())
         return (self.summary(key, names) if summary is None else summary).mean
 
     def scores(self, key: str, sequences: Iterable[str]) -> SequenceScores:
-        """What ranks it by a metric on some sequences."""
+        """Scores that rank the method by a metric on the given sequences."""
         names = list(sequences)
         sample, weights = self.sample(key, names), self.weights(key, names)
         values = {**dict.fromkeys(names, math.nan), **weighed_means(sample, weights)}
         return SequenceScores(values, None if weights is None else sequence_weights(sample, weights))
 
     def compare(self, other: MethodRuns, key: str, sequences: Iterable[str]) -> Comparison:
-        """By how much it is better than another by a metric, on those of some sequences where both have a value."""
+        """Compute by how much it is better than another method in a metric, on those of the given sequences where both
+        have a value."""
         names = list(sequences)
         own, others = self.weights(key, names), other.weights(key, names)
         weights = None if own is None or others is None else (own, others)
@@ -92,10 +93,10 @@ class MethodRuns:
 
 @dataclass(frozen=True)
 class RankedMethod:
-    """A line of the standings; coverage stands beside every error.
+    """A row of the standings; coverage is shown beside every error.
 
-    over: each metric over all sequences (`MethodRuns.over`); lost: how many of these are lost, None where the track has
-    no such thing
+    over: each metric over all sequences (`MethodRuns.over`); lost: how many of these are lost, None if the track does
+    not define lost sequences
     """
 
     label: str
@@ -109,7 +110,7 @@ class RankedMethod:
 
 @dataclass(frozen=True)
 class MethodPair:
-    """Two methods: where (a class of conditions, or everywhere) and by how much a is better than b."""
+    """Comparison of two methods: where (in a class of conditions, or everywhere) and by how much a is better than b."""
 
     a: str
     b: str
@@ -120,7 +121,7 @@ class MethodPair:
 
 @dataclass(frozen=True)
 class SequenceRuns:
-    """One method on one sequence or class of conditions: the runs' values of the ranking metric, summarised."""
+    """One method on one sequence: the median and range of a metric over its runs."""
 
     label: str
     sequence: str
@@ -134,11 +135,11 @@ class SequenceRuns:
 
 @dataclass(frozen=True)
 class Board:
-    """Results that may be compared: one track, split, evaluator and setting.
+    """Results that may be compared with each other: one track, split, evaluator and setting.
 
-    apart:     what tells it from another board of the same split; empty where there is none
-    sequences: those that every method was run on; the standings and pairs are over these alone
-    left_out:  those that some method was not run on
+    apart:     what distinguishes it from other boards of the same split; empty if there are none
+    sequences: those that every method was run on; standings and pairs cover only these
+    left_out:  those that at least one method was not run on
     """
 
     track: str
@@ -154,23 +155,23 @@ class Board:
 
     @property
     def records(self) -> list[ResultRecord]:
-        """All its records, each with its method's label for a name, in the order in which they were given."""
+        """All its records, each with the method's label as the method name, in the order given."""
         labels = {id(record): entry.label for entry in self.entries for record in entry.records}
         return [replace(record, method=labels[id(record)]) for record in self.given]
 
     @property
     def metric(self) -> str:
-        """Key of the metric that ranks."""
+        """Key of the ranking metric."""
         return PRIMARY[self.track]
 
     @property
     def keys(self) -> list[str]:
-        """All metrics that any record holds."""
+        """Keys of all metrics that any record holds."""
         return list(dict.fromkeys(key for entry in self.entries for record in entry.records for key in record.metrics))
 
     @cached_property
     def standings(self) -> list[RankedMethod]:
-        """Methods in the order of their places, those without a value last."""
+        """Methods in order of place, those without a value last."""
         scores = [entry.scores(self.metric, self.sequences) for entry in self.entries]
         found = []
         standings = ScoreTable.of(scores, self.sequences, self.track).standings(direction(self.metric))
@@ -186,24 +187,26 @@ class Board:
 
     @cached_property
     def pairs(self) -> list[MethodPair]:
-        """Every two methods, the better placed first: over all sequences, and within each class of conditions.
+        """Comparisons of every two methods, the better placed first: over all sequences, and within each class of
+        conditions.
 
-        Classes are left out where there is but one of them, which is everywhere.
+        A condition with only one class is left out, since that class is everywhere.
         """
         labels = [row.label for row in self.standings]
         by_place = zip(*(self.compare(a, b) for a, b in combinations(labels, 2)), strict=True)
         return [pair for pairs in by_place for pair in pairs]
 
     def compare(self, a: str, b: str) -> list[MethodPair]:
-        """Two methods by their labels: over all sequences, and within each class of conditions where there are
-        several."""
+        """Compare two methods, given by their labels: over all sequences, and within each class of conditions where
+        there are several."""
         places = [("", "", self.sequences)]
         places += [(key, name, names) for key in STRATA for name, names in self.classes(key).items()]
         of_a, of_b = self.runs_of(a), self.runs_of(b)
         return [MethodPair(a, b, key, value, of_a.compare(of_b, self.metric, names)) for key, value, names in places]
 
     def classes(self, condition: str) -> dict[str, tuple[str, ...]]:
-        """Sequences by their class of a condition; empty where all are of one class or it is not known of all."""
+        """Sequences grouped by their class of a condition; empty if all are of one class, or if the class of any is
+        unknown."""
         known = {name: self.conditions(name).get(condition) for name in self.sequences}
         values = sorted({str(value) for value in known.values() if value is not None})
         if None in known.values() or len(values) < 2:
@@ -219,7 +222,7 @@ class Board:
         ]
 
     def conditions(self, sequence: str) -> Mapping[str, float | str]:
-        """What a sequence is like."""
+        """Conditions of a sequence."""
         records = (record for entry in self.entries for record in entry.records if record.sequence == sequence)
         return next((record.conditions for record in records if record.conditions), {})
 
@@ -234,7 +237,7 @@ class Board:
         return found
 
     def cells(self, key: str | None = None) -> list[SequenceRuns]:
-        """Each method on each sequence: median and range over its runs of a metric, by default the one that ranks."""
+        """Median and range of a metric (by default the ranking one) over the runs of each method on each sequence."""
         key = key or self.metric
         found = []
         for name in (*self.sequences, *self.left_out):
@@ -249,12 +252,12 @@ class Board:
         return found
 
     def runs_of(self, label: str) -> MethodRuns:
-        """Of the method of that label."""
+        """Runs of the method with this label."""
         return next(entry for entry in self.entries if entry.label == label)
 
     @property
     def name(self) -> str:
-        """What was run on, for a heading."""
+        """What the methods were run on, for a heading."""
         return self._base + (f" ({self.apart})" if self.apart else "")
 
     @property
@@ -268,9 +271,10 @@ def _median_and_range(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def boards(records: Iterable[ResultRecord]) -> list[Board]:
-    """Records sorted into boards, in the order of their first appearance; a record that is given twice counts once.
+    """Sort records into boards, in order of first appearance; a record that is given twice counts once.
 
-    Raises ResultError where one sequence was scored against two truths, and for a track without a ranking metric.
+    Raises ResultError where one sequence was scored against two ground truths, and for a track without a ranking
+    metric.
     """
     groups: dict[tuple[str, ...], list[ResultRecord]] = {}
     seen: set[str] = set()
@@ -284,7 +288,7 @@ def boards(records: Iterable[ResultRecord]) -> list[Board]:
 
 
 def _apart(board: Board, found: Sequence[Board]) -> str:
-    """What tells a board from others of its name."""
+    """What distinguishes a board from others of the same name."""
     others = [other for other in found if other is not board and other.name == board.name]
     parts = []
     if any(other.split_digest != board.split_digest for other in others):
@@ -331,7 +335,7 @@ def _board(records: Sequence[ResultRecord]) -> Board:
 
 
 def _labels(keys: Sequence[tuple[str, str]]) -> dict[tuple[str, str], str]:
-    """The method's name, with the settings that tell it from another of that name."""
+    """Label each method with its name and the settings that distinguish it from others of that name."""
     found: dict[tuple[str, str], str] = {}
     for name, settings in keys:
         others = [json.loads(other) for n, other in keys if n == name]
@@ -341,23 +345,23 @@ def _labels(keys: Sequence[tuple[str, str]]) -> dict[tuple[str, str], str]:
         inside = few([f"{key} = {own[key]!s:.40}" for key in differing]) or "defaults"
         label = name if len(others) == 1 else f"{name} ({inside})"
         same = sum(other == label or other.startswith(f"{label} #") for other in found.values())
-        found[name, settings] = f"{label} #{same + 1}" if same else label  # which differ in what is not named
+        found[name, settings] = f"{label} #{same + 1}" if same else label  # differ in unnamed settings
     return found
 
 
 def few(values: Sequence[str]) -> str:
-    """The first of them, and how many more there are."""
+    """List the first values, and how many more there are."""
     more = len(values) - MOST_LISTED
     return ", ".join(values) if more <= 0 else f"{', '.join(values[:MOST_LISTED])} and {more} more"
 
 
 def per_sequence(board: Board) -> list[dict[str, Any]]:
-    """What each method has on each sequence, with its conditions, as in `as_plain`."""
+    """Results of each method on each sequence with the sequence's conditions, as in `as_plain`."""
     return [{**asdict(cell), "conditions": board.conditions(cell.sequence)} for cell in board.cells()]
 
 
 def as_plain(board: Board) -> dict[str, Any]:
-    """A board for JSON; numbers that do not exist are null, with the reason beside."""
+    """Convert a board to plain values for JSON; numbers that do not exist are null, with the reason beside them."""
 
     def pair(found: MethodPair) -> dict[str, Any]:
         return {**{key: getattr(found, key) for key in ("a", "b", "condition", "value")}, **asdict(found.comparison)}

@@ -1,7 +1,7 @@
-"""Sequences that a method lost, and what it reaches on the others.
+"""Sequences on which a method got lost, and what it achieves on the others.
 
-An estimate that diverges is off by any distance, so the mean of its errors over sequences says nothing of the others.
-Over sequences an error is therefore the median over those that are not lost, and the number of the lost stands beside.
+An estimate that diverges may be off by any distance, so that a mean of errors over sequences would say nothing about
+the others. An error over sequences is therefore the median over those that are not lost, shown beside the number lost.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from oysterbench.evaluate.statistics import Sample, sequence_means
 
 
 def lost_sequences(scores: Sample, track: str) -> tuple[str, ...] | None:
-    """Names of the sequences whose score, the mean of their runs, lies below the track's `lost_below`; None where the
-    track has no such thing.
+    """Names of the sequences whose score, the mean over their runs, is below the track's `lost_below`; None if the
+    track does not define it.
 
-    scores: of the metric that ranks; a failed run has one, the least
+    scores: values of the ranking metric; a failed run has one too, the lowest
 
     >>> lost_sequences({"a": [0.9], "b": [0.0], "c": [0.4, 0.0]}, "slam")
     ('b', 'c')

@@ -1,4 +1,4 @@
-"""The machines that results were measured on: speeds of different ones are no comparison of methods."""
+"""Machines that results were measured on: speeds from different machines do not compare methods."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from oysterbench.results.records import ResultRecord
 
 
 def machine_of(hardware: Mapping[str, Any]) -> str:
-    """Processor and cores in a few words; empty where they are not known.
+    """Processor and number of cores in a few words; empty if the processor is unknown.
 
     >>> machine_of({"cpu": "AMD EPYC", "cores": 2, "python": "3.11"})
     'AMD EPYC, 2 cores'
@@ -22,7 +22,7 @@ def machine_of(hardware: Mapping[str, Any]) -> str:
 
 
 def machines_of(records: Iterable[ResultRecord]) -> dict[str, list[str]]:
-    """Machine -> methods that have a speed on it, both in the order of the records."""
+    """Machine -> methods whose speed was measured on it, both in the order of the records."""
     found: dict[str, list[str]] = {}
     for record in records:
         machine = machine_of(record.hardware)
@@ -33,7 +33,7 @@ def machines_of(records: Iterable[ResultRecord]) -> dict[str, list[str]]:
 
 
 def machines_note(records: Iterable[ResultRecord]) -> str:
-    """What must be said where speeds are of several machines; else empty."""
+    """Warning for speeds measured on several machines; else empty."""
     found = machines_of(records)
     if len(found) < 2:
         return ""

@@ -1,4 +1,4 @@
-"""Whether the numbers of a result can be: each in its range, and those that follow from others as they follow."""
+"""Plausibility of the numbers of a result: each within its range, and those that follow from others consistent."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from oysterbench.evaluate.metrics import find_metric
 from oysterbench.results.records import ResultRecord
 
 RELATIVE, ABSOLUTE = 1e-6, 1e-6
-"""By which numbers may miss a relation: results that a server published are rounded."""
+"""Tolerances within which numbers must fulfil a relation: results published by a server are rounded."""
 
 COSTS: dict[str, tuple[float, float]] = {
     "wall_s": (1e-5, math.inf),
@@ -23,16 +23,16 @@ COSTS: dict[str, tuple[float, float]] = {
     "pictures_per_s": (0.0, 1e6),
     "images_per_s": (0.0, 1e6),
 }
-"""What a run that was scored costs at least and at most, far beyond what has been measured: a day of dives in a second,
-a process of a megabyte."""
+"""Least and greatest cost of a run that was scored, far beyond anything measured: a day of dives in a second, a process
+of one megabyte."""
 
 Metrics = Mapping[str, float]
 
 
 def check_plausible(record: ResultRecord, where: str = "result") -> None:
-    """Raise ResultError, in one line, for the first number that cannot be.
+    """Raise ResultError, in one line, for the first impossible number.
 
-    It is no proof of anything: numbers that are made up with care pass.
+    Passing proves nothing: carefully invented numbers pass too.
     """
     known = {key: float(value) for key, value in record.metrics.items() if not math.isnan(value)}
     for key, value in known.items():
@@ -132,18 +132,18 @@ RELATIONS: dict[str, tuple[tuple[tuple[str, ...], Callable[..., bool], str], ...
         *_least("pitch_within_one", "pitch_accuracy"),
     ),
 }
-"""Track -> keys, what must hold of their values, and how it is said."""
+"""Track -> keys, the relation that their values must fulfil, and its wording."""
 
 RECALLS = (0.5, 1.0, 2.0, 5.0)
-"""Errors, % of the path, of the recalls that bound the score."""
+"""Error thresholds, % of the path length, of the recalls that bound the score."""
 
 BOUNDING = {"slam": ("score", "coverage", *(f"recall_{percent:g}percent" for percent in RECALLS))}
-"""Track -> keys without which a score that was scored cannot be checked."""
+"""Track -> keys without which the score of a run cannot be checked."""
 
 
 def _check_recalls(record: ResultRecord, known: Metrics, where: str) -> None:
-    """Recalls grow up to the coverage, and the score, the mean of 1 / (1 + e / e0), lies between its least and its
-    greatest value for them."""
+    """Check that the recalls increase up to the coverage, and that the score, the mean of 1 / (1 + e / e0), lies
+    between the least and the greatest value that they allow. Raises ResultError."""
     score, coverage, *recalls = BOUNDING[record.track]
     names = [*recalls, coverage]
     if any(key not in known for key in BOUNDING[record.track]):

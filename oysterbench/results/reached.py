@@ -1,4 +1,4 @@
-"""What trained weights have reached, from results that were made with them, for the card of their release."""
+"""Metrics reached with trained weights, from results made with them, for the model card of their release."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from oysterbench.results.records import ResultRecord, aggregate, read_results
 
 
 def figures_of(path: Path, name: str, sha256: str) -> list[Figure]:
-    """The metrics of a track's tables that methods reached with weights, by a file of results or a folder that has one.
+    """Read the metrics that methods reached with given weights, those of a track's tables, from a results file or a
+    folder that holds one.
 
-    name, sha256: of the weights. Results of methods that do not run on them are passed over. Raises ResultError where
-    there are none of these weights, or a run of them failed.
+    name, sha256: of the weights. Results of methods that do not use them are skipped. Raises ResultError where there
+    are no results with these weights, or a run with them failed.
     """
     path = path / "results.json" if path.is_dir() else path
     records = read_results(path)
@@ -45,7 +46,7 @@ def weights_in(record: ResultRecord) -> dict[str, str]:
 
 
 def _figures(row: dict[str, Any], results: str) -> list[Figure]:
-    """Of a row of `aggregate`."""
+    """Figures of one row of `aggregate`; results: SHA-256 of the results file."""
     found = []
     for key in TRACKS[row["track"]].table:
         value, metric = row["metrics"].get(key), find_metric(key, row["track"])

@@ -1,4 +1,4 @@
-"""ResultRecord: the immutable JSON that tables, reports and the leaderboard read; and statistics over sequences."""
+"""ResultRecord, the immutable JSON record that tables, reports and the leaderboard read; statistics over sequences."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _cpu_name() -> str:
 
 
 def now() -> str:
-    """UTC in ISO 8601, to the second."""
+    """Current time, UTC in ISO 8601, to the second."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
@@ -57,18 +57,18 @@ def now() -> str:
 class ResultRecord:
     """One run of a method on one sequence, scored.
 
-    track, split, sequence:  what was run on; split_digest says exactly which recipe made it
-    truth_digest:            SHA-256 of what it was scored against, where that is known
-    conditions:              what the sequence is like (`evaluate.conditions.CONDITIONS`)
-    run, seed:               number of the run, from 0, and the seed that the method was given; None if it takes none
-    method, method_settings: what was run
-    metrics:                 by keys that carry their unit (`evaluate.metrics`); NaN where there is no value
-    reasons:                 why, for every metric that is NaN
-    failure:                 why there is no estimate, or it cannot be scored; None for a run that was scored.
+    track, split, sequence:  what the method was run on; split_digest identifies the exact recipe that it was made from
+    truth_digest:            SHA-256 of the ground truth that it was scored against, if known
+    conditions:              conditions of the sequence (`evaluate.conditions.CONDITIONS`)
+    run, seed:               number of the run, from 0, and the seed given to the method; None if it takes none
+    method, method_settings: the method that was run
+    metrics:                 by keys that include the unit (`evaluate.metrics`); NaN where there is no value
+    reasons:                 the reason for every metric that is NaN
+    failure:                 why there is no estimate, or why it cannot be scored; None for a run that was scored.
                              A failed run has no estimate: its score and coverage are 0 and its errors do not exist.
     settings:                of the evaluator
     notes:                   what a reader of the numbers should know, in sentences
-    info:                    what the method wants to keep with the result
+    info:                    what the method wants kept with the result
     """
 
     track: str
@@ -93,7 +93,7 @@ class ResultRecord:
     created: str = field(default_factory=now)
 
     def __post_init__(self) -> None:
-        """Copies of the mappings are kept, so that the caller's later changes do not reach the record."""
+        """Copy the mappings, so that later changes by the caller do not reach the record, and check the metrics."""
         for key in _MAPPINGS:
             object.__setattr__(self, key, dict(getattr(self, key)))
         object.__setattr__(self, "notes", tuple(self.notes))
@@ -101,7 +101,7 @@ class ResultRecord:
             spent = {key: value for key, value in self.metrics.items() if key not in SPEEDS}
             object.__setattr__(self, "metrics", {**spent, **FAILED.get(self.track, {"coverage": 0.0})})
         for key, value in self.metrics.items():
-            if abs(value) > sys.float_info.max:  # JSON has integers that no float holds
+            if abs(value) > sys.float_info.max:  # JSON allows integers that no float can hold
                 got = f"{value!s:.60}"
                 raise ResultError(f"metric {key!r} of {self.method} on {self.sequence}: expected a number, got {got}")
             if math.isnan(value) and not self.reasons.get(key):
@@ -110,7 +110,7 @@ class ResultRecord:
                 )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; a metric that is NaN becomes None."""
+        """Convert to plain values for JSON; a metric that is NaN becomes None."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         values["metrics"] = {k: None if math.isnan(v) else plain(v) for k, v in self.metrics.items()}
         return {"format": FORMAT, **{key: plain(value) for key, value in values.items()}}
@@ -121,7 +121,7 @@ class ResultRecord:
 
     @classmethod
     def from_dict(cls, values: Any, where: str = "result") -> ResultRecord:
-        """A record from plain values. Raises ResultError naming `where` and the key."""
+        """Make a record from plain values. Raises ResultError naming `where` and the key."""
         if isinstance(values, Mapping) and isinstance(values.get("metrics"), Mapping):
             metrics = {key: math.nan if value is None else value for key, value in values["metrics"].items()}
             values = {**values, "metrics": metrics}
@@ -139,8 +139,8 @@ def _keys(kind: Hashable) -> tuple[str, ...]:
 
 
 def checked(values: Any, kind: type[Checked], form: str, where: str, remedy: str = "") -> Checked:
-    """A dataclass from the plain values of JSON: of the format `form`, with all of its keys and no others, each of its
-    type. Raises ResultError naming `where` and the key; remedy: what to do about another format."""
+    """Make a dataclass from plain JSON values, which must be of the format `form` and have exactly its keys, each of
+    the right type. Raises ResultError naming `where` and the key; remedy: what to do if the format is another."""
     if not isinstance(values, Mapping):
         raise ResultError(f"{where}: expected a record (a JSON object), got {type(values).__name__}")
     if values.get("format") != form:
@@ -154,7 +154,7 @@ def checked(values: Any, kind: type[Checked], form: str, where: str, remedy: str
             raise ResultError(f"{where}: missing key {key!r}")
     try:
         return msgspec.convert(given, kind)
-    except msgspec.ValidationError as error:  # "Expected `str`, got `int` - at `$.key`", of a mapping `$.key[...]`
+    except msgspec.ValidationError as error:  # "Expected `str`, got `int` - at `$.key`", for a mapping `$.key[...]`
         message, _, place = str(error).partition(" - at `$.")
         key = place.strip("`").partition("[")[0]
         if "[...]" in place:
@@ -165,7 +165,7 @@ def checked(values: Any, kind: type[Checked], form: str, where: str, remedy: str
 
 
 def _is_odd(given: Mapping[str, Any], key: str, name: str, kind: type[Any]) -> bool:
-    """Whether it is this item of a mapping that is not of its type."""
+    """Whether this item of a mapping is the one of the wrong type."""
     try:
         msgspec.convert({**given, key: {name: given[key][name]}}, kind)
     except msgspec.ValidationError:
@@ -176,7 +176,8 @@ def _is_odd(given: Mapping[str, Any], key: str, name: str, kind: type[Any]) -> b
 
 
 def plain(value: Any) -> Any:
-    """Values that JSON knows: numpy scalars and arrays, tuples and paths converted, NaN as None."""
+    """Convert a value to types that JSON has: numpy scalars and arrays, tuples and paths are converted, NaN and
+    infinity become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -191,7 +192,7 @@ def plain(value: Any) -> Any:
 
 
 def dump(value: Any) -> str:
-    """JSON text that every reader takes: no bare NaN."""
+    """Write JSON text that every parser accepts: without bare NaN."""
     return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
 
 
@@ -205,13 +206,13 @@ def _load(text: str, where: str) -> Any:
 
 
 def comparable_key(record: ResultRecord) -> tuple[str, ...]:
-    """Equal for records whose numbers may be set against each other: one recipe, one evaluator with one setting."""
+    """Key that is equal for records whose numbers may be compared: same recipe, same evaluator, same settings."""
     settings = json.dumps(plain(record.settings), sort_keys=True)
     return (record.track, record.split, record.split_digest, record.evaluator_version, settings)
 
 
 def method_key(record: ResultRecord) -> tuple[str, str]:
-    """Equal for runs of one method with one setting."""
+    """Key that is equal for runs of one method with the same settings."""
     return record.method, json.dumps(plain(record.method_settings), sort_keys=True)
 
 
@@ -224,9 +225,9 @@ def samples(records: Sequence[ResultRecord], key: str) -> dict[str, list[float]]
 
 
 def weights_of(records: Sequence[ResultRecord], key: str) -> dict[str, list[float]] | None:
-    """Weights of a metric's values in a mean over sequences, shaped like `samples`; None where each has one vote.
+    """Weights of a metric's values in a mean over sequences, shaped like `samples`; None if all count equally.
 
-    Raises ResultError where a record has a value, and not its weight.
+    Raises ResultError where a record has a value but not its weight.
     """
     metric = find_metric(key)
     if metric is None or not metric.weight:
@@ -243,18 +244,18 @@ def weights_of(records: Sequence[ResultRecord], key: str) -> dict[str, list[floa
 
 
 def lost_of(results: Sequence[ResultRecord]) -> tuple[str, ...] | None:
-    """Names of the sequences that a method lost, of its results; None where its track has no such thing."""
+    """Names of the sequences that a method lost, from its results; None if its track does not define this."""
     track = TRACKS.get(results[0].track) if results else None
     return None if track is None else lost_sequences(samples(results, track.ranking), results[0].track)
 
 
 def aggregate(records: Iterable[ResultRecord]) -> list[dict[str, Any]]:
-    """For each track, split and method what each metric is over sequences, with its statistics.
+    """Aggregate each metric over sequences, with its statistics, for each track, split and method.
 
-    That is the mean; of a track's `errors` it is the median over the sequences that are not `lost`. Several runs on one
-    sequence are averaged first, so that every sequence has one vote. A failed run counts with score and coverage 0 and
-    has no errors; a metric without any value is None, with the reason. Records of another recipe, evaluator or setting
-    are never averaged together: they make rows of their own.
+    The aggregate is the mean or, for a track's `errors`, the median over the sequences that are not `lost`. Several
+    runs on one sequence are averaged first, so that every sequence has one vote. A failed run counts with score and
+    coverage 0 and has no errors; a metric without any value is None, with the reason. Records of different recipes,
+    evaluators or settings are never averaged together: each combination has a row of its own.
     """
     groups: dict[tuple[str, ...], list[ResultRecord]] = {}
     for record in records:
@@ -302,24 +303,24 @@ def _aggregate_group(group: list[ResultRecord]) -> dict[str, Any]:
 
 
 def document(records: Iterable[ResultRecord], data_set: Any = None) -> dict[str, Any]:
-    """What `oysterbench eval --json` prints: all records and their aggregate; data_set: what is known over all
-    sequences together and cannot be made of the records, for tracks that have such a thing."""
+    """Document that `oysterbench eval --json` prints: all records and their aggregate. data_set: results over all
+    sequences together that cannot be derived from the records, for tracks that have them."""
     records = list(records)
     made = {"results": [record.to_dict() for record in records], "aggregate": aggregate(records)}
     return made if data_set is None else {**made, "data_set": plain(data_set)}
 
 
 def write_results(path: str | os.PathLike[str], records: Iterable[ResultRecord], data_set: Any = None) -> None:
-    """Write `document(records)` as JSON, nothing half-written."""
+    """Write `document(records)` as JSON, atomically."""
     write_atomically(path, (dump(document(records, data_set)) + "\n").encode())
 
 
 def add_results(
     path: str | os.PathLike[str], records: Iterable[ResultRecord], data_set: Sequence[Any] | None = None
 ) -> list[ResultRecord]:
-    """Write results into a file, in which they replace those of the same method on the same sequence.
+    """Write results into a file, where they replace those of the same method on the same sequence.
 
-    Returns the others, which stay. Raises ResultError, with the file left as it is, where it holds no results.
+    Returns the other records, which stay. Raises ResultError, leaving the file as it is, where it is no results file.
     """
     records, path = list(records), Path(path)
     before, rows = _read(path) if path.exists() else ([], ())
@@ -332,17 +333,17 @@ def add_results(
 
 
 def _place(record: ResultRecord) -> tuple[str, ...]:
-    """Equal for results of which the later one counts."""
+    """Key that is equal for results of which only the latest counts."""
     return record.track, record.split, record.sequence, record.method
 
 
 def read_results(path: str | os.PathLike[str]) -> list[ResultRecord]:
-    """The records of a file that `write_results` wrote. Raises ResultError naming file and key."""
+    """Read the records of a file written by `write_results`. Raises ResultError naming file and key."""
     return _read(Path(path))[0]
 
 
 def _read(path: Path) -> tuple[list[ResultRecord], Sequence[Mapping[str, Any]]]:
-    """Records, and rows of `data_set`."""
+    """Read the records and the rows of `data_set`."""
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -362,21 +363,21 @@ def _read(path: Path) -> tuple[list[ResultRecord], Sequence[Mapping[str, Any]]]:
 
 
 Finder = Callable[[str], "list[ResultRecord] | None"]
-"""Gives the records that a text names which is no file; None where it names none."""
+"""Returns the records for a name that is not a file; None if it knows no such name."""
 
 
 def labelled_results(names: Iterable[str], find: Finder | None = None) -> list[ResultRecord]:
-    """The records of files, or of folders that hold results.json, each as a path or as LABEL=PATH; or of what else
-    `find` knows by a name.
+    """Read the records of files, or of folders that hold results.json, each given as PATH or LABEL=PATH, or of
+    anything else that `find` knows by name.
 
-    A label takes the place of the method's name, or stands before it where the file holds several methods. Raises
-    ResultError where two different records say that they are the same run of one method.
+    A label replaces the method's name, or is prepended to it if the file holds several methods. Raises ResultError
+    where two different records claim to be the same run of one method.
     """
     records: list[ResultRecord] = []
     sources: dict[tuple[str, ...], tuple[str, ResultRecord]] = {}
     for name in names:
         label, _, rest = name.rpartition("=")
-        if label and Path(name).exists():  # a name that has the sign in it
+        if label and Path(name).exists():  # the file name itself contains "="
             label, rest = "", name
         path = Path(rest)
         found = find(rest) if find is not None and not path.exists() else None

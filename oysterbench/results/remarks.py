@@ -1,4 +1,4 @@
-"""What a reader must know before the numbers of comparisons."""
+"""Remarks that a reader needs before the numbers of comparisons."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from oysterbench.results.records import plain
 
 
 def remarks(found: Sequence[Board]) -> list[str]:
-    """In words: boards kept apart and why, sequences left out, no intervals."""
+    """Say in words which boards are kept apart and why, which sequences are left out, and why intervals or places are
+    missing."""
     notes = []
     if len(found) > 1:
         notes.append(f"shown as {len(found)} separate comparisons, since they differ in {_differences(found)}")
@@ -48,7 +49,7 @@ def _differences(found: Sequence[Board]) -> str:
             parts.append(f"{noun} ({few(values)})")
     if any(a.split == b.split and a.split_digest != b.split_digest for a in found for b in found):
         parts.append("recipe of the split")
-    by_data: dict[tuple[str, str], list[Board]] = {}  # other tracks have other settings, which tell nothing
+    by_data: dict[tuple[str, str], list[Board]] = {}  # settings of different tracks differ anyway, which says nothing
     for board in found:
         by_data.setdefault((board.track, board.split), []).append(board)
     differing: dict[str, dict[str, None]] = {}

@@ -1,4 +1,4 @@
-"""Scores against the strength of single disturbances: which of them breaks which method, and from where on."""
+"""Scores against the strength of single disturbances: which disturbance breaks which method, and at what strength."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from oysterbench.recipe import UNDISTURBED
 from oysterbench.results.comparison import Board
 
 BROKEN_SHARE = 0.5
-"""Of a method's score on the calm dive: below it a disturbance has broken the method."""
+"""Share of a method's score on the calm dive below which a disturbance has broken the method."""
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """A disturbance of a dive: the scores by method (medians over its runs), at strengths from 0, which is the calm
-    dive, upwards; 0 where all runs failed, NaN where there was none."""
+    """A disturbance of a dive: scores by method (medians over its runs) at increasing strengths from 0, the calm dive;
+    0 where all runs failed, NaN where there was none."""
 
     name: str
     strengths: tuple[int, ...]
     scores: Mapping[str, tuple[float, ...]]
 
     def breaks_at(self, label: str) -> int | None:
-        """The least strength from which on the method stays below BROKEN_SHARE of what it scores on the calm dive; None
-        where it withstands the strongest."""
+        """Least strength from which on the method's score stays below BROKEN_SHARE of that on the calm dive; None if
+        it withstands the strongest."""
         calm, *disturbed = self.scores[label]
         whole = [value >= BROKEN_SHARE * calm for value in disturbed]
         last = max((i for i, withstood in enumerate(whole) if withstood), default=-1)
@@ -31,8 +31,8 @@ class Disturbance:
 
 
 def disturbances(board: Board) -> list[Disturbance]:
-    """The disturbances of a board's split, in the order of its sequences; none where it has no calm dive to hold them
-    against, and a disturbance at one strength only counts like any other."""
+    """Disturbances of a board's split, in the order of its sequences; none if there is no calm dive to compare with.
+    A disturbance at only one strength counts like any other."""
     about = {name: board.conditions(name) for name in (*board.sequences, *board.left_out)}
     calm = [name for name, conditions in about.items() if conditions.get("disturbance") == UNDISTURBED]
     if len(calm) != 1:

@@ -11,7 +11,7 @@ NAMES = ("slam", "segmentation", "detection", "density", "steering")
 
 
 class TrackRegistry(Mapping[str, Track]):
-    """Name -> track; what a track needs is loaded when it is asked for."""
+    """Name -> track; the module of a track is imported on first access."""
 
     def __getitem__(self, name: str) -> Track:
         if name not in NAMES:

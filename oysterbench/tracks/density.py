@@ -1,4 +1,4 @@
-"""The density track: maps of oysters along the paths of SLAM methods, with the masks of methods of images."""
+"""The density track: maps of oysters along the paths of SLAM methods, from the masks of image methods."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from oysterbench.tracks.slam import SlamSequence
 from oysterbench.tracks.slam_options import SETTINGS
 from oysterbench.tracks.track import Evaluation, Option, Request, Track, shown_tables
 
-# What maps are made with is imported where it is used: all commands know of the track, and few make a map.
+# The mapping modules are imported where they are used: every command loads this track, but few make a map.
 if TYPE_CHECKING:
     from oysterbench.mapping import MapSettings, Seen
     from oysterbench.report.density import DensityRun
@@ -36,7 +36,7 @@ DEPTHS = ("stereo", "motion", "plane", "layer")
 
 
 class DensityTrack(Track):
-    """Oysters per square metre."""
+    """Density track: oysters per square metre."""
 
     name = "density"
     title = "Oysters per square metre, from paths and masks."
@@ -63,7 +63,7 @@ class DensityTrack(Track):
       oysterbench eval density --split slam-val --poses results --masks masks --depth stereo"""
 
     def settings(self, options: Mapping[str, Any]) -> MapSettings:
-        """Of the maps."""
+        """Settings of the maps."""
         from oysterbench.mapping import MapSettings
 
         return MapSettings(**{key: options[key] for key in ("cell_m",) if key in options})
@@ -71,14 +71,14 @@ class DensityTrack(Track):
     def run_sequences(
         self, split: SplitRecipe | None, files: Mapping[str, Path], options: Mapping[str, Any]
     ) -> Sequence[SlamSequence]:
-        """As on the SLAM track."""
+        """Sequences as on the SLAM track."""
         return SLAM.run_sequences(split, files, options)
 
     def score(self, job: Job, outcome: Outcome, out: Path, settings: MapSettings) -> None:
-        """A path or masks alone are no map."""
+        """Return None: a path or masks alone make no map to score."""
 
     def evaluate(self, request: Request) -> Evaluation:
-        """Map, and score. Methods of the track SLAM give paths, those of images give masks."""
+        """Build maps and score them. SLAM methods provide paths, image methods provide masks."""
         from oysterbench.mapping import read_seen
         from oysterbench.report.density_figure import drawn
         from oysterbench.tracks.mapping_evaluation import MappedSequence, evaluate_maps, labelled_camera
@@ -113,13 +113,14 @@ class DensityTrack(Track):
         return self.show(runs, sequences, request.out)
 
     def show(self, runs: Sequence[DensityRun], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:
-        """Results by sequence, and maps."""
+        """Show the results by sequence, with the maps."""
         return Evaluation(runs, printed=shown_tables([run.record for run in runs]))
 
     def _paths(
         self, sequence: SlamSequence, methods: Sequence[PythonMethod], request: Request
     ) -> dict[str, Trajectory | Exception]:
-        """By method: those of a folder, and those that methods are run for; the reason where there is none."""
+        """Paths by method, from a folder and from running the methods; an exception with the reason where there is
+        none."""
         found: dict[str, Trajectory | Exception] = {}
         if (folder := request.options.get("poses")) is not None:
             kept = estimates_in(folder, sequence.name)
@@ -142,7 +143,8 @@ class DensityTrack(Track):
         request: Request,
         settings: MapSettings,
     ) -> dict[str, Callable[[], Iterator[Seen]]]:
-        """What gives the oysters of pictures, by method; nothing for the truth's own."""
+        """Function by method that iterates over the oysters seen in each image; empty if the ground-truth masks are
+        used."""
         within = replace(request, out=request.out / "masks")
         pictures = PictureSequence(labelled_sequence(sequence.path), [sequence.path], sequence.split)
         done = self.run([pictures], methods, settings, within) if methods else ()
@@ -153,14 +155,14 @@ class DensityTrack(Track):
 
 
 def _failure(outcome: Outcome) -> str | None:
-    """Of the method. Raises MachineError where it was the machine's."""
+    """Reason why the method failed, or None. Raises MachineError where the machine failed instead."""
     if not outcome.finished:
         raise MachineError(outcome.failure)
     return outcome.failure
 
 
 def _seen(job: Job, outcome: Outcome, out: Path, camera: str, threshold: float) -> Iterator[Seen]:
-    """The oysters that a method found in the pictures of a camera. Raises MethodError where it failed."""
+    """Iterate over the oysters that a method found in the images of a camera. Raises MethodError where it failed."""
     from oysterbench.mapping import Seen
     from oysterbench.mapping.predicted import stacked
 
@@ -178,8 +180,8 @@ def _seen(job: Job, outcome: Outcome, out: Path, camera: str, threshold: float) 
 
 
 def estimates_in(folder: Path, sequence: str) -> dict[str, Path]:
-    """Files SEQUENCE-METHOD.tum of a folder by their method, as `oysterbench run` leaves them; further paths of a
-    method (SEQUENCE-METHOD.NAME.tum) and the truth are left out."""
+    """Files SEQUENCE-METHOD.tum in a folder by method, as `oysterbench run` writes them; further paths of a method
+    (SEQUENCE-METHOD.NAME.tum) and the ground truth are left out."""
     found = {}
     for path in sorted(folder.glob(f"{sequence}-*.tum")):
         method = path.stem.removeprefix(f"{sequence}-")

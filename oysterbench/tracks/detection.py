@@ -1,5 +1,5 @@
-"""The detection track: pictures in, single oysters out. Methods of the track segmentation take part by what hangs
-together in their masks."""
+"""The detection track: images in, individual oysters out. Methods of the segmentation track take part with the
+connected components of their masks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from oysterbench.tracks.track import Option
 
 
 class DetectionTrack(ImageTrack):
-    """Single oysters, counted and found."""
+    """Detection track: individual oysters, found and counted."""
 
     name = "detection"
     title = "Individual oysters in images: found, outlined, counted."
@@ -35,17 +35,17 @@ class DetectionTrack(ImageTrack):
       oysterbench eval detection --truth instances.json --estimate results.json"""
 
     def settings(self, options: Mapping[str, Any]) -> DetectionSettings:
-        """Of the evaluator."""
+        """Settings of the evaluator."""
         return DetectionSettings(**{key: options[key] for key in ("threshold", "max_detections") if key in options})
 
     def of_prediction(
         self, prediction: Prediction, method: str, shape: tuple[int, int], settings: DetectionSettings
     ) -> ImageInstances:
-        """Its detections, or the components of its masks."""
+        """Instances of a prediction: its detections, or the connected components of its masks."""
         return instances_of(prediction, method, shape, settings.threshold)
 
     def of_coco(self, file: CocoFile, name: str, settings: DetectionSettings) -> ImageInstances:
-        """Its instances with their scores."""
+        """Instances of an image in a COCO file, with their scores."""
         return file.instances(name, scored=True)
 
     def score_sequence(
@@ -56,7 +56,7 @@ class DetectionTrack(ImageTrack):
         method: str,
         samples_wanted: int = SAMPLES,
     ) -> tuple[DetectionClip, list[Sample]]:
-        """Oyster by oyster; pictures are painted where there are masks to paint."""
+        """Score oyster by oyster; sample images are drawn if every counted instance has a mask."""
         scorer, wanted, samples = DetectionScorer(settings), sampled(labelled.names, samples_wanted), []
         for instances, seen in labelled.single():
             estimate = get(instances.name, (instances.height, instances.width))
@@ -67,7 +67,7 @@ class DetectionTrack(ImageTrack):
         return scorer.result(), samples
 
     def over_dataset(self, method: str, results: Sequence[DetectionClip]) -> DatasetRow:
-        """All pictures together."""
+        """Result over all images together."""
         whole, intervals = over_clips(results)
         return DatasetRow(self.name, method, whole.metrics, whole.reasons, intervals, len(results), whole)
 

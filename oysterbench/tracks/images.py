@@ -1,4 +1,4 @@
-"""What the tracks of images have in common: pictures in, a prediction for each out, held against labelled sequences."""
+"""Common base of the image tracks: images in, a prediction for each out, scored against labelled sequences."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from oysterbench.simulation.conditions import conditions
 from oysterbench.simulation.generate import digest
 from oysterbench.tracks.track import Evaluation, Option, Track, about_run, about_sequence, cost_of, shown_tables
 
-SAMPLES = 3  # pictures of a sequence in the report
+SAMPLES = 3  # sample images per sequence in the report
 
 THRESHOLD = Option("threshold", "--threshold", "Minimum score of an oyster.  [default: 0.5]", float)
 KIND = Option(
@@ -49,7 +49,8 @@ KIND = Option(
 
 
 class PictureSequence(RunSequence):
-    """A labelled sequence whose pictures are given; places: of its files; split: that it is of, None for one's own."""
+    """A labelled sequence whose images are given to methods; places: its files; split: the split that it belongs to,
+    None for one of the user's own."""
 
     def __init__(
         self, labelled: LabelledSequence, places: Sequence[Path] = (), split: SplitRecipe | None = None
@@ -59,7 +60,7 @@ class PictureSequence(RunSequence):
 
     @property
     def origin(self) -> str:
-        """Of a split, its recipe; else the digest of the files."""
+        """Split, digest of its recipe, and name for a sequence of a split; else the digest of the files."""
         return self.labelled.digest if self.split is None else f"{self.split.name} {digest(self.split)} {self.name}"
 
     @property
@@ -69,11 +70,11 @@ class PictureSequence(RunSequence):
 
     @property
     def limit_s(self) -> float:
-        """Ten seconds a picture, and ten minutes at least."""
+        """Time limit of a run, s: ten seconds per image, at least ten minutes."""
         return max(LIMIT_OF_PICTURE_S * len(self.labelled.names), 600.0)
 
     def write_input(self, form: str, out: Path, processes: Processes) -> None:
-        """The pictures alone."""
+        """Write the images alone, without labels."""
         write_pictures(self._pictures(), out)
 
     def _pictures(self) -> Iterator[Picture]:
@@ -84,38 +85,38 @@ class PictureSequence(RunSequence):
 
 
 class ImageTrack(Track):
-    """A track of images."""
+    """Base class of the image tracks."""
 
     splits = ("segmentation",)
     default_split = "seg-mini"
     default_methods = ("all", "none", "colour")
     files = "masks, or annotations,"
     single: ClassVar[bool] = False
-    """Whether oysters are told apart."""
+    """Whether individual oysters are distinguished."""
 
     @abstractmethod
     def score_sequence(
         self, labelled: LabelledSequence, get: Predictor, settings: Any, method: str, samples_wanted: int = SAMPLES
     ) -> tuple[Any, list[Sample]]:
-        """The result of a sequence, and so many of its pictures with what was found in them.
+        """Score a sequence; return the result and up to `samples_wanted` sample images with the prediction drawn in.
 
-        get: of a name and a size (H, W), what is predicted
+        get: returns the prediction for the name and the size (H, W) of an image
         """
 
     @abstractmethod
     def of_prediction(self, prediction: Prediction, method: str, shape: tuple[int, int], settings: Any) -> Any:
-        """What the evaluator takes of what a method predicts."""
+        """Convert a method's prediction to the evaluator's type."""
 
     @abstractmethod
     def of_coco(self, file: Any, name: str, settings: Any) -> Any:
-        """What the evaluator takes of COCO annotations."""
+        """Convert the COCO annotations of an image to the evaluator's type."""
 
     @abstractmethod
     def over_dataset(self, method: str, results: Sequence[Any]) -> DatasetRow:
         """The result of a method over all sequences."""
 
     def dataset_rows(self, runs: Sequence[ImageRun]) -> list[DatasetRow]:
-        """The result over all sequences of each method that could be scored on all of them."""
+        """Result over all sequences for each method that could be scored on all of them."""
         groups: dict[str, list[ImageRun]] = {}
         for run in runs:
             groups.setdefault(run.record.method, []).append(run)
@@ -127,13 +128,13 @@ class ImageTrack(Track):
         return rows
 
     def failed_metrics(self, labelled: LabelledSequence, settings: Any) -> Mapping[str, float]:
-        """By what a failed run counts in a mean over sequences."""
+        """Metrics with which a failed run counts in a mean over sequences."""
         return {}
 
     def run_sequences(
         self, split: SplitRecipe | None, files: Mapping[str, Path], options: Mapping[str, Any]
     ) -> Sequence[PictureSequence]:
-        """Of a split; of one's own, whatever `annotations.open_truth` reads that has pictures."""
+        """Sequences of a split, or the user's own: any labelled images that `annotations.open_truth` reads."""
         if split is not None:
             named = files.items()
             return [PictureSequence(labelled_sequence(p, conditions(split, n)), [p], split) for n, p in named]
@@ -141,7 +142,7 @@ class ImageTrack(Track):
         return [PictureSequence(one, [path]) for path in files.values() for one in open_truth(path, **reading)]
 
     def score(self, job: Job, outcome: Outcome, out: Path, settings: Any) -> ImageRun:
-        """Score what a run predicted, picture by picture."""
+        """Score the predictions of a run, image by image."""
         sequence = job.sequence
         assert isinstance(sequence, PictureSequence)
         record = self._about(sequence.split, sequence.labelled, settings) | about_run(job, outcome)
@@ -162,7 +163,7 @@ class ImageTrack(Track):
         self, folder: Path, outcome: Outcome, labelled: LabelledSequence, settings: Any, method: str
     ) -> Predictor:
         if not outcome.prediction.get("arrays"):
-            # In the folder, whatever the process of a method wrote.
+            # Always within the folder, whatever path the method's process reported.
             place = Path(str(outcome.prediction.get("place"))).name
             return self.file_predictor(folder / place, [labelled], settings)
         coming = read_predictions(folder, labelled.names)
@@ -175,7 +176,8 @@ class ImageTrack(Track):
     def file_predictor(
         self, place: Path, labelled: Sequence[LabelledSequence], settings: Any, form: Form = "auto"
     ) -> Predictor:
-        """Reads what files predict for a picture. Raises LabelError where one is missing, or there is one too many."""
+        """Return a function that reads the prediction for an image from files. Raises LabelError where an image has
+        none, or where there is one too many."""
         if place.suffix.lower() == ".json":
             coco = next((one.coco for one in labelled if one.coco is not None), None)
             ids = None if coco is None else coco.images
@@ -198,9 +200,9 @@ class ImageTrack(Track):
         return get
 
     def score_files(self, truth: Path, estimate: Path, options: Mapping[str, Any]) -> Evaluation:
-        """Score predictions in a folder, an .npz or COCO annotations against any truth (`annotations.open_truth`).
+        """Score predictions in a folder, an .npz or COCO file against any ground truth (`annotations.open_truth`).
 
-        Raises LabelError, in one line, where a pair is missing, or a file is not what it should be.
+        Raises LabelError, in one line, where one of a pair is missing, or a file is not as expected.
         """
         settings = self.settings(options)
         reading = {key: options[key] for key in ("labels", "ignore_value") if key in options}
@@ -219,7 +221,7 @@ class ImageTrack(Track):
         return {**about, "conditions": labelled.conditions}
 
     def show(self, runs: Sequence[ImageRun], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:
-        """The data set as a whole, and results by sequence where there are several."""
+        """Show the results over the whole data set, and by sequence where there are several."""
         rows = self.dataset_rows(runs)
         records = [run.record for run in runs]
         several = len({record.sequence for record in records}) > 1
@@ -229,19 +231,19 @@ class ImageTrack(Track):
 
 
 Predictor = Callable[[str, tuple[int, int]], Any]
-"""Of the name and the size (H, W) of a picture, what is predicted for it, as the evaluator takes it."""
+"""Returns the prediction for an image, given its name and size (H, W), in the evaluator's type."""
 
 
 def segmentation_of(prediction: Prediction, method: str) -> EstimateImage:
-    """What a method of the track segmentation predicts, checked."""
+    """Check the prediction of a segmentation method and convert it. Raises MethodError where it is of another type."""
     if not isinstance(prediction, Segmentation):
         raise MethodError(f"method {method!r}: expected a Segmentation, got {type(prediction).__name__}")
     return EstimateImage(prediction.name, prediction.oyster, prediction.probability, prediction.classes)
 
 
 def instances_of(prediction: Prediction, method: str, shape: tuple[int, int], threshold: float) -> ImageInstances:
-    """The single oysters of a prediction. Of a mask, or of probabilities from `threshold` on, each connected component
-    (by edges and corners) is one, its score the mean probability in it; 1 where there are no probabilities."""
+    """Individual oysters of a prediction. In a mask, or in probabilities thresholded at `threshold`, each 8-connected
+    component is one, scored by its mean probability, or 1 if there are no probabilities."""
     if isinstance(prediction, Detections):
         return _detections(prediction, f"method {method!r} on {prediction.name}", shape)
     estimate = segmentation_of(prediction, method)
@@ -252,7 +254,7 @@ def instances_of(prediction: Prediction, method: str, shape: tuple[int, int], th
 
 
 def _detections(prediction: Detections, where: str, shape: tuple[int, int]) -> ImageInstances:
-    """Whatever a stranger's arrays hold, checked: sizes, types and ranges."""
+    """Convert detections from untrusted arrays, checking sizes, types and ranges. Raises MethodError or LabelError."""
     name, scores = prediction.name, np.asarray(prediction.scores).ravel()
     if scores.dtype.kind not in "iuf" or not np.isfinite(scores := scores.astype(float)).all():
         raise MethodError(f"{where}: expected scores (N,), finite numbers, got {scores.dtype} {scores[:4]}")
@@ -286,7 +288,7 @@ def _detections(prediction: Detections, where: str, shape: tuple[int, int]) -> I
 
 
 def _live(prediction: Detections, where: str, count: int) -> list[float]:
-    """(N,) probabilities that an oyster is alive, NaN where the prediction does not say."""
+    """Probabilities (N,) that each oyster is alive, NaN where the prediction does not say. Raises MethodError."""
     if prediction.live is None:
         return [np.nan] * count
     live = np.asarray(prediction.live).ravel()

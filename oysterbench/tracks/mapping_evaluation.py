@@ -37,7 +37,7 @@ SeenOf = Callable[[], Iterable[Seen]]
 
 @dataclass(frozen=True)
 class TrueMap:
-    """What is truly on the ground that a camera saw."""
+    """True map: what is on the ground that a camera saw."""
 
     count: TrueCount
     oysters: list[Oyster]
@@ -46,7 +46,8 @@ class TrueMap:
 
 @dataclass(frozen=True)
 class MappedSequence:
-    """A sequence that is mapped: along which paths, with whose masks (by name; the truth's own by default)."""
+    """A sequence to map: with its paths by name (an exception where there is none) and its masks by name (by default
+    those of the ground truth)."""
 
     sequence: Sequence
     camera: str
@@ -55,7 +56,7 @@ class MappedSequence:
 
 
 def labelled_camera(sequence: Sequence) -> str:
-    """The first camera with the layers depth, class and instance. Raises LabelError where there is none."""
+    """Name of the first camera with the layers depth, class and instance. Raises LabelError where there is none."""
     topics = {topic for topic, _, _ in sequence.contents()}
     for name in sequence.cameras:
         if {f"/{name}/depth", f"/{name}/class", f"/{name}/instance"} <= topics:
@@ -67,10 +68,10 @@ def labelled_camera(sequence: Sequence) -> str:
 
 
 def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
-    """Of the true poses and depths, and the table of oysters: those with their middle on what was seen, and those that
-    a picture shows whole, as the reef's relief may hide the ground at their middle.
+    """Build the true map from true poses, depths and the table of oysters. It holds the oysters whose centre lies on
+    ground that was seen, and those that an image shows whole, as the reef's relief may hide the ground at their centre.
 
-    An oyster is shown where some picture has `least_px` of it within the greatest distance.
+    An oyster counts as shown if at least `least_px` of its pixels in some image are within the usable range of depths.
     """
     truth, calibration = sequence.truth(), sequence.truly_calibrated().cameras[camera]
     poses, lens = PoseInterpolator(truth, settings.max_gap_s), Lens(camera, calibration)
@@ -107,7 +108,7 @@ def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
 
 
 def oyster_centres(table: Any) -> Array:
-    """(N, 3) m in `map`: from the umbo half of the height towards the bill (the shell's x)."""
+    """Centres (N, 3) of oysters, m in `map`: half the shell height from the umbo towards the bill (the shell's x)."""
     quaternions = table[["qx", "qy", "qz", "qw"]].to_numpy()
     umbos, heights = table[["x", "y", "z"]].to_numpy(), table["height_m"].to_numpy()
     if len(umbos) == 0:
@@ -118,7 +119,7 @@ def oyster_centres(table: Any) -> Array:
 
 
 def cells_of(grid: Grid) -> dict[tuple[int, int], Cell]:
-    """Those that were seen enough, by column and row of the world."""
+    """Cells that were seen enough, by column and row of a grid fixed to the world."""
     west, north = round(grid.west_m / grid.cell_m), round(grid.north_m / grid.cell_m)
     return {
         (west + int(column), north - 1 - int(row)): Cell(
@@ -129,7 +130,7 @@ def cells_of(grid: Grid) -> dict[tuple[int, int], Cell]:
 
 
 def aligned(truth: Trajectory, estimate: Trajectory, align: Align) -> Trajectory:
-    """An estimate, brought to the world of the truth as the SLAM track does."""
+    """Align an estimate with the ground truth, as the SLAM track does."""
     fit = meet(truth, estimate, SlamSettings(align=align))[1].similarity
     estimate = with_scale(estimate, fit.scale)
     return replace(estimate, positions=fit.apply(estimate.positions), quaternions=fit.rotate(estimate.quaternions))
@@ -143,7 +144,7 @@ def evaluate_maps(
     align: Align = "posyaw",
     announce: Announce = lambda text: None,
 ) -> Iterator[DensityRun]:
-    """A map along each path with the masks of each, scored; what cannot be mapped leaves a record with `failure`."""
+    """Build and score a map for each combination of path and masks; one that fails leaves a record with `failure`."""
     sequence, camera = mapped.sequence, mapped.camera
     truth = true_map(sequence, camera, settings)
     poses = sequence.truth()
@@ -180,7 +181,7 @@ def evaluate_maps(
 
 
 def map_count(found: OysterMap, owners: Mapping[tuple[int, int], int]) -> MapCount:
-    """What is scored of a map; owners: true oyster by picture and number."""
+    """What is scored of a map; owners: true oyster by image index and instance number."""
     behind = []
     for track in found.tracks:
         pixels: Counter[int] = Counter()
@@ -196,7 +197,7 @@ def map_count(found: OysterMap, owners: Mapping[tuple[int, int], int]) -> MapCou
 
 
 def _owned(sequence: Sequence, camera: str, seen: SeenOf, owners: dict[tuple[int, int], int]) -> SeenOf:
-    """The same pictures; on the way, the true oyster that most of each one's pixels are of is noted."""
+    """Wrap `seen` to note in `owners`, on the way, the true oyster that most pixels of each instance belong to."""
 
     def noted() -> Iterator[Seen]:
         truth = {}

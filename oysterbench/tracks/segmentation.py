@@ -1,4 +1,4 @@
-"""The segmentation track: pictures in, masks or probabilities out, held against labelled pixels."""
+"""The segmentation track: images in, masks or probabilities out, scored against labelled pixels."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from oysterbench.tracks.track import Option
 
 
 class SegmentationTrack(ImageTrack):
-    """Which pixels are oysters."""
+    """Segmentation track: which pixels are oysters."""
 
     name = "segmentation"
     title = "Which pixels of images are oysters."
@@ -48,17 +48,17 @@ class SegmentationTrack(ImageTrack):
       oysterbench eval segmentation --truth masks/ --estimate probabilities/ --threshold 0.4"""
 
     def settings(self, options: Mapping[str, Any]) -> SegmentationSettings:
-        """Of the evaluator."""
+        """Settings of the evaluator."""
         return SegmentationSettings(**{key: options[key] for key in ("threshold",) if key in options})
 
     def of_prediction(
         self, prediction: Prediction, method: str, shape: tuple[int, int], settings: SegmentationSettings
     ) -> EstimateImage:
-        """Masks, probabilities or classes."""
+        """Masks, probabilities or classes of a prediction."""
         return segmentation_of(prediction, method)
 
     def of_coco(self, file: CocoFile, name: str, settings: SegmentationSettings) -> EstimateImage:
-        """The union of its instances that score enough."""
+        """Union of the instances of an image whose score reaches the threshold."""
         return file.mask(name, settings.threshold)
 
     def score_sequence(
@@ -69,7 +69,7 @@ class SegmentationTrack(ImageTrack):
         method: str,
         samples_wanted: int = SAMPLES,
     ) -> tuple[ClipResult, list[Sample]]:
-        """Pixel by pixel."""
+        """Score pixel by pixel."""
         scorer, wanted, samples = ClipScorer(settings), sampled(labelled.names, samples_wanted), []
         for truth, pixels in labelled.images():
             estimate = get(truth.name, truth.classes.shape)
@@ -79,7 +79,7 @@ class SegmentationTrack(ImageTrack):
         return scorer.result(), samples
 
     def failed_metrics(self, labelled: LabelledSequence, settings: SegmentationSettings) -> Mapping[str, float]:
-        """The pixels of the truth, none of which were found."""
+        """Pixel and image counts of a run that found no oyster pixels."""
         scorer = ClipScorer(settings)
         for truth, _ in labelled.images():
             scorer.add(truth, EstimateImage(truth.name, oyster=np.zeros(truth.classes.shape, dtype=bool)))
@@ -87,7 +87,7 @@ class SegmentationTrack(ImageTrack):
         return {key: value for key, value in metrics.items() if key.endswith(("_px", "images"))}
 
     def over_dataset(self, method: str, results: Sequence[ClipResult]) -> DatasetRow:
-        """All pictures together."""
+        """Result over all images together."""
         found = over_dataset(results)
         return DatasetRow(
             self.name, method, found.whole.metrics, found.whole.reasons, found.intervals, found.clips, found.whole

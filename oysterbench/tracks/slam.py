@@ -1,4 +1,4 @@
-"""The SLAM track: sequences in, trajectories out, held against the true one."""
+"""The SLAM track: sequences in, trajectories out, scored against the ground truth."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ PATH_METRICS = (
     "coverage",
     "nees_position",
 )
-"""What is kept, as far as there is such, of the paths of a method that are not scored."""
+"""Metrics kept, where they exist, for the paths of a method that are not scored."""
 
 
 class SlamSequence(SequencePath):
-    """A sequence to run on; split: that it is of, None for one of the user's own."""
+    """A sequence to run on; split: the split that it belongs to, None for one of the user's own."""
 
     def __init__(self, name: str, path: Path, split: SplitRecipe | None = None) -> None:
         super().__init__(name, path)
@@ -68,14 +68,15 @@ class SlamSequence(SequencePath):
 
     @property
     def origin(self) -> str:
-        """Of a split, its recipe, and the topics of a smaller file; else the file."""
+        """Split, digest of its recipe, name, and the topics of a reduced file for a sequence of a split; else the
+        file."""
         if self.split is not None:
             return " ".join((self.split.name, digest(self.split), self.name, *self.topics))
         return super().origin
 
     @cached_property
     def topics(self) -> tuple[str, ...]:
-        """Of a file that has only some of those of its split; else none."""
+        """Topics of a file that has only some of its split's topics; else empty."""
         if self.split is None:
             return ()
         every = set(rig_topics(self.split.rig_of(self.split.find_sequence(self.name))))
@@ -84,7 +85,7 @@ class SlamSequence(SequencePath):
 
     @cached_property
     def truth(self) -> Trajectory | None:
-        """None where the sequence keeps it back."""
+        """Ground truth; None if the sequence withholds it."""
         try:
             return open_sequence(self.path).truth()
         except SequenceError:
@@ -92,20 +93,20 @@ class SlamSequence(SequencePath):
 
     @cached_property
     def frames(self) -> list[tuple[int, bytes]]:
-        """For the report."""
+        """Sample frames for the report, see `sample_frames`."""
         return sample_frames(open_sequence(self.path))
 
 
 class SlamTrack(Track):
-    """Trajectories of the vehicle from its sensors."""
+    """SLAM track: trajectories of the vehicle from its sensors."""
 
     name = "slam"
     title = "Trajectories from cameras, inertial sensors and sonars."
     takes = ("slam",)
     splits = ("slam",)
     default_split = "slam-mini"
-    # One camera and an inertial unit: gtsam_full has nothing there that gtsam_vi has not, and visual_only, which has no
-    # scale, cannot be scored as they are.
+    # The default split has one camera and an IMU: gtsam_full gains nothing there over gtsam_vi, and visual_only, which
+    # has no scale, cannot be scored as these are.
     default_methods = ("gtsam_vi", "dead_reckoning")
     evaluator = EVALUATOR
     files = "trajectories"
@@ -118,31 +119,31 @@ class SlamTrack(Track):
       oysterbench eval slam --truth truth.tum --estimate mine.tum --report mine.html --tex -"""
 
     def folder(self, kind: str, options: Mapping[str, Any]) -> str:
-        """Without a name: it was there first."""
+        """Name of the output folder: without the track's name, as this track came first."""
         return kind
 
     def settings(self, options: Mapping[str, Any]) -> SlamSettings:
-        """How estimate and truth meet."""
+        """Settings of how estimate and ground truth are matched."""
         return SlamSettings(**{o.key: options[o.key] for o in OPTIONS if not o.files and o.key in options})
 
     def with_truth(self, topics: Sequence[str]) -> tuple[str, ...]:
-        """And the true poses, in the frames of the rig."""
+        """Add the topics of the ground truth and of the rig's static transforms."""
         return (*topics, "/truth/*", TF_STATIC)
 
     def run_sequences(
         self, split: SplitRecipe | None, files: Mapping[str, Path], options: Mapping[str, Any]
     ) -> Sequence[SlamSequence]:
-        """Of a split; of one's own, files or folders in EuRoC layout."""
+        """Sequences of a split, or the user's own: files or folders in EuRoC layout."""
         if split is not None:
             return [SlamSequence(name, path, split) for name, path in files.items()]
         return own_sequences(list(files.values()))
 
     def score(self, job: Job, outcome: Outcome, out: Path, settings: SlamSettings) -> SlamRun | None:
-        """Score the path that a run left, which `out` gets as TUM as well, with its other paths and its map.
+        """Score the path that a run estimated, and copy it to `out` in TUM format, with its other paths and its map.
 
-        SEQUENCE-METHOD.tum, of several runs SEQUENCE-METHOD-RUN.tum; other paths of a method as
-        SEQUENCE-METHOD.NAME.tum, its landmarks as SEQUENCE-METHOD.map.ply, and how it had each pose as
-        SEQUENCE-METHOD.health.csv.
+        The path is SEQUENCE-METHOD.tum, or SEQUENCE-METHOD-RUN.tum if there are several runs; other paths of the method
+        are SEQUENCE-METHOD.NAME.tum, its landmarks SEQUENCE-METHOD.map.ply, and the state in which it estimated each
+        pose SEQUENCE-METHOD.health.csv.
         """
         sequence = job.sequence
         assert isinstance(sequence, SlamSequence)
@@ -161,7 +162,7 @@ class SlamTrack(Track):
         record, result = record_outcome(sequence, job, outcome, estimate, alternatives, failure, settings)
         if result is not None and estimate is not None:
             carried = with_scale(estimate, result.alignment.scale)
-            if carried is not estimate:  # whoever aligns the file by its scale finds what was scored
+            if carried is not estimate:  # aligning the written file with scale reproduces what was scored
                 write_tum(out / f"{self._name(job)}.tum", carried)
         states = None
         if result is not None and health is not None:
@@ -188,7 +189,8 @@ class SlamTrack(Track):
     def run(
         self, sequences: Sequence[RunSequence], adapters: Sequence[MethodAdapter], settings: Any, request: Request
     ) -> Iterator[Finished]:
-        """As every track; in the end, when no method runs any more, `out` gets SEQUENCE-truth.tum."""
+        """Run as on every track; SEQUENCE-truth.tum is written to `out` only at the end, when no method runs any
+        more."""
         truths = {request.out / f"{one.name}-truth.tum": one for one in sequences if isinstance(one, SlamSequence)}
         for path in truths:
             path.unlink(missing_ok=True)
@@ -203,12 +205,12 @@ class SlamTrack(Track):
         return self.show([run], (), None)
 
     def show(self, runs: Sequence[SlamRun], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:
-        """Results by sequence; standings over several; how the runs of one spread."""
+        """Show the results by sequence, with standings over several sequences or the spread of runs on one."""
         return Evaluation(runs, printed=shown_tables([run.record for run in runs], runs=True))
 
 
 def own_sequences(paths: Sequence[Path]) -> list[SlamSequence]:
-    """Sequences of the user's own: files, or folders in EuRoC layout. Raises MethodError where two have one name."""
+    """Open the user's own sequences: files, or folders in EuRoC layout. Raises MethodError where two share a name."""
     found = [SlamSequence(open_sequence(path).name, path) for path in paths]
     names = [sequence.name for sequence in found]
     if twice := [name for name in names if names.count(name) > 1]:
@@ -225,7 +227,8 @@ def record_outcome(
     failure: str | None,
     settings: SlamSettings,
 ) -> tuple[ResultRecord, SlamResult | None]:
-    """The record of a run on a sequence with truth; estimate, alternatives: where it did not fail."""
+    """Make the record of a run on a sequence with ground truth, and its result, None where it failed; estimate,
+    alternatives: given where it did not fail."""
     truth = sequence.truth
     assert truth is not None
     about = about_sequence(
@@ -245,7 +248,7 @@ def record_outcome(
     if failure is not None or estimate is None:
         return ResultRecord(**about, failure=failure, metrics=cost, notes=tuple(outcome.notes)), None
     try:
-        # The notes are of the reading of its file; the one that is scored here has been read before.
+        # The notes are from reading the method's own file; the estimate scored here comes from our copy of it.
         result = score(truth, replace(estimate, notes=tuple(outcome.notes)), settings)
     except TrajectoryError as error:
         return ResultRecord(**about, failure=str(error), metrics=cost), None
@@ -256,9 +259,9 @@ def record_outcome(
 def paths_info(
     truth: Trajectory, scored: str, alternatives: Mapping[str, Trajectory], settings: SlamSettings
 ) -> dict[str, Any]:
-    """For the `info` of a record: which of a method's paths is scored, and what each other one reaches (PATH_METRICS).
+    """Entry for the `info` of a record: which of a method's paths is scored, and the PATH_METRICS of each other one.
 
-    An alternative that cannot be scored has a `failure` in their place: it costs the scored path nothing.
+    An alternative that cannot be scored has a `failure` instead, without affecting the scored path.
     """
     if not scored and not alternatives:
         return {}
@@ -290,7 +293,7 @@ def score_files(
 
 
 def _true_poses(place: Path, options: ReadOptions | None) -> Path | Trajectory:
-    """The truth of a sequence of this program, where the file is one and no topic is asked for; else the file."""
+    """Ground truth of an oysterbench sequence, if the file is one and no topic is requested; else the file itself."""
     if place.suffix == ".mcap" and (options is None or options.topic is None):
         with suppress(SequenceError):
             return open_sequence(place).truth()
@@ -298,7 +301,7 @@ def _true_poses(place: Path, options: ReadOptions | None) -> Path | Trajectory:
 
 
 def truth_digest(truth: Trajectory) -> str:
-    """SHA-256 of stamps and poses: whether two results speak of one truth."""
+    """SHA-256 of stamps and poses, which shows whether two results refer to the same ground truth."""
     text = hashlib.sha256()
     for array in (truth.stamps_ns, truth.positions, truth.quaternions):
         text.update(array.tobytes())
@@ -311,7 +314,7 @@ def sample_frames(sequence: SensorSequence) -> list[tuple[int, bytes]]:
     if camera is None:
         return []
     stamps = [image.stamp_ns for image in sequence.images(camera)]
-    if not stamps:  # of a camera that lost them all
+    if not stamps:  # the camera lost all its frames
         return []
     wanted = {stamps[round(k * (len(stamps) - 1) / (FRAMES_IN_REPORT - 1))] for k in range(FRAMES_IN_REPORT)}
     frames = []

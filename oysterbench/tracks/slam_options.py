@@ -1,4 +1,4 @@
-"""Options of the SLAM track: how an estimate meets the truth, and how files of poses are read."""
+"""Options of the SLAM track: how estimate and ground truth are matched, and how files of poses are read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ALIGNMENTS = ("none", "origin", "se3", "posyaw", "sim3", "scale")
 
 
 def seconds(text: str) -> float | str:
-    """Seconds, or the word that asks for them to be found. Raises ValueError."""
+    """Parse seconds, or the word 'estimate', which asks for them to be estimated. Raises ValueError."""
     try:
         return text if text == "estimate" else float(text)
     except ValueError:
@@ -49,7 +49,7 @@ SETTINGS = (
         multiple=True,
     ),
 )
-"""Settings of the evaluator, each with its default where it is not given."""
+"""Settings of the evaluator, each with the default used if it is not given."""
 
 OF_BOTH: dict[str, tuple[Any, str]] = {
     "format": (("tum", "euroc", "kitti", "csv", "npz", "mcap", "bag"), "Format.  [default: from the content]"),
@@ -62,7 +62,7 @@ OF_BOTH: dict[str, tuple[Any, str]] = {
         "Which of several poses at one timestamp.  [default: the first, if they are close]",
     ),
 }
-"""Options of the estimate, and with `truth-` before their names of the truth."""
+"""Options for reading the estimate and, with the prefix `truth-`, the ground truth: name -> kind and help text."""
 
 READING = (
     *(
@@ -95,7 +95,7 @@ OPTIONS = (*SETTINGS, *READING)
 
 
 def read_options(given: Mapping[str, Any]) -> tuple[ReadOptions, ReadOptions]:
-    """How the truth is read, and how the estimate."""
+    """Options for reading the ground truth, and those for reading the estimate."""
     from oysterbench.core.trajectory import ReadOptions, read_times
 
     times = read_times(given["times"]) if "times" in given else None
@@ -116,7 +116,7 @@ def read_options(given: Mapping[str, Any]) -> tuple[ReadOptions, ReadOptions]:
 
 
 def _matrix(text: str) -> Any:
-    """(4, 4) from 7 or 16 numbers, or from a file that holds them."""
+    """Parse a transform (4, 4) from 7 or 16 numbers, or from a file that holds them. Raises OptionError."""
     import numpy as np
     from scipy.spatial.transform import Rotation
 

@@ -1,4 +1,4 @@
-"""The steering track: policies at labelled pictures against the expert; with --closed-loop, policies drive."""
+"""The steering track: policies on labelled images against the expert; with --closed-loop, the policies drive."""
 
 from __future__ import annotations
 
@@ -52,26 +52,26 @@ class ViewSequence(RunSequence):
 
     @property
     def origin(self) -> str:
-        """The recipe."""
+        """Split, digest of its recipe, and name of the sequence."""
         return f"{self.split.name} {digest(self.split)} {self.name}"
 
     @property
     def hidden(self) -> tuple[Path, ...]:
-        """The file."""
+        """The sequence file, which holds the labels."""
         return (self.path,)
 
     @cached_property
     def limit_s(self) -> float:
-        """Ten seconds a view, and ten minutes at least."""
+        """Time limit of a run, s: ten seconds per view, at least ten minutes."""
         return max(LIMIT_OF_PICTURE_S * len(self.views.table), 600.0)
 
     def write_input(self, form: str, out: Path, processes: Processes) -> None:
-        """What a policy sees, and nothing of what the expert commands there."""
+        """Write what a policy sees, without the expert's commands."""
         write_views(self.views.views(), self.views.task, out)
 
 
 class SteeringTrack(Track):
-    """Commands of a vehicle that explores a reef."""
+    """Steering track: policies that steer a vehicle exploring a reef."""
 
     name = "steering"
     title = "Policies that steer a vehicle over a reef, against an expert."
@@ -89,20 +89,20 @@ class SteeringTrack(Track):
       oysterbench eval steering --closed-loop --method my_policy:MyPolicy --split steer-val --reefs 3"""
 
     def folder(self, kind: str, options: Mapping[str, Any]) -> str:
-        """Rollouts have one of their own."""
+        """Name of the results folder; closed-loop results have one of their own."""
         return f"{kind}-closed-loop" if options.get("closed_loop") else super().folder(kind, options)
 
     def settings(self, options: Mapping[str, Any]) -> None:
-        """None."""
+        """Return None: the evaluator of this track has no settings."""
 
     def check(self, request: Request) -> None:
-        """Refuse sequences of no split, too: what there is to command is the split's."""
+        """Refuse also sequences that belong to no split, since the split defines the commands."""
         if request.split is None:
             raise RecipeError(f"sequences of no split: expected a split of this track, such as {self.default_split}")
         super().check(request)
 
     def evaluate(self, request: Request) -> Evaluation:
-        """Run policies at labelled pictures, or let them drive."""
+        """Run policies on labelled images, or let them drive."""
         self.check(request)
         if request.options.get("closed_loop"):
             return self._drive(request)
@@ -113,7 +113,7 @@ class SteeringTrack(Track):
         return super().evaluate(request)
 
     def rendered(self, request: Request) -> dict[str, Path]:
-        """Files of the sequences that are taken, in their order."""
+        """Files of the requested sequences, in their order, rendered where missing."""
         split = request.split
         assert split is not None
         names = list(request.sequences) or [one.name for one in split.sequence]
@@ -124,13 +124,13 @@ class SteeringTrack(Track):
     def run_sequences(
         self, split: SplitRecipe | None, files: Mapping[str, Path], options: Mapping[str, Any]
     ) -> Sequence[ViewSequence]:
-        """Of a split."""
+        """Labelled sequences of a split."""
         assert split is not None
         assert split.steering is not None
         return [ViewSequence(labelled_views(path, split.steering), path, split) for path in files.values()]
 
     def score(self, job: Job, outcome: Outcome, out: Path, settings: None) -> PictureRun:
-        """Hold the commands against those of the expert."""
+        """Score the commands against those of the expert."""
         sequence = job.sequence
         assert isinstance(sequence, ViewSequence)
         views = sequence.views
@@ -152,7 +152,7 @@ class SteeringTrack(Track):
         return PictureRun(record, views.labels, commands, score)
 
     def show(self, runs: Sequence[PictureRun], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:
-        """All pictures together, confusions, and some of the pictures."""
+        """Show the results over all images together, the confusion matrices and sample images."""
         wholes = whole_of(runs)
         views = [one.views for one in sequences if isinstance(one, ViewSequence)]
         figures = picture_figures(views, runs, wholes, out) if out is not None else []

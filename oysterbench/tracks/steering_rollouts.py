@@ -1,6 +1,6 @@
-"""The track steering in a closed loop: policies drive over reefs, in parallel, and each finished rollout is kept.
+"""The steering track in closed loop: policies drive over reefs, in parallel, and each finished rollout is kept.
 
-A rollout is a job of its own: which process it runs in, and after which other one, changes nothing in it but its times.
+Each rollout is a job of its own: the process that it runs in, and the rollouts before it, affect only its times.
 """
 
 from __future__ import annotations
@@ -43,18 +43,18 @@ from oysterbench.tracks.track import Evaluation, about_sequence
 
 TRACK = "exploration"
 REFERENCES = ("expert", "lawnmower", "random")
-"""Policies that come with the closed loop, and see the truth: `oysterbench.exploration.REFERENCES`."""
+"""Policies that are included with the closed loop and see the ground truth; see `exploration.references`."""
 
 FAILED = b"failed: "
-"""Begins what a rollout gives in which the policy failed; the file of a finished one begins otherwise."""
+"""Prefix of the data of a rollout in which the policy failed; the file of a finished one starts differently."""
 
 Explore = Callable[..., tuple[RolloutLog, Any]]
-"""`oysterbench.exploration.explore`."""
+"""A function like `oysterbench.exploration.rollout.explore`."""
 
 
 @dataclass(frozen=True)
 class RolloutJob:
-    """A policy, one of REFERENCES or the reference of a method, over a reef."""
+    """A policy (one of REFERENCES, or the reference of a method) on a reef."""
 
     reef: str
     policy: str
@@ -62,7 +62,8 @@ class RolloutJob:
 
 @dataclass(frozen=True)
 class RolloutPlan:
-    """What all rollouts have in common. seconds: of each, whole steps; start: number of the place where it begins."""
+    """Parameters common to all rollouts. seconds: length of each, a whole number of steps; start: number of the start
+    pose."""
 
     split: SplitRecipe
     seconds: float
@@ -72,7 +73,7 @@ class RolloutPlan:
 
     @property
     def steps(self) -> int:
-        """Commands of a rollout."""
+        """Number of commands in a rollout."""
         assert self.split.steering is not None
         return round(self.seconds / self.split.steering.step_s)
 
@@ -84,9 +85,9 @@ def plan_rollouts(
     salt: bytes = b"",
     explore: Explore | None = None,
 ) -> RolloutPlan:
-    """What rollouts of so many seconds have in common, or of as many as the task says.
+    """Make the plan of rollouts that last `seconds`, or as long as the task says.
 
-    Raises RecipeError where the split is of another track, or a rollout would have no step.
+    Raises RecipeError where the split is of another track, or a rollout would be shorter than a step.
     """
     task = split.steering
     if task is None:
@@ -109,9 +110,9 @@ def run_rollouts(
     again: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[RolloutRun]:
-    """Each policy over each reef, in that order; rollouts that `folder` holds already are not made again.
+    """Run each policy on each reef, reef by reef; rollouts already in `folder` are not repeated.
 
-    A policy that fails leaves a record with `failure`, which is not kept: the next time it is tried again.
+    A policy that fails gets a record with `failure`, which is not kept: the next time it is tried again.
     """
     jobs = [RolloutJob(reef, policy) for reef in reefs for policy in policies]
     identities = {policy: _policy(policy) for policy in policies}
@@ -144,7 +145,7 @@ def _results(plan: RolloutPlan, jobs: Sequence[RolloutJob], workers: int) -> Res
 
 
 def _warm_up(plan: RolloutPlan) -> None:
-    """Compile the kernels once; the other processes find them."""
+    """Compile the kernels once; the other processes find them in the cache."""
     if plan.explore is None:
         from oysterbench.render.camera import warm_up
 
@@ -152,7 +153,7 @@ def _warm_up(plan: RolloutPlan) -> None:
 
 
 def make_rollout(plan: RolloutPlan, job: RolloutJob) -> bytes:
-    """A rollout, as its file, or why the policy failed."""
+    """Make a rollout and return the contents of its file or, after FAILED, why the policy failed."""
     explore = plan.explore or _explore()
     try:
         policy = job.policy if job.policy in REFERENCES else PolicyProcess(job.policy)
@@ -207,9 +208,9 @@ def _run(plan: RolloutPlan, job: RolloutJob, made: RolloutLog | str, policy: Map
 
 
 def show_rollouts(runs: Sequence[RolloutRun], out: Path) -> Evaluation:
-    """Policies over all reefs, each against each, and the reefs from above.
+    """Show the policies over all reefs, their standings, and the reefs from above.
 
-    Pairs by the metric that ranks, and classes of conditions, are left to the files: they fill a screen.
+    Pairs by the ranking metric and classes of conditions appear only in the files: they would fill a screen.
     """
     first = [policies_table(runs)]
     if found := places(runs):

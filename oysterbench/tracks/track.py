@@ -1,4 +1,4 @@
-"""What a track is: who takes part, what is asked for, and how predictions are run, read, scored, recorded and shown."""
+"""Base class of tracks: which methods take part, what they are asked for, and how they are run, scored and shown."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ Announce = Callable[[str], None]
 """Called with a sentence on what is being done."""
 
 Progress = Callable[[int, int], None]
-"""Called with what is done and what there is to do."""
+"""Called with the amount done and the total."""
 
 
 @dataclass(frozen=True)
 class Option:
-    """An option of a command. key: in the options that a track is given; name: as it is typed.
+    """An option of a command. key: in the options that a track is given; name: as typed on the command line.
 
-    kind: a type, a tuple of the words to choose from, Path, or what makes the value of the text; bool is a flag
-    files: whether it says how --truth and --estimate are read; metavar: of the value, in the help
+    kind: a type, a tuple of the words to choose from, Path, or a function that parses the text; bool is a flag
+    files: whether it concerns reading --truth and --estimate; metavar: name of the value in the help
     """
 
     key: str
@@ -48,7 +48,7 @@ class Option:
 
 
 class Run(Protocol):
-    """A run of a method on a sequence, scored: its record, and what there is to draw, None where it failed."""
+    """A scored run of a method on a sequence: its record, and a result for figures, None where it failed."""
 
     @property
     def record(self) -> ResultRecord: ...
@@ -59,7 +59,7 @@ class Run(Protocol):
 
 @dataclass(frozen=True)
 class Kept:
-    """A run of an earlier evaluation: its record stays in the tables, and there is nothing left to draw."""
+    """A run of an earlier evaluation: its record stays in the tables, but there is no result to draw."""
 
     record: ResultRecord
     result: None = None
@@ -67,7 +67,8 @@ class Kept:
 
 @dataclass(frozen=True)
 class Finished:
-    """A job that has ended. scored: None where the sequence has no truth, or the machine failed."""
+    """A job that has ended. scored: the scored run, None where the sequence has no ground truth or the machine
+    failed."""
 
     job: Job
     outcome: Outcome
@@ -75,17 +76,18 @@ class Finished:
 
     @property
     def failure(self) -> str | None:
-        """Why there is no number, if there is none."""
+        """Reason why there is no score; None if there is one."""
         return self.outcome.failure if self.scored is None else self.scored.record.failure
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What an evaluation found.
+    """Outcome of an evaluation.
 
-    runs: scored; data_set: of tracks of images, each method over all sequences together; first: tables that stand
-    before those of every track in files; printed: those of the terminal; figures: of the report, each with its file;
-    files: further ones by name; unscored: jobs whose sequence has no truth, or where the machine failed
+    runs: scored runs; data_set: for image tracks, each method over all sequences together; first: tables that precede
+    those common to all tracks in files; printed: tables for the terminal; figures: of the report, each with its file;
+    files: contents of further files by name; unscored: jobs whose sequence has no ground truth, or where the machine
+    failed
     """
 
     runs: Sequence[Any]
@@ -98,28 +100,30 @@ class Evaluation:
 
     @property
     def records(self) -> list[ResultRecord]:
-        """Of all runs."""
+        """Records of all runs."""
         return [run.record for run in self.runs]
 
 
 Render = Callable[..., dict[str, Path]]
-"""Called with a split and (names, salt) of its sequences: their files, rendered where they are not there."""
+"""Called with a split and options such as the names of sequences and a salt: returns their files by name, rendered
+where missing."""
 
 Bar = Callable[[str, str], AbstractContextManager[Progress]]
-"""Called with a title and a unit: shows progress."""
+"""Called with a title and a unit: context in which progress is shown."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be evaluated, and how.
+    """Request to evaluate methods: on what, and how.
 
-    split: None for the user's own sequences, `places`; sequences: names of those that are taken, none for all; topics:
-    of the split's files, by patterns, none for all;
-    options: of the track, by key; methods: references, none for the track's own; template, name: of a program instead;
-    runs: of each method on each sequence; jobs: at a time, one for each core where it is None; limit_s: of a run;
-    again, retry: run what is finished, or failed, once more; workers: processes that render; scheduler: address of a
-    Dask cluster that runs the methods; exports: folder where what programs are given is kept for other runs;
-    told: called every second with what the runs that go on said last
+    split: None for the user's own sequences, `places`; sequences: names of those to use, empty for all; topics:
+    patterns of topics in the split's files, empty for all;
+    options: of the track, by key; methods: references, empty for the track's defaults; template, name: command line
+    and name of an external program instead;
+    runs: number per method and sequence; jobs: run at a time, one per core if None; limit_s: time limit of a run;
+    again, retry: repeat finished, or failed, runs; workers: rendering processes; scheduler: address of a Dask cluster
+    that runs the methods; exports: folder where inputs of programs are kept for other runs;
+    told: called every second with the latest output of the runs in progress
     """
 
     out: Path
@@ -149,13 +153,13 @@ class Request:
 
 
 class Track(ABC):
-    """A track.
+    """Base class of a track.
 
-    takes:   tracks of the methods that take part, its own first
-    splits:  tracks of the splits that it is run on
-    evaluator: name and version of what scores it
-    files:   what --truth and --estimate are; empty where no files can be scored
-    options: of its own
+    takes:   tracks whose methods take part, its own first
+    splits:  tracks whose splits it is run on
+    evaluator: name and version of its evaluator
+    files:   what --truth and --estimate are; empty if files cannot be scored
+    options: command-line options of its own
     """
 
     name: str
@@ -170,12 +174,12 @@ class Track(ABC):
     examples: str = ""
 
     def folder(self, kind: str, options: Mapping[str, Any]) -> str:
-        """Name under the folder of a split of what there is of a kind: "results" of `eval`, "runs" of `run`."""
+        """Name of the output folder within the folder of a split; kind: "results" for `eval`, "runs" for `run`."""
         return f"{kind}-{self.name}"
 
     @abstractmethod
     def settings(self, options: Mapping[str, Any]) -> Any:
-        """Of its evaluator. Raises OysterbenchError for a value that it does not take."""
+        """Settings of its evaluator. Raises OysterbenchError for an invalid value."""
 
     @abstractmethod
     def run_sequences(
@@ -185,18 +189,19 @@ class Track(ABC):
 
     @abstractmethod
     def score(self, job: Job, outcome: Outcome, out: Path, settings: Any) -> Any:
-        """Read and score what a job left, and make its record; None where the sequence has no truth."""
+        """Read and score the predictions of a job, and make its record; None where the sequence has no ground truth."""
 
     @abstractmethod
     def show(self, runs: Sequence[Any], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:
-        """Runs with the tables and figures that show them."""
+        """Make the tables and figures that show runs."""
 
     def score_files(self, truth: Path, estimate: Path, options: Mapping[str, Any]) -> Evaluation:
-        """Score a file, or a folder of them, against another."""
+        """Score a file or folder of predictions against ground truth. Raises MethodError where the track scores no
+        files."""
         raise MethodError(f"the track {self.name} scores no files")
 
     def with_truth(self, topics: Sequence[str]) -> tuple[str, ...]:
-        """Patterns of topics, and of those that runs on them are scored by. Raises MethodError where all are needed."""
+        """Add the topics needed for scoring to patterns of topics. Raises MethodError where all topics are needed."""
         raise MethodError(f"--topics is for methods of the track slam: {self.name} needs complete sequences")
 
     def check(self, request: Request) -> None:
@@ -213,7 +218,7 @@ class Track(ABC):
             split.find_sequence(name)
 
     def adapters(self, request: Request) -> list[MethodAdapter]:
-        """What is run. Raises MethodError where it cannot be found, or is of another track."""
+        """Adapters of the methods to run. Raises MethodError where one cannot be found, or is of another track."""
         from oysterbench.methods.adapters import ExternalCommand, PythonMethod
         from oysterbench.methods.systems import split_reference
         from oysterbench.methods.systems.adapter import SystemAdapter
@@ -227,8 +232,8 @@ class Track(ABC):
         ]
 
     def have_weights(self, adapters: Sequence[MethodAdapter], request: Request) -> None:
-        """Fetch trained weights that methods run on and that are not here, where a hub is set. Raises OysterbenchError
-        where they cannot be had."""
+        """Fetch trained weights that methods need and that are missing here, if a hub is configured. Raises
+        OysterbenchError where they cannot be had."""
         from oysterbench.methods.weights import have_weights
 
         for adapter in adapters:
@@ -236,7 +241,7 @@ class Track(ABC):
 
     def evaluate(self, request: Request) -> Evaluation:
         """Run methods on sequences, score and show what they predict."""
-        # Everything that can be wrong with the request is found before the rendering begins.
+        # Find everything that can be wrong with the request before rendering starts.
         self.check(request)
         settings = self.settings(request.options)
         adapters = self.adapters(request)
@@ -252,13 +257,13 @@ class Track(ABC):
                 request.finished(runs)
         places = {sequence.name: i for i, sequence in enumerate(sequences)}
         ranks = {adapter.name: i for i, adapter in enumerate(adapters)}
-        # From the order in which they were finished to that in which they were asked for.
+        # From the order in which they finished to the order in which they were requested.
         runs.sort(key=lambda run: (places[run.record.sequence], ranks[run.record.method], run.record.run))
         found = self.show(runs, sequences, request.out)
         return Evaluation(**{**vars(found), "unscored": unscored})
 
     def rendered(self, request: Request) -> dict[str, Path]:
-        """Files by the names of their sequences; the user's own by theirs."""
+        """Files of the split by sequence name, rendered where missing; the user's own by their paths."""
         if request.split is None:
             return {str(path): path.absolute() for place in request.places for path in sequences_in(place)}
         files = request.render(
@@ -269,7 +274,8 @@ class Track(ABC):
     def run(
         self, sequences: Sequence[RunSequence], adapters: Sequence[MethodAdapter], settings: Any, request: Request
     ) -> Iterator[Finished]:
-        """Run each method so many times on each sequence, in processes of their own, and score what they leave."""
+        """Run each method `request.runs` times on each sequence, each run in its own process, and score the
+        predictions."""
         from oysterbench.methods.outcomes import Job
         from oysterbench.methods.runner import run_jobs
         from oysterbench.results.records import hardware
@@ -301,7 +307,7 @@ class Track(ABC):
 def about_sequence(
     track: str, split: SplitRecipe | None, sequence: str, truth_digest: str, settings: Any, evaluator: str
 ) -> dict[str, Any]:
-    """What every record of a sequence says. settings: of the evaluator, as a mapping"""
+    """Fields common to all records of a sequence. settings: of the evaluator, as a mapping"""
     from oysterbench.simulation.conditions import conditions
     from oysterbench.simulation.generate import digest
 
@@ -318,7 +324,7 @@ def about_sequence(
 
 
 def about_run(job: Job, outcome: Outcome) -> dict[str, Any]:
-    """What every record of a run says of the method and of the run."""
+    """Fields of a record that describe the method and the run."""
     about = {"method": dict(job.adapter.about)} if job.adapter.about else {}
     keys = ("command", "versions", "limit_s", "process", "started", "contained")
     return {
@@ -333,8 +339,8 @@ def about_run(job: Job, outcome: Outcome) -> dict[str, Any]:
 
 
 def cost_of(outcome: Outcome, rate: str, amount: float) -> dict[str, float]:
-    """What a run cost; nothing where it did not begin. rate: metric of `amount` per second of wall time, which a failed
-    run has not: it did not get through"""
+    """Cost metrics of a run; empty if it never started. rate: key of the metric `amount` per second of wall time, which
+    a failed run does not have, since it did not finish"""
     if not outcome.wall_s > 0:
         return {}
     speed = {rate: amount / outcome.wall_s} if outcome.failure is None else {}
@@ -343,9 +349,9 @@ def cost_of(outcome: Outcome, rate: str, amount: float) -> dict[str, float]:
 
 
 def shown_tables(records: Sequence[ResultRecord], first: Sequence[Table] = (), runs: bool = False) -> list[Table]:
-    """The tables of the terminal: what a track shows first, results by sequence, and comparisons over several ones.
+    """Tables for the terminal: those that a track shows first, results by sequence, and comparisons over several ones.
 
-    runs: show how runs spread where there is one sequence
+    runs: whether to show the spread of runs where there is one sequence
     """
     from oysterbench.report import comparison_tables, results_table, runs_table
     from oysterbench.results.comparison import boards

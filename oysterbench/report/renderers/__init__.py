@@ -1,4 +1,4 @@
-"""A table in every form, from one model: one file a form."""
+"""Renderers of the table model: one module per format."""
 
 from oysterbench.report.renderers.csv import csv_text
 from oysterbench.report.renderers.html import html_table

@@ -1,4 +1,4 @@
-"""A table as CSV (RFC 4180): headings by their keys, every digit, an empty field where there is no value."""
+"""A table as CSV (RFC 4180): keys as headings, all digits, an empty field where there is no value."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from oysterbench.evaluate.statistics import Interval
 from oysterbench.report.table import Cell, Column, Estimate, Table
 
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""What a spreadsheet takes for the begin of a formula."""
+"""Characters that a spreadsheet takes for the start of a formula."""
 
 
 def csv_text(table: Table) -> str:
-    """Hidden columns, too; an interval has a column for each end. Text that a spreadsheet would run is quoted."""
+    """Write a table, including hidden columns; an interval has a column for each end. Text that a spreadsheet would run
+    as a formula is quoted."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([key for column in table.columns for key in _keys(column)])
@@ -41,13 +42,13 @@ def _fields(column: Column, cell: Cell) -> list[str]:
 
 
 def field(value: str | float | None) -> str:
-    """As text, with every digit."""
+    """Format a field as text, with all digits; text that looks like a formula gets an apostrophe before it."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     if isinstance(value, str):
         value = value.replace(
             "\r", "\N{SYMBOL FOR CARRIAGE RETURN}"
-        )  # Python's writer leaves it bare, where a line ends
+        )  # Python's writer leaves it unquoted, where it ends a line
         begins = compatible(IGNORABLE.sub("", value)).lstrip()[:1]  # as a spreadsheet may see it
         return f"'{value}" if value.startswith(FORMULA) or begins in FORMULA else value
     return repr(float(value)) if isinstance(value, float) else str(value)

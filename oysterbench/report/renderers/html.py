@@ -10,5 +10,5 @@ FOLDER = "oysterbench.report"
 
 
 def html_table(table: Table) -> str:
-    """A table that scrolls sideways on a narrow screen, and what stands below it."""
+    """Render a table, which scrolls sideways on a narrow screen, and its notes."""
     return str(environment(FOLDER).get_template("table.html").module.table(table))  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""A table for JSON: rows by the keys of their columns, every digit, null where there is no value."""
+"""A table for JSON: rows keyed by column, all digits, null where there is no value."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from oysterbench.report.table import Cell, Estimate, Table, Value
 
 
 def json_table(table: Table) -> dict[str, Any]:
-    """Title, columns (key, heading, unit, direction, definition), rows, notes."""
+    """Convert a table: title, columns (key, heading, unit, factor, direction, definition), rows, notes."""
     columns = [
         {"key": c.key, "heading": c.heading, "unit": c.unit, "factor": c.factor, "better": c.better, "about": c.about}
         for c in table.columns
@@ -19,7 +19,7 @@ def json_table(table: Table) -> dict[str, Any]:
 
 
 def json_rows(table: Table) -> list[dict[str, Any]]:
-    """Hidden columns, too."""
+    """Convert the rows, including hidden columns."""
     return [{c.key: _plain(cell) for c, cell in zip(table.columns, row.cells, strict=True)} for row in table.rows]
 
 
@@ -28,7 +28,7 @@ def _plain(cell: Cell) -> Any:
 
 
 def plain(value: Value) -> Any:
-    """A value for JSON."""
+    """Convert a value for JSON."""
     if isinstance(value, Estimate):
         return {"value": plain(value.value), **plain(value.interval)}
     if isinstance(value, Interval):

@@ -1,4 +1,4 @@
-"""Tables for a paper: booktabs; nothing in a text is a command, and what an engine must have for it is said."""
+"""Tables for a paper with booktabs: all text is escaped, and the packages and engine that it needs are stated."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from oysterbench.report.table import Cell, Column, Table
 
 NEEDS = "% needs \\usepackage{booktabs,graphicx}"
-"""Stands at the head of a file of tables."""
+"""Comment at the head of a file of tables."""
 
 SYMBOLS = {
     "\\": r"\textbackslash{}",
@@ -48,28 +48,28 @@ SYMBOLS = {
     "\N{NO-BREAK SPACE}": " ",
     "\N{NARROW NO-BREAK SPACE}": r"\,",
 }
-"""Characters that are commands, and those that pdfLaTeX does not know by themselves, or only in some fonts."""
+"""Escapes for characters that are commands, and for those that pdfLaTeX does not know, or only in some fonts."""
 
 LIGATURES = ("--", ",,", "''", "``", "!`", "?`")
-"""What TeX would set as one character."""
+"""Pairs that TeX would typeset as one character."""
 
 AFTER_LINES = ("[", "*")
-"""What would be taken for a part of the line break before it."""
+"""Characters that would be taken for a part of the line break before them."""
 
 LATIN = re.compile("[\u00a1-\u017f]")
-"""Letters and signs that the encoding T1 has."""
+"""Letters and signs in the T1 encoding."""
 
 OTHER = re.compile("[^\x00-\x7f\u00a1-\u017f]")
 
 
 def latex_text(tables: Sequence[Table], about: str = "") -> str:
-    """A file of tables, which needs what stands at its head and nothing else; about: a comment before them."""
+    """Write a file of tables, which needs only what is stated at its head; about: a comment before them."""
     written = [_table(table) for table in tables]
     return "\n".join([*needs("\n".join(written)), *([f"% {_comment(about)}"] if about else []), *written])
 
 
 def _table(table: Table) -> str:
-    """Made smaller where it would not fit into the line."""
+    """Write a table, scaled down if it is wider than the line."""
     shown = table.shown
     units = [latex_escape(f"[{column.unit}]") if column.unit else "" for _, column in shown]
     label = [rf"\label{{tab:{re.sub('[^a-z0-9-]+', '-', table.name)}}}"] if table.name else []
@@ -105,12 +105,12 @@ def _cell(text: str, cell: Cell, column: Column) -> str:
 
 
 def _comment(text: str) -> str:
-    """In one line, as what follows a line break is no comment."""
+    """Put a comment on one line, since a line break would end it."""
     return " ".join(text.split())
 
 
 def latex_escape(text: str) -> str:
-    """Text in which nothing is a command."""
+    """Escape text so that nothing in it is a command."""
     text = " ".join(re.split(r"[ \t\r\n]+", text.strip()))
     found = []
     for i, character in enumerate(text):
@@ -122,7 +122,7 @@ def latex_escape(text: str) -> str:
 
 
 def needs(written: str) -> list[str]:
-    """Comments for the head of a file: the packages, and the engine, that what follows needs."""
+    """Comments for the head of a file: the packages, and the engine, that it needs."""
     needed = [NEEDS]
     code = re.sub(r"(?m)(?<!\\)%.*$", "", written)
     if LATIN.search(code):

@@ -1,4 +1,4 @@
-"""A table as GitHub shows it."""
+"""A table as GitHub Markdown."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from oysterbench.report.table import Table
 
 
 def markdown_table(table: Table) -> str:
-    """Title, table, and what stands below it; the best cells are bold."""
+    """Render title, table, and its notes; the best cells are bold."""
     shown = table.shown
     lines = [
         f"### {escape(table.title)}\n",
@@ -28,5 +28,5 @@ def _pipes(cells: Sequence[str]) -> str:
 
 
 def escape(text: str) -> str:
-    """Text in which nothing is a mark."""
+    """Escape text so that nothing in it is markup."""
     return re.sub(r"([\\`*_\[\]<>|#])", r"\\\1", " ".join(text.split()))

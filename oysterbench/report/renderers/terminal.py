@@ -15,16 +15,16 @@ UNBOUNDED = 10_000
 SPACE = 2
 """Characters between columns."""
 LEAST_NAME = 12
-"""Characters below which a name is not broken into lines."""
+"""Width in characters below which a name is not broken into lines."""
 PROSE = 40
-"""Characters of a column of sentences, which take several lines, with which they can be read."""
+"""Width in characters that suffices to read a column of sentences, which take several lines."""
 STYLES = {"best": "bold green", "warn": "red"}
-"""Kind of a cell -> how it looks in colour."""
+"""Kind of a cell -> its style in colour."""
 
 
 def terminal_table(table: Table, colour: bool = True, titled: bool = True, width: int = UNBOUNDED) -> RichTable:
-    """A table of rich; what stands below the table stands below it in words. width: of the terminal, in characters;
-    where that is too little, the columns that are `wide` are left out, the last of them first, and named below."""
+    """Render a table for rich, with its notes below it. width: of the terminal, in characters; if it is too small,
+    `wide` columns are left out, the last of them first, and named below."""
     shown = [i for i, _ in table.shown]
     left_out: list[str] = []
     for i in reversed([i for i in shown if table.columns[i].wide]):
@@ -66,7 +66,7 @@ def terminal_table(table: Table, colour: bool = True, titled: bool = True, width
 
 
 def _width(table: Table, i: int) -> int:
-    """Characters of a column, and of what separates it from the next one."""
+    """Width in characters of a column, with the space that separates it from the next one."""
     from rich.cells import cell_len
 
     lines = [*_heading(table.columns[i]).split("\n"), *(row[i] for row in table.texts)]

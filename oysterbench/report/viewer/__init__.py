@@ -1,4 +1,4 @@
-"""A sequence as one HTML page that needs nothing else."""
+"""Viewer of a sequence as one self-contained HTML page."""
 
 from oysterbench.report.viewer.page import view_page
 

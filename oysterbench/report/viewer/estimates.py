@@ -1,4 +1,4 @@
-"""Estimated paths, brought to the truth as `oysterbench eval` does it, to be drawn beside it."""
+"""Estimated paths to draw beside the ground truth, aligned with it as in `oysterbench eval`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from oysterbench.sequence.types import Sequence
 
 @dataclass(frozen=True)
 class EstimatedPath:
-    """Poses of base_link in the world of the truth. rmse_m: of the positions at the stamps of the truth."""
+    """Estimated poses of base_link, aligned with the ground truth. rmse_m: RMSE of the matched positions."""
 
     name: str
     poses: Trajectory
@@ -26,16 +26,16 @@ class EstimatedPath:
 
     @property
     def label(self) -> str:
-        """Name and error, as it is written beside the path."""
+        """Name and error, as written beside the path."""
         error = f"{100 * self.rmse_m:.2g} cm" if self.rmse_m < 1 else f"{self.rmse_m:.3g} m"
         return f"{self.name}, ATE {error}"
 
 
 def estimated_paths(sequence: Sequence, files: Iterable[Path], settings: SlamSettings) -> list[EstimatedPath]:
-    """One for each file, by the name of the file.
+    """Read and align one path per file, named after the file.
 
-    Raises SequenceError where the sequence has no truth to bring them to, and TrajectoryError where a file cannot be
-    read or aligned.
+    Raises SequenceError where the sequence has no ground truth to align with, and TrajectoryError where a file cannot
+    be read or aligned.
     """
     paths = list(files)
     try:

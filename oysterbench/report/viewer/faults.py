@@ -1,4 +1,4 @@
-"""When faults of the sensors struck: a lane for each kind, in px of the SVG that `view.html` makes of them."""
+"""Timeline of sensor faults: a lane for each kind, in px of the SVG that `view.html` draws."""
 
 from __future__ import annotations
 
@@ -10,16 +10,15 @@ from oysterbench.core.errors import SequenceError
 from oysterbench.report.viewer.strips import BOTTOM, LEFT, RIGHT, TOP, WIDTH, time_ticks
 from oysterbench.sequence.types import Sequence
 
-LANE = 26  # px from one lane to the next: a line of text, and bars under it
-TEXT = 12  # px from the top of a lane to the line that its text stands on
-BAR = 6  # px
-SHORTEST = 1.5  # px of a bar, so that what lasts one sample is seen
+LANE = 26  # px from one lane to the next: a line of text with bars below it
+TEXT = 12  # px from the top of a lane to the baseline of its text
+BAR = 6  # px, height of a bar
+SHORTEST = 1.5  # px, minimum length of a bar, so that a fault of one sample is visible
 
 
 @dataclass(frozen=True)
 class Lane:
-    """One kind of fault of one sensor: what is written over its bars, the height of that line, and the bars as a path
-    of SVG."""
+    """One kind of fault of one sensor: the text above its bars, the y of its baseline, and the bars as an SVG path."""
 
     text: str
     y: float
@@ -28,7 +27,7 @@ class Lane:
 
 @dataclass(frozen=True)
 class FaultPlot:
-    """Lanes one under the other, over the same span of time as the curves."""
+    """Lanes below one another, over the same time span as the curves."""
 
     span_s: float
     lanes: list[Lane]
@@ -42,7 +41,7 @@ class FaultPlot:
 
 
 def fault_plot(sequence: Sequence, start_ns: int, end_ns: int) -> FaultPlot | None:
-    """The faults from one stamp to another; None where none struck, or none are known."""
+    """Plot the faults between two stamps; None if there were none, or none are known."""
     try:
         faults = sequence.faults()
     except SequenceError:

@@ -1,7 +1,7 @@
-"""A sequence as one HTML page that needs nothing else: cameras with the layers of truth over them, sonar fans, strips
+"""A sequence as one self-contained HTML page: camera images with overlaid ground-truth layers, sonar fans, strip charts
 of the scalar sensors, the path.
 
-The page plays. Of a part that is short enough it shows every frame, at the pace at which the camera took them.
+The page can be played. If the part is short enough, it shows every frame, at the frame rate of the camera.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from oysterbench.sensors.panels import Panel
 from oysterbench.sequence.types import Sequence
 
 STEPS = 200
-"""Moments that the page shows, at most."""
+"""Maximum number of moments that the page shows."""
 
 BYTES = 14_000_000
-"""Size of all pictures together, at most; with many sensors there are fewer moments."""
+"""Maximum size of all images together, bytes; with many sensors there are fewer moments."""
 
 
 Progress = Callable[[int, int], None]
@@ -39,7 +39,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Shown:
-    """A panel on the page. number: among the pictures of the page's data; layers: those that can be laid over it."""
+    """A panel on the page. number: its index in the page's data; layers: panels that can be overlaid on it."""
 
     number: int
     panel: Panel
@@ -54,10 +54,10 @@ def view_page(
     estimates: Several[EstimatedPath] = (),
     progress: Progress = lambda done, total: None,
 ) -> str:
-    """The page of a sequence, as a whole HTML document of at most some 20 MB, however long the sequence is.
+    """Make the page of a sequence, a complete HTML document of at most some 20 MB, however long the sequence is.
 
-    Of all of it, or of `seconds` from begin_s on. estimates: drawn beside the true path; progress: told of each
-    picture. Raises SequenceError where the part lies outside.
+    It shows all of the sequence, or `seconds` from begin_s on. estimates: drawn beside the true path; progress: called
+    after each image. Raises SequenceError where the part lies outside the sequence.
     """
     start, end = span_of(sequence, begin_s, seconds)
     panels = pictures(sequence)
@@ -90,7 +90,7 @@ def view_page(
 
 
 def _drawn(panels: list[Panel], times: np.ndarray, start_ns: int, progress: Progress) -> list[dict[str, Any]]:
-    """Of each panel the pictures, and what they are of: ns since the start; None before there is anything."""
+    """Images of each panel in base64 and their stamps, ns since the start; None before the first image."""
     total, done = len(panels) * len(times), 0
     found = []
     for panel in panels:
@@ -105,7 +105,7 @@ def _drawn(panels: list[Panel], times: np.ndarray, start_ns: int, progress: Prog
 
 
 def _stacked(panels: list[Panel], firsts: list[str]) -> list[Shown]:
-    """Panels that stand by themselves, each with its layers."""
+    """Base panels, each with its overlay layers."""
     all_shown = [Shown(k, panel, firsts[k], []) for k, panel in enumerate(panels)]
     under = {shown.panel.title: shown for shown in all_shown if not shown.panel.over}
     for shown in all_shown:
@@ -115,14 +115,14 @@ def _stacked(panels: list[Panel], firsts: list[str]) -> list[Shown]:
 
 
 def pictures(sequence: Sequence) -> list[Panel]:
-    """Of every sensor that shows any."""
+    """Panels of all sensors that have any."""
     return [panel for name, kind in sequence.sensors().items() for panel in kind.panels(sequence, name)]
 
 
 def moments(start_ns: int, end_ns: int, panels: list[Panel], rate_hz: float = 0.0) -> np.ndarray:
-    """(n,) int64 stamps, evenly over the sequence: as many as the size of the page allows.
+    """Stamps (n,) int64, evenly over the sequence: as many as the size of the page allows.
 
-    Where that is enough for each frame at rate_hz, those of the frames.
+    If that is enough for every frame at rate_hz, the stamps of the frames.
     """
     one = sum(panel.bytes_each for panel in panels) * 4 / 3  # base64
     n = int(np.clip(BYTES / max(one, 1.0), 2, STEPS))
@@ -133,7 +133,7 @@ def moments(start_ns: int, end_ns: int, panels: list[Panel], rate_hz: float = 0.
 
 
 def _fastest_hz(sequence: Sequence) -> float:
-    """Of the cameras, 0 without any."""
+    """Highest frame rate of the cameras, Hz; 0 if there are none."""
     return max((camera.rate_hz for camera in sequence.cameras.values()), default=0.0)
 
 
@@ -161,7 +161,7 @@ def _facts(sequence: Sequence, begin_s: float, duration_s: float) -> str:
 
 
 def _moving(sequence: Sequence) -> list[str]:
-    """What moves by itself, counted by class."""
+    """Numbers of independently moving objects by class, in words."""
     try:
         counts = Counter(sequence.moving()["class"])
     except SequenceError:

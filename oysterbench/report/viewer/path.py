@@ -1,4 +1,4 @@
-"""The path from above, the oysters along it, and what moves by itself, in px of the SVG of `view.html`."""
+"""The path from above, the oysters along it, and independently moving objects, in px of the SVG in `view.html`."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ SIDE = 400
 class PathPlot:
     """The path from above, with markers that the page moves.
 
-    dots, line: oysters and path, as paths of SVG; bar_px, bar_m: the length of the scale; poses: per moment x, y
-    (px) and heading (deg); moving: class -> per moment where those are that move by themselves, as a path of SVG;
-    estimates: what is written of each, and its path; north: whether up on the page is known to be north; states: per
-    moment the true speed (m/s), depth (m) and heading (deg from north, clockwise), the last two where `map` is known to
-    lie at the surface and by the compass.
+    dots, line: oysters and path, as SVG paths; bar_px, bar_m: length of the scale bar; poses: per moment x, y (px) and
+    heading (deg); moving: class -> per moment the positions of its moving objects, as an SVG path; estimates: label and
+    SVG path of each; north: whether up on the page is known to be north; states: per moment the true speed (m/s),
+    depth (m) and heading (deg from north, clockwise), the last two only if `map` is known to be at the surface and
+    aligned with north.
     """
 
     title: str
@@ -51,23 +51,23 @@ class Window:
     half: float
 
     def place(self, points: Array) -> Array:
-        """(N, 2) px of points (N, 2) m."""
+        """Convert points (N, 2) from m to px (N, 2)."""
         scale = SIDE / (2 * self.half)
         return np.asarray(SIDE / 2 + (points - self.centre) * [scale, -scale])
 
     def line(self, points: Array) -> str:
-        """A path (N, 2) m, thinned to what can be seen, as a path of SVG."""
+        """Draw a path (N, 2), m, thinned to what is visible, as an SVG path."""
         every = max(len(points) // 1000, 1)
         return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in self.place(points[::every]))
 
     def dots(self, points: Array) -> str:
-        """Those of points (N, 2) m that lie within, as a path of SVG."""
+        """Draw the points (N, 2), m, that lie within the window, as an SVG path."""
         near = points[np.all(np.abs(points - self.centre) < self.half, axis=1)]
         return "".join(f"M{x:.0f} {y:.0f}h.1" for x, y in self.place(near))
 
 
 def path_plot(sequence: Sequence, times: NDArray[np.int64], estimates: Several[EstimatedPath] = ()) -> PathPlot | None:
-    """From the truth, with the oysters where they are known; None where the sequence has no truth."""
+    """Plot the true path, with the oysters if they are known; None if the sequence has no ground truth."""
     try:
         truth = sequence.truth()
     except SequenceError:
@@ -85,7 +85,7 @@ def path_plot(sequence: Sequence, times: NDArray[np.int64], estimates: Several[E
     ]
     moving = {name: [window.dots(points) for points in found] for name, found in _moving(sequence, times).items()}
     kinds = "path and oysters" if dots else "path"
-    north = has_truth(sequence)  # in a sequence file, whose `map` is east, north and up; no other layout says
+    north = has_truth(sequence)  # in a sequence file `map` is east, north, up; other layouts do not say
     title = f"{kinds} from above" + (", east to the right" if north else "; north unknown")
     beside = [(estimate.label, window.line(estimate.poses.positions[:, :2])) for estimate in estimates]
     bar_px = bar * SIDE / (2 * window.half)
@@ -94,7 +94,7 @@ def path_plot(sequence: Sequence, times: NDArray[np.int64], estimates: Several[E
 
 
 def _window(true: Array, others: list[Array]) -> Window:
-    """Around the true path (N, 2) m, and the others as far as twice its size."""
+    """Choose a window around the true path (N, 2), m, and the others as far as they stay within twice its size."""
     low, high = true.min(axis=0), true.max(axis=0)
     reach = max(float((high - low).max()) / 2, 0.5)
     kept = [np.clip(points, low - reach, high + reach) for points in others]
@@ -116,7 +116,7 @@ def _states(truth: Trajectory, at: Trajectory, times: NDArray[np.int64], north: 
 
 
 def _oysters(sequence: Sequence) -> Array:
-    """(N, 2) m, none where they are not known."""
+    """Positions (N, 2) of the oysters, m; empty if they are not known."""
     try:
         return sequence.oysters()[["x", "y"]].to_numpy(dtype=float)
     except SequenceError:
@@ -124,7 +124,7 @@ def _oysters(sequence: Sequence) -> Array:
 
 
 def _moving(sequence: Sequence, times: NDArray[np.int64]) -> dict[str, Array]:
-    """Class -> where those of it are that move by themselves, (moments, N, 2) m, between the stamps of the truth."""
+    """Class -> positions (moments, N, 2), m, of its moving objects, interpolated between the stamps of the truth."""
     try:
         who, where = sequence.moving(), sequence.moving_poses()
     except SequenceError:

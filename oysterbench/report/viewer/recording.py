@@ -1,4 +1,4 @@
-"""A sequence as a recording of Rerun: cameras, layers, sonars, path, curves and oysters on the sequence's clock."""
+"""A sequence as a Rerun recording: cameras, layers, sonars, path, curves and oysters on the sequence's clock."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from oysterbench.sequence.pictures import MEDIA, encoded_pictures
 from oysterbench.sequence.types import LIVE, Sequence
 
 CLOCK = "stamp"
-"""The timeline: stamps of the sequence. Another, `elapsed`, is the time since its first one."""
+"""Timeline of the sequence's stamps. Another, `elapsed`, is the time since the first one."""
 ELAPSED = "elapsed"
 
 WORLD, BODY = "world", "world/base_link"
-FRUSTUM_M = 0.4  # to the picture that is drawn in front of a camera
+FRUSTUM_M = 0.4  # distance of the image plane drawn in front of a camera
 TRUE_COLOUR = (46, 207, 159)
 ESTIMATE_COLOURS = ((245, 119, 77), (78, 152, 226), (240, 180, 90), (200, 120, 220), (150, 150, 150))
 AXIS_COLOURS = ((78, 152, 226), (245, 119, 77), (46, 207, 159))
@@ -40,7 +40,7 @@ Progress = Callable[[int, int], None]
 
 
 def load_rerun() -> Any:
-    """The module. Raises MissingExtraError where it is not installed."""
+    """Import the module rerun. Raises MissingExtraError where it is not installed."""
     try:
         import rerun
     except ImportError:
@@ -57,9 +57,9 @@ def save_recording(
     span_ns: tuple[int, int] | None = None,
     progress: Progress = lambda done, total: None,
 ) -> None:
-    """Write a recording (.rrd), with its blueprint, as a file that is there whole or not at all.
+    """Write a recording (.rrd), with its blueprint, atomically.
 
-    span_ns: stamps from and to which it goes; all by default. Raises MissingExtraError without rerun-sdk.
+    span_ns: first stamp and end (exclusive); all by default. Raises MissingExtraError without rerun-sdk.
     """
     rr = load_rerun()
     with _whole(path) as draft:
@@ -78,7 +78,7 @@ def show_recording(
     span_ns: tuple[int, int] | None = None,
     progress: Progress = lambda done, total: None,
 ) -> None:
-    """Open Rerun's viewer and send it the same. Raises OysterbenchError where there is no display."""
+    """Open Rerun's viewer and send it the same recording. Raises OysterbenchError where there is no display."""
     rr = load_rerun()
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise OysterbenchError(
@@ -93,7 +93,7 @@ def show_recording(
 
 @contextmanager
 def _whole(path: Path) -> Iterator[Path]:
-    """A name to write a file under, which takes its own name when the block ends well."""
+    """Context with a temporary name to write a file under; the file gets its final name if the block succeeds."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.draft")
     try:
@@ -104,7 +104,7 @@ def _whole(path: Path) -> Iterator[Path]:
 
 
 class Recording:
-    """Logs a sequence, part after part. span_ns: stamps from and to which it goes."""
+    """Writer that logs a sequence, part after part. span_ns: first stamp and end (exclusive)."""
 
     def __init__(
         self, rr: Any, stream: Any, sequence: Sequence, span_ns: tuple[int, int] | None, progress: Progress
@@ -119,7 +119,7 @@ class Recording:
         self.topics = {topic: count for topic, _, count in sequence.contents()}
 
     def log(self, estimates: Several[EstimatedPath] = ()) -> None:
-        """Everything, the small first."""
+        """Log everything, small parts first."""
         parts: list[Callable[[], None]] = [self._still, self._oysters, self._path, self._curves]
         parts += [lambda name=name: self._camera(name) for name in self.sequence.cameras]  # type: ignore[misc]
         parts += [
@@ -155,8 +155,8 @@ class Recording:
         return (stamps_ns >= self.start_ns) & (stamps_ns < self.end_ns)
 
     def _still(self) -> None:
-        """Axes, and where the sensors sit. Rerun's pinhole has no distortion: what is drawn in 3D from the picture of a
-        camera with much of it is that much off."""
+        """Log the static parts: axes, and poses of the sensors. Rerun's pinhole model has no distortion, so that what
+        is drawn in 3D from the image of a strongly distorting camera is off by as much."""
         rr, sequence = self.rr, self.sequence
         self._log(WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         for name, camera in sequence.cameras.items():
@@ -179,7 +179,7 @@ class Recording:
         return self.rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
     def _oysters(self) -> None:
-        """Each where its umbo is, with its number, state and height."""
+        """Log each oyster at its umbo, with its number, state and shell height."""
         try:
             table = self.sequence.oysters()
         except SequenceError:
@@ -196,7 +196,7 @@ class Recording:
         self._log(f"{WORLD}/oysters", points)
 
     def _path(self) -> None:
-        """The whole true path, and the body that moves along it."""
+        """Log the whole true path, and the body that moves along it."""
         try:
             truth = self.sequence.truth()
         except SequenceError:
@@ -241,16 +241,16 @@ class Recording:
             self._log(f"{BODY}/{name}/{layer}", self._shown(layer, image.pixels), stamp_ns=image.stamp_ns)
 
     def _shown(self, layer: str, pixels: NDArray[Any]) -> Any:
-        """Numbers where Rerun has a form for them, colours as in `oysterbench view` else."""
+        """Rerun archetype of a layer: numbers if Rerun has a type for them, else colours as in `oysterbench view`."""
         rr = self.rr
         if layer == "depth":
-            return rr.DepthImage(np.rint(1000 * pixels).astype(np.uint16), meter=1000.0)  # in mm, as the file has it
+            return rr.DepthImage(np.rint(1000 * pixels).astype(np.uint16), meter=1000.0)  # in mm, as in the file
         if layer in ("class", "instance", "dynamic"):
             return rr.SegmentationImage(pixels)
         return rr.Image(layer_picture(layer, pixels)).compress(jpeg_quality=QUALITY)
 
     def _sonar(self, name: str) -> None:
-        """Fans, and the clouds of truth where the file has them."""
+        """Log sonar fans, and ground-truth point clouds if the file has them."""
         rr, calibration = self.rr, self.sequence.sonars[name]
         fan, white = Fan.of(calibration.azimuths_rad, calibration.ranges_m), None
         for ping in self.sequence.sonar(name, self.start_ns, self.end_ns):
@@ -268,7 +268,7 @@ class Recording:
 
 
 def curve_entity(title: str, part: str = "") -> str:
-    """Where a curve is logged: `curves/TITLE` without its unit, or one of several of a title."""
+    """Entity path of a curve: `curves/TITLE` without the unit, or below it for one of several curves of a title."""
     words = "_".join(title.partition(",")[0].split())
     return "/".join(["curves", words, *([part] if part else [])])
 

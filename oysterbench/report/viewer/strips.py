@@ -1,4 +1,4 @@
-"""Curves of the scalar sensors over time, in px of the SVG that `view.html` makes of them."""
+"""Strip charts of the scalar sensors over time, in px of the SVG that `view.html` draws."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from oysterbench.sequence.types import Sequence, imu_arrays
 WIDTH, HEIGHT = 1080, 120
 LEFT, RIGHT, TOP, BOTTOM = 64, 8, 8, 20
 COLUMNS = 500
-"""Of a curve: each keeps the least and the greatest of its samples, so that no peak is lost."""
+"""Columns that the samples of a curve are grouped into: each keeps its minimum and maximum, so that no peak is lost."""
 
 IMU = "/imu"
 
 
 @dataclass(frozen=True)
 class StripPlot:
-    """Curves as paths of SVG; ticks: values and their y; times: seconds and their x, px."""
+    """Curves as SVG paths; ticks: values and their y, px; times: seconds and their x, px."""
 
     title: str
     span_s: float
@@ -47,19 +47,19 @@ def _wanted(sequence: Sequence) -> list[Strip]:
 
 
 def strips(sequence: Sequence, start_ns: int, end_ns: int) -> list[StripPlot]:
-    """A plot for each, over the same span of time."""
+    """Plot each strip, over the same time span."""
     return [_plot(strip, table, start_ns, end_ns) for strip, table in strip_tables(sequence)]
 
 
 def strip_tables(sequence: Sequence) -> list[tuple[Strip, pd.DataFrame]]:
-    """What is plotted of the scalar sensors, with the tables, indexed by stamp_ns, that have its columns."""
+    """Strips to plot for the scalar sensors, each with the table, indexed by stamp_ns, that holds its columns."""
     inertial = _inertial_table(sequence)
     tables = [(strip, inertial if strip.topic == IMU else sequence.frame(strip.topic)) for strip in _wanted(sequence)]
     return [*_speed(sequence), *tables, *_taken(sequence)]
 
 
 def _speed(sequence: Sequence) -> list[tuple[Strip, pd.DataFrame]]:
-    """The true speed of base_link; none without the truth, or where it says no velocity."""
+    """True speed of base_link; empty if the sequence has no ground-truth topic."""
     if TRUTH not in (topic for topic, _, _ in sequence.contents()):
         return []
     table = sequence.frame(TRUTH)
@@ -68,7 +68,7 @@ def _speed(sequence: Sequence) -> list[tuple[Strip, pd.DataFrame]]:
 
 
 def _taken(sequence: Sequence) -> list[tuple[Strip, pd.DataFrame]]:
-    """How long cameras that adapt exposed, and how much they amplified; none where that is not known."""
+    """Exposure time and gain of cameras with automatic exposure; empty if they are not known."""
     try:
         taken = sequence.taken()
     except SequenceError:
@@ -82,7 +82,7 @@ def _taken(sequence: Sequence) -> list[tuple[Strip, pd.DataFrame]]:
 
 
 def _inertial_table(sequence: Sequence) -> pd.DataFrame:
-    """As `Sequence.frame` gives it, of layouts that make no tables as well."""
+    """IMU samples as in the table of `Sequence.frame`, also for layouts that provide no tables."""
     stamps, gyro, accel = imu_arrays(sequence.imu())
     columns = [f"{kind}_{axis}" for kind in ("gyro", "accel") for axis in XYZ]
     return pd.DataFrame(np.hstack([gyro, accel]), index=stamps, columns=columns)
@@ -114,13 +114,13 @@ def _plot(strip: Strip, table: pd.DataFrame, start_ns: int, end_ns: int) -> Stri
 
 
 def time_ticks(span_s: float) -> list[tuple[float, float]]:
-    """Round seconds and their x, px."""
+    """Round numbers of seconds and their x, px."""
     across = WIDTH - LEFT - RIGHT
     return [(value, LEFT + value / span_s * across) for value in round_values(0.0, span_s * 0.995, 8)]
 
 
 def _curve(x: Array, y: Array, known_at: NDArray[np.bool_]) -> str:
-    """Path through the least and greatest sample of each column of the plot; broken where nothing is known."""
+    """SVG path through the minimum and maximum of each column of the plot; broken where nothing is known."""
     column = np.minimum(((x - LEFT) / (WIDTH - LEFT - RIGHT) * COLUMNS).astype(int), COLUMNS - 1)
     parts, pen = [], "M"
     for group in np.split(np.arange(len(x)), np.flatnonzero(np.diff(column)) + 1):
@@ -136,13 +136,13 @@ def _curve(x: Array, y: Array, known_at: NDArray[np.bool_]) -> str:
 
 
 def _ticks(low: float, high: float) -> list[tuple[float, float]]:
-    """Round values between two bounds, and their height on the plot."""
+    """Round values between two bounds, and their y, px."""
     values = round_values(low, high, 4)
     return [(value, TOP + (high - value) / (high - low) * (HEIGHT - TOP - BOTTOM)) for value in values]
 
 
 def round_values(low: float, high: float, n: int) -> list[float]:
-    """About n values that are multiples of 1, 2 or 5 times a power of ten, within two bounds."""
+    """About n values within two bounds that are multiples of 1, 2 or 5 times a power of ten."""
     raw = (high - low) / n
     power = 10.0 ** np.floor(np.log10(raw))
     step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= raw * 0.999)
