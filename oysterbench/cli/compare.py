@@ -1,4 +1,4 @@
-"""The command that sets results against each other: parse, call, print. `cli` takes it in."""
+"""The command that compares results: parse, call, print. `cli.main` adds it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from oysterbench.results.records import ResultRecord
 
 PROVIDERS = "oysterbench.results"
-"""Entry points: functions (text, split or None) -> results that the text names, or None. Boards are brought by one."""
+"""Entry-point group of functions (text, split or None) -> results that the text names, or None; one finds those of
+leaderboards."""
 
 
 @click.command("compare", short_help="Compare results: ranks, ties, which is better where.")
@@ -56,7 +57,7 @@ def compare_command(results: tuple[str, ...], track: str | None, split: str | No
         asked = " ".join([*([f"of the track {track}"] if track else []), *([f"on {split}"] if split else [])])
         there = dict.fromkeys(f"{one.track} on {one.split or 'own data'}" for one in given)
         raise ResultError(f"expected results {asked}, got {listed(there)}")
-    from oysterbench.report import SlamRun, comparison_tables, results_tables  # once the results are there
+    from oysterbench.report import SlamRun, comparison_tables, results_tables  # slow to load
     from oysterbench.results.comparison import as_plain, boards
 
     found = boards(records)
@@ -70,11 +71,11 @@ def compare_command(results: tuple[str, ...], track: str | None, split: str | No
 
 
 def _provided(text: str, split: str | None) -> list[ResultRecord] | None:
-    """What a text names that is no file; asked of all that is installed."""
+    """Results that a text other than a file names, from the first installed provider that knows it; else None."""
     for point in sorted(entry_points(group=PROVIDERS), key=lambda point: point.name):
         try:
             provider = point.load()
-        except ModuleNotFoundError:  # what it needs is an extra that is not installed
+        except ModuleNotFoundError:  # it needs an extra that is not installed
             continue
         if (found := provider(text, split)) is not None:
             return list(found)

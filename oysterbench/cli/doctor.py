@@ -1,4 +1,4 @@
-"""The command `doctor`: how this machine is. `cli` takes it in."""
+"""The command `doctor`: the state of this machine. `cli.main` adds it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands of those who use a hub: `download` and `verify`. Parse, call, print; `cli` takes them in."""
+"""Commands for users of a hub: `download` and `verify`: parse, call, print. `cli.main` adds them."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def download(
     version = version or (split.version if split else "")
     split_name = split.name if split else name
     hub_at = hub_places(places)
-    # What is here needs no network: a released version never changes.
+    # Local data needs no network: a released version never changes.
     here = None if check else find_here(split_name, version or None, patterns, out)
     if here is None and split is None and (model := _model(name, version, hub_at, key, out, connections)):
         if patterns or topics:
@@ -104,9 +104,9 @@ def download(
 def _model(
     name: str, version: str, hub_at: list[str], key: str | None, out: Path | None, connections: int
 ) -> tuple[Hub, Model] | None:
-    """The trained weights of a name that is no split's, and the hub that has them; None where it may be a split's.
+    """Find trained weights by name. Returns the hub that has them and their entry; None if the name may be a split's.
 
-    Raises HubError, with what to type, where the name is that of weights, and no hub is set.
+    Raises HubError, with what to type, where the name is that of weights and no hub is set.
     """
     from oysterbench.hub.download import Hub
     from oysterbench.hub.settings import NAME_ONE, NO_HUB, hub_key
@@ -119,7 +119,7 @@ def _model(
         return None
     path = model_path(name, out)
     here = weights_here(path)
-    # As of a split: a version that is here needs no network, nor does the newest where there is none.
+    # As for a split: a version that is here needs no network, nor does the newest one when offline.
     if here and here.model and (here.model.version == version or (not version and is_offline())):
         return Hub([], None), here.model
     known = name in weights_names()
@@ -138,7 +138,7 @@ def _model(
 
 
 def _known_split(name: str, version: str) -> SplitRecipe | None:
-    """The recipe of a split that this oysterbench knows in this version; a hub may have others."""
+    """Recipe of a split, if this installation knows it in this version; a hub may have others."""
     from oysterbench.recipe import load_split, split_names
 
     if not name.endswith(".toml") and name not in split_names():
@@ -148,7 +148,7 @@ def _known_split(name: str, version: str) -> SplitRecipe | None:
 
 
 def _folder(split: SplitRecipe | None, manifest: Manifest) -> Path:
-    """Where a split is kept: with the rendered ones if it is the same as this oysterbench would render."""
+    """Folder where a split is kept: that of rendered splits if rendering here would give the same files."""
     from oysterbench.core.files import home
     from oysterbench.simulation.generate import digest, split_folder
 
@@ -172,7 +172,7 @@ def _render_instead(
     dry_run: bool,
     as_json: bool,
 ) -> None:
-    """Without a hub the same bytes come out of the renderer."""
+    """Without a hub, render the split, which gives the same bytes."""
     from oysterbench.core.names import did_you_mean, nearest
     from oysterbench.hub.download import choose_names
     from oysterbench.hub.settings import NAME_ONE, NO_HUB
@@ -226,7 +226,7 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
     found = []
     for check in (check for name in (what or ("",)) for check in checks(name)):
         found.append(check)
-        if not as_json:  # file by file, for each takes seconds
+        if not as_json:  # file by file, as each takes seconds
             echo(f"{check.path}: {check.state}" + (f" ({check.detail})" if check.detail else ""))
     if as_json:
         rows = [{"file": str(check.path), "state": check.state, "detail": check.detail} for check in found]
@@ -253,7 +253,7 @@ def _print_files(files: dict[str, Path], split: str, as_json: bool) -> None:
 def _planned(
     hub: Hub, manifest: Manifest, entries: Sequence[FileEntry], folder: Path, topics: tuple[str, ...]
 ) -> list[dict[str, Any]]:
-    """What would be fetched of each file; of topics, the pieces that hold them."""
+    """What would be fetched of each file; with topics, only the pieces that contain them."""
     from oysterbench.hub.download import plan
     from oysterbench.hub.topics import plan_topics
 

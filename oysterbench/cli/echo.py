@@ -1,4 +1,4 @@
-"""The one door to the terminal: whatever is printed may hold text of strangers."""
+"""The only way to print to the terminal: any text may contain untrusted input, so it is made printable."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command that evaluates: `eval TRACK`, each track with its own options, or in short `eval --track TRACK`."""
+"""The command `eval TRACK`, with the options of each track, also as `eval --track TRACK`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WORKERS = "Processes that render, or drive.  [default: one per core]"
 
 
 class TrackCommands(click.Group):
-    """A command for each track, made when it is asked for; `--track NAME` before or behind options means the same."""
+    """Group with a command for each track, made on demand; `--track NAME` among the options also selects one."""
 
     def parse_args(self, context: click.Context, args: list[str]) -> list[str]:
         for i, word in enumerate(args):
@@ -69,7 +69,7 @@ def eval_command() -> None:
 
 
 def track_command(track: Track) -> click.Command:
-    """The command of a track."""
+    """Make the command of a track."""
     parameters: list[click.Parameter] = [
         click.Option(
             ["--split", "split_name"], help=f"A split's name or a .toml recipe.  [default: {track.default_split}]"
@@ -106,14 +106,14 @@ def track_command(track: Track) -> click.Command:
 
 
 def _one(context: click.Context, parameter: click.Parameter, given: tuple[Path, ...]) -> Path | None:
-    """Of an option that would otherwise drop all but the last."""
+    """Return the single value of an option; refuse several, of which click alone would keep only the last."""
     if len(given) > 1:
         raise click.BadParameter(f"expected one path, got {len(given)}: score them one by one", context, parameter)
     return given[0] if given else None
 
 
 class Evaluate(click.Command):
-    """Says of which tracks an option is that its own track does not have."""
+    """Command that says which tracks have an option that its own track does not have."""
 
     def parse_args(self, context: click.Context, args: list[str]) -> list[str]:
         try:
@@ -170,8 +170,8 @@ def _evaluate(
         methods=methods,
         options=options,
         runs=runs or 1,
-        jobs=1,  # one at a time, so that none takes time from another
+        jobs=1,  # one at a time, so that runs do not slow each other down
         workers=workers,
-        again=True,  # anew: `run` is the command that goes on
+        again=True,  # always from scratch: `run` is the command that resumes
     )
     evaluate(track, request, outputs)

@@ -1,4 +1,4 @@
-"""What `eval` and `run` share: options of tracks, a request, and what is written, printed and said in the end."""
+"""Code shared by `eval` and `run`: track options, requests, and what is written and printed at the end."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
 class Made(click.ParamType):  # type: ignore[type-arg]
-    """What a function makes of the text; a ValueError is a wrong one."""
+    """Option type converted by a function; its ValueError becomes a usage error."""
 
     def __init__(self, make: Callable[[str], Any], name: str) -> None:
         self.make, self.name = make, name
 
     def convert(self, value: Any, param: click.Parameter | None, context: click.Context | None) -> Any:
-        """The value."""
+        """Convert the text."""
         try:
             return self.make(value) if isinstance(value, str) else value
         except ValueError as error:
@@ -37,7 +37,7 @@ class Made(click.ParamType):  # type: ignore[type-arg]
 
 
 def click_option(option: Option) -> click.Option:
-    """An option of a track as click has it."""
+    """Make the click option of a track option."""
     kind = option.kind
     if isinstance(kind, tuple):
         kind = click.Choice(kind)
@@ -53,18 +53,18 @@ def click_option(option: Option) -> click.Option:
 
 
 def argument(option: Option) -> str:
-    """What an option is called among the arguments of a command: generic ones may have the same names."""
+    """Argument name of a track option in a command, with a prefix as general options may have the same name."""
     return f"of_track_{option.key.replace('-', '_').lower()}"
 
 
 def given_options(options: Iterable[Option], values: dict[str, Any]) -> dict[str, Any]:
-    """Key -> value of the options of a track that were given; they are taken out of a command's arguments."""
+    """Remove track options from a command's arguments. Returns those that were given, key -> value."""
     found = {option.key: values.pop(argument(option), None) for option in options}
     return {key: value for key, value in found.items() if value not in (None, ())}
 
 
 def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
-    """Evaluate what is requested, with what the command line shows of it while it goes on."""
+    """Evaluate a request, showing progress, and finish with its outputs."""
     from dataclasses import replace
 
     from oysterbench.cli.progress import runs_shown
@@ -76,7 +76,7 @@ def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
     _check_folder(request.out)
 
     def keep(runs: Sequence[Any]) -> None:
-        # After each run, so that a kill leaves a table of what was finished.
+        # After each run, so that finished runs are saved even if the process is killed.
         add_results(results, [run.record for run in runs])
 
     shown = replace(
@@ -88,7 +88,7 @@ def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
 
 
 def _check_folder(out: Path) -> None:
-    """Refuse a folder whose results cannot be added to, before anything is run or written."""
+    """Refuse a folder with unreadable results, to which none could be added, before anything is run or written."""
     from oysterbench.results.records import read_results
 
     if (out / "results.json").exists():
@@ -99,7 +99,7 @@ def _check_folder(out: Path) -> None:
 
 
 def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
-    """Write all files, print, and say what failed; the command ends with an error where something did."""
+    """Write all files, print tables, and report failures; exits with an error if anything failed."""
     from oysterbench.core.files import write_atomically
     from oysterbench.results.records import add_results, document, dump
     from oysterbench.tracks.track import Kept
@@ -120,7 +120,7 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
     if outputs.as_json:
         echo(dump(document(records, data_set)))
     failures = [one for one in records if one.failure is not None]
-    elsewhere = tuple(f" failed: {one.failure}" for one in failures)  # told at the end, with where the output is
+    elsewhere = tuple(f" failed: {one.failure}" for one in failures)  # reported at the end, with where the output is
     for table in () if outputs.on_stdout else found.printed:
         if table.rows:
             notes = tuple(note for note in table.notes if not note.endswith(elsewhere))
@@ -148,7 +148,7 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
 
 
 def foreign_options(track: str, options: Mapping[str, Sequence[str]]) -> None:
-    """Refuse options of other tracks. options: as they are typed -> the tracks that have them"""
+    """Refuse options of other tracks. options: option as typed -> tracks that have it."""
     for name, of in options.items():
         if of:
             kind = "track" if len(of) == 1 else "tracks"

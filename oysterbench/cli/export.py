@@ -1,4 +1,4 @@
-"""The command that writes sequences and labelled sets in the formats of others: parse, call, print."""
+"""The command that exports sequences and labelled sets in other formats: parse, call, print."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from oysterbench.core.errors import OptionError, SequenceError
 
 
 class ExportCommand(click.Command):
-    """Lists the formats that there are, which takes too long for `oysterbench --help`."""
+    """Command whose own help lists the formats; loading them would take too long for `oysterbench --help`."""
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         from oysterbench.annotations.export import SET_FORMATS

@@ -1,4 +1,4 @@
-"""What to install where a command lacks a module: the extra of this program that brings it."""
+"""What to install when a command lacks a module: the extra of this package that provides it."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ DISTRIBUTIONS = {
     "rerun": "rerun-sdk",
     "warp": "warp-lang",
 }
-"""Module -> what brings it, where that has another name."""
+"""Module -> distribution that provides it, if its name differs."""
 
 OF_OTHERS = ("all", "dev", "docs")
 
 
 def extra_of(module: str) -> str | None:
-    """The extra that brings a module; None where it is none of an extra's.
+    """Name of the extra that provides a module; None if no extra does.
 
     >>> extra_of("uvicorn"), extra_of("warp.sim"), extra_of("numpy")
     ('serve', 'render', None)

@@ -1,4 +1,4 @@
-"""What the system could not do, in one line: which file, why, and what to do next."""
+"""Errors of the operating system in one line: which file, why, and what to do next."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 
 def told(error: OSError) -> str:
-    """An error of the system in one line.
+    """Describe an error of the operating system in one line.
 
     >>> told(OSError(28, "No space left on device", "/mnt/out/a.png"))
     '/mnt/out/a.png: No space left on device; make room there or choose another place, and run the same command again'
     """
-    file = error.filename2 or error.filename  # the one that is written, where one is read
+    file = error.filename2 or error.filename  # with two files, the one being written
     path = Path(os.fsdecode(file)) if isinstance(file, str | bytes) else None
     place = "" if path is None else f"{path}: "
     return f"{place}{error.strerror or error}{_next_step(error.errno, path)}"

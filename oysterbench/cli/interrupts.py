@@ -1,4 +1,4 @@
-"""What an interruption leaves of each command, and what to type then."""
+"""What each command keeps after an interruption, and what to type next."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RESUMED = {
     "train": "the last checkpoint is kept",
     "tune": "finished trials are kept",
 }
-"""Command -> what is kept of it; the same command resumes from there."""
+"""Command that can be resumed -> what is kept of it."""
 
 BEGUN_ANEW = {
     "eval": "finished frames are kept, and results of finished runs are in results.json; the same command starts again "
@@ -28,15 +28,15 @@ BEGUN_ANEW = {
     "systems": "an unfinished system is built again",
     "translate": "written images stay, but the set is incomplete: choose another --out, or delete it",
 }
-"""Command -> what is left of it, of those that do not go on."""
+"""Command that cannot be resumed -> what is left of it."""
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM came, as from a scheduler or a service manager: what is under way is cleared up as after Ctrl-C."""
+    """SIGTERM was received, as from a scheduler or service manager; work in progress is cleaned up as after Ctrl-C."""
 
 
 def heed_sigterm() -> None:
-    """Let SIGTERM, unless somebody else heeds it, raise Terminated."""
+    """Make SIGTERM raise Terminated, unless another handler is installed."""
     if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
         signal.signal(signal.SIGTERM, _terminated)
 
@@ -47,7 +47,7 @@ def _terminated(number: int, frame: object) -> None:
 
 
 def interruption(command: str, what: str = "interrupted") -> str:
-    """A sentence for who has just interrupted a command of this name.
+    """Message for a user who has interrupted the command of this name.
 
     >>> interruption("view")
     'interrupted; nothing was written'

@@ -1,4 +1,4 @@
-"""Labelled data as a command is given it: a path, or the name of a split, which is rendered where it is not there."""
+"""Labelled data as an argument of commands: a path, or the name of a split, which is rendered if it is missing."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 
 class LabelledData(click.ParamType):  # type: ignore[type-arg]
-    """Labelled data as an option: refused where there is none of that name, before anything heavy is loaded."""
+    """Option type for labelled data; a name that does not exist is refused before anything heavy is loaded."""
 
     name = "SPLIT|PATH"
 
     def convert(self, value: str, param: click.Parameter | None, context: click.Context | None) -> str:
-        """As it was typed."""
+        """Check the name, and return it as it was typed."""
         check_data(value)
         return value
 
@@ -29,7 +29,7 @@ LABELLED = LabelledData()
 
 
 def check_data(name: str) -> None:
-    """Refuse what is neither a split nor there. Raises LabelError."""
+    """Refuse a name that is neither a split, a recipe nor an existing path. Raises LabelError."""
     from oysterbench.core.names import did_you_mean, nearest
     from oysterbench.recipe.split import split_names
 
@@ -40,7 +40,7 @@ def check_data(name: str) -> None:
 
 
 def open_data(name: str) -> LabelledSet:
-    """The labelled images of a split, of a recipe (.toml), or at a path (`annotations.opening.KINDS`)."""
+    """Open the labelled images of a split, of a recipe (.toml), or at a path (`annotations.opening.KINDS`)."""
     from oysterbench.annotations import open_labelled
     from oysterbench.recipe import load_split, split_names
 
@@ -57,7 +57,7 @@ def open_data(name: str) -> LabelledSet:
 
 
 def named_places(texts: Sequence[str], taken: Collection[str]) -> dict[str, list[str]]:
-    """Name -> splits or paths, of options --synthetic NAME=SPLIT|PATH. taken: names that mean something else."""
+    """Parse options --synthetic NAME=SPLIT|PATH to name -> splits or paths. taken: names with another meaning."""
     found: dict[str, list[str]] = {}
     for text in texts:
         name, place = _named(text, "--synthetic", "NAME=SPLIT or NAME=PATH", taken)
@@ -67,7 +67,7 @@ def named_places(texts: Sequence[str], taken: Collection[str]) -> dict[str, list
 
 
 def named_files(texts: Sequence[str], taken: Collection[str]) -> dict[str, Path]:
-    """Name -> file, of options --weights NAME=FILE. taken: names that mean something else."""
+    """Parse options --weights NAME=FILE to name -> file. taken: names with another meaning."""
     found: dict[str, Path] = {}
     for text in texts:
         name, place = _named(text, "--weights", "NAME=FILE", [*taken, *found])
@@ -76,7 +76,7 @@ def named_files(texts: Sequence[str], taken: Collection[str]) -> dict[str, Path]
 
 
 def _named(text: str, option: str, form: str, taken: Collection[str]) -> tuple[str, str]:
-    """Name and place of an option NAME=PLACE."""
+    """Split an option NAME=PLACE into name and place. Raises click.UsageError for another form or a taken name."""
     name, equals, place = text.partition("=")
     if not equals or not name.replace("-", "").replace("_", "").isalnum() or name in taken:
         raise click.UsageError(f"{option}: expected {form}, with a name other than {', '.join(taken)}, got {text!r}")
@@ -84,7 +84,7 @@ def _named(text: str, option: str, form: str, taken: Collection[str]) -> tuple[s
 
 
 def open_all(names: Sequence[str], side: str | None = None, name: str = "") -> LabelledSet:
-    """The same of several, as one set; side: only the images of this split of each."""
+    """Open several data sets as one set. side: use only the images of this part of each."""
     from oysterbench.annotations import joined
 
     sets = [open_data(one) if side is None else open_data(one).of_split(side) for one in names]

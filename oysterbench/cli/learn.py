@@ -1,4 +1,4 @@
-"""Commands that are installed under entry points: `train`, `translate`, `experiment`. `cli` takes them in."""
+"""Command groups filled from entry points: `train`, `translate`, `experiment`. `cli.main` adds them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from oysterbench.core.errors import MethodError
 
 
 class Installed(click.Group):
-    """A group whose commands are entry points; each is a click command, loaded when it is needed."""
+    """Command group whose commands are entry points; each is a click command, loaded when it is needed."""
 
     def __init__(self, name: str, points: str, **settings: object) -> None:
         super().__init__(name, **settings)  # type: ignore[arg-type]
         self._points = points
 
     def found(self) -> dict[str, EntryPoint]:
-        """Name -> entry point."""
+        """Return the commands: name -> entry point."""
         return {point.name: point for point in entry_points(group=self._points)}
 
     def list_commands(self, context: click.Context) -> list[str]:
@@ -27,7 +27,7 @@ class Installed(click.Group):
     def invoke(self, context: click.Context) -> Any:
         try:
             return super().invoke(context)
-        except ModuleNotFoundError as error:  # what is heavy is imported when the command runs
+        except ModuleNotFoundError as error:  # heavy modules are imported only when the command runs
             raise self._lacking(error) from None
 
     def _lacking(self, error: ImportError) -> MethodError:

@@ -41,15 +41,15 @@ COMMANDS = Installed("oysterbench", "oysterbench.commands")
 
 EMPTY_OPTION = re.compile(r"--[a-z][a-z-]*=")
 NOT_SET = {"--from", "--key"}
-"""Options that count as not given where they are empty: a hub, of which a variable may say that there is none."""
+"""Options whose empty value counts as not given: an empty shell variable may mean that there is no hub."""
 
 RENAMED = {"hub-key": "keygen"}
-"""What some commands were called before."""
+"""Former name of a command -> present name."""
 
 
 class Commands(click.Group):
-    """Turns expected failures into one line on stderr and an exit code. Commands that packages bring under the entry
-    points `oysterbench.commands` are found as well."""
+    """Command group that turns expected failures into one line on stderr and an exit code. It includes the commands
+    that packages register in the entry-point group `oysterbench.commands`."""
 
     def list_commands(self, context: click.Context) -> list[str]:
         return sorted({*super().list_commands(context), *COMMANDS.found()})
@@ -58,7 +58,7 @@ class Commands(click.Group):
         return super().get_command(context, name) or COMMANDS.get_command(context, name)
 
     def parse_args(self, context: click.Context, args: list[str]) -> list[str]:
-        # An empty path would be the current folder.
+        # An empty path would mean the current folder.
         for before, word in zip(["", *args], args, strict=False):
             if word == "" or EMPTY_OPTION.fullmatch(word):
                 if {word.rstrip("="), before} & NOT_SET:

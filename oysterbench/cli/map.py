@@ -1,4 +1,4 @@
-"""The command that makes a map of oysters, or a cloud, of a sequence along a trajectory: parse, call, print."""
+"""The command that makes an oyster map, or a point cloud, of a sequence along a trajectory: parse, call, print."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 SOURCES = ("pictures", "echoes")
 DEPTHS = ("stereo", "motion", "plane", "layer")
 KINDS = ("auto", "instances", "mask", "probability", "classes")
-"""`annotations.masks.FORMS`, which is not loaded for a page of help."""
+"""Copy of `annotations.masks.FORMS`, which is slow to load for a page of help."""
 TRUTH = "truth"
 
 
@@ -35,11 +35,11 @@ MAP_OPTIONS = {"depth": "--depth", "kind": "--masks-kind", "cell_m": "--cell", "
 
 
 class MapCommand(click.Command):
-    """With the options of `eval slam` that say how a trajectory is read, which are loaded when they are asked for."""
+    """Command with the options of `eval slam` for reading a trajectory, which are loaded on demand."""
 
     @cached_property
     def reading(self) -> list[Option]:
-        """Of one trajectory, whose content does not tell."""
+        """Options for reading one trajectory, where its content does not determine how."""
         from oysterbench.tracks.slam_options import READING
 
         return [
@@ -53,7 +53,7 @@ class MapCommand(click.Command):
         return [*self.params, *map(click_option, self.reading)]
 
     def get_params(self, context: click.Context) -> list[click.Parameter]:
-        """Those of the command, and of reading."""
+        """Return the parameters of the command, with the reading options."""
         return [*self._all, *([] if (own := self.get_help_option(context)) is None else [own])]
 
 
@@ -104,8 +104,8 @@ def map_command(
       oysterbench map mini-01.mcap --trajectory results/mini-01-gtsam_vi.tum --out mini-01.ply
       oysterbench map dive.mcap --trajectory poses.tum --from echoes --voxel 0.05 --out bottom.ply
 
-    The path is refused where gravity, as the inertial unit feels it, would not pull down along it: poses of a camera,
-    quaternions w first.
+    The trajectory is refused if gravity as measured by the IMU would not point down along it, as with poses of a camera
+    or quaternions with w first.
 
     \b
     Masks as read by `oysterbench eval --estimate`, named after their images (SEQUENCE/CAMERA/STAMP):
@@ -156,7 +156,8 @@ def map_command(
 
 
 def _poses(opened: Sequence, trajectory: Path, options: ReadOptions) -> Trajectory:
-    """Of a file, or the true ones. Raises TrajectoryError where they are not of the sequence, or not upright."""
+    """Read poses from a file, or return the true ones. Raises TrajectoryError where they do not overlap with the
+    sequence in time, or are not upright."""
     from oysterbench.core.trajectory import read_trajectory
     from oysterbench.mapping.views import check_time, check_upright
 
@@ -184,7 +185,7 @@ def _cloud(
 
     if out.suffix.lower() != ".ply":
         raise OysterbenchError(f"{out}: expected the name of a .ply file, or --masks and the name of a folder")
-    opened = open_sequence(sequence)  # before what takes longer to load than to refuse it
+    opened = open_sequence(sequence)  # before the slow imports, to refuse it early
     from oysterbench.mapping import CloudSettings, build_cloud
 
     settings = CloudSettings()
@@ -216,14 +217,14 @@ def _cloud(
 
 
 def _watching(opened: Sequence, looks: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
-    """Turns stamps into progress: seconds of the sequence, as often as it is gone through from its begin."""
+    """Return a function that turns stamps into progress, in seconds of the sequence, over `looks` passes through it."""
     first = next(iter(opened.imu()), None)
     begin_ns, last_ns, done = (0 if first is None else first.stamp_ns), 0, 0
     each = max(round(opened.duration_s), 1)
 
     def watch(stamp_ns: int) -> None:
         nonlocal last_ns, done
-        if stamp_ns < last_ns:  # of the next sensor
+        if stamp_ns < last_ns:  # the next pass has started
             done += each
         last_ns = stamp_ns
         progress(min(done + round((stamp_ns - begin_ns) * 1e-9), looks * each), looks * each)
@@ -247,7 +248,7 @@ def _oysters(
 
     if out.exists() and not out.is_dir():
         raise OysterbenchError(f"{out}: expected the name of a folder, got a file")
-    opened = open_sequence(sequence)  # before what takes longer to load than to refuse it
+    opened = open_sequence(sequence)  # before the slow imports, to refuse it early
     from oysterbench.mapping import MapSettings, build_map, default_depth, read_seen, true_seen
     from oysterbench.report.density_figure import numbers
     from oysterbench.report.density_files import summary, write_map

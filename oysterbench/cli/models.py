@@ -1,4 +1,4 @@
-"""Commands of trained weights: what there is, publishing them, and fetching them, which `download` calls."""
+"""Commands for trained weights: listing and publishing them, and fetching them for `download`."""
 
 from __future__ import annotations
 
@@ -94,14 +94,14 @@ def publish_model(
 
 
 def model_path(name: str, out: Path | None) -> Path:
-    """Where a download leaves weights: a file of the folder, by default where methods look for it."""
+    """Path where a download saves weights: in the folder `out`, or by default where methods look for them."""
     from oysterbench.methods.weights import weights_path
 
     return weights_path(name) if out is None else out / f"{name}.pt"
 
 
 def download_model(hub: Hub, model: Model, out: Path | None, dry_run: bool, again: bool, as_json: bool) -> None:
-    """Fetch trained weights, or only say what would be fetched."""
+    """Fetch trained weights, or with dry_run only print what would be fetched."""
     from oysterbench.cli.progress import bytes_bar
     from oysterbench.hub.weights import check_replaced, fetch_weights, there_bytes
 
@@ -182,7 +182,7 @@ def _hub(places: tuple[str, ...], key: str | None) -> Hub:
 
 
 def _rows(hub: Hub | None) -> list[dict[str, Any]]:
-    """What is known of each model, here and on a hub."""
+    """Rows with what is known about each model, here and on a hub."""
     from oysterbench.hub.weights import weights_here
     from oysterbench.methods.weights import find_weights, weights_names, weights_path
 
@@ -208,7 +208,7 @@ def _rows(hub: Hub | None) -> list[dict[str, Any]]:
 
 
 def _print_card(name: str, hub: Hub | None, as_json: bool) -> None:
-    """The card of a model that the hub has, that was fetched, or what a training here says."""
+    """Print the card of a model: from the hub, of fetched weights, or made from weights trained here."""
     from oysterbench.hub.card import facts, reached
     from oysterbench.hub.publish_model import build_model, describe_weights
     from oysterbench.hub.weights import weights_here

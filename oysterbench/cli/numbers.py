@@ -1,4 +1,4 @@
-"""Numbers as options take them."""
+"""Option types for numbers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import click
 
 
 class Number(click.FloatRange):
-    """Of a range, and neither nan, which no range leaves out, nor inf."""
+    """A finite number in a range; a range alone would let nan and inf pass."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         found = float(super().convert(value, param, ctx))

@@ -1,4 +1,4 @@
-"""Options of a command that say in which forms its results are given: JSON, CSV, LaTeX, Markdown, HTML."""
+"""Options for the output formats of a command's results: JSON, CSV, LaTeX, Markdown, HTML."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from oysterbench.tracks.track import Kept
 
 PIPE = 1000
-"""Characters of a line where nobody says how many there are."""
+"""Line width, in characters, where it is unknown."""
 
 TEXTS = {"csv": "every run, every digit", "tex": "tables with booktabs and graphicx", "md": "tables in Markdown"}
-"""Forms of text, by their suffix."""
+"""Suffix of a text format -> its description in the help."""
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """What was asked for: JSON on stdout; files of the other forms, "-" for stdout."""
+    """The outputs requested: JSON on stdout; files of the other formats, "-" for stdout."""
 
     as_json: bool
     texts: dict[str, Path]
@@ -41,7 +41,7 @@ class Outputs:
 
     @property
     def on_stdout(self) -> bool:
-        """Whether stdout is taken by one of them."""
+        """Whether one of them goes to stdout."""
         return self.as_json or Path("-") in self.texts.values()
 
     def write(
@@ -53,10 +53,10 @@ class Outputs:
         figures: Sequence[Card] = (),
         beside: Sequence[Kept] = (),
     ) -> list[Path]:
-        """Write all files that were asked for, those of a folder in all forms; returns what was written.
+        """Write all requested files and, if there is a folder, all formats into it. Returns the files written.
 
-        data_set: of tracks of images, each method over all clips together; first: tables that stand before all
-        others; figures: of the report; beside: earlier runs, which the files of the folder have as well.
+        data_set: for image tracks, a row for each method over all clips together; first: tables that come before all
+        others; figures: figures of the report; beside: earlier runs, which the files in the folder also include.
         """
         from oysterbench.core.files import write_atomically
         from oysterbench.report import csv_text, dataset_tables, latex_text, markdown_text, write_html_report
@@ -102,7 +102,7 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def print_table(table: Table) -> None:
-    """A table on stdout, as wide as that is."""
+    """Print a table on stdout, fitted to the terminal's width."""
     from oysterbench.report import terminal_table
 
     console = _console()
@@ -110,12 +110,12 @@ def print_table(table: Table) -> None:
 
 
 def print_rich(table: Any) -> None:
-    """Print a table of rich on stdout."""
+    """Print a rich table on stdout."""
     _print(_console(), table)
 
 
 def _print(console: Console, table: Any) -> None:
-    """Lines end with their last character: who reads a pipe wants no blanks up to its width."""
+    """Print without trailing blanks on stdout if it is not a terminal: a reader of a pipe does not want padding."""
     with console.capture() as captured:
         console.print(table)
     lines = captured.get().splitlines()
@@ -123,7 +123,7 @@ def _print(console: Console, table: Any) -> None:
 
 
 def _console() -> Console:
-    """Of stdout; a pipe has no width to wrap to but that of COLUMNS."""
+    """Console on stdout; for a pipe, lines are wrapped only if COLUMNS gives a width."""
     from rich.console import Console
 
     console = Console()

@@ -1,4 +1,4 @@
-"""What is shown while runs go on: a line for each on a terminal, and else a line at every tenth, both on stderr."""
+"""Progress of running work, on stderr: a bar for each run on a terminal, otherwise a line at every tenth."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from oysterbench.methods.hearing import Heard, Told
     from oysterbench.simulation.generate import Progress
 
-LATE_S = 2.0  # of work that is done sooner, no progress is shown
-QUIET_S = 30.0  # between two lines that a run says of something else than its progress
+LATE_S = 2.0  # no progress is shown for work that takes less
+QUIET_S = 30.0  # minimum interval between two lines of a run's other output
 BAR_WIDTH = 16  # characters
 
 
 @contextmanager
 def runs_shown() -> Iterator[Told]:
-    """To be told what runs say; nothing is shown before that."""
+    """Yield a function to be called with the output of runs; nothing is shown before its first call."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.table import Column
@@ -49,7 +49,7 @@ def runs_shown() -> Iterator[Told]:
                 tasks[name] = bars.add_task(printable(name), total=None, said="")
             if one.total:
                 bars.update(tasks[name], total=one.total, completed=one.done, said=f"{one.done} of {one.total}")
-            elif bars.tasks[bars.task_ids.index(tasks[name])].total is None:  # else it has said much since then
+            elif bars.tasks[bars.task_ids.index(tasks[name])].total is None:  # else only progress is shown
                 bars.update(tasks[name], said=printable(one.line))
         bars.start()
 
@@ -60,7 +60,8 @@ def runs_shown() -> Iterator[Told]:
 
 
 def plain_runs() -> Told:
-    """Lines on stderr: of each run at every tenth, and every few minutes; or what it says else, not too often."""
+    """Return a function that prints lines on stderr: each run's progress at every tenth and every few minutes, or its
+    other output, not too often."""
     bars: dict[str, tuple[Progress, Heard]] = {}
     told: dict[str, tuple[float, str]] = {}
 
@@ -71,7 +72,7 @@ def plain_runs() -> Told:
             at, line = told.setdefault(name, (time.monotonic(), ""))
             if one.total:
                 show, before = bars.get(name, (plain_progress(name, ""), one))
-                if one.done < before.done:  # another pass over the pictures
+                if one.done < before.done:  # another pass over the images
                     show = plain_progress(name, "")
                 bars[name] = show, one
                 show(one.done, one.total)
@@ -84,7 +85,7 @@ def plain_runs() -> Told:
 
 @contextmanager
 def bytes_bar(title: str) -> Iterator[Progress]:
-    """A progress bar on a terminal, a line at every tenth elsewhere; both on stderr."""
+    """Progress bar in bytes on a terminal, otherwise a line at every tenth; both on stderr."""
     from rich.console import Console
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
@@ -108,7 +109,7 @@ def bytes_bar(title: str) -> Iterator[Progress]:
 
 @contextmanager
 def late_bar(title: str, unit: str) -> Iterator[Progress]:
-    """As `frames_bar`, but nothing is shown of what is done within `LATE_S`."""
+    """Progress bar like `frames_bar` that appears only after `LATE_S`."""
     began = time.monotonic()
     with frames_bar(title, unit) as progress:
 
@@ -121,7 +122,7 @@ def late_bar(title: str, unit: str) -> Iterator[Progress]:
 
 @contextmanager
 def late_bars(title: str) -> Iterator[Callable[[str, int, int], None]]:
-    """A `late_bar` for each unit that is told of, one after the other."""
+    """A `late_bar` for each unit that is reported, one after the other."""
     with ExitStack() as stack:
         units = list[str]()
         shown: Progress = lambda done, total: None  # noqa: E731

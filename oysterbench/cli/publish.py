@@ -1,4 +1,4 @@
-"""Commands of those who run a hub: `keygen`, `publish` and `serve`. Parse, call, print; `cli` takes them in."""
+"""Commands for those who run a hub: `keygen`, `publish` and `serve`: parse, call, print. `cli.main` adds them."""
 
 from __future__ import annotations
 

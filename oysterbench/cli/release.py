@@ -1,4 +1,4 @@
-"""The command that pins what a split's files are. `cli` takes it in."""
+"""The command that pins the content of a split's files. `cli.main` adds it."""
 
 from __future__ import annotations
 

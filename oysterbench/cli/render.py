@@ -1,4 +1,4 @@
-"""The command that renders, and what others show while something is rendered. `cli` takes it in."""
+"""The command `render`, and the progress bars that other commands show while rendering. `cli.main` adds it."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def render(
     if as_preview and topics:
         raise click.UsageError("--preview shows pictures of each camera: it takes no --topics")
     split = load_split(split_name)
-    from oysterbench.simulation.generate import digest  # once the split is known: a wrong name is told at once
+    from oysterbench.simulation.generate import digest  # slow to load: only once the split is known to exist
     from oysterbench.simulation.salt import salt_for
 
     if as_preview:
@@ -90,7 +90,7 @@ def render(
 
 
 def _compare(split: SplitRecipe, files: dict[str, Path], made_by: str) -> None:
-    """Say whether the files are those that were released."""
+    """Report whether the files are the same as those of the release."""
     from oysterbench.cli.progress import bytes_bar
     from oysterbench.hub.manifest import released_manifest
     from oysterbench.hub.verify import RIGHT, SMALLER, check_released

@@ -1,4 +1,4 @@
-"""The command that runs methods of any track, one's own and other programs: parse, call, print."""
+"""The command that runs methods of any track, and external programs: parse, call, print."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Run(click.Command):
-    """Has the options of all tracks, which are loaded when they are needed."""
+    """Command with the options of all tracks, which are loaded when needed."""
 
     def get_params(self, context: click.Context) -> list[click.Parameter]:
         params = super().get_params(context)
@@ -26,7 +26,7 @@ class Run(click.Command):
 
 
 def track_options() -> dict[str, Option]:
-    """The options of all tracks, as they are typed, but those on the reading of files."""
+    """Options of all tracks, by the name as typed, except those for reading files."""
     from oysterbench.tracks import TRACKS
 
     return {option.name: option for track in TRACKS.values() for option in track.options if not option.files}
@@ -197,7 +197,7 @@ def run_command(
 
 
 def _variants(names: tuple[str, ...], settings: tuple[str, ...], ablate: tuple[str, ...]) -> list[str]:
-    """The methods with their options, each followed by its variants; each once."""
+    """References of the methods with their options, each followed by its variants, without duplicates."""
     from oysterbench.methods.options import split_commas, with_options
 
     found = []

@@ -1,4 +1,4 @@
-"""The command that counts oysters in people's own pictures and videos: parse, call, print."""
+"""The command that counts oysters in users' own images and videos: parse, call, print."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ METHOD = "unet_instances"
 TRACKS = ("detection", "segmentation")
 FILE = click.Path(path_type=Path, dir_okay=False)
 TOLD = 5
-"""Lines of one kind on stderr, at most."""
+"""Maximum number of failures printed on stderr."""
 
 
 @click.command("segment", short_help="Find oysters in your own images and videos: masks, counts, cover, a page.")
@@ -135,7 +135,7 @@ def segment_command(
     if chosen.track not in TRACKS:
         raise MethodError(f"{method}: expected a method of {' or '.join(TRACKS)}, got one of {chosen.track}")
 
-    # What follows takes longer to load than what was refused so far.
+    # These imports are slow, so everything that can be refused without them has been.
     from oysterbench.cli.render import frames_bar
     from oysterbench.counting.accuracy import figures_of_counts, read_accuracy
     from oysterbench.counting.identity import method_identity
@@ -205,7 +205,7 @@ def segment_command(
 
 
 def _check_scaling(given: dict[str, Any], min_mm: float | None) -> None:
-    """Refuse options of scales that do not belong together."""
+    """Refuse scale options that do not go together. Raises click.UsageError."""
     names = {"quadrat": "--quadrat", "altitude": "--altitude", "mm_per_px": "--mm-per-px"}
     kinds = [option for key, option in names.items() if given[key] is not None]
     if len(kinds) > 1:
@@ -224,7 +224,7 @@ def _check_scaling(given: dict[str, Any], min_mm: float | None) -> None:
 
 
 def _scale(given: dict[str, Any], sources: tuple[Source, ...]) -> tuple[ScaleOf, dict[str, Any] | None]:
-    """The scale of each picture, and what it is, for records."""
+    """Scale of each image, and its description for records, None without a scale."""
     from oysterbench.counting.lens import read_lens
     from oysterbench.counting.per_picture import ALTITUDE, CORNERS, altitudes, plain, quadrats
     from oysterbench.counting.tables import read_table
@@ -267,7 +267,7 @@ def _tell_unused(path: Path, names: tuple[str, ...]) -> None:
 
 
 def _tell(found: Survey, page: Path, made: int, cpu_s: float) -> None:
-    """The page, and the numbers in a line each; nothing where nothing was counted, as the failures say why."""
+    """Print the path of the page, and a line for each number; nothing if no image was counted: the failures say why."""
     from oysterbench.counting.survey import PARTS
     from oysterbench.report.table import Column
 
@@ -293,7 +293,7 @@ def _tell(found: Survey, page: Path, made: int, cpu_s: float) -> None:
 
 
 def _warn(found: Survey) -> None:
-    """What is to be known before any number is believed."""
+    """Print warnings that qualify the numbers."""
     for doubt in found.doubts:
         message(doubt)
     unlike = found.unlike
@@ -313,7 +313,7 @@ def _warn(found: Survey) -> None:
 
 
 def _failed(found: Survey) -> str:
-    """The last line of a run that could not count everything."""
+    """Print the first failures. Returns the last line of a run that could not count everything."""
     failures = found.failures
     for name, why in list(failures.items())[:TOLD]:
         message(why if name in why else f"{name}: {why}")

@@ -1,4 +1,4 @@
-"""Sequences that are named on the command line: that they are there is seen before what reads them is loaded."""
+"""Sequences on the command line: their existence is checked before the code that reads them is loaded."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from oysterbench.core.errors import SequenceError
 
 
 class SequencePath(click.Path):
-    """The path of a sequence. Raises SequenceError where nothing is there."""
+    """Parameter type for the path of a sequence. Raises SequenceError where it does not exist."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)

@@ -1,4 +1,4 @@
-"""The command `splits`: what there is, what of it is here, and how large it is. `cli` takes it in."""
+"""The command `splits`: which splits exist, which are here, and how large they are. `cli.main` adds it."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SplitRow:
-    """A version of a split. `size_bytes` of it are here, in files that are whole; `full_bytes` is its size, or None
-    where neither a manifest nor a complete set of files tells. `duration_s`: None where only the hub knows it."""
+    """A version of a split. size_bytes: size of its complete files that are here; full_bytes: its total size, None if
+    neither a manifest nor a complete set of files tells; duration_s: None if only the hub knows the split."""
 
     name: str
     version: str
     track: str
     sequences: int
     duration_s: float | None
-    here: int  # sequences
+    here: int  # number of sequences here
     size_bytes: int
     full_bytes: int | None
     complete: bool
@@ -38,7 +38,7 @@ class SplitRow:
 
     @property
     def state(self) -> str:
-        """In words."""
+        """How much of it is here, in words."""
         full = "" if self.full_bytes is None else f"{self.full_bytes / 1e6:.0f} MB"
         if self.complete:
             return full
@@ -79,7 +79,7 @@ def splits(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | 
 
     known = {split_folder(split): split for split in map(load_split, split_names())}
     kept = list(_kept(known))
-    # A split that was downloaded is told of once, also where this oysterbench would keep its own elsewhere.
+    # A downloaded split is listed once, even if this version would keep its own renders in another folder.
     downloaded = {(row.name, row.version) for row in kept}
     rows = [row for row in _known(known) if row.here or (row.name, row.version) not in downloaded] + kept
     if ask_hub or places:
@@ -93,7 +93,7 @@ def splits(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | 
 
 
 def splits_table(rows: Iterable[SplitRow]) -> Table:
-    """The splits, a row each."""
+    """Table with a row for each split."""
     from oysterbench.report.table import Column, Table, TableRow
 
     columns = (
@@ -123,7 +123,7 @@ def _print_sequences(split: SplitRecipe, as_json: bool) -> None:
 
 
 def _known(splits: dict[Path, SplitRecipe]) -> Iterator[SplitRow]:
-    """Splits that this oysterbench can render, by their folders."""
+    """Yield the splits that this version can render. splits: folder -> split."""
     from oysterbench.hub.manifest import released_manifest
     from oysterbench.hub.verify import kept_manifest
     from oysterbench.simulation.generate import sequence_files
@@ -151,7 +151,7 @@ def _known(splits: dict[Path, SplitRecipe]) -> Iterator[SplitRow]:
 
 
 def _kept(rendered: Collection[Path]) -> Iterator[SplitRow]:
-    """Splits that were downloaded and that this oysterbench would render differently, or not at all."""
+    """Yield downloaded splits that this version would render differently, or not at all."""
     from oysterbench.core.files import home
     from oysterbench.hub.verify import kept_manifest
 
@@ -177,7 +177,7 @@ def _kept(rendered: Collection[Path]) -> Iterator[SplitRow]:
 
 
 def _with_hub(rows: list[SplitRow], places: tuple[str, ...], key: str | None) -> Iterator[SplitRow]:
-    """The rows with sizes that the hub knows, and its splits that are not among them."""
+    """Yield the rows, with sizes from the hub where unknown, then the hub's other splits."""
     from dataclasses import replace
 
     from oysterbench.core.errors import HubError

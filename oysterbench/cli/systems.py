@@ -1,4 +1,4 @@
-"""The command `systems`: published systems, what they are, and whether they are built here."""
+"""The command `systems`: which published systems there are, and whether they are built here."""
 
 from __future__ import annotations
 

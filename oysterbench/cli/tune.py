@@ -1,4 +1,4 @@
-"""The command `tune`: random search over the options of a method, with a budget that is the same for all."""
+"""The command `tune`: random search over the options of a method, with the same budget for every method."""
 
 from __future__ import annotations
 

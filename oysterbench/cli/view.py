@@ -1,4 +1,4 @@
-"""The command that shows a sequence: as a page, in Rerun, or as a layout for Foxglove: parse, call, print."""
+"""The command that shows a sequence as a page, in Rerun, or with a layout for Foxglove: parse, call, print."""
 
 from __future__ import annotations
 

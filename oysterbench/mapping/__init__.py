@@ -1,4 +1,4 @@
-"""What a sequence shows, along any trajectory of it: coloured point clouds, and oysters on the ground, each once."""
+"""Maps of a sequence along any of its trajectories: coloured point clouds, and oysters on the ground, each once."""
 
 from oysterbench.mapping.build import SOURCES, build_cloud
 from oysterbench.mapping.cloud import PointCloud

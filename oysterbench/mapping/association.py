@@ -1,12 +1,12 @@
-"""Which oysters of different pictures are one: by where on the ground they lie, and by their shells' footprints.
+"""Association of the oysters in different images, by their position on the ground and their shells' footprints.
 
-Picture by picture, laid where they belong (`mapping.pose_graph`), their oysters are assigned to those that are known,
-each to one at most, at the least cost in all (Kuhn 1955). Where places are sure to a centimetre, a pair costs
-what their shells do not overlap; where they are not, the squared Mahalanobis distance of their middles, whose
-covariances are long along the rays, and of their sizes; what the picture's pose and depth then err by all over it
-shows in its first assignment, and is taken out before the second. Then parts of one shell, that were never seen side
-by side, are put together: what hid the middle of it made two of it. Two oysters that one picture shows apart are
-never one.
+Image by image, after alignment (`mapping.pose_graph`), oysters are assigned to the known ones, each to at most one, at
+minimum total cost (Kuhn 1955). If positions are certain to a centimetre, the cost of a pair is the share of their
+shells that does not overlap; otherwise it is the squared Mahalanobis distance of their centres, whose covariances are
+elongated along the rays, and of their sizes. In that case, the common error of an image from its pose and depth is
+estimated in a first assignment and removed before a second. Finally, parts of one shell that were never seen side by
+side are joined: something hid the middle of the shell and so made two of it. Two oysters that one image shows
+separately are never merged.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from oysterbench.mapping.settings import MapSettings
 from oysterbench.mapping.track import OysterTrack
 
 FORBIDDEN = 1e6
-FAR_COST = 0.3  # of two middles that are reach_m apart, beside an overlap of 1: it decides between equal overlaps
-ROUNDS = 5  # of putting parts together, each of which joins a part to one other at most
-SHIFT_FROM = 5  # pairs, for the common error of a picture to be taken out
-NEARLY_ALL = 0.9  # of pictures
+FAR_COST = 0.3  # of two centres that are reach_m apart, against 1 for an overlap: it decides between equal overlaps
+ROUNDS = 5  # of joining parts, in each of which a part is joined to at most one other
+SHIFT_FROM = 5  # minimum number of pairs to remove the common error of an image
+NEARLY_ALL = 0.9  # share of the images
 
 
 class OysterTracks:
-    """The oysters of a map, as pictures come in."""
+    """The oysters of a map, updated image by image."""
 
     def __init__(self, settings: MapSettings) -> None:
         self.settings = settings
@@ -39,11 +39,11 @@ class OysterTracks:
 
     @property
     def exact(self) -> bool:
-        """Whether places of nearly all pictures are sure enough for shells to be told apart by how far they overlap."""
+        """Whether positions in nearly all images are certain enough to tell shells apart by their overlap."""
         return not self._sure or float(np.mean(self._sure)) >= NEARLY_ALL
 
     def add(self, found: Sequence[Patch]) -> None:
-        """The oysters of one picture more."""
+        """Add the oysters of one more image."""
         if not found:
             return
         known = self._near(found)
@@ -60,7 +60,7 @@ class OysterTracks:
         self.tracks += [OysterTrack(patch) for i, patch in enumerate(found) if i not in taken]
 
     def _near(self, found: Sequence[Patch]) -> list[OysterTrack]:
-        """Those that the picture may show."""
+        """Known oysters that the image may show."""
         if not self.tracks:
             return []
         tree = cKDTree(np.array([patch.centre for patch in found]))
@@ -69,8 +69,8 @@ class OysterTracks:
         return [track for track, is_near in zip(self.tracks, near, strict=True) if is_near]
 
     def _assign(self, found: Sequence[Patch], known: Sequence[OysterTrack], exact: bool) -> list[tuple[int, int]]:
-        """Indices of those that are one."""
-        from scipy.optimize import linear_sum_assignment  # a third of a second, where nothing is mapped
+        """Pairs of indices (found, known) that are the same oyster."""
+        from scipy.optimize import linear_sum_assignment  # a third of a second, wasted if nothing is mapped
 
         if not known:
             return []
@@ -91,9 +91,10 @@ class OysterTracks:
         return np.where(squared > self.settings.gate, FORBIDDEN, squared)
 
     def joined(self) -> list[OysterTrack]:
-        """The oysters, after parts of one shell are put together, the surest pair first.
+        """Return the oysters after joining parts of one shell, the most certain pair first.
 
-        Those that might be one, and those that might be two, keep that doubt: half at what divides the two.
+        Doubt remains both where a joined pair might be two and where a separate pair might be one: 1/2 at the decision
+        threshold.
         """
         apart = self._apart()
         for _ in range(ROUNDS):
@@ -115,10 +116,11 @@ class OysterTracks:
         return self.tracks
 
     def _apart(self) -> dict[tuple[int, int], float]:
-        """Chance that they are two, of each two that lie on one another and that no picture shows side by side.
+        """Probability that they are two oysters, for each pair that overlaps or is near and that no image shows side by
+        side.
 
-        It falls with the overlap from 1 at none by 1/2 at the least overlap of what is one to 0, or grows with the
-        squared distance by 1/2 at its gate to 1 at twice that.
+        It falls with the overlap, from 1 without any through 1/2 at `join_overlap` to 0 at full overlap, or grows with
+        the squared distance, through 1/2 at `join_gate` to 1 at twice that.
         """
         settings = self.settings
         if len(self.tracks) < 2:
@@ -141,7 +143,7 @@ class OysterTracks:
 
 
 def distances(found: Sequence[Patch], known: Sequence[OysterTrack], settings: MapSettings) -> Array:
-    """(N, M) squared Mahalanobis distances of middles and sizes of N oysters of a picture and M known ones."""
+    """Squared Mahalanobis distances (N, M) of centres and sizes between N oysters of an image and M known ones."""
     between = np.array([track.centre for track in known])[None] - np.array([patch.centre for patch in found])[:, None]
     covariances = np.array([patch.covariance for patch in found])[:, None] + np.array([t.covariance for t in known])
     sizes = np.log([patch.area_m2 for patch in found])[:, None] - np.log([track.area_m2 for track in known])
@@ -149,7 +151,7 @@ def distances(found: Sequence[Patch], known: Sequence[OysterTrack], settings: Ma
 
 
 def own_distances(tracks: Sequence[OysterTrack], settings: MapSettings) -> dict[tuple[int, int], float]:
-    """The same between each two of the known ones that are near each other."""
+    """Squared Mahalanobis distances between known oysters (i, j), i < j, whose centres are within `reach_m`."""
     centres = np.array([track.centre for track in tracks])
     pairs = cKDTree(centres).query_pairs(settings.reach_m, output_type="ndarray")
     if not len(pairs):
@@ -162,6 +164,6 @@ def own_distances(tracks: Sequence[OysterTrack], settings: MapSettings) -> dict[
 
 
 def _squared(between: Array, covariances: Array, sizes: Array, settings: MapSettings) -> Array:
-    """Of differences (..., 3) m with covariances (..., 3, 3) m^2, and of logarithms of areas (...)."""
+    """Squared Mahalanobis distance of differences (..., 3) m, covariances (..., 3, 3) m^2, and of log areas (...)."""
     weighed = np.linalg.solve(covariances, between[..., None])[..., 0]
     return np.asarray((between * weighed).sum(axis=-1) + (sizes / settings.size_sigma) ** 2)

@@ -1,4 +1,4 @@
-"""A sequence and a trajectory in, a coloured cloud out."""
+"""Building a coloured point cloud from a sequence and a trajectory."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from oysterbench.mapping.views import PoseInterpolator, Watch, check_time, unwat
 from oysterbench.sequence.types import Sequence
 
 SOURCES = ("pictures", "echoes")
-"""What a cloud is made of: depths between pictures at known poses, or ranges of DVL, altimeters and imaging sonars."""
+"""Sources of a cloud: depth from images at known poses, or ranges of DVL, altimeters and imaging sonars."""
 
 
 def build_cloud(
@@ -27,12 +27,12 @@ def build_cloud(
     settings: CloudSettings | None = None,
     watch: Watch = unwatched,
 ) -> PointCloud:
-    """The cloud, in the world frame of the trajectory, whose poses are those of base_link at any stamps.
+    """Build the cloud in the world frame of the trajectory, which has poses of base_link at any stamps.
 
-    cameras: that are looked through; the first one by default, and its partner where the two see the same. watch: told
-    of each picture or echo that was looked at, sensor by sensor. Only measurements are used, as a method sees them.
-    SequenceError where there is nothing to make a cloud of, TrajectoryError where the trajectory is of another time
-    than the sequence.
+    cameras: the cameras to use; by default the first one, with its stereo partner if the two overlap. watch: called
+    with the stamp of each image or echo that was processed, sensor by sensor. Only measurements that a method may see
+    are used. Raises SequenceError where there is nothing to make a cloud from, TrajectoryError where the trajectory
+    does not overlap with the sequence in time.
     """
     settings = settings or CloudSettings()
     sequence = sequence.for_method()

@@ -1,4 +1,4 @@
-"""Clouds: points in odom with colours, thinned, freed of what stands alone, and written as PLY."""
+"""Point clouds: coloured points in odom, thinned, with outliers removed, and written as PLY."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from oysterbench.mapping.cloud_settings import CloudSettings
 POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("observations", "<i4")]
 )
-"""A point in the file."""
+"""Record of a point in the PLY file."""
 
-BATCH = 1_000_000  # points that wait to be sorted into the voxels: 56 MB
+BATCH = 1_000_000  # points that are buffered before they are merged into the voxels: 56 MB
 
 
 @dataclass(frozen=True)
 class PointCloud:
-    """points (N, 3) float m in odom; colours (N, 3) uint8 RGB; observations (N,) int, measurements behind each."""
+    """Points (N, 3) float m in odom; colours (N, 3) uint8 RGB; observations (N,) int, measurements behind each."""
 
     points: Array
     colours: NDArray[np.uint8]
@@ -34,11 +34,11 @@ class PointCloud:
         return len(self.points)
 
     def select(self, index: NDArray[np.bool_]) -> PointCloud:
-        """The points at `index`."""
+        """Return the points at `index`, a mask (N,)."""
         return PointCloud(self.points[index], self.colours[index], self.observations[index])
 
     def write(self, path: str | os.PathLike[str], comment: str) -> None:
-        """As binary PLY: x, y, z (m, odom), red, green, blue, observations."""
+        """Write the cloud as binary PLY: x, y, z (m, odom), red, green, blue, observations."""
         rows = np.zeros(len(self), dtype=POINT)
         rows["x"], rows["y"], rows["z"] = self.points.T
         rows["red"], rows["green"], rows["blue"] = self.colours.T
@@ -47,7 +47,7 @@ class PointCloud:
 
 
 class Voxels:
-    """Means of points and colours by voxel, of any number of points in the memory of the voxels."""
+    """Mean point and colour of each voxel; memory grows with the number of voxels, not of points."""
 
     def __init__(self, edge_m: float) -> None:
         self.edge_m = edge_m
@@ -56,13 +56,13 @@ class Voxels:
         self._waiting: list[Array] = []
 
     def add(self, points: Array, colours: NDArray[np.uint8]) -> None:
-        """Points (N, 3) m, within 10 km of the origin at 1 cm, and their colours (N, 3)."""
+        """Add points (N, 3) m, within 10 km of the origin for 1 cm voxels, and their colours (N, 3)."""
         self._waiting.append(np.column_stack([points, colours, np.ones(len(points))]))
         if sum(map(len, self._waiting)) > BATCH:
             self._merge()
 
     def cloud(self) -> PointCloud:
-        """A point per voxel."""
+        """Return a cloud with one point per voxel."""
         self._merge()
         counts = self._sums[:, 6]
         means = self._sums[:, :6] / counts[:, None]
@@ -80,7 +80,7 @@ class Voxels:
 
 
 def thinned(parts: Iterable[tuple[Array, NDArray[np.uint8]]], edge_m: float) -> PointCloud:
-    """One point per voxel, at the mean of its points, from parts of points (N, 3) m and colours (N, 3)."""
+    """Thin parts, each with points (N, 3) m and colours (N, 3), to one point per voxel, at the mean of its points."""
     voxels = Voxels(edge_m)
     for points, colours in parts:
         voxels.add(points, colours)
@@ -88,7 +88,7 @@ def thinned(parts: Iterable[tuple[Array, NDArray[np.uint8]]], edge_m: float) -> 
 
 
 def without_outliers(cloud: PointCloud, settings: CloudSettings) -> PointCloud:
-    """Without the points whose neighbours are farther than usual: statistical outlier removal (Rusu et al. 2008)."""
+    """Remove points whose neighbours are farther away than usual: statistical outlier removal (Rusu et al. 2008)."""
     if len(cloud) <= settings.neighbours:
         return cloud
     distances, _ = cKDTree(cloud.points).query(cloud.points, k=settings.neighbours + 1)

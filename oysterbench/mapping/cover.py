@@ -1,7 +1,7 @@
-"""What of the ground was seen: a raster from above, with colours, laid picture by picture.
+"""The ground that was seen: a raster from above, with colours, built image by image.
 
-Each picture makes a tile of its own first, along the path as it is; where it is laid is known once all of them are laid
-to each other (`mapping.pose_graph`).
+Each image first makes its own tile, along the path as it is; where the tile belongs is known once all images have been
+aligned (`mapping.pose_graph`).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import Array, invert
 from oysterbench.mapping.settings import MapSettings
 
-CLOSED_M = 0.05  # gaps of the cover up to here are what lies between pixels, and behind single shells
-MOST = 60_000_000  # squares: 0.7 GB
+CLOSED_M = 0.05  # smaller gaps in the cover lie between pixels, or behind single shells
+MOST = 60_000_000  # squares of a raster: 0.7 GB
 
 Squares = tuple[NDArray[np.int64], NDArray[np.int64]]
 """Rows and columns of a raster."""
@@ -26,9 +26,9 @@ Squares = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 @dataclass(frozen=True)
 class Raster:
-    """Squares over the world frame's x and y: row 0 is the farthest north, column 0 the farthest west.
+    """Raster of squares over the world frame's x and y: row 0 is the northernmost, column 0 the westernmost.
 
-    west_m, north_m: of the outer corner of the first square; edge_m: of a square
+    west_m, north_m: position of the outer corner of the first square; edge_m: edge of a square
     """
 
     west_m: float
@@ -38,19 +38,19 @@ class Raster:
     columns: int
 
     def index(self, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-        """Row and column of points (N, 2) m, and which of them lie on it."""
+        """Row and column (N,) of points (N, 2) m, and whether each lies on the raster."""
         columns = np.floor((xy[:, 0] - self.west_m) / self.edge_m).astype(np.int64)
         rows = np.floor((self.north_m - xy[:, 1]) / self.edge_m).astype(np.int64)
         inside = (rows >= 0) & (rows < self.rows) & (columns >= 0) & (columns < self.columns)
         return rows, columns, inside
 
     def part(self, rows: slice, columns: slice) -> Raster:
-        """Some of its squares, as a raster."""
+        """Return some rows and columns as a raster."""
         west_m, north_m = self.west_m + columns.start * self.edge_m, self.north_m - rows.start * self.edge_m
         return Raster(west_m, north_m, self.edge_m, rows.stop - rows.start, columns.stop - columns.start)
 
     def between(self, low: Array, high: Array) -> tuple[slice, slice]:
-        """Rows and columns of its squares whose middles lie between two corners (2,) m."""
+        """Rows and columns of the squares whose centres lie between two corners (2,) m."""
         (last, first), (left, right), _ = self.index(np.array([low, high]) + self.edge_m * np.array([[0.5], [-0.5]]))
         rows, columns = (
             slice(max(0, int(begin)), max(0, min(n, int(end) + 1)))
@@ -59,17 +59,17 @@ class Raster:
         return rows, columns
 
     def bounds(self, move: Array) -> tuple[Array, Array]:
-        """(2,) m, the least x and y and the greatest, of its outer corners after a move (4, 4) about the vertical."""
+        """Minimum and maximum x and y, each (2,) m, of the outer corners after a move (4, 4) about the vertical."""
         east_m, south_m = self.west_m + self.columns * self.edge_m, self.north_m - self.rows * self.edge_m
         corners = np.array([(x, y) for x in (self.west_m, east_m) for y in (south_m, self.north_m)])
         there = corners @ move[:2, :2].T + move[:2, 3]
         return there.min(axis=0), there.max(axis=0)
 
     def holding(self, others: Iterable[tuple[Raster, Array]], whole_m: float) -> Raster:
-        """The same, or larger by multiples of `whole_m`: with the middles of the squares that are within other rasters
-        of this edge after their moves (4, 4).
+        """Return the raster, enlarged by multiples of `whole_m` if needed so that it holds the centres of all squares
+        within other rasters of the same edge after their moves (4, 4).
 
-        Raises TrajectoryError as `raster_around`.
+        Raises TrajectoryError like `raster_around`.
         """
         ends = [raster.bounds(move) for raster, move in others if raster.rows]
         if not ends:
@@ -94,9 +94,9 @@ class Raster:
 
 
 def raster_around(places: Array, margin_m: float, edge_m: float, whole_m: float) -> Raster:
-    """The squares around places (N, 2) m and a margin; its outer edges are at multiples of `whole_m`.
+    """Raster around places (N, 2) m with a margin; its outer edges are at multiples of `whole_m`.
 
-    Raises TrajectoryError where the places lie so far apart that it would not fit into memory.
+    Raises TrajectoryError where the places are so far apart that it would not fit into memory.
     """
     low = np.floor((places.min(axis=0) - margin_m) / whole_m) * whole_m
     high = np.ceil((places.max(axis=0) + margin_m) / whole_m) * whole_m
@@ -105,7 +105,7 @@ def raster_around(places: Array, margin_m: float, edge_m: float, whole_m: float)
 
 
 def _fitting(raster: Raster) -> Raster:
-    """The same. Raises TrajectoryError where it does not fit into memory."""
+    """Return the raster. Raises TrajectoryError where it would not fit into memory."""
     if raster.rows * raster.columns > MOST:
         raise TrajectoryError(
             f"the pictures' poses lie within {raster.columns * raster.edge_m:.0f} x {raster.rows * raster.edge_m:.0f} "
@@ -117,10 +117,10 @@ def _fitting(raster: Raster) -> Raster:
 
 @dataclass(frozen=True)
 class Tile:
-    """What one picture shows of the ground.
+    """The part of the ground that one image shows.
 
-    raster: around it, along the path as it is; seen: (rows, columns), which of its squares the picture shows;
-    distances_m, colours: (N,) and (N, 3) uint8 RGB, of these the nearest pixel's, row by row
+    raster: around it, along the path as it is; seen: (rows, columns), whether the image shows each square; distances_m,
+    colours: (N,) and (N, 3) uint8 RGB, those of the nearest pixel in each of the N squares seen, row by row
     """
 
     raster: Raster
@@ -130,13 +130,13 @@ class Tile:
 
     @property
     def numbers(self) -> NDArray[np.int64]:
-        """(rows, columns) of the squares: which of the N each is, -1 of those not seen."""
+        """Index (rows, columns) of each square among the N seen; -1 for those not seen."""
         return np.where(self.seen, np.cumsum(self.seen).reshape(self.seen.shape) - 1, -1)
 
 
 def tile_of(raster: Raster, points: Array, distances_m: Array, colours: NDArray[np.uint8] | None = None) -> Tile:
-    """Of points (N, 3) m of a picture's pixels, their distances (N,) m, colours (N, 3), or none; what lies beyond the
-    raster is left out."""
+    """Make the tile of an image from the points (N, 3) m of its pixels, their distances (N,) m and, optionally, colours
+    (N, 3); what lies outside the raster is left out."""
     if colours is None:
         colours = np.zeros((len(points), 3), dtype=np.uint8)
     rows, columns, inside = raster.index(points[:, :2])
@@ -149,13 +149,13 @@ def tile_of(raster: Raster, points: Array, distances_m: Array, colours: NDArray[
     np.minimum.at(nearest, at, distances_m)
     stays = np.flatnonzero(distances_m == nearest[at])
     pixels = np.full(len(nearest), -1)
-    pixels[at[stays]] = stays  # of several pixels as near, the last one stays
+    pixels[at[stays]] = stays  # of several equally near pixels, the last one is kept
     seen = pixels >= 0
     return Tile(part, seen.reshape(part.rows, part.columns), nearest[seen], colours[pixels[seen]])
 
 
 class Cover:
-    """Squares that were seen: by how many pictures, and the colour in the nearest of them."""
+    """The squares seen: the number of images that show each, and its colour in the nearest of them."""
 
     def __init__(self, raster: Raster) -> None:
         shape = (raster.rows, raster.columns)
@@ -165,10 +165,10 @@ class Cover:
         self._nearest = np.full(shape, np.inf, dtype=np.float32)
 
     def lay(self, tile: Tile, move: Array) -> Squares:
-        """A picture's tile, after a move (4, 4) about the vertical; returns the squares that it shows.
+        """Add an image's tile after a move (4, 4) about the vertical. Returns the squares that it shows.
 
-        Each square of the raster is what the tile has at its middle: moved squares would leave gaps where the tile is
-        turned, and lie on one another beside them.
+        Each square of the raster takes what the tile has at the square's centre: if the tile's squares were moved
+        instead, a rotation would leave gaps between them, and overlaps beside the gaps.
         """
         among, along = self.raster.between(*tile.raster.bounds(move))
         x = self.raster.west_m + self.raster.edge_m * (np.arange(along.start, along.stop) + 0.5)
@@ -189,7 +189,7 @@ class Cover:
         return at
 
     def closed(self) -> NDArray[np.bool_]:
-        """(rows, columns) that count as seen: small gaps are closed."""
+        """Mask (rows, columns) of the squares that count as seen: small gaps are closed."""
         times = max(1, round(CLOSED_M / self.raster.edge_m / 2))
         padded = np.pad(self.views > 0, times)
         return np.asarray(
@@ -197,7 +197,7 @@ class Cover:
         )
 
     def holds(self, xy: Array) -> NDArray[np.bool_]:
-        """(N,) of points (N, 2) m: whether they lie where it was seen."""
+        """Whether each of the points (N, 2) m lies in the area seen, (N,)."""
         rows, columns, inside = self.raster.index(xy)
         found = np.zeros(len(xy), dtype=bool)
         found[inside] = self.closed()[rows[inside], columns[inside]]
@@ -205,7 +205,7 @@ class Cover:
 
 
 def covered_m2(cover: Cover, settings: MapSettings) -> Array:
-    """(rows, columns) m^2 of each cell of the grid that was seen. The raster's edges are those of cells."""
+    """Area seen of each grid cell, (rows, columns) m^2. The raster's outer edges are those of cells."""
     raster = cover.raster
     per_cell = round(settings.cell_m / raster.edge_m)
     seen = cover.closed().reshape(raster.rows // per_cell, per_cell, raster.columns // per_cell, per_cell)

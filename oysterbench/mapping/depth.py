@@ -1,4 +1,4 @@
-"""How far each pixel of a picture looks: from pictures, from echoes, or from the truth of a rendered sequence."""
+"""Depth of each pixel of an image: from images, from echoes, or from the ground truth of a rendered sequence."""
 
 from __future__ import annotations
 
@@ -20,36 +20,36 @@ from oysterbench.mapping.views import Pinhole, PoseInterpolator, partner, shown_
 from oysterbench.sequence.types import Sequence
 
 DEPTHS = ("stereo", "motion", "plane", "layer")
-"""Where depths come from: a pair of cameras, one camera's own motion, the bottom as a plane under DVL and altimeters,
-or the true depth of a rendered sequence."""
+"""Sources of depth: a stereo pair, the motion of one camera, a plane fitted to the bottom under DVL and altimeters, or
+the true depth of a rendered sequence."""
 
 SIGMA = {"stereo": 0.015, "motion": 0.02, "plane": 0.08, "layer": 0.001}
-"""1 sigma of each, as a share of the distance: a quarter of a pixel of a pair 12 cm apart; the same and the poses' own
-error; relief of a decimetre; millimetres in the file."""
+"""1 sigma of each source, relative to the distance: a quarter of a pixel for a baseline of 12 cm; the same, and pose
+errors; relief of a decimetre; millimetres in the file."""
 
 DepthOf = Callable[[int, int], Array | None]
-"""Stamps of a picture and of the one that it repeats, ns, mostly the same -> (H, W) float m along the optical axis of
-its pixels, NaN where not known; None where nothing is known."""
+"""Stamps, ns, of an image and of the one that it repeats (usually itself) -> depth of its pixels along the optical
+axis, (H, W) float m, NaN where unknown; None if there is no depth at all."""
 
-FILL_PX = (1.5, 6.0, 24.0)  # of a picture of 320 columns: over how far depths are carried to pixels that have none
+FILL_PX = (1.5, 6.0, 24.0)  # sigmas at 320 columns, over which depths are extended to pixels without depth
 FEWEST_OF_PLANE = 100  # pixels
-LEAST_KNOWN = 0.02  # of a picture, that must have a depth of its own for the others to be carried on
-SHARE = 0.16  # of the distance, between the first and the last of three pictures
-WINDOW_S = 2.0  # before and after a picture, in which the other two are looked for
+LEAST_KNOWN = 0.02  # share of an image that must have its own depth for the rest to be filled in
+SHARE = 0.16  # baseline of the first and last of three images, as a share of the distance
+WINDOW_S = 2.0  # before and after an image, in which the other two are searched for
 FIRST_DISTANCE_M = 1.2
-LEVEL_SLOPE = 0.15  # 1 sigma of the bottom's slope: echoes along a line say nothing of that across it
-ECHO_SIGMA_M = 0.05  # of an echo against the plane
+LEVEL_SLOPE = 0.15  # 1 sigma of the bottom's slope: echoes along a line do not determine the slope across it
+ECHO_SIGMA_M = 0.05  # 1 sigma of an echo relative to the plane
 
 
 def default_depth(sequence: Sequence, camera: str) -> str:
-    """A pair's, where there is one."""
+    """Return the default source of depth: stereo if the camera has a partner, else motion."""
     return "stereo" if partner(sequence, camera, CloudSettings()) is not None else "motion"
 
 
 def depth_source(
     kind: str, sequence: Sequence, camera: str, lens: Lens, poses: PoseInterpolator, settings: MapSettings
 ) -> DepthOf:
-    """The depths of a camera's pictures. Raises SequenceError where the sequence has nothing to make them of."""
+    """Return a source of depth for a camera's images. Raises SequenceError where the sequence lacks what it needs."""
     makers: dict[str, Callable[[], DepthOf]] = {
         "stereo": lambda: _Pictures(sequence, camera, lens, poses, pair=True).at,
         "motion": lambda: _Pictures(sequence, camera, lens, poses, pair=False).at,
@@ -76,7 +76,7 @@ def _layer(sequence: Sequence, camera: str) -> DepthOf:
 
 
 class _Pictures:
-    """Plane sweeps between pictures (`mapping.sweep`), carried on over what has no texture."""
+    """Depth from plane sweeps between images (`mapping.sweep`), extended over untextured areas."""
 
     def __init__(self, sequence: Sequence, camera: str, lens: Lens, poses: PoseInterpolator, pair: bool) -> None:
         self.settings = CloudSettings()
@@ -116,11 +116,11 @@ class _Pictures:
             return None
         found = shown_at(self.sequence, self.other, other.stamp_ns)
         if found is None or found[1] != other.stamp_ns:
-            return None  # the pair is not one: the other camera's picture is an earlier one
+            return None  # not a true pair: the other camera repeats an earlier image
         return sweep(self.pinhole.view(own, T), [self.second.view(other, T)], self.settings)
 
     def _motion(self, stamp_ns: int) -> DepthMap | None:
-        """From the picture and the two that were taken half of the wanted distance before and after it."""
+        """Sweep an image against the two taken half of the wanted baseline before and after it."""
         T = self.poses.taking(self.calibration, stamp_ns)
         window = round(WINDOW_S * 1e9)
         views = []
@@ -147,11 +147,11 @@ class _Pictures:
 
 
 def carried_on(depth_m: Array) -> Array:
-    """(H, W) m: depths where they are known, elsewhere those around, over FILL_PX at most; NaN beyond.
+    """Fill in depths (H, W) m: unknown ones come from the depths around them, within FILL_PX; NaN beyond.
 
-    Of inverse depths, which of a plane are linear over a picture, the plane of the picture is carried on, and the means
-    of what the depths around differ from it (normalised convolution, Knutsson & Westin 1993), each from the least
-    distance at which there are enough.
+    Works on inverse depths, which are linear over the image for a plane: a plane is fitted to the image, and the mean
+    residual of the depths around a pixel (normalised convolution, Knutsson & Westin 1993) is added to it, each at the
+    smallest scale with enough known depths.
     """
     known = np.isfinite(depth_m)
     exact = np.where(known, 1.0 / np.where(known, depth_m, 1.0), np.nan)
@@ -171,8 +171,7 @@ def carried_on(depth_m: Array) -> Array:
 
 
 def _plane_of(values: Array) -> Array:
-    """(H, W): the plane through values (H, W), NaN where not known, from which most of them differ little; their mean
-    where they are too few."""
+    """Robustly fit a plane (H, W) to values (H, W), NaN where unknown; with too few values, return their mean."""
     rows, columns = np.nonzero(np.isfinite(values))
     given = values[rows, columns]
     if len(given) < FEWEST_OF_PLANE:
@@ -189,7 +188,7 @@ def _plane_of(values: Array) -> Array:
 
 
 class _Plane:
-    """The bottom under a picture as a plane through the echoes of DVL and altimeters around its time."""
+    """Depth from the bottom as a plane, fitted to the echoes of DVL and altimeters around the time of an image."""
 
     def __init__(
         self, sequence: Sequence, camera: str, lens: Lens, poses: PoseInterpolator, settings: MapSettings
@@ -226,7 +225,7 @@ class _Plane:
 
 
 def fit_plane(points: Array) -> tuple[float, float, float]:
-    """a, b, c of z = a x + b y + c through points (N, 3) m, robust (Huber) and level where they do not say."""
+    """Fit z = a x + b y + c to points (N, 3) m, robustly (Huber), level where they leave the slope open: a, b, c."""
     middle = points[:, :2].mean(axis=0)
     design = np.column_stack([points[:, :2] - middle, np.ones(len(points))])
     prior = np.diag([LEVEL_SLOPE**-2, LEVEL_SLOPE**-2, 0.0])

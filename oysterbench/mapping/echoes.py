@@ -1,4 +1,4 @@
-"""A cloud from echoes along a trajectory: ranges of a DVL's beams and of altimeters, and the fans of imaging sonars."""
+"""Point clouds from echoes along a trajectory: ranges of DVL beams and altimeters, and imaging sonar fans."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.mapping.views import Pinhole, PoseInterpolator, Watch, unwatched
 from oysterbench.sequence.types import Sequence, SonarCalibration
 
-UNSEEN = 128  # grey level of what no camera saw
+UNSEEN = 128  # grey level of points that no camera saw
 
 Echo = tuple[int, Array, Array]
-"""Stamp, ns, points (N, 3) m in the sensor's frame, and its pose on the vehicle, T_base_sensor (4, 4)."""
+"""Stamp, ns; points (N, 3) m in the sensor frame; pose of the sensor on the vehicle, T_base_sensor (4, 4)."""
 
 
 def heard_points(
     sequence: Sequence, poses: PoseInterpolator, settings: CloudSettings, watch: Watch = unwatched
 ) -> Iterator[Array]:
-    """Points (N, 3) m in odom, of one sample after the other, where the pose is known."""
+    """Yield points (N, 3) m in odom, sample by sample, where the pose is known."""
     for stamp_ns, points, T_base_sensor in chain(range_echoes(sequence), _pings(sequence, settings)):
         watch(stamp_ns)
         T_odom_base = poses.at(stamp_ns)
@@ -34,7 +34,7 @@ def heard_points(
 
 
 def range_echoes(sequence: Sequence) -> Iterator[Echo]:
-    """What the beams of a DVL and altimeters hear, sensor by sensor."""
+    """Yield the echoes of DVL beams and altimeters, sensor by sensor."""
     if sequence.dvl_calibration is not None:
         for beams in sequence.dvl():
             hits = (beams.beam_directions * beams.beam_ranges[:, None])[beams.beam_valid]
@@ -53,10 +53,10 @@ def _pings(sequence: Sequence, settings: CloudSettings) -> Iterator[Echo]:
 
 
 def _fan(sonar: SonarCalibration, settings: CloudSettings) -> Callable[[SonarImage], Array]:
-    """Points (N, 3) m of a ping, in the sonar's frame: one on the leading edge of each beam's echo.
+    """Return a function of a ping that gives points (N, 3) m in the sonar's frame, on the leading edge of each echo.
 
-    A fan tells no elevation. The first of a bottom that it meets from above is met by its lower edge, half of its
-    height below its middle; what stands up from the bottom is heard earlier, and so lies higher.
+    A fan does not measure elevation. Seen from above, the first echo of the bottom comes from the fan's lower edge,
+    half of its vertical aperture below its middle; what rises from the bottom is heard earlier, and so lies higher.
     """
     elevation = -sonar.vfov_rad / 2.0
     directions = np.column_stack(
@@ -86,9 +86,9 @@ def coloured(
     settings: CloudSettings,
     watch: Watch = unwatched,
 ) -> PointCloud:
-    """The points with the colours of the frame that sees each from the least distance; grey where none does.
+    """Colour each point from the frame that sees it from the smallest distance; grey where none does.
 
-    Nothing is hidden by anything here: points of echoes are too few to hide what lies behind them.
+    Occlusion is ignored: points from echoes are too sparse to hide what lies behind them.
     """
     colours = np.full((len(cloud), 3), UNSEEN, dtype=np.uint8)
     nearest = np.full(len(cloud), settings.far_m)
@@ -116,7 +116,7 @@ def coloured(
 
 
 def _pixels(points: Array, matrix: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Columns and rows (N,) of points (N, 3) before the camera."""
+    """Project points (N, 3) in front of the camera to columns and rows (N,)."""
     projected = points @ matrix.T
     columns, rows = np.rint(projected[:, :2] / projected[:, 2:]).astype(np.int64).T
     return columns, rows

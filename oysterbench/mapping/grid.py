@@ -1,4 +1,4 @@
-"""Oysters per square metre on a grid, with intervals, and the classes of restoration."""
+"""Oysters per square metre on a grid, with confidence intervals, and the restoration classes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ STATES = ("live", "dead", "unknown")
 class Oyster:
     """An oyster of a map.
 
-    centre (3,) m in the world frame of the trajectory; state: live, dead or unknown; views: pictures that show it;
-    weight: what it counts, 1/2 where no picture shows it whole; doubt, score: see `association.OysterTrack`
+    centre: (3,) m in the world frame of the trajectory; state: live, dead or unknown; views: number of images that show
+    it; weight: what it counts, 1/2 if no image shows it whole; doubt, score: see `track.OysterTrack`
     """
 
     centre: Array
@@ -34,14 +34,14 @@ class Oyster:
 
 @dataclass(frozen=True)
 class Grid:
-    """Cells, row 0 the farthest north; every array (rows, columns).
+    """Grid of cells, with row 0 the northernmost; every array is (rows, columns).
 
-    west_m, north_m:  of the outer corner of the first cell
-    area_m2:          that was seen
-    counts:           by state, of oysters on what was seen
-    live:             counts of the live, those of unknown state by `live_share`
-    low, high:        95 % interval of live oysters per m^2; NaN where there is no number
-    known:            which cells were seen enough to have a number
+    west_m, north_m:  position of the outer corner of the first cell
+    area_m2:          area seen
+    counts:           oysters on the area seen, by state
+    live:             live oysters, with `live_share` of those of unknown state
+    low, high:        95 % confidence interval of live oysters per m^2; NaN if the cell has no value
+    known:            whether enough of the cell was seen for it to have a value
     """
 
     west_m: float
@@ -57,25 +57,25 @@ class Grid:
 
     @property
     def density(self) -> Array:
-        """Live oysters per m^2, NaN where there is no number."""
+        """Live oysters per m^2, NaN in cells without a value."""
         return self.per_m2(self.live)
 
     def per_m2(self, counts: Array) -> Array:
-        """Counts by the area seen, NaN where there is no number."""
+        """Divide counts by the area seen; NaN in cells without a value."""
         return np.where(self.known, counts / np.where(self.known, self.area_m2, 1.0), math.nan)
 
     @property
     def classes(self) -> NDArray[np.int64]:
-        """Index of each cell's class in `settings.CLASSES`, -1 where there is no number."""
+        """Index of each cell's class in `settings.CLASSES`, -1 in cells without a value."""
         return restoration_class(self.density)
 
     @property
     def sure(self) -> NDArray[np.bool_]:
-        """Which cells' intervals lie within one class."""
+        """Whether the confidence interval of each cell lies within one class."""
         return np.asarray(self.known & (restoration_class(self.low) == restoration_class(self.high)))
 
     def shares(self) -> dict[str, float]:
-        """Of the area with a number, by class; NaN where there is none."""
+        """Share of each class in the area of the cells with a value; NaN if there is none."""
         area = self.area_m2[self.known].sum()
         found = self.classes
         return {
@@ -85,18 +85,18 @@ class Grid:
 
 
 def restoration_class(per_m2: Array) -> NDArray[np.int64]:
-    """0 below the threshold, 1 from the threshold on, 2 from the target on; -1 of NaN."""
+    """Restoration class: 0 below the threshold, 1 from the threshold, 2 from the target upwards; -1 for NaN."""
     classes = (per_m2 >= THRESHOLD_PER_M2).astype(np.int64) + (per_m2 >= TARGET_PER_M2)
     return np.where(np.isnan(per_m2), -1, classes)
 
 
 @dataclass(frozen=True)
 class Total:
-    """Over all that was seen: counted oysters, and live ones per m^2, each with a 95 % interval.
+    """Totals of the area seen: oysters counted, and live ones per m^2, each with a 95 % confidence interval.
 
-    Of the count it is what edges, association and scores leave open; of the mean density also
-    that the area seen is a sample of the reef, on which oysters are clumped (k of the negative binomial, NaN where
-    cells are too few).
+    The interval of the count covers the uncertainty of edges, association and scores; that of the mean density also
+    that the area seen is a sample of a reef with clumped oysters (clumping_k: k of the negative binomial, NaN with too
+    few cells).
     """
 
     count: float
@@ -113,14 +113,14 @@ class Total:
 
     @property
     def told(self) -> bool:
-        """Whether any oyster is known to be live or dead; else `live_per_m2` is of all of them."""
+        """Whether any oyster is known to be live or dead; if not, `live_per_m2` counts all of them."""
         return self.live + self.dead > 0 or self.unknown == 0
 
 
 def make_grid(
     oysters: list[Oyster], cover: Cover, settings: MapSettings, depth_sigma: float, unassociated: float | None = None
 ) -> Grid:
-    """The grid; cells' edges are at multiples of `cell_m` in the world frame. unassociated: as of `total`."""
+    """Make the grid; cell edges are at multiples of `cell_m` in the world frame. unassociated: as for `total`."""
     raster = cover.raster
     area = covered_m2(cover, settings)
     known = area >= settings.least_cover * settings.cell_m**2
@@ -145,23 +145,23 @@ def make_grid(
 
 
 def live_share(oysters: list[Oyster]) -> float:
-    """Of those whose state is known; 1 where none is (`Total.told`)."""
+    """Share of live oysters among those whose state is known; 1 if none is (`Total.told`)."""
     live = sum(one.weight for one in oysters if one.state == "live")
     dead = sum(one.weight for one in oysters if one.state == "dead")
     return live / (live + dead) if live + dead > 0 else 1.0
 
 
 def area_sigma(depth_sigma: float, pictures: int) -> float:
-    """1 sigma of an area, as a share of it: areas go with the square of the depth, whose errors are taken to be shared
-    within a picture, and not between pictures."""
+    """Relative standard deviation of an area: areas scale with the square of the depth, whose errors are assumed to be
+    fully correlated within an image and independent between images."""
     return 2.0 * depth_sigma / math.sqrt(max(1, pictures))
 
 
 def total(
     oysters: list[Oyster], grid: Grid, depth_sigma: float, pictures: int, unassociated: float | None = None
 ) -> Total:
-    """What was counted on all that was seen, by so many pictures. unassociated: what they show without association
-    (`mapping.unassociated`), which the intervals hold, too, where it is given."""
+    """Compute the totals of the area that `pictures` images have seen. unassociated: the count without association
+    (`mapping.unassociated`); if given, the confidence intervals include it, too."""
     by_state = {state: sum(one.weight for one in oysters if one.state == state) for state in STATES}
     count, area = sum(by_state.values()), float(grid.area_m2.sum())
     doubt, (least, most) = _doubt(oysters), association_range(oysters, unassociated)
@@ -187,7 +187,7 @@ def total(
 
 
 def association_range(oysters: list[Oyster], unassociated: float | None) -> tuple[float, float]:
-    """The least and the most that there are, as shares of what was counted."""
+    """Lowest and highest plausible number of oysters, as multiples of the count."""
     count = sum(one.weight for one in oysters)
     share = 1.0 if unassociated is None or count == 0 else unassociated / count
     return min(1.0, share), max(1.0, share)

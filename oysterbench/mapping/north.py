@@ -1,4 +1,4 @@
-"""Where north is on a map, by the magnetometer: the heading that a path begins with may be a guess."""
+"""North on a map, from the magnetometer: the initial heading of a path may be a guess."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from oysterbench.mapping.views import PoseInterpolator
 from oysterbench.sequence.types import Sequence
 
 LARGEST_SPREAD_RAD = np.radians(20.0)
-"""1 sigma of the directions of single readings, beyond which they show none: unknown iron turns with the vehicle, and
-so does a path that turns otherwise than the vehicle did."""
+"""1 sigma of the field directions of single readings, above which they give no north: unknown iron turns with the
+vehicle, and a path with wrong headings has the same effect."""
 LEAST_TURN_RAD = np.radians(40.0)
-"""1 sigma of the headings, below which unknown iron does not show in that spread."""
+"""1 sigma of the headings, below which unknown iron would not show in that spread."""
 
 
 def magnetic_north(sequence: Sequence, poses: PoseInterpolator) -> float | None:
-    """Mean direction of the magnetometer's field in the world of a path, rad clockwise from its +y seen from above.
+    """Mean direction of the measured magnetic field in a path's world frame, rad clockwise from +y seen from above.
 
-    None without a magnetometer, and where it cannot be relied on: its readings do not agree, or nobody knows the iron
-    on board and the vehicle turned too little to show it.
+    None without a magnetometer, or if it cannot be relied on: its readings do not agree, or the iron on board is
+    unknown and the vehicle turned too little to reveal it.
     """
     known = sequence.magnetometer_calibration
     if known is None:
@@ -44,6 +44,6 @@ def _mean(directions: list[complex]) -> complex:
 
 
 def _spread(directions: list[complex]) -> float:
-    """1 sigma, rad: directions that scatter by s about their mean have a mean of length exp(-s^2 / 2) (Mardia & Jupp
-    2000, sec. 3.4)."""
+    """Circular standard deviation, rad: directions with standard deviation s have a mean of length exp(-s^2 / 2)
+    (Mardia & Jupp 2000, sec. 3.4)."""
     return float(np.sqrt(-2.0 * np.log(np.clip(abs(_mean(directions)), 1e-12, 1.0))))

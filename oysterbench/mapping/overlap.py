@@ -1,4 +1,4 @@
-"""How far shells lie on one another, by points on them."""
+"""Overlap of shells, computed from points on them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from oysterbench.mapping.settings import MapSettings
 from oysterbench.mapping.track import OysterTrack
 
 Numbers = NDArray[np.integer]
-NEIGHBOURS = 6  # points near a point that are asked whose they are
+NEIGHBOURS = 6  # nearest points whose owners are considered for each point
 
 
 def overlaps(found: Sequence[Patch], known: Sequence[OysterTrack], settings: MapSettings) -> Array:
-    """(N, M) from 0 to 1: how far N oysters of a picture and M known ones lie on one another, by the lesser of both."""
+    """Overlap (N, M) from 0 to 1 of N oysters of an image with M known ones, as a share of the smaller of the two."""
     own = np.repeat(np.arange(len(found)), [len(patch.points) for patch in found])
     theirs = np.repeat(np.arange(len(known)), [len(track.points) for track in known])
     points = np.concatenate([patch.points for patch in found])
@@ -31,7 +31,7 @@ def overlaps(found: Sequence[Patch], known: Sequence[OysterTrack], settings: Map
 
 
 def own_overlaps(tracks: Sequence[OysterTrack], settings: MapSettings) -> dict[tuple[int, int], float]:
-    """Overlap of each two of an area that have some, by the lesser of both."""
+    """Overlap of each pair of tracks (i, j), i < j, that overlap at all, as a share of the smaller of the two."""
     owners = np.repeat(np.arange(len(tracks)), [len(track.points) for track in tracks])
     points = np.concatenate([track.points for track in tracks])
     sizes = np.bincount(owners, minlength=len(tracks))
@@ -54,19 +54,19 @@ def own_overlaps(tracks: Sequence[OysterTrack], settings: MapSettings) -> dict[t
 
 
 def _sigma(patches: Sequence[Patch], settings: MapSettings) -> float:
-    """Of the distance between points of one shell in two pictures, m."""
+    """1 sigma of the distance between points of one shell in two images, m."""
     return float(np.sqrt(settings.shell_m**2 + 2.0 * np.mean([patch.sigma_m for patch in patches]) ** 2))
 
 
 def _laid(a: Array, of_a: Numbers, b: Array, of_b: Numbers, shape: tuple[int, int], sigma_m: float) -> Array:
-    """(N, M): mean over the points of each a of exp(-d^2 / 2 sigma^2), d to the nearest point of each b."""
+    """Closeness (N, M): mean over the points of each a of exp(-d^2 / 2 sigma^2), d to the nearest point of each b."""
     distances, nearest = cKDTree(b).query(a, k=NEIGHBOURS, distance_upper_bound=3.0 * sigma_m)
-    closeness = np.exp(-0.5 * (distances / sigma_m) ** 2)  # 0 of what is too far
+    closeness = np.exp(-0.5 * (distances / sigma_m) ** 2)  # 0 for what is too far
     best = np.zeros(shape)
     found = np.asarray(nearest < len(b))
     owner = np.where(found, of_b[np.minimum(nearest, len(b) - 1)], -1)
     for k in range(NEIGHBOURS):
-        # They come nearest first: of several points of one b, the first counts.
+        # Neighbours come nearest first: only the first point of each b counts.
         first = found[:, k] & (owner[:, :k] != owner[:, k, None]).all(axis=1)
         np.add.at(best, (of_a[first], owner[first, k]), closeness[first, k])
     return best / np.bincount(of_a, minlength=shape[0])[:, None]

@@ -1,5 +1,4 @@
-"""A cloud from the pictures of a camera along a trajectory: from pairs where the rig has them, else from its own
-motion."""
+"""Point clouds from a camera's images along a trajectory: from stereo pairs if the rig has them, else from motion."""
 
 from __future__ import annotations
 
@@ -14,15 +13,15 @@ from oysterbench.mapping.sweep import DepthMap, agreeing, sweep
 from oysterbench.mapping.views import Pinhole, PoseInterpolator, View, Watch, frames, partner, unwatched
 from oysterbench.sequence.types import Sequence
 
-FIRST_DISTANCE_M = 1.0  # of the scene, as long as nothing is known of it
+FIRST_DISTANCE_M = 1.0  # initial guess of the scene's distance
 
 
 def seen_points(
     sequence: Sequence, camera: str, poses: PoseInterpolator, settings: CloudSettings, watch: Watch = unwatched
 ) -> Iterator[tuple[Array, NDArray[np.uint8]]]:
-    """Points (N, 3) m in odom and their colours (N, 3) uint8, of one view after the other.
+    """Yield points (N, 3) m in odom and their colours (N, 3) uint8, view by view.
 
-    Each point is there that the view before or the view after has at the same place.
+    A point is kept if the view before or the view after has it at the same place.
     """
     latest: list[DepthMap] = []
     for depths in depth_maps(sequence, camera, poses, settings, watch):
@@ -37,7 +36,7 @@ def seen_points(
 def depth_maps(
     sequence: Sequence, camera: str, poses: PoseInterpolator, settings: CloudSettings, watch: Watch = unwatched
 ) -> Iterator[DepthMap]:
-    """Depths of views along a trajectory."""
+    """Yield the depth maps of views along a trajectory."""
     other = partner(sequence, camera, settings)
     pinhole = Pinhole(camera, sequence.cameras[camera], settings.width_px)
     second = None if other is None else Pinhole(other, sequence.cameras[other], settings.width_px)
@@ -48,7 +47,7 @@ def depth_maps(
         watch(image.stamp_ns)
         T_odom_base = poses.taking(sequence.cameras[camera], image.stamp_ns)
         if T_odom_base is None:
-            views.clear()  # what lies before a gap has moved by nobody knows how much
+            views.clear()  # the motion across a gap is unknown
             continue
         place = (T_odom_base @ pinhole.T_base_cam)[:3, 3]
         if views and float(np.linalg.norm(place - views[-1].T_odom_cam[:3, 3])) < settings.step_share * distance_m:

@@ -1,10 +1,11 @@
-"""Where the pictures of a dive lie to each other: a pose graph of their shifts and turns about the vertical.
+"""Alignment of the images of a dive to each other: a pose graph of their shifts and rotations about the vertical.
 
-Between two pictures in a row a path errs by millimetres, between two passes over the same ground by as much as oysters
-are apart. Of two pictures that overlap, their oysters tell how one lies on the other (`mapping.registration`). The
-moves of all pictures are the least squares of these steps, of the path's own from each picture to the next, and of its
-poses; a linear problem, as headings err by few degrees. Steps of the wrong oysters contradict the others, and lose
-their weight by that of Geman and McClure (1985), which comes in by and by (graduated non-convexity, Yang et al. 2020).
+Between consecutive images a path errs by millimetres, between two passes over the same ground by as much as the
+distance between oysters. Where two images overlap, their oysters determine their relative position
+(`mapping.registration`). The moves of all images are the least-squares solution of these steps, of the path's own steps
+from each image to the next, and of its poses; the problem is linear, as headings err by only a few degrees. Steps from
+wrongly matched oysters contradict the others and lose their weight by the function of Geman and McClure (1985), which
+is introduced gradually (graduated non-convexity, Yang et al. 2020).
 """
 
 from __future__ import annotations
@@ -26,30 +27,30 @@ from oysterbench.mapping.registration import FEWEST, FINEST_M, register
 from oysterbench.mapping.settings import MapSettings
 
 PARTNERS = 24
-"""Earlier pictures that one is registered with, at most: spread evenly over all that overlap with it."""
+"""Maximum number of earlier images that an image is registered with, spread evenly over all that overlap with it."""
 ROUNDS = ("pictures registered", "pictures registered again")
-"""Of registering, by what is counted in each: what was out of reach along the path may be within it once pictures are
-laid."""
-OWN_STEP = 0.02  # 1 sigma of the path's step from a picture to the next, of its length, at least
-OWN_TURN_RAD = 0.002  # the same of the turn between them
+"""Rounds of registration, by what each reports as counted: a pair that is out of reach along the path may be within
+reach once the images are aligned."""
+OWN_STEP = 0.02  # minimum 1 sigma of the path's step from an image to the next, relative to its length
+OWN_TURN_RAD = 0.002  # minimum 1 sigma of the rotation between them
 HEADING_RAD = 0.05  # 1 sigma of the path's heading
-LEAST_SPREAD_M = 0.5  # of the vehicle about the middle of its path, root mean square, from which on that has a turn
-UNEVEN_M = 0.003  # 1 sigma of a step over the ground of two pictures: their tilts and depths err, too
+LEAST_SPREAD_M = 0.5  # RMS distance of the vehicle from the middle of its path, below which the path is not rotated
+UNEVEN_M = 0.003  # added 1 sigma of a step between two images, from errors of their tilts and depths
 UNEVEN_RAD = 0.003
-OUTLIER = 3.0  # sigma, from where a step loses its weight
+OUTLIER = 3.0  # sigma, where a step starts to lose its weight
 GRADUAL = np.concatenate([np.geomspace(64.0, 1.0, 13), np.ones(4)])
-"""By how much more a step may be off before it loses its weight, from solution to solution."""
+"""Factors on OUTLIER, one for each successive solution."""
 
 Picture = Sequence[Patch]
 
 Progress = Callable[[str, int, int], None]
-"""To be told what is counted, how many of them are done, and of how many."""
+"""Called with what is counted, the number done, and the total."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """Of two pictures, along the path: the point `here` (3,) m of `to` is the point `there` of `start`, about which
-    `to` is turned by turn_rad; each to 1 sigma."""
+    """A constraint between two images, in coordinates along the path: the point `here` (3,) m of image `to` coincides
+    with the point `there` (3,) m of image `start`, about which `to` is rotated by turn_rad; each with its 1 sigma."""
 
     start: int
     to: int
@@ -66,12 +67,12 @@ def laid(
     settings: MapSettings,
     progress: Progress = lambda what, done, total: None,
 ) -> tuple[list[list[Patch]], Array]:
-    """The oysters of all pictures, in time order, where they lie to each other, and the moves (N, 4, 4) of the pictures
-    there, each about the vertical.
+    """Align all images, in time order. Returns their oysters, moved, and the moves (N, 4, 4) of the images, each about
+    the vertical.
 
-    places: (N, 3) m, where the vehicle was. Where the path is sure to FINEST_M nothing is moved. A picture that is
-    registered with none is as sure as the path's own steps from the nearest one that is, or as its pose. One that shows
-    no oyster is moved as those before and after it.
+    places: (N, 3) m, positions of the vehicle. If the path is certain to within FINEST_M, nothing is moved. An image
+    without any registration is as uncertain as the path's own steps from the nearest image that has one, or as its
+    pose if that is less. An image without oysters moves like those before and after it.
     """
     kept = [k for k, picture in enumerate(pictures) if picture]
     some = [pictures[k] for k in kept]
@@ -103,10 +104,11 @@ def laid(
 
 
 def _onto_path(there: Array, places: Array) -> Array:
-    """(4, 4), about the vertical, by which moved places (N, 3) m lie on those of the path in the least squares.
+    """Least-squares transform (4, 4), about the vertical, that aligns the moved places (N, 3) m with those of the path.
 
-    What oysters tell is how pictures lie to each other, and the path as a whole, where all of it lies: its headings,
-    which hold each picture as it is, err otherwise than its places do. The turn is left where the vehicle hardly moved.
+    Oysters determine how images lie relative to each other; where the whole lies, only the path as a whole can say: its
+    headings, which constrain each image, err differently from its positions. If the vehicle hardly moved, there is no
+    rotation.
     """
     middle, own = places.mean(axis=0), there.mean(axis=0)
     x, y = (there - own)[:, :2].T
@@ -120,8 +122,8 @@ def _onto_path(there: Array, places: Array) -> Array:
 
 
 def _of_all(kept: NDArray[np.int64], moves: Array, places: Array) -> Array:
-    """Moves (N, 4, 4) of all pictures, at places (N, 3) m, from those (M, 4, 4) of some: in between, of the one before
-    and the one after by how many pictures they are away; at the ends, of the nearest."""
+    """Moves (N, 4, 4) of all images, at places (N, 3) m, from the moves (M, 4, 4) of some: interpolated between the one
+    before and the one after by the number of images between them; at the ends, those of the nearest."""
     numbers = np.arange(len(places))
     before, after = (
         np.clip(at, 0, len(kept) - 1)
@@ -139,7 +141,7 @@ def _of_all(kept: NDArray[np.int64], moves: Array, places: Array) -> Array:
 
 
 def _placed(places: Array, moves: Array) -> Array:
-    """(N, 3) m: places (N, 3) m, each after its move (N, 4, 4)."""
+    """Places (N, 3) m, each after its move (N, 4, 4)."""
     return np.asarray((moves[:, :3, :3] @ places[..., None])[..., 0] + moves[:, :3, 3])
 
 
@@ -150,7 +152,7 @@ def _registered(
     settings: MapSettings,
     progress: Callable[[int, int], None],
 ) -> Iterator[Step]:
-    """Steps between pictures that overlap where they were moved to, but those that are known."""
+    """Yield the steps between images that overlap after their moves, except pairs that are already known."""
     moved = [[patch.placed(move) for patch in picture] for picture, move in zip(pictures, moves, strict=True)]
     headings = Rotation.from_matrix(moves[:, :3, :3]).as_rotvec()[:, 2]
     for start, to in overlapping(moved):
@@ -168,7 +170,7 @@ def _registered(
 
 
 def _as_sure_as_told(own: Sequence[Step], told: Sequence[Step]) -> list[Step]:
-    """The path's steps, less sure where oysters of pictures in a row contradict them."""
+    """The path's steps, with larger sigmas if the registrations of consecutive images contradict them."""
     pairs = [(own[step.start], step) for step in told if step.to == step.start + 1]
     if len(pairs) < FEWEST:
         return list(own)
@@ -184,7 +186,7 @@ def _as_sure_as_told(own: Sequence[Step], told: Sequence[Step]) -> list[Step]:
 
 
 def overlapping(pictures: Sequence[Picture]) -> Iterator[tuple[int, int]]:
-    """Pairs of pictures (earlier, later) of which the later shows enough oysters where the earlier does."""
+    """Yield pairs of images (earlier, later) where enough oysters of the later lie within the extent of the earlier."""
     centres = [np.array([patch.centre[:2] for patch in picture]) for picture in pictures]
     low, high = (np.array([edge(one, axis=0) for one in centres]).reshape(-1, 2) for edge in (np.min, np.max))
     for k, own in enumerate(centres):
@@ -196,9 +198,10 @@ def overlapping(pictures: Sequence[Picture]) -> Iterator[tuple[int, int]]:
 
 
 def solve(own: Sequence[Step], told: Sequence[Step], middles: Array, poses_m: Array) -> tuple[Array, Array]:
-    """Moves (N, 4, 4) of pictures, with middles (N, 3) m, and 1 sigma (N,) m of each if the others were known.
+    """Solve for the moves (N, 4, 4) of images with middles (N, 3) m, and 1 sigma (N,) m of each, given the others.
 
-    own: the path's steps, which all hold; told: those of oysters; poses_m: (N,) m, 1 sigma of the path at each.
+    own: the path's steps, none of which is an outlier; told: those from oysters; poses_m: (N,) m, 1 sigma of the path's
+    pose at each image
     """
     n, steps = len(middles), [*own, *told]
     start, to = (np.array([getattr(step, name) for step in steps], dtype=int) for name in ("start", "to"))
@@ -206,8 +209,8 @@ def solve(own: Sequence[Step], told: Sequence[Step], middles: Array, poses_m: Ar
     sigmas = np.array([(step.sigma_m, step.sigma_m, step.sigma_rad, step.sigma_m) for step in steps]).reshape(-1, 4)
     of_poses = np.concatenate([poses_m, poses_m, np.full(n, HEADING_RAD), poses_m])
 
-    # Unknown are x, y, heading and z of all pictures. A point at (x, y) from a picture's middle moves by its shift, and
-    # by (-y, x) times its turn.
+    # The unknowns are x, y, heading and z of all images. A point at (x, y) from an image's middle moves by the image's
+    # shift plus (-y, x) times its rotation.
     ones = np.ones(len(steps))
     shifts = _differences(start, to, ones, ones, n)
     arms, there_arms = here - middles[to], there - middles[start]
@@ -241,6 +244,6 @@ def solve(own: Sequence[Step], told: Sequence[Step], middles: Array, poses_m: Ar
 
 
 def _differences(start: Array, to: Array, there: Array, here: Array, n: int) -> csr_array:
-    """(M, N): in each row what `to` has, times `here` (M,), less what `start` has, times `there` (M,)."""
+    """Sparse matrix (M, N) whose row k gives here[k] times the value of to[k] minus there[k] times that of start[k]."""
     rows = np.tile(np.arange(len(start)), 2)
     return coo_array((np.concatenate([-there, here]), (rows, np.concatenate([start, to]))), (len(start), n)).tocsr()

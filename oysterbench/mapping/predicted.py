@@ -1,4 +1,4 @@
-"""Oysters in the pictures of a sequence, from files or from its own truth: numbers, states, scores by picture."""
+"""Oysters in the images of a sequence, from files or its ground truth: numbers, states and scores for each image."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from oysterbench.sequence.types import Sequence
 
 OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
 COCO_STATES = {"oyster": "unknown", "live": "live", "live oyster": "live", "dead": "dead", "dead oyster": "dead"}
-"""Category of COCO annotations -> state; an annotation of an oyster may say its own under the key `state`."""
+"""COCO category -> state; an annotation of an oyster may also give its own state under the key `state`."""
 
 STAMP = re.compile(r"(?:(?P<sequence>[^/]+)/)?(?:(?P<camera>[A-Za-z]\w*)[/_])?(?P<stamp>\d+(?:\.\d{9})?)")
-"""Names of pictures: SEQUENCE/CAMERA/STAMP, as labels have them, CAMERA_STAMP, as exports, or the STAMP alone, in ns,
-or in seconds with nine decimals, as the pictures of `export --format tum` have them."""
+"""Image names: SEQUENCE/CAMERA/STAMP as in labels, CAMERA_STAMP as in exports, or STAMP alone; the stamp is in ns, or
+in seconds with nine decimals as in the images of `export --format tum`."""
 
 
 def true_seen(sequence: Sequence, camera: str) -> Iterator[Seen]:
-    """What the layers instance and class say, and which are alive."""
+    """Yield the true oysters of each image, from the layers instance and class, with their states."""
     states = true_states(sequence)
     classes = sequence.layer(camera, "class")
     for instances, kinds in zip(sequence.layer(camera, "instance"), classes, strict=True):
@@ -41,19 +41,19 @@ def true_seen(sequence: Sequence, camera: str) -> Iterator[Seen]:
 
 
 def true_states(sequence: Sequence) -> dict[int, str]:
-    """live or dead by number."""
+    """True state, live or dead, of each oyster by number."""
     return {number: "live" if alive else "dead" for number, alive in sequence.living().items()}
 
 
 def read_seen(
     place: Path, sequence: Sequence, camera: str, kind: str, threshold: float, several: bool = False
 ) -> Iterator[Seen]:
-    """What files say of pictures of a camera of a sequence, in time order.
+    """Read the oysters in the images of a sequence's camera from files, in time order.
 
-    A folder or .npz of masks, as `annotations.masks` reads them (of a mask, what hangs together is one oyster) or, by
-    kind "instances", of numbers of oysters; or COCO annotations (.json). several: they are of several sequences, which
-    their names say; those of others are left out. Raises LabelError where they are of another sequence, or not what
-    they should be.
+    place: a folder or .npz of masks, as `annotations.masks` reads them (each connected component of a mask is one
+    oyster) or, with kind "instances", of oyster numbers; or COCO annotations (.json). several: the files are of several
+    sequences, given in their names; those of other sequences are ignored. Raises LabelError where the files are of
+    another sequence, or invalid.
     """
     if kind not in FORMS:
         raise LabelError(f"kind of masks: expected one of {', '.join(FORMS)}, got {kind!r}")
@@ -66,7 +66,7 @@ def read_seen(
 
 
 def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str, several: bool) -> dict[int, str]:
-    """Names by the stamps of their pictures, in time order."""
+    """Map the stamps of images to their names, in time order."""
     found: dict[int, str] = {}
     for name in names:
         match = STAMP.fullmatch(name)
@@ -116,14 +116,14 @@ def _components(files: MaskFiles, stamps: Mapping[int, str], camera: str, thresh
 def components(
     stamp_ns: int, camera: str, mask: NDArray[np.bool_], probability: NDArray[np.floating[Any]] | None = None
 ) -> Seen:
-    """Each connected part of a mask (H, W) that is no speck is one oyster; its score is its mean probability."""
+    """Take each connected component of a mask (H, W), but no specks, as an oyster, scored by its mean probability."""
     numbers, means = connected_parts(mask, probability)
     scores = {} if means is None else dict(enumerate(means.tolist(), start=1))
     return Seen(stamp_ns, camera, without_specks(numbers), scores=scores)
 
 
 def stacked(found: ImageInstances) -> tuple[NDArray[np.int32], dict[int, float]]:
-    """Numbers (H, W) and scores of single oysters with masks, the surest on top. Raises LabelError for boxes alone."""
+    """Numbers (H, W) and scores of oyster instances, the most certain on top. Raises LabelError for mere boxes."""
     numbers = np.zeros((found.height, found.width), dtype=np.int32)
     scores = {}
     for k, one in enumerate(sorted(found.instances, key=lambda one: one.score), start=1):
@@ -141,7 +141,7 @@ def _coco(place: Path, sequence: Sequence, camera: str, threshold: float, severa
 
 
 def _categories(place: Path) -> list[tuple[str, CocoFile]]:
-    """State and annotations of each category that is of oysters."""
+    """State and annotations of each oyster category."""
     content = read_json(place)
     if not isinstance(content, dict) or not isinstance(content.get("categories"), list):
         raise LabelError(
@@ -156,7 +156,7 @@ def _categories(place: Path) -> list[tuple[str, CocoFile]]:
 
 
 def _state(values: Mapping[str, Any], category: str) -> str:
-    """Of an annotation: what it says itself, as `state` or as the probability `live`, else what its category says."""
+    """State of an annotation: its own, from `state` or the probability `live`, else that of its category."""
     own, live = values.get("state"), values.get("live")
     if own is None and isinstance(live, float | int):
         return "live" if live >= ALIVE else "dead"
@@ -169,7 +169,7 @@ def _annotated(
     for stamp_ns, name in stamps.items():
         numbers = np.zeros(files[0][1].sizes[name], dtype=np.int32)
         items = [(state, item) for state, file in files for item in file.items[name]]
-        # The surest are laid on last, and so on top.
+        # The most certain are drawn last, and so on top.
         items = sorted(items, key=lambda one: one[1].score(1.0))
         states, scores = {}, {}
         for k, (state, item) in enumerate(items, start=1):

@@ -1,4 +1,4 @@
-"""From pixels to the ground: what a camera sees, as points in the world frame of a trajectory."""
+"""Projection of pixels onto the ground: what a camera sees, as points in the world frame of a trajectory."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from oysterbench.mapping.settings import MapSettings
 from oysterbench.sequence.export.ply import pixel_rays
 from oysterbench.sequence.types import CameraCalibration
 
-POINTS = 96  # of an oyster in a picture, at most: 5 mm apart on a shell of 80 x 60 mm
+POINTS = 96  # of an oyster in an image, at most: 5 mm apart on a shell of 80 x 60 mm
 
 
 @dataclass(frozen=True)
 class Seen:
-    """The oysters of a picture.
+    """The oysters of an image.
 
-    numbers: (H, W) int, k where oyster k is seen, 0 for none; states: "live" or "dead" by number, where that is known;
-    scores: by number, 1 where there are none.
+    numbers: (H, W) int, k where oyster k is seen, 0 elsewhere; states: "live" or "dead" by number, if known; scores: by
+    number, 1 if missing
     """
 
     stamp_ns: int
@@ -34,15 +34,15 @@ class Seen:
 
 @dataclass(frozen=True)
 class Patch:
-    """An oyster in one picture, on the ground.
+    """An oyster of one image, projected onto the ground.
 
-    frame, number: which picture and which of its oysters
-    points:        (N, 3) m, some of what is seen of it; centre (3,): their mean
-    pixels:        how many it has
-    area_m2:       that it would have if it faced the camera
-    cut:           whether the picture's edge or the greatest distance cuts it
-    covariance:    (3, 3) m^2, of the centre: long along the ray, as the depth is least certain
-    sigma_m:       of where the points are, of pose and depth; pose_sigma_m: of the pose alone
+    frame, number: which image, and which of its oysters
+    points:        (N, 3) m, a sample of its pixels' points; centre: (3,) m, mean of all of them
+    pixels:        number of pixels
+    area_m2:       area, as if it faced the camera
+    cut:           whether the image edge or the maximum distance cuts it
+    covariance:    (3, 3) m^2, of the centre: elongated along the ray, as depth is the least certain
+    sigma_m:       1 sigma of the points' position, from pose and depth; pose_sigma_m: from the pose alone
     """
 
     frame: int
@@ -59,7 +59,7 @@ class Patch:
     pose_sigma_m: float = 0.0
 
     def laid(self, move: Array, sigma_m: float) -> Patch:
-        """The same after a move (4, 4), where it is sure to 1 sigma but for its depth."""
+        """Return the patch after a move (4, 4), with `sigma_m` as 1 sigma of its pose; that of its depth remains."""
         less = self.pose_sigma_m**2 - sigma_m**2
         there = self.placed(move)
         return replace(
@@ -70,7 +70,7 @@ class Patch:
         )
 
     def placed(self, move: Array) -> Patch:
-        """The same after a move (4, 4)."""
+        """Return the patch after a move (4, 4)."""
         turn, by = move[:3, :3], move[:3, 3]
         return replace(
             self,
@@ -80,22 +80,22 @@ class Patch:
         )
 
     def moved(self, by: Array) -> Patch:
-        """The same elsewhere."""
+        """Return the patch shifted by a vector (3,) m."""
         return replace(self, points=self.points + by, centre=self.centre + by)
 
 
 class Lens:
-    """Rays of the pixels of a camera; NaN where its lens shows nothing."""
+    """Rays of a camera's pixels; NaN where the lens shows nothing."""
 
     def __init__(self, name: str, camera: CameraCalibration) -> None:
         self.name, self.camera = name, camera
         self.shape = (camera.height, camera.width)
-        self.pixel_sr = 1.0 / float(camera.matrix[0, 0] * camera.matrix[1, 1])  # of a pixel on the axis
+        self.pixel_sr = 1.0 / float(camera.matrix[0, 0] * camera.matrix[1, 1])  # solid angle of a pixel on the axis
         self._rays = pixel_rays(camera)
 
     @property
     def rays(self) -> Array:
-        """(H, W, 3), z = 1, in the optical frame. Raises SequenceError behind a flat port, where they do not meet."""
+        """Rays (H, W, 3), z = 1, in the optical frame. Raises SequenceError behind a flat port: they do not meet."""
         if self.camera.port_m is not None:
             raise SequenceError(
                 f"{self.name} looks through a flat port, so its rays do not meet in one point: expected a camera "
@@ -104,9 +104,9 @@ class Lens:
         return np.concatenate([self._rays[..., :2], np.ones((*self.shape, 1))], axis=-1)
 
     def points(self, depth_m: Array, T_odom_cam: Array) -> Array:
-        """(H, W, 3) m of a picture's pixels, from their depths (H, W) along the optical axis; NaN stays NaN.
+        """Points (H, W, 3) m in odom of an image's pixels, from depths (H, W) m along the optical axis; NaN stays NaN.
 
-        T_odom_cam: (H, 4, 4) of each row, or (1, 4, 4) or (4, 4) of all.
+        T_odom_cam: (H, 4, 4) for each row, or (1, 4, 4) or (4, 4) for all rows.
         """
         across = self._rays[..., :2] * (depth_m - self._rays[..., 2])[..., None]
         points = np.concatenate([across, depth_m[..., None]], axis=-1)
@@ -114,7 +114,7 @@ class Lens:
 
 
 def usable(depth_m: Array, settings: MapSettings) -> NDArray[np.bool_]:
-    """(H, W) of the pixels that are near enough; NaN is not."""
+    """Mask (H, W) of the pixels in the usable range of depths; False for NaN."""
     return (depth_m > settings.near_m) & (depth_m < settings.far_m)
 
 
@@ -129,11 +129,11 @@ def patches(
     depth_sigma: float,
     settings: MapSettings,
 ) -> list[Patch]:
-    """The oysters of a picture, from the points (H, W, 3) and depths (H, W) of its pixels, by number.
+    """Oysters of an image, by number, from the points (H, W, 3) m and depths (H, W) m of its pixels.
 
-    eye: (3,) m, where the camera is; pixel_sr: solid angle of a pixel; pose_sigma_m, depth_sigma: 1 sigma of a place,
-    and of a depth as a share of it. Of an oyster that reaches beyond the greatest distance, what lies before it is
-    taken, and it is cut.
+    eye: (3,) m, position of the camera; pixel_sr: solid angle of a pixel, sr; pose_sigma_m, depth_sigma: 1 sigma of the
+    position, m, and of a depth, relative. Of an oyster that reaches beyond the usable range, only the part within it is
+    used, and the oyster counts as cut.
     """
     flat = seen.numbers.ravel()
     rows = np.flatnonzero(flat)

@@ -1,9 +1,9 @@
-"""How far two pictures are off each other: the shift at which most oysters of one fall on oysters of the other.
+"""Registration of two images: the shift at which most oysters of one coincide with oysters of the other.
 
-Every pair of an oyster of each votes for the step between them, and the step with the most votes is the pictures' (pose
-clustering, Stockman 1987; generalised Hough transform, Ballard 1981). Oysters are as near to each other as a path errs
-between two passes, so that the nearest one is often a neighbour; but neighbours lie in all directions, and their votes
-do not add up.
+Every pair of an oyster in one and an oyster in the other votes for the displacement between them; the one with the most
+votes is that of the images (pose clustering, Stockman 1987; generalised Hough transform, Ballard 1981). Oysters are as
+close together as a path errs between two passes, so the nearest oyster is often a neighbour; but neighbours lie in all
+directions, and their votes do not accumulate.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from oysterbench.mapping.settings import MapSettings
 Indices = NDArray[np.intp]
 
 FEWEST = 4
-"""Pairs, for a picture to be laid by them."""
-BIN_M = 0.004  # of the table of votes
+"""Minimum number of pairs to register an image."""
+BIN_M = 0.004  # bin size of the vote table
 LEAD = 4.0
-"""Standard deviations by which the votes of a step exceed those of chance, which are of pairs that are none."""
-REFINED = 5  # times
-TURN_RAD = 0.05  # 1 sigma of the turn between two pictures
-FINEST_M = 0.001  # 1 sigma of a shift, at least
+"""Standard deviations by which the votes must exceed those that mismatched pairs give by chance."""
+REFINED = 5  # iterations
+TURN_RAD = 0.05  # 1 sigma of the rotation between two images
+FINEST_M = 0.001  # minimum 1 sigma of a shift
 
 
 @dataclass(frozen=True)
 class Registration:
-    """shift: (3,) m, of a picture onto the other, and its turn about the vertical at the point about (3,) m, each with
-    1 sigma; pairs: of oysters that agree on them."""
+    """Registration of one image onto another. shift: (3,) m; turn_rad: rotation about the vertical through the point
+    `about` (3,) m; sigma_m, sigma_rad: their 1 sigma; pairs: number of oyster pairs that agree with them."""
 
     shift: Array
     turn_rad: float
@@ -45,7 +45,7 @@ class Registration:
 
 
 def register(found: Sequence[Patch], known: Sequence[Patch], settings: MapSettings) -> Registration | None:
-    """The shift of one picture onto another; None where their oysters do not tell, too few or of other ground."""
+    """Register one image onto another; None if their oysters do not allow it: too few, or of different ground."""
     found, known = ([one for one in picture if not one.cut] for picture in (found, known))
     if min(len(found), len(known)) < FEWEST:
         return None
@@ -63,7 +63,7 @@ def register(found: Sequence[Patch], known: Sequence[Patch], settings: MapSettin
     votes = np.zeros((2 * half + 1, 2 * half + 1))
     np.add.at(votes, tuple(np.rint(steps[:, :2] / BIN_M).astype(int).T + half), weights)
     kernel_m2 = 2.0 * np.pi * spread**2
-    votes = gaussian_filter(votes, spread / BIN_M, mode="constant") * kernel_m2 / BIN_M**2  # a pair that is there: 1
+    votes = gaussian_filter(votes, spread / BIN_M, mode="constant") * kernel_m2 / BIN_M**2  # a true pair adds 1
     axis = (np.arange(2 * half + 1) - half) * BIN_M
     votes[np.hypot(*np.meshgrid(axis, axis, indexing="ij")) > reach] = 0.0
     best = np.unravel_index(int(votes.argmax()), votes.shape)
@@ -89,12 +89,12 @@ def register(found: Sequence[Patch], known: Sequence[Patch], settings: MapSettin
 
 
 def _across(arms: Array) -> Array:
-    """(N, 3) m: where points at (N, 3) m go for each radian of a turn about the vertical."""
+    """Displacements (N, 3) m of points (N, 3) m per radian of rotation about the vertical."""
     return np.column_stack([-arms[:, 1], arms[:, 0], np.zeros(len(arms))])
 
 
 def _pairs(rows: Indices, columns: Indices, off: Array, most: float) -> Indices:
-    """(K,) indices of pairs that are nearest to the step for both of theirs, and nearer than `most`."""
+    """Indices (K,) of the pairs whose residual `off` is the smallest for both of their oysters, and below `most`."""
     order = np.argsort(off, kind="stable")
     order = order[off[order] < most]
     first_of_row = order[np.unique(rows[order], return_index=True)[1]]

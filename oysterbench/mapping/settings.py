@@ -1,4 +1,4 @@
-"""Settings of maps of oysters. Units are in the names or the comments; a comment says why the value."""
+"""Settings of oyster maps. Units are in the names or the comments; a comment gives the reason for a value."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from oysterbench.core.errors import OysterbenchError
 
 THRESHOLD_PER_M2, TARGET_PER_M2 = 15.0, 50.0
-"""Live oysters per square metre of a restored reef, at least and as aimed at (Oyster Metrics Workgroup, 2011)."""
+"""Live oysters per square metre of a restored reef: minimum and target (Oyster Metrics Workgroup, 2011)."""
 
 CLASSES = ("below threshold", "threshold", "target")
 """Classes of restoration: fewer than 15 live oysters per square metre, 15 to 50, and 50 or more."""
@@ -16,36 +16,36 @@ CLASSES = ("below threshold", "threshold", "target")
 
 @dataclass(frozen=True)
 class MapSettings:
-    """All settings. Raises OysterbenchError where one makes no sense."""
+    """Settings of an oyster map. Raises OysterbenchError where one is invalid."""
 
     cell_m: float = 1.0  # edge of the grid's cells
-    raster_m: float = 0.01  # edge of the squares by which cover is measured: its edge is half of one too far out
-    least_cover: float = 0.25  # of a cell, below which it has no number
+    raster_m: float = 0.01  # edge of the squares that measure cover, whose border is half a square too far out
+    least_cover: float = 0.25  # share of a cell that must be seen for it to have a value
 
-    # What of a picture is used.
+    # Which part of an image is used.
     near_m: float = 0.2  # along the optical axis
-    far_m: float = 2.5  # beyond, a shell of 8 cm has fewer than 15 pixels across, and is seen at a grazing angle
-    least_px: int = 16  # of an oyster in a picture: of less, not even a person could say what it is
-    border_px: int = 1  # along the picture's edge: an oyster that has one of these is cut by it
-    threshold: float = 0.5  # of scores and probabilities
+    far_m: float = 2.5  # beyond, an 8 cm shell is less than 15 pixels wide, and is seen at a grazing angle
+    least_px: int = 16  # of an oyster in an image: smaller ones could not be recognised even by a person
+    border_px: int = 1  # margin along the image edge: an oyster that reaches into it counts as cut
+    threshold: float = 0.5  # on scores and probabilities
 
     # Association.
-    shell_m: float = 0.006  # 1 sigma between points of one shell in two pictures: half of their distance, and rounding
-    pose_sigma_m: float | None = None  # 1 sigma of a pose against the map; by default of its covariance, or 5 cm
-    depth_sigma: float | None = None  # 1 sigma of the depth, of the distance; by default as it is made (`depth.SIGMA`)
-    middle_m: float = 0.012  # 1 sigma of the middle of what a picture shows of a shell: something hides a part of it
-    cut_m: float = 0.03  # the same of a shell that the picture's edge cuts
-    size_sigma: float = 0.7  # 1 sigma of the logarithm of its area, as different pictures show it
-    gate: float = 11.34  # squared Mahalanobis distance of what may be one: 99 % of three dimensions
-    join_gate: float = 4.0  # the same for parts of one shell that were never seen side by side
-    exact_m: float = 0.012  # of places surer than this, shells are distinguished by how far they overlap
-    least_overlap: float = 0.4  # of the lesser of two shells, for them to be one
-    join_overlap: float = 0.25  # the same of parts of one shell that were never seen side by side
-    reach_m: float = 0.3  # between the middles of two views of one shell: more than any shell
+    shell_m: float = 0.006  # 1 sigma between points of one shell in two images: half the point spacing, and rounding
+    pose_sigma_m: float | None = None  # 1 sigma of a pose relative to the map; by default from its covariance, or 5 cm
+    depth_sigma: float | None = None  # 1 sigma of the depth, relative; by default that of its source (`depth.SIGMA`)
+    middle_m: float = 0.012  # 1 sigma of the centre of a shell as an image shows it, as part of it may be hidden
+    cut_m: float = 0.03  # the same for a shell cut by the image edge
+    size_sigma: float = 0.7  # 1 sigma of the logarithm of its area between images
+    gate: float = 11.34  # squared Mahalanobis distance for a match: 99 % in three dimensions
+    join_gate: float = 4.0  # the same for joining parts of one shell that were never seen side by side
+    exact_m: float = 0.012  # where positions are more certain than this, shells are told apart by their overlap
+    least_overlap: float = 0.4  # share of the smaller of two shells, for a match
+    join_overlap: float = 0.25  # the same for joining parts of one shell that were never seen side by side
+    reach_m: float = 0.3  # between the centres of two views of one shell: larger than any shell
 
-    # Depth from pictures, the seabed as a plane.
-    plane_s: float = 2.0  # echoes within so many seconds make the plane under a picture
-    max_gap_s: float = 0.3  # between the poses that a picture's is taken from
+    # Depth from images, or from a plane as the seabed.
+    plane_s: float = 2.0  # the plane under an image is fitted to echoes within this time of it
+    max_gap_s: float = 0.3  # between the poses that an image's pose is interpolated from
 
     def __post_init__(self) -> None:
         for name in ("cell_m", "raster_m", "near_m", "shell_m", "reach_m", "plane_s"):
@@ -64,5 +64,5 @@ class MapSettings:
             raise OysterbenchError(f"far_m: expected more than near_m, {self.near_m:g} m, got {self.far_m:g} m")
 
     def as_dict(self) -> dict[str, Any]:
-        """For a record."""
+        """The settings as a dictionary, for a record."""
         return asdict(self)

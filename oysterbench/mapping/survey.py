@@ -1,4 +1,4 @@
-"""A sequence, a trajectory and the oysters in its pictures in; a map, on which each oyster is counted once, out."""
+"""Building a map, on which each oyster counts once, from a sequence, a trajectory and the oysters in its images."""
 
 from __future__ import annotations
 
@@ -29,22 +29,21 @@ from oysterbench.sequence.types import Sequence
 if TYPE_CHECKING:
     import pandas as pd
 
-EXACT_PATH_M = 0.001  # that a file of the true path may differ from it
-UNSURE_M = 0.05  # 1 sigma of a path of which nobody says how sure it is, between two passes
-CUT_WEIGHT = 0.5  # of oysters that the edge of what was seen cuts, half have their middle inside
+EXACT_PATH_M = 0.001  # by which a file of the true path may differ from the truth
+UNSURE_M = 0.05  # 1 sigma of a path without covariances, between two passes
+CUT_WEIGHT = 0.5  # of the oysters cut by the edge of the area seen, half have their centre inside
 
 
 @dataclass(frozen=True, repr=False)
 class OysterMap:
     """A map of a sequence, in the world frame of its trajectory.
 
-    tracks:  behind each oyster, what pictures show of it
-    cover:   what of the ground the pictures show, laid with their oysters (`mapping.pose_graph`)
-    path:    (N, 2) m, where the pictures were taken, by the trajectory
-    pictures, without_pose, without_depth: how many were given, and how many of them had none
-    unassociated: what the pictures show without association (`mapping.unassociated`); None where path and depths are
-             the truth's
-    magnetic_north_rad: clockwise from +y of the path's world; None where nothing shows it
+    tracks:  what images show of each oyster
+    cover:   the ground that the images show, aligned with their oysters (`mapping.pose_graph`)
+    path:    (N, 2) m, where the images were taken, by the trajectory
+    pictures, without_pose, without_depth: number of images given, and of those without a pose or a depth
+    unassociated: the count without association (`mapping.unassociated`); None if path and depths are the ground truth
+    magnetic_north_rad: clockwise from +y of the path's world frame; None if unknown
     """
 
     name: str
@@ -64,22 +63,22 @@ class OysterMap:
 
     @property
     def depth_sigma(self) -> float:
-        """1 sigma of a depth, as a share of it."""
+        """Relative standard deviation of a depth."""
         return sigma_of(self.depth, self.settings)
 
     @cached_property
     def grid(self) -> Grid:
-        """Oysters per square metre."""
+        """Grid of oysters per square metre."""
         return make_grid(self.oysters, self.cover, self.settings, self.depth_sigma, self.unassociated)
 
     @cached_property
     def total(self) -> Total:
-        """Over all that was seen."""
+        """Totals of the area seen."""
         return total(self.oysters, self.grid, self.depth_sigma, len(self.path), self.unassociated)
 
     def table(self) -> pd.DataFrame:
-        """A row for each oyster: x_m, y_m, z_m in the world frame of the trajectory; state (live, dead or unknown);
-        views, pictures that show it; weight, what it counts, 1/2 where no picture shows it whole."""
+        """Table with a row for each oyster: x_m, y_m, z_m in the world frame of the trajectory; state (live, dead or
+        unknown); views, number of images that show it; weight, what it counts, 1/2 if no image shows it whole."""
         import pandas as pd
 
         rows = [(*map(float, one.centre), one.state, one.views, one.weight) for one in self.oysters]
@@ -119,12 +118,12 @@ def build_map(
     allow_none: bool = False,
     progress: Progress = lambda what, done, total: None,
 ) -> OysterMap:
-    """The map. trajectory: poses of base_link at any stamps; seen: gives the oysters of pictures, in time order.
+    """Build the map. trajectory: poses of base_link at any stamps; seen: returns the oysters of images, in time order.
 
-    depth: one of `depth.DEPTHS`; of them only "layer" uses the truth, of depths and of the camera's calibration.
-    allow_none: make a map without an oyster, too. progress: is told how far it is once all pictures have been given.
-    Raises TrajectoryError where the trajectory is of another time, LabelError where the oysters are not of pictures of
-    this camera or there are none, SequenceError where there is no depth.
+    depth: one of `depth.DEPTHS`; only "layer" uses ground truth, for depths and for the camera's calibration.
+    allow_none: make a map even without any oysters. progress: called with the progress once all images have been read.
+    Raises TrajectoryError where the trajectory does not overlap with the sequence in time, LabelError where the oysters
+    are not of images of this camera or there are none, SequenceError where there is no depth.
     """
     settings = settings or MapSettings()
     if camera not in sequence.cameras:
@@ -199,7 +198,7 @@ def build_map(
 def _ground(
     raster: Raster, tiles: Tiles, moves: Array, pictures: Iterable[list[Patch]], settings: MapSettings
 ) -> tuple[Cover, UnassociatedCount]:
-    """What the pictures show of the ground where their moves (N, 4, 4) lay them, on a raster that has room for it."""
+    """Cover of the ground, and count without association, after the images' moves (N, 4, 4), on a raster that fits."""
     cover = Cover(raster.holding(zip(tiles.rasters, moves, strict=True), settings.cell_m))
     unassociated = UnassociatedCount(cover.raster)
     for tile, move, found in zip(tiles, moves, pictures, strict=True):
@@ -208,10 +207,10 @@ def _ground(
 
 
 def _exact(sequence: Sequence, trajectory: Trajectory, depth: str, settings: MapSettings) -> bool:
-    """Whether places are sure to less than what tells shells apart: true depths along the true path.
+    """Whether positions are certain enough to tell shells apart: true depths along the true path.
 
-    Of another path nobody knows how far it errs between two passes over the same ground: covariances are promises.
-    Where depths are measured, the truth is not looked at.
+    The error of any other path between two passes over the same ground is unknown: covariances are only claims. If
+    depths are measured, the ground truth is not consulted.
     """
     if depth != "layer" or sigma_of(depth, settings) * settings.far_m >= settings.shell_m:
         return False
@@ -224,7 +223,7 @@ def _exact(sequence: Sequence, trajectory: Trajectory, depth: str, settings: Map
 
 
 def sigma_of(depth: str, settings: MapSettings) -> float:
-    """1 sigma of a depth, as a share of it."""
+    """Relative standard deviation of a depth from a source."""
     return SIGMA[depth] if settings.depth_sigma is None else settings.depth_sigma
 
 
@@ -234,14 +233,14 @@ def _oyster(track: OysterTrack) -> Oyster:
 
 
 def raster_of(trajectory: Trajectory, settings: MapSettings) -> Raster:
-    """Of what is seen along a trajectory."""
-    edge = settings.cell_m / round(settings.cell_m / settings.raster_m)  # cells are whole numbers of squares
-    # What is seen lies within the greatest depth, and a little more at the picture's corners.
+    """Raster of what can be seen along a trajectory."""
+    edge = settings.cell_m / round(settings.cell_m / settings.raster_m)  # a cell's edge is a whole number of squares
+    # What is seen lies within the maximum depth, and a little farther at the image corners.
     return raster_around(trajectory.positions[:, :2], 1.5 * settings.far_m, edge, settings.cell_m)
 
 
 def _pose_sigma(trajectory: Trajectory, stamp_ns: int, settings: MapSettings, exact: bool) -> float:
-    """1 sigma of the place of a pose, m: as its covariance says, or at least as the settings do."""
+    """1 sigma of the position of a pose, m: from its covariance, but at least that of the settings."""
     least = settings.pose_sigma_m
     if trajectory.covariances is None:
         return least if least is not None else 0.0 if exact else UNSURE_M

@@ -1,6 +1,6 @@
-"""Depth of a view from others at known poses: a plane sweep (Collins, CVPR 1996) over normalised cross-correlation.
+"""Depth of a view from others at known poses: a plane sweep (Collins, CVPR 1996) with normalised cross-correlation.
 
-Correlation does not see gain and offset, and so neither the veil of turbid water nor a lamp that moves with the camera.
+Correlation is invariant to gain and offset, so to the veil of turbid water and to a lamp that moves with the camera.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.mapping.views import View
 
 Picture = NDArray[np.float32]
-PEAK = 3  # planes to each side of the best that are its own peak
-SPECKLE_PX, SPECKLE_PLANES, SUBDIVIDED = 100, 2, 16  # two patches; between neighbours that hang together; steps of one
-LIKELY = 1.5  # times the median depth of a picture, or a part of it: where most of it lies
+PEAK = 3  # planes on each side of the best that belong to its peak
+SPECKLE_PX, SPECKLE_PLANES, SUBDIVIDED = 100, 2, 16  # two patches; between connected neighbours; steps of a plane
+LIKELY = 1.5  # most depths of an image lie within this factor of their median
 
 
 @dataclass(frozen=True)
 class DepthMap:
-    """depth (H, W) float m along the optical axis of a view; NaN where it is not known."""
+    """Depth map of a view. depth: (H, W) float m along the optical axis; NaN where it is not known."""
 
     view: View
     depth: Array
 
     def points(self) -> tuple[Array, NDArray[np.uint8]]:
-        """In odom, m (N, 3), of the pixels with depth, and their colours (N, 3) uint8."""
+        """Points (N, 3) m in odom of the pixels with depth, and their colours (N, 3) uint8."""
         rows, columns = np.nonzero(np.isfinite(self.depth))
         T = self.view.T_odom_cam
         points = _rays(self.view, rows, columns) * self.depth[rows, columns, None]
@@ -39,9 +39,10 @@ class DepthMap:
 
 
 def sweep(view: View, sources: Sequence[View], settings: CloudSettings) -> DepthMap:
-    """Depth of each pixel whose patch the sources show, at one depth better than at any other.
+    """Compute the depth of each pixel whose patch matches the sources clearly better at one depth than at any other.
 
-    None where no source shows it at all likely depths, and of few pixels that are off those around.
+    A pixel has no depth where some likely depth is shown by no source, nor has a small group of pixels whose depth
+    differs from those around.
     """
     relative = [invert(source.T_odom_cam) @ view.T_odom_cam for source in sources]
     base = max(float(np.linalg.norm(T[:3, 3])) for T in relative)
@@ -67,37 +68,37 @@ def sweep(view: View, sources: Sequence[View], settings: CloudSettings) -> Depth
             warped: Any = cv2.warpPerspective(
                 source.grey, homography, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderValue=0.0
             )
-            # Where a picture ends it is black, and its edge would correlate with that of another.
+            # Outside an image it is black, and the border would correlate with that of another image.
             seen: Any = cv2.warpPerspective(whole, homography, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
             other_mean: Any = cv2.blur(warped, window)
             covariance: Any = cv2.blur(view.grey * warped, window) - mean * other_mean
             correlation = covariance / (deviation * _deviation(warped, other_mean, window, floor))
-            # What hides a point from one side leaves it to the other: the best source counts.
+            # A point that is occluded from one side is visible from the other: the best source counts.
             np.maximum(scores[k], np.where(seen > 0, correlation, -1.0), out=scores[k])
             seen_at[k] |= seen > 0
     scores[:, own_whole == 0] = -1.0
     depth = _peaks(scores, inverse_depths, settings)
     depth = _without_speckles(depth, inverse_depths)
-    # Of a pixel that no source shows at its own depth, another one is the best: it must be shown at all likely ones.
+    # If no source shows a pixel at its true depth, a wrong one wins: it must be shown at all likely depths.
     typical = 1.0 / np.nanmedian(depth) if np.isfinite(depth).any() else inverse_depths[0]
     likely = (inverse_depths > typical / LIKELY) & (inverse_depths < typical * LIKELY)
     return DepthMap(view, np.where(seen_at[likely].all(axis=0), depth, np.nan))
 
 
 def _whole_patches(view: View, settings: CloudSettings) -> Any:
-    """(H, W) uint8, 0 where the patch about a pixel reaches beyond what the camera shows."""
+    """Mask (H, W) uint8, 0 where the patch around a pixel extends beyond what the camera shows."""
     shown = np.ones(view.grey.shape, np.uint8) if view.shown is None else view.shown.astype(np.uint8)
     window = np.ones((settings.window_px, settings.window_px), np.uint8)
     return cv2.erode(shown, window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
 
 
 def _deviation(grey: Picture, mean: Any, window: tuple[int, int], floor: float) -> Picture:
-    """(H, W) standard deviation of the patch about each pixel, noise of variance `floor` included."""
+    """Standard deviation (H, W) of the patch around each pixel, noise of variance `floor` included."""
     return np.asarray(np.sqrt(np.maximum(cv2.blur(grey * grey, window) - mean * mean, 0.0) + floor))
 
 
 def _peaks(scores: Picture, inverse_depths: Array, settings: CloudSettings) -> Array:
-    """(H, W) depth, m, at the peaks of scores (planes, H, W), refined by a parabola; NaN where none stands out."""
+    """Depth (H, W) m at the peaks of scores (planes, H, W), refined by a parabola; NaN where no peak stands out."""
     best = scores.argmax(axis=0)
     at_best = np.take_along_axis(scores, best[None], axis=0)[0]
     inner = np.clip(best, 1, len(scores) - 2)
@@ -113,7 +114,7 @@ def _peaks(scores: Picture, inverse_depths: Array, settings: CloudSettings) -> A
 
 
 def _without_speckles(depth: Array, inverse_depths: Array) -> Array:
-    """The same, NaN where few pixels that hang together are off those around: false peaks are as large as a patch."""
+    """Set small connected groups of pixels that differ from their surroundings to NaN: false peaks are patch-sized."""
     known = np.isfinite(depth)
     step = inverse_depths[1] - inverse_depths[0]
     planes = np.where(known, (1.0 / np.where(known, depth, 1.0) - inverse_depths[0]) / step, -1.0)
@@ -123,7 +124,7 @@ def _without_speckles(depth: Array, inverse_depths: Array) -> Array:
 
 
 def agreeing(depths: DepthMap, others: Sequence[DepthMap], share: float) -> DepthMap:
-    """The pixels whose points at least one of the other views sees at the same place, to a share of their distance."""
+    """Keep pixels whose points at least one other view sees at the same place, within a share of their distance."""
     rows, columns = np.nonzero(np.isfinite(depths.depth))
     points, _ = depths.points()
     agreed = np.zeros(len(points), dtype=bool)
@@ -143,6 +144,6 @@ def agreeing(depths: DepthMap, others: Sequence[DepthMap], share: float) -> Dept
 
 
 def _rays(view: View, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
-    """(N, 3), z = 1, in the optical frame."""
+    """Rays (N, 3) of pixels, z = 1, in the optical frame."""
     pixels = np.column_stack([columns, rows, np.ones(len(rows))])
     return np.asarray(pixels @ np.linalg.inv(view.matrix).T)

@@ -1,4 +1,4 @@
-"""Tiles of the pictures of a dive, which wait until it is known where they lie."""
+"""Storage for the tiles of a dive's images until it is known where they lie."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 
 from oysterbench.mapping.cover import Raster, Tile
 
-LEVEL = 1  # of zlib: distances and colours of neighbours are alike, and higher levels find little more
+LEVEL = 1  # of zlib: distances and colours of neighbours are similar, and higher levels gain little
 
 
 class Tiles(AbstractContextManager["Tiles"]):
-    """As many as come, 0.1 to 0.3 MB each, in a file without a name in the folder that TMPDIR says: it is gone when it
-    is closed, and with its process, however that ends."""
+    """Any number of tiles, 0.1 to 0.3 MB each, in an unnamed file in the folder TMPDIR: the file disappears when it is
+    closed, or when its process ends in any way."""
 
     def __init__(self) -> None:
         self.rasters: list[Raster] = []
@@ -25,7 +25,7 @@ class Tiles(AbstractContextManager["Tiles"]):
         self._file = tempfile.TemporaryFile(prefix="oysterbench-")  # noqa: SIM115
 
     def add(self, tile: Tile) -> None:
-        """One more. Raises OSError where the disk is full."""
+        """Add a tile. Raises OSError where the disk is full."""
         parts = (np.packbits(tile.seen), tile.distances_m, tile.colours)
         packed = zlib.compress(b"".join(part.tobytes() for part in parts), LEVEL)
         with _named():
@@ -34,7 +34,7 @@ class Tiles(AbstractContextManager["Tiles"]):
         self._sizes.append(len(packed))
 
     def __iter__(self) -> Iterator[Tile]:
-        """Them, in the order in which they came."""
+        """Yield the tiles in the order in which they were added."""
         with _named():
             self._file.seek(0)
         for raster, size in zip(self.rasters, self._sizes, strict=True):
@@ -46,13 +46,13 @@ class Tiles(AbstractContextManager["Tiles"]):
             yield Tile(raster, seen, distances_m.view(np.float64), colours.reshape(-1, 3))
 
     def __exit__(self, *_: object) -> None:
-        with contextlib.suppress(OSError):  # of a full disk, what was left to be written
+        with contextlib.suppress(OSError):  # data that a full disk could not take
             self._file.close()
 
 
 @contextlib.contextmanager
 def _named() -> Iterator[None]:
-    """An error of the file says in which folder it is, as it has no name."""
+    """Add the folder to errors of the file, as it has no name."""
     try:
         yield
     except OSError as error:

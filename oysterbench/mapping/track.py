@@ -1,4 +1,4 @@
-"""An oyster of the map: what all pictures show of it."""
+"""An oyster of the map, with everything that images show of it."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from oysterbench.core.geometry import Array
 from oysterbench.mapping.projection import Patch
 
-KEPT = 200  # points of an oyster
+KEPT = 200  # points kept for an oyster
 
 
 class OysterTrack:
-    """An oyster, seen in one picture or more.
+    """An oyster seen in one or more images.
 
-    points: (N, 3) m, some of all that is seen of it; doubt: chance that it is the part of another one, or that another
-    one is in it
+    points: (N, 3) m, a sample of all that is seen of it; doubt: probability that it is part of another oyster, or that
+    it contains another one
     """
 
     def __init__(self, first: Patch) -> None:
@@ -29,7 +29,7 @@ class OysterTrack:
         self._centre = first.centre
 
     def add(self, patches: Sequence[Patch], points: Array) -> None:
-        """More views, and what they see."""
+        """Add views of the oyster, and the points (N, 3) m that they show."""
         self.patches += patches
         self.points = np.concatenate([self.points, points])
         if len(self.points) > KEPT:
@@ -42,32 +42,32 @@ class OysterTrack:
 
     @property
     def centre(self) -> Array:
-        """(3,) m: mean of the middles, weighed by their information; rays from different places meet there."""
+        """Centre (3,) m: information-weighted mean of the patches' centres; rays from different places meet there."""
         return self._centre
 
     @property
     def covariance(self) -> Array:
-        """(3, 3) m^2 of the centre."""
+        """Covariance (3, 3) m^2 of the centre."""
         return np.linalg.inv(self._information)
 
     @property
     def area_m2(self) -> float:
-        """The greatest that a picture shows."""
+        """Largest area that any image shows."""
         return max(patch.area_m2 for patch in self.patches)
 
     @property
     def frames(self) -> set[int]:
-        """Pictures that show it."""
+        """Images that show it."""
         return {patch.frame for patch in self.patches}
 
     @property
     def whole(self) -> bool:
-        """Whether some picture shows it uncut."""
+        """Whether any image shows it uncut."""
         return any(not patch.cut for patch in self.patches)
 
     @property
     def state(self) -> str:
-        """What most pixels say: live, dead or unknown."""
+        """State that most pixels have: live, dead or, if none has one, unknown."""
         pixels: Counter[str] = Counter()
         for patch in self.patches:
             if patch.state != "unknown":
@@ -76,6 +76,6 @@ class OysterTrack:
 
     @property
     def score(self) -> float:
-        """Mean over its pictures, weighed by pixels."""
+        """Mean score over its images, weighted by pixels."""
         pixels = sum(patch.pixels for patch in self.patches)
         return sum(patch.score * patch.pixels for patch in self.patches) / pixels

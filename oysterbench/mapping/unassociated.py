@@ -1,13 +1,14 @@
-"""A count that associates nothing: what depths and poses err by, association takes for other oysters; this does not.
+"""A count without association: errors of depths and poses make association see further oysters, but not this count.
 
-Every oyster of every picture counts 1 / n, where n pictures saw its place (Horvitz & Thompson 1952, eq. 6): shells that
-depths lay at two places are two in a map, and two halves here. It is low where shells hide one another, for a picture
-that looks at a place does not always show what lies there, and so no better than the map's where places are exact.
+Every oyster in every image counts 1 / n, where n images saw its place (Horvitz & Thompson 1952, eq. 6): a shell that
+depth errors put at two places counts twice in a map, and two halves here. The count is too low where shells hide one
+another, as an image that covers a place does not always show what lies there, so it is no better than the map's count
+where positions are exact.
 
-This is the model by which intervals hold what depth and path err by: association counts a shell again wherever an error
-lays it beside itself, and so errs upwards; this count errs downwards, by what hides; the truth lies between both, as
-long as an error moves a place by less than pictures see around it. A path that lays the same ground at two places, a
-picture's width apart, makes two grounds of it for either count, and nothing in the pictures' places shows that.
+This is how intervals account for errors of depth and path: association counts a shell again wherever an error puts it
+beside itself, and so is biased upwards; this count is biased downwards, by occlusion; the truth lies between both, as
+long as errors move a place by less than images see around it. A path that puts the same ground at two places, an
+image's width apart, makes it count twice in both, and nothing in the positions of the images reveals that.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from oysterbench.mapping.projection import Patch
 
 
 class UnassociatedCount:
-    """The count, as pictures come in. raster: of the map; squares of CLOSED_M of it are seen or not."""
+    """The count, updated image by image. raster: that of the map; what was seen is recorded in squares of CLOSED_M."""
 
     def __init__(self, raster: Raster) -> None:
         self._raster = raster
@@ -31,8 +32,8 @@ class UnassociatedCount:
         self._centres: list[Array] = []
 
     def add(self, squares: Squares, found: Sequence[Patch]) -> None:
-        """A picture: the raster's squares that it shows, and its oysters. Of those that its edge cuts, half have their
-        middle inside."""
+        """Add an image: the raster's squares that it shows, and its oysters. Of those that its edge cuts, half have
+        their centre inside."""
         rows, columns = squares
         seen = np.zeros(self._views.shape, dtype=bool)
         seen[rows // self._per_square, columns // self._per_square] = True
@@ -41,7 +42,7 @@ class UnassociatedCount:
 
     @property
     def count(self) -> float:
-        """So many oysters."""
+        """Number of oysters."""
         if not self._centres:
             return 0.0
         centres = np.array(self._centres)

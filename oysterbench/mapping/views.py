@@ -1,4 +1,4 @@
-"""Views: pictures of a pinhole, reduced and undistorted, with the poses of their camera along a trajectory."""
+"""Views: downscaled and undistorted pinhole images with their camera poses along a trajectory."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from oysterbench.sequence.export.parts import undistorting_maps
 from oysterbench.sequence.types import CameraCalibration, Sequence
 
 Watch = Callable[[int], None]
-"""Told the stamp, ns, of each measurement that was looked at."""
+"""Called with the stamp, ns, of each measurement that was processed."""
 
 
 REPEATS_NS = 500_000_000
-"""Before a frame, in which that is looked for which it repeats."""
+"""Period before a frame in which the frame that it repeats is searched for, ns."""
 GRAVITY_SAMPLES = 2000
 MOST_TILT_DEG = 15.0
-"""Between gravity as the inertial unit feels it and the vertical by a trajectory, in the median: surge and the best of
-estimators stay below 2, and a map of what is tilted further is none."""
+"""Maximum median angle between gravity as measured by the IMU and the vertical of a trajectory: surge and the best
+estimators stay below 2 deg, and a map with more tilt would be useless."""
 
 
 def unwatched(stamp_ns: int) -> None:
-    """Tell nobody."""
+    """Do nothing."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A picture: colours (H, W, 3) uint8 RGB, matrix (3, 3) of the pinhole that took it, T_odom_cam (4, 4).
+    """A pinhole image: colours (H, W, 3) uint8 RGB, camera matrix (3, 3), T_odom_cam (4, 4).
 
-    shown: (H, W), where the camera shows something: a lens fills a part of a pinhole's picture; None is all of it
+    shown: (H, W), where the camera shows something, as a lens may fill only part of the pinhole image; None for all
     """
 
     stamp_ns: int
@@ -51,12 +51,12 @@ class View:
 
     @cached_property
     def grey(self) -> NDArray[np.float32]:
-        """(H, W) float32."""
+        """Grey levels (H, W) float32."""
         return cv2.cvtColor(self.colours, cv2.COLOR_RGB2GRAY).astype(np.float32)
 
 
 class Pinhole:
-    """Turns the pictures of a camera into those of a pinhole of at most so many columns."""
+    """Converts images of a camera to those of a pinhole camera, at most `width_px` columns wide."""
 
     def __init__(self, name: str, camera: CameraCalibration, width_px: int) -> None:
         if camera.port_m is not None:
@@ -69,7 +69,7 @@ class Pinhole:
         scale = min(1.0, width_px / camera.width)
         self._size = (round(camera.width * scale), round(camera.height * scale))
         sx, sy = self._size[0] / camera.width, self._size[1] / camera.height
-        # A pixel's centre has whole numbers: its left edge, at -0.5, stays one.
+        # Pixel centres have integer coordinates: the left edge of the image stays at -0.5.
         self.matrix = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1.0]]) @ camera.matrix
         self._shown: NDArray[np.bool_] | None = None
         if self._maps is not None:
@@ -77,7 +77,7 @@ class Pinhole:
             self._shown = self._resized(cv2.remap(whole, *self._maps, cv2.INTER_LINEAR)) == 255
 
     def view(self, image: Image, T_odom_base: Array) -> View:
-        """Of an image, at a pose of base_link."""
+        """Return the view of an image, at a pose T_odom_base (4, 4)."""
         pixels = image.pixels
         if self._maps is not None:
             pixels = cv2.remap(pixels, *self._maps, cv2.INTER_LINEAR)
@@ -90,13 +90,13 @@ class Pinhole:
 
 
 class PoseInterpolator:
-    """Poses of base_link (4, 4) at any stamp that a trajectory covers."""
+    """Interpolates poses of base_link (4, 4) at any stamp that a trajectory covers."""
 
     def __init__(self, trajectory: Trajectory, max_gap_s: float) -> None:
         self.trajectory, self._max_gap_ns = trajectory, max_gap_s * 1e9
 
     def at(self, stamp_ns: int) -> Array | None:
-        """T_odom_base, interpolated; None outside the trajectory and in its gaps."""
+        """Interpolate T_odom_base; None outside the trajectory and in its gaps."""
         stamps = self.trajectory.stamps_ns
         after = int(np.searchsorted(stamps, stamp_ns))
         if after < len(stamps) and stamps[after] == stamp_ns:
@@ -106,12 +106,14 @@ class PoseInterpolator:
         return np.asarray(self.trajectory.select(slice(after - 1, after + 1)).at(np.array([stamp_ns])).matrices[0])
 
     def taking(self, camera: CameraCalibration, stamp_ns: int) -> Array | None:
-        """T_odom_base when a camera took the frame of a stamp; None as of `at`."""
+        """T_odom_base at the time when a camera took the frame of a stamp; None as in `at`."""
         return self.at(camera.taken_ns(stamp_ns))
 
     def of_rows(self, camera: CameraCalibration, stamp_ns: int) -> Array | None:
-        """T_odom_cam when each row of a frame was taken: (H, 4, 4) of a rolling shutter, else (1, 4, 4); None where
-        there is none of the middle row, as of `at`. Rows beyond the ends of the trajectory have the pose there."""
+        """T_odom_cam at the time when each row of a frame was taken: (H, 4, 4) for a rolling shutter, else (1, 4, 4).
+
+        None if the middle row has no pose, as in `at`. Rows beyond an end of the trajectory have the pose at that end.
+        """
         middle = self.taking(camera, stamp_ns)
         if middle is None or camera.readout_s == 0:
             return None if middle is None else (middle @ camera.T_base_cam)[None]
@@ -122,7 +124,7 @@ class PoseInterpolator:
 
 
 def check_time(sequence: Sequence, trajectory: Trajectory) -> None:
-    """Refuse a trajectory of another time than the sequence's. Raises TrajectoryError."""
+    """Refuse a trajectory that does not overlap with the sequence in time. Raises TrajectoryError."""
     first = next(iter(sequence.imu())).stamp_ns
     last = first + round(sequence.duration_s * 1e9)
     if len(trajectory) == 0 or trajectory.stamps_ns[-1] < first or trajectory.stamps_ns[0] > last:
@@ -136,8 +138,8 @@ def check_time(sequence: Sequence, trajectory: Trajectory) -> None:
 
 
 def check_upright(sequence: Sequence, trajectory: Trajectory) -> None:
-    """Refuse poses by which gravity, as the inertial unit feels it, would not pull down: what is seen of them would not
-    lie on the bottom. Raises TrajectoryError, with what they look like."""
+    """Refuse poses by which gravity, as measured by the IMU, does not point down: what is seen from them would not lie
+    on the bottom. Raises TrajectoryError, with what the poses look like."""
     stamps, felt = [], []
     for sample in sequence.imu():
         if trajectory.stamps_ns[0] <= sample.stamp_ns <= trajectory.stamps_ns[-1]:
@@ -171,7 +173,7 @@ def check_upright(sequence: Sequence, trajectory: Trajectory) -> None:
 
 
 def partner(sequence: Sequence, camera: str, settings: CloudSettings) -> str | None:
-    """A camera that sees much of what `camera` sees, from beside it and at its stamps; None if there is none."""
+    """Name of a camera that sees much the same as `camera`, from beside it, at the same rate; None without one."""
     T_cam_base = invert(sequence.cameras[camera].T_base_cam)
     for name, other in sequence.cameras.items():
         T = T_cam_base @ other.T_base_cam
@@ -184,8 +186,8 @@ def partner(sequence: Sequence, camera: str, settings: CloudSettings) -> str | N
 
 
 def shown_at(sequence: Sequence, camera: str, stamp_ns: int) -> tuple[Image, int] | None:
-    """The frame of a camera at a stamp, and the stamp at which its picture came first: a video link that has lost one
-    repeats the last. None where there is no frame."""
+    """The frame of a camera at a stamp, and the stamp at which its image first appeared: a video link that loses a
+    frame repeats the last one. None if there is no frame."""
     earlier = list(sequence.images(camera, stamp_ns - REPEATS_NS, stamp_ns + 1))
     if not earlier or earlier[-1].stamp_ns != stamp_ns:
         return None
@@ -198,7 +200,7 @@ def shown_at(sequence: Sequence, camera: str, stamp_ns: int) -> tuple[Image, int
 
 
 def without_repeats(images: Iterator[Image]) -> Iterator[Image]:
-    """The frames whose picture is not that of the frame before."""
+    """Yield the frames that do not repeat the image of the frame before."""
     before: Image | None = None
     for image in images:
         if before is None or not np.array_equal(before.pixels, image.pixels):
@@ -209,7 +211,7 @@ def without_repeats(images: Iterator[Image]) -> Iterator[Image]:
 def frames(
     sequence: Sequence, camera: str, other: str | None, settings: CloudSettings
 ) -> Iterator[tuple[Image, Image | None]]:
-    """New frames of a camera, each with that of the other one at its stamp; of a pair, only whole ones."""
+    """Yield new frames of a camera, each with that of the other camera at its stamp; incomplete pairs are skipped."""
     own = without_repeats(sequence.images(camera))
     if other is None:
         yield from ((image, None) for image in own)

@@ -1,5 +1,7 @@
-"""What a method is; finding one by its name, running it, measuring the run. Each name is imported when it is used: what
-is known of weights, in this package as well, is asked by commands that run nothing."""
+"""What a method is, how to find one by name, and how to run and measure it.
+
+Names are imported on first use: commands that run nothing also need this package, for what is known about weights.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,7 @@ _HOMES = {
     "run_method": "here",
     "seed_of": "method",
 }
-"""Public name -> module that has it."""
+"""Public name -> module that defines it."""
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""What is run: a method of Python, or another program by its command line. Both become a command and predictions."""
+"""Adapters for what is run, a Python method or another program by its command line: a command in, predictions out."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from oysterbench.version import VERSION
 
 PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*")
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "gtsam", "torch")
-"""Packages whose versions are kept with a result, where they are installed."""
+"""Packages whose versions are kept with a result, if they are installed."""
 
 
 class MethodAdapter(ABC):
-    """What is run. name: in tables and as a folder; form: what it is given, one of its interface's."""
+    """A method as the runner sees it. name: in tables and as a folder; form: its input form, one of its interface's."""
 
     name: str
     form: str
@@ -38,66 +38,66 @@ class MethodAdapter(ABC):
     @property
     @abstractmethod
     def identity(self) -> dict[str, Any]:
-        """What tells it from another one of the same name, as JSON values."""
+        """What distinguishes it from another method of the same name, as JSON values."""
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Goes into the record as the settings of the method."""
+        """Settings of the method, for the record."""
         return {}
 
     @property
     def about(self) -> Mapping[str, Any]:
-        """What readers of results should know: `sensors` that it uses, whether it is `online`, `paper`, `code`."""
+        """What readers of results should know: the `sensors` it uses, whether it is `online`, `paper`, `code`."""
         return {}
 
     @property
     def evaluation(self) -> Mapping[str, Any]:
-        """Options of its track, by key, that it is scored by where the user gives no others."""
+        """Evaluation options of its track, by key, used unless the user gives others."""
         return {}
 
     @property
     def weights(self) -> dict[str, Path]:
-        """Files of trained weights that it runs on, by name."""
+        """Files of the trained weights that it uses, by name."""
         return {}
 
     @property
     def limit_factor(self) -> float:
-        """By what a sequence's time limit is multiplied for it, where the user gives none."""
+        """Factor on a sequence's default time limit, used if the user gives no limit."""
         return 1.0
 
     @abstractmethod
     def versions(self) -> dict[str, str]:
-        """Of what is run, by name."""
+        """Return the versions of the method and of what it runs on, by name."""
 
     @abstractmethod
     def seed(self, number: int) -> int | None:
-        """Of run `number`, from 0; None where it takes none."""
+        """Return the seed of run `number`, from 0; None if the method takes none."""
 
     @abstractmethod
     def command(self, given: Path, folder: Path, number: int) -> list[str]:
-        """The command of run `number`. given: the sequence in its form; folder: where the predictions go."""
+        """Return the command of run `number`. given: the input in its form; folder: where the predictions go."""
 
     def check(self, sequence: RunSequence) -> None:
-        """Raises MethodError where its options do not fit a sequence, before it is run."""
+        """Check before a run that its options fit a sequence. Raises MethodError where they do not."""
         return
 
     @abstractmethod
     def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
-        """What it left in its folder. Raises MethodError, in one line, where those are no predictions."""
+        """Read what it left in its folder. Raises MethodError, in one line, where that is not predictions."""
 
     def own_failure(self, folder: Path) -> str | None:
-        """Its own word on why it failed, where it has one."""
+        """Return the method's own reason for its failure, None if it gave none."""
         return None
 
 
 class PythonMethod(MethodAdapter):
-    """A method by the name of an entry point or as `module:Class`, with or without options, run by `worker`.
+    """A method given by an entry point's name or as `module:Class`, with or without options, run by `worker`.
 
-    The worker is given a copy from which the truth was cut: no attribute, however private, leads to it.
+    The worker receives a copy without the ground truth: no attribute, however private, leads to it.
     """
 
     def __init__(self, reference: str, tracks: Sequence[str] = ("slam",)) -> None:
-        """Raises MethodError where it cannot be found, or is of none of these tracks."""
+        """Raises MethodError where the method cannot be found, or is of none of these tracks."""
         method, self._options = find_variant(reference)
         if method.track not in tracks:
             raise MethodError(
@@ -120,7 +120,7 @@ class PythonMethod(MethodAdapter):
 
     @property
     def weights(self) -> dict[str, Path]:
-        # Asked for anew: on another machine its files lie elsewhere.
+        # Asked for again each time: on another machine the files are elsewhere.
         return weights_of(find_method(self.reference)) if self._weighs else {}
 
     @property
@@ -133,7 +133,7 @@ class PythonMethod(MethodAdapter):
     def settings(self) -> dict[str, Any]:
         needed = self.weights
         places = {str(path) for path in needed.values()}
-        # Of weights it says what they are, and not where they lie.
+        # Weights are recorded by their digests, not by where they are stored.
         options = {key: value for key, value in self._options.items() if str(value) not in places}
         return {**(self._described or options), **({"weights": weights_digests(needed)} if needed else {})}
 
@@ -174,12 +174,12 @@ class PythonMethod(MethodAdapter):
 class ExternalCommand(MethodAdapter):
     """Another program. Its command line has {out}, where it leaves its predictions, and one form of its interface.
 
-    It is known by what it is, not by its name alone: by the digests of the program and of the files that it is given.
-    options: of the interface; `poses_of` (SLAM): whose poses it leaves: base, imu, camera or a camera's name
+    It is identified not by its name alone but by the digests of the program and of the files on its command line.
+    options: of the interface; `poses_of` (SLAM): frame whose poses it writes: base, imu, camera or a camera's name
     """
 
     def __init__(self, template: str, name: str = "", track: str = "slam", poses_of: str = "") -> None:
-        """Raises MethodError where the command line is not of that shape, or its program is not there."""
+        """Raises MethodError where the command line does not have that form, or its program does not exist."""
         self.template, self.interface = template, interface_of(track)
         forms = self.interface.forms
         try:
@@ -203,7 +203,7 @@ class ExternalCommand(MethodAdapter):
         program = shutil.which(self._words[0])
         if program is None:
             raise MethodError(f"--command {template!r}: no program {self._words[0]!r} that can be executed")
-        self.program = Path(program).absolute()  # not resolved: the name may decide what it does
+        self.program = Path(program).absolute()  # symlinks are not resolved: what a program does may depend on its name
         self.name = check_name(name or Path(self._words[0]).stem)
         self.form = found[0]
         self.options = self.interface.options_of(self.form, poses_of)
@@ -245,7 +245,7 @@ class ExternalCommand(MethodAdapter):
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file as it is now, read once as long as it stays so."""
+    """SHA-256 of a file; cached until its size or modification time changes."""
     state = path.stat()
     return _file_digest(path.absolute(), state.st_size, state.st_mtime_ns)
 
@@ -257,7 +257,7 @@ def _file_digest(path: Path, size: int, modified_ns: int) -> str:
 
 
 def check_name(name: str) -> str:
-    """A name that can be a folder's. Raises MethodError for others."""
+    """Return a method's name, if a folder can have it. Raises MethodError if not."""
     if not PLAIN_NAME.fullmatch(name):
         raise MethodError(f"name of a method: expected letters, digits and . _ + -, got {name!r}")
     return name

@@ -1,11 +1,11 @@
-"""What programs are given of sequences, kept for all runs and all folders of results: each made once, whole, and read
-only from then on.
+"""Cache of exported sequences, shared by all runs and all result folders: each export is made once, completely, and is
+read-only from then on.
 
 KEY/NAME:      an export, by the name of its sequence
-KEY/made.json: its files and bytes as they were made; changed since it was last used
-locks/KEY:     held by who makes an export or takes it away, and shared by those who use it
+KEY/made.json: digest and size of its files as they were made; its modification time is that of the last use
+locks/KEY:     lock, exclusive for whoever makes or deletes an export, shared for those who use it
 
-Only its user can open the folder. All of it can be deleted while nothing is run.
+Only its owner can open the folder. All of it can be deleted while nothing is running.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ from oysterbench.version import VERSION
 
 SETTING = "OYSTERBENCH_EXPORTS_GB"
 MOST_GB = 20.0
-"""Of all exports that are kept, where the setting says nothing; 0 keeps none."""
+"""Default limit on the total size of all exports, GB; 0 keeps none."""
 MOST_DAYS, MOST_DAYS_REPLACED = 30.0, 1.0
-"""That an export is kept since it was last used, and one that other code has written anew."""
+"""Days that an export is kept after its last use, and one that has been replaced by an export of other code."""
 MADE = "made.json"
 LOOK_S = 0.2
 
 Look = Callable[[], None]
-"""Called while a lock is waited for; raises where that is not wanted any more."""
+"""Called repeatedly while waiting for a lock; raises to stop the wait."""
 
 
 class Exports:
-    """A folder of them. most_bytes: of all together, as long as there are some that nobody uses."""
+    """A folder of exports. most_bytes: limit on their total size; exports in use are kept even beyond it."""
 
     def __init__(self, folder: Path, most_bytes: float | None = None) -> None:
         self.folder, self.most_bytes = folder, most_gigabytes() * 1e9 if most_bytes is None else most_bytes
 
     @contextmanager
     def hold(self, key: str, make: Callable[[Path], None], look: Look = lambda: None) -> Iterator[Path]:
-        """The folder of an export, which stays as it is until the block ends. make: fills it where it is not there."""
+        """Yield the folder of an export, which stays unchanged until the block ends. make: fills it if it is absent."""
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with self._lock_file(key) as lock:
             _wait(lock, fcntl.LOCK_SH, look)
@@ -60,7 +60,7 @@ class Exports:
             yield self.folder / key
 
     def tidy(self) -> None:
-        """Take away what has not been used for long, then the longest unused as long as all are too large."""
+        """Delete exports unused for too long, then the least recently used ones while the total exceeds the limit."""
         uses = sorted((_used(path), path.parent.name) for path in self.folder.glob(f"*/{MADE}"))
         sizes = {key: int(_made(self.folder / key / MADE)["bytes"]) for _, key in uses}
         latest = {key.rpartition("-")[0]: key for _, key in uses}
@@ -69,7 +69,7 @@ class Exports:
             too_old = used < time.time() - days * 86400
             if (too_old or sum(sizes.values()) > self.most_bytes) and self._take_away(key):
                 del sizes[key]
-        for half in self.folder.glob(".*"):  # of a process that was killed, if nobody makes it now
+        for half in self.folder.glob(".*"):  # left by a process that was killed, unless it is being made right now
             self._take_away(half.name.removeprefix("."))
 
     def _make(self, key: str, make: Callable[[Path], None]) -> None:
@@ -86,12 +86,12 @@ class Exports:
             raise
 
     def _is_whole(self, key: str) -> bool:
-        """Whether it is there as it was made: what was changed since, by whoever it was, is made anew."""
+        """Whether an export is there and unchanged: one that anybody has changed is made again."""
         folder = self.folder / key
         return (folder / MADE).is_file() and _made(folder / MADE) == _state(folder)
 
     def _take_away(self, key: str) -> bool:
-        """If nobody uses it; whether that is so."""
+        """Delete an export unless it is in use. Returns whether it was deleted."""
         with self._lock_file(key) as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -108,7 +108,7 @@ class Exports:
 
 
 def most_gigabytes() -> float:
-    """As it is set. Raises MethodError for what is no number."""
+    """Read the size limit, GB, from the environment. Raises MethodError where it is not a number."""
     text = os.environ.get(SETTING) or str(MOST_GB)
     try:
         return max(0.0, float(text))
@@ -117,8 +117,8 @@ def most_gigabytes() -> float:
 
 
 def key_of(sequence: RunSequence, form: str) -> str:
-    """Equal for exports with the same content: of one sequence and its files as they are, in one form; after the last
-    dash, by one code."""
+    """Key of an export, which depends on the sequence, its files as they are now and the form; the part after the last
+    dash depends on the code that writes it."""
     states = [path.stat() for path in sequence.hidden if path.is_file()]
     files = [(state.st_size, state.st_mtime_ns) for state in states]
     made_of = json.dumps([sequence.origin, form, files])
@@ -127,7 +127,7 @@ def key_of(sequence: RunSequence, form: str) -> str:
 
 @cache
 def _code() -> str:
-    """SHA-256 of what writes exports."""
+    """SHA-256 of the code that writes exports."""
     here = Path(__file__).parent
     found = hashlib.sha256(VERSION.encode())
     for path in sorted([*(here / "interfaces").glob("*.py"), *(here.parent / "sequence" / "export").glob("*.py")]):
@@ -136,7 +136,7 @@ def _code() -> str:
 
 
 def _state(folder: Path) -> dict[str, Any]:
-    """Of all files of a folder: a digest of names, sizes and times, and their bytes."""
+    """Digest of the names, sizes and modification times of all files of a folder, and their total size in bytes."""
     found, total = hashlib.sha256(), 0
     for path in sorted(path for path in folder.rglob("*") if path.name != MADE and path.is_file()):
         state = path.stat()
@@ -148,7 +148,7 @@ def _state(folder: Path) -> dict[str, Any]:
 def _made(path: Path) -> dict[str, Any]:
     try:
         held: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):  # deleted meanwhile, or spoilt
+    except (OSError, ValueError):  # deleted in the meantime, or corrupt
         return {"bytes": 0}
     return held
 
@@ -156,7 +156,7 @@ def _made(path: Path) -> dict[str, Any]:
 def _used(path: Path) -> float:
     try:
         return path.stat().st_mtime
-    except FileNotFoundError:  # deleted meanwhile
+    except FileNotFoundError:  # deleted in the meantime
         return 0.0
 
 

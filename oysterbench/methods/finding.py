@@ -1,4 +1,4 @@
-"""Finding a method: by the name of an entry point, or as `module:Class`."""
+"""Finding a method by the name of an entry point, or as `module:Class`."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ ENTRY_POINTS = "oysterbench.methods"
 
 
 def method_names(track: str | None = None) -> list[str]:
-    """Names of the installed methods (of a track)."""
+    """Names of the installed methods, optionally only of one track."""
     names = sorted(_points())
     return names if track is None else [name for name in names if find_method(name).track == track]
 
 
 def find_method(reference: str) -> Method:
-    """A new object of the installed method of that name, or of the class `module:Class`, with options in brackets.
+    """Create a new object of an installed method, by name, or of a class `module:Class`, with options in brackets.
 
-    A module is looked for where Python looks for it, and in the working folder. For the brackets see `options`; the
-    name of the method has them, too.
+    A module is searched for on Python's path and in the working folder. For the brackets see `options`; they become
+    part of the method's name. Raises MethodError where the method cannot be found or loaded.
     """
     return find_variant(reference)[0]
 
 
 def find_variant(reference: str) -> tuple[Method, dict[str, Any]]:
-    """The method, as of `find_method`, and the values of its options."""
+    """Find a method as `find_method` does. Returns it and the values of its options."""
     reference, options = split_variant(reference)
     try:
         kind = _load_class(reference) if ":" in reference else _load_point(reference)
@@ -55,7 +55,7 @@ def find_variant(reference: str) -> tuple[Method, dict[str, Any]]:
 
 
 def versions_of(reference: str) -> dict[str, str]:
-    """Name and version of the package that an entry point comes from; of a class, nothing is known."""
+    """Name and version of the package that an entry point comes from; empty for a class."""
     point = _points().get(split_variant(reference)[0])
     return {} if point is None or point.dist is None else {point.dist.name: point.dist.version}
 
@@ -90,8 +90,8 @@ def _load_class(reference: str) -> Any:
 
 
 def _check_mentioned(reference: str, module: str, name: str) -> None:
-    """Refuse a class that is nowhere in the source of its module, before that is imported: what it imports, such as
-    PyTorch, takes seconds. Left to the import is a module whose names come from elsewhere."""
+    """Refuse a class whose name does not occur in its module's source, before importing it: its own imports, such as
+    PyTorch, can take seconds. Modules that may get names from elsewhere are left to the import."""
     spec = None if module in sys.modules else find_spec(module)
     if spec is None or not (spec.origin or "").endswith(".py"):
         return

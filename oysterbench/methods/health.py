@@ -1,4 +1,4 @@
-"""How a method had each pose: by what it observed, or carried on without that."""
+"""How a method obtained each pose: from what it saw, or by carrying on without that."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ HEALTH = "health.csv"
 
 
 class Health(IntEnum):
-    """How a pose was had."""
+    """How a pose was obtained."""
 
     COASTING = 0
-    """Without sight: by inertial and aiding sensors alone, or by a guess."""
+    """Without vision: from IMU and aiding sensors alone, or by a guess."""
     TRACKING = 1
-    """By what is seen."""
+    """From what is seen."""
     RELOCALISED = 2
-    """By what is seen, after a loss, and tied to what was seen before it."""
+    """From what is seen after tracking was lost, tied to what was seen before."""
 
 
 NAMES = tuple(health.name.lower() for health in Health)
 
 
 def check_health(health: NDArray[np.uint8], poses: int) -> None:
-    """Raises MethodError where this is not one `Health` for each pose."""
+    """Check that there is one `Health` for each pose. Raises MethodError where there is not."""
     if health.shape != (poses,) or health.dtype != np.uint8:
         raise MethodError(f"health: expected ({poses},) uint8, one for each pose, got {health.shape} {health.dtype}")
     if len(health) and health.max() > max(Health):
@@ -40,7 +40,7 @@ def check_health(health: NDArray[np.uint8], poses: int) -> None:
 
 
 def write_health(path: Path, stamps_ns: NDArray[np.int64], health: NDArray[np.uint8]) -> None:
-    """Write a table of stamps (N,) and how the pose of each was had."""
+    """Write a table of stamps (N,) and the `Health` (N,) of the pose at each."""
     text = io.StringIO()
     text.write("stamp_ns,health\n")
     text.writelines(
@@ -50,7 +50,7 @@ def write_health(path: Path, stamps_ns: NDArray[np.int64], health: NDArray[np.ui
 
 
 def read_health(path: Path) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """What `write_health` wrote. Raises MethodError where the file is none of these."""
+    """Read the stamps (N,) and `Health` (N,) that `write_health` wrote. Raises MethodError for any other file."""
     try:
         rows = [line.split(",") for line in path.read_text().splitlines()[1:]]
         stamps_ns = np.array([int(stamp) for stamp, _ in rows], dtype=np.int64)

@@ -1,4 +1,4 @@
-"""What a program says while it runs: how far it is, in lines `progress 120 of 700`, or else its last line."""
+"""What a program prints while it runs: its progress, in lines `progress 120 of 700`, or else its last line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PROGRESS = re.compile(r"progress (\d{1,9}) of (\d{1,9})")
 
 @dataclass(frozen=True)
 class Heard:
-    """Of a run that goes on. done, total: of its last line on its progress, 0 where there is none; line: any other."""
+    """Latest output of a run in progress. done, total: of its last progress line, 0 if none; line: last other line."""
 
     done: int = 0
     total: int = 0
@@ -22,11 +22,11 @@ class Heard:
 
 
 Told = Callable[[Mapping[str, Heard]], None]
-"""Called every second with what the runs that go on said last, by their titles."""
+"""Called every second with the latest output of the running jobs, by their titles."""
 
 
 def hear(folder: Path) -> Heard:
-    """What a run said last whose output goes to a folder."""
+    """Read the latest output of a run from the folder that its output goes to."""
     said = complete_lines(folder / STDOUT)
     steps = [match for line in said if (match := PROGRESS.fullmatch(line))]
     others = [line for line in said if not PROGRESS.fullmatch(line)] or complete_lines(folder / STDERR)

@@ -1,4 +1,4 @@
-"""Running a method in this process: for notebooks, tests and debuggers. `runner` contains and measures it better."""
+"""Running a method in this process, for notebooks, tests and debuggers; `runner` isolates and measures it better."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from oysterbench.sequence.types import Sequence
 
 @dataclass(frozen=True)
 class Run:
-    """One run of a method on a sequence, with what it cost."""
+    """One run of a method on a sequence, with its wall and CPU time."""
 
     estimate: Estimate
     wall_s: float

@@ -1,4 +1,4 @@
-"""What a method of the tracks segmentation and detection is given, and what it predicts.
+"""Input and predictions of methods of the tracks segmentation and detection.
 
     class MyNet:
         name, track = "my_net", "segmentation"
@@ -7,9 +7,9 @@
             for image in images:
                 yield Segmentation(image.name, probability=self.net(image.pixels))
 
-It is given the pictures of a clip one by one and never the truth, and predicts in the same order. It may read ahead, to
-make batches; what it reads ahead is what is kept in memory. A method of the track segmentation may take part in the
-track detection as well: what hangs together in its masks is then taken for one oyster.
+A method receives the images of a clip one by one and never the ground truth, and predicts in the same order. It may
+read ahead to make batches; only what it reads ahead is kept in memory. A segmentation method may also take part in the
+track detection: each connected component of its masks then counts as one oyster.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Picture:
-    """name: unlike that of any other picture of the clip; pixels: (H, W, 3) uint8 RGB."""
+    """An image. name: unique within its clip; pixels: (H, W, 3) uint8 RGB."""
 
     name: str
     pixels: NDArray[np.uint8]
@@ -32,12 +32,12 @@ class Picture:
 
 @dataclass(frozen=True)
 class Segmentation:
-    """What is predicted for the pixels of a picture, one of three, at its size.
+    """Prediction for the pixels of an image, at the image's size: one of `oyster`, `probability` and `classes`.
 
     oyster:      (H, W) bool, where there is an oyster
-    probability: (H, W) float from 0 to 1, that there is one; bring logits to the picture's size before the sigmoid
+    probability: (H, W) float from 0 to 1, that there is one; resize logits to the image before the sigmoid
     classes:     (H, W) uint8, numbers of `recipe.CLASSES`
-    novelty:     how unlike the pictures are that the method has learnt from; above 1 it should not be relied upon
+    novelty:     how much the image differs from the training images; above 1 the prediction should not be relied upon
     """
 
     name: str
@@ -49,13 +49,14 @@ class Segmentation:
 
 @dataclass(frozen=True)
 class Detections:
-    """The oysters of a picture: their scores (N,), greater is surer, counted from 0.5 on; and one of three.
+    """Predicted oysters of an image: their scores, and one of `numbers`, `masks` and `boxes`.
 
-    numbers: (H, W) integers, k + 1 where oyster k is seen, 0 for none
+    scores:  (N,), higher is more certain; oysters with 0.5 or more are counted
+    numbers: (H, W) integers, k + 1 where oyster k is seen, 0 elsewhere
     masks:   (N, H, W) bool, which may overlap
-    boxes:   (N, 4) x, y, width, height in px, where there are no masks
-    live:    (N,) probability that the oyster is alive, where the method can tell
-    novelty: as of a `Segmentation`
+    boxes:   (N, 4) x, y, width, height in px, if there are no masks
+    live:    (N,) probability that the oyster is alive, if the method can tell
+    novelty: as for a `Segmentation`
     """
 
     name: str
@@ -68,22 +69,22 @@ class Detections:
 
 
 class SegmentationMethod(Protocol):
-    """A method of the track segmentation. One that draws random numbers also has the attribute `seed`."""
+    """A method of the track segmentation. A method that draws random numbers also has the attribute `seed`."""
 
     name: str
     track: str
 
     def run(self, images: Iterable[Picture]) -> Iterable[Segmentation]:
-        """A prediction for each picture, in the order in which they are given."""
+        """Return a prediction for each image, in the order in which they are given."""
         ...
 
 
 class DetectionMethod(Protocol):
-    """A method of the track detection. One that draws random numbers also has the attribute `seed`."""
+    """A method of the track detection. A method that draws random numbers also has the attribute `seed`."""
 
     name: str
     track: str
 
     def run(self, images: Iterable[Picture]) -> Iterable[Detections]:
-        """A prediction for each picture, in the order in which they are given."""
+        """Return a prediction for each image, in the order in which they are given."""
         ...

@@ -1,4 +1,4 @@
-"""What the runs of one call are given of sequences: each input made once, and taken away when nobody needs it."""
+"""Inputs for the runs of one call: each is made once, and deleted when no run needs it any more."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ Announce = Callable[[str], None]
 class Inputs:
     """Sequences in the forms that methods read, each made once.
 
-    scratch: folder that says nothing of where they are from; exports: where those of lasting forms are kept for other
-    runs, but those of hidden splits, in reach of no program but the one that is given them, which cannot write to them
+    scratch: folder whose path does not reveal where the sequences come from; exports: folder where inputs in lasting
+    forms are kept for other runs, except those of hidden splits; only a program that is given one of them can read it,
+    and none can write to it
     """
 
     def __init__(
@@ -42,16 +43,16 @@ class Inputs:
 
     @property
     def hidden(self) -> tuple[Path, ...]:
-        """What no program may open, but its own input."""
+        """Folders that no program may open, apart from its own input."""
         return () if self._exports is None else (self._exports.folder,)
 
     def of(self, job: Job) -> Path:
-        """The sequence of a job in its form, made now if it is not there. MethodError where it cannot be."""
+        """Path of a job's input, which is made now if it does not exist. Raises MethodError where it cannot be made."""
         key = self._key(job)
         name = job.adapter.interface.input_name(job.sequence, job.adapter.form)
         place = self.scratch / key / name
         with self._locks[key]:
-            if place.exists():  # a link to what is kept, too
+            if place.exists():  # true for a link to a kept export, too
                 return place.resolve()
             place.parent.mkdir(parents=True, exist_ok=True)
             secret = job.sequence.split is not None and job.sequence.split.hidden
@@ -61,12 +62,12 @@ class Inputs:
                 kept = self._kept(self._exports, job, key) / name
                 if can_hide():
                     place.symlink_to(kept.absolute())
-                else:  # a copy, as nothing would keep the program from the others, or from writing
+                else:  # a copy, as nothing would stop the program from reading the other exports, or writing
                     shutil.copytree(kept, place)
         return place.resolve()
 
     def _kept(self, exports: Exports, job: Job, key: str) -> Path:
-        """Folder of what is kept for other runs, held until the last job is done."""
+        """Folder of the export that is kept for other runs, held until the last job is done."""
 
         def make(folder: Path) -> None:
             self._announce(f"writing {job.sequence.name} as {job.adapter.form}, kept for other runs")
@@ -77,7 +78,7 @@ class Inputs:
         return self._held[key].enter_context(exports.hold(lasting, make, self._processes.raise_if_stopped))
 
     def done(self, job: Job) -> None:
-        """A job needs its input no more; the last one takes it away."""
+        """Note that a job no longer needs its input; the last job to do so deletes it."""
         key = self._key(job)
         with self._count:
             self._wanted[key] -= 1
@@ -87,7 +88,7 @@ class Inputs:
             self._held[key].close()
 
     def close(self) -> None:
-        """No job needs any of them."""
+        """Release all exports and tidy their folder: no job needs any input any more."""
         for held in self._held.values():
             held.close()
         if self._exports is not None:

@@ -1,4 +1,4 @@
-"""What a method found of the scene: its key frames, and the points that it saw from them."""
+"""The map that a method built: its keyframes, and the points seen from them."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ MAP, KEYFRAMES = "map.ply", "keyframes.tum"
 LANDMARK = np.dtype(
     [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("observations", "<i4")]
 )
-"""A landmark in the file."""
+"""Record of a landmark in the PLY file."""
 
 
 @dataclass(frozen=True)
 class LandmarkMap:
-    """Key frames and landmarks, in the odom frame of the path that is scored.
+    """Keyframes and landmarks, in the odom frame of the path that is scored.
 
     keyframes:    poses T_odom_base
     landmarks:    (N, 3) float, m
-    colours:      (N, 3) uint8, red green blue, as the camera saw them
-    observations: (N,) int, key frames that saw each
+    colours:      (N, 3) uint8 RGB, as the camera saw them
+    observations: (N,) int, number of keyframes that saw each landmark
 
-    Raises MethodError where a shape or a number is not that.
+    Raises MethodError where a shape, dtype or value does not fit.
     """
 
     keyframes: Trajectory

@@ -1,4 +1,4 @@
-"""What a method is, and what it estimates."""
+"""The interface of a method, and the estimate that a SLAM method returns."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from oysterbench.core.trajectory.checks import checked_poses
 from oysterbench.methods.health import check_health
 from oysterbench.methods.map import LandmarkMap
 
-if TYPE_CHECKING:  # it loads every kind of sensor, which a method of pictures does without
+if TYPE_CHECKING:  # it loads every kind of sensor, which image methods do not need
     from oysterbench.sequence.types import Sequence
 
 PATH_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]*")
@@ -24,18 +24,18 @@ PATH_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]*")
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a SLAM method gives: poses T_odom_base at the stamps it chooses; z of odom points up.
+    """Result of a SLAM method: poses T_odom_base at stamps of its choice; the z axis of odom points up.
 
     trajectory:   the path that is scored
     info:         anything the method wants to keep with the result (JSON values)
     scored:       what the scored path is called, such as "optimised"; a method with one path need not say
     alternatives: further paths of the same run by name, such as "online", in the same frames. They are written beside
-                  the scored one and measured for information; no ranking sees them.
-    map:          key frames and landmarks, where the method has them
-    health:       (N,) uint8, one `Health` for each pose of the scored path, where the method knows
+                  the scored path and evaluated for information only; no ranking uses them.
+    map:          keyframes and landmarks, if the method has them
+    health:       (N,) uint8, one `Health` for each pose of the scored path, if the method knows
 
-    Raises MethodError where an alternative has no name that can be part of a file's, no pose, a number that is not
-    finite, or stamps that do not increase; or where there is not one health for each pose.
+    Raises MethodError where an alternative has a name that cannot be part of a file name, no poses, a number that is
+    not finite, or stamps that do not increase; or where there is not one health value for each pose.
     """
 
     trajectory: Trajectory
@@ -65,20 +65,20 @@ class Estimate:
 
 @runtime_checkable
 class Method(Protocol):
-    """A method: a name, a track, and `run`, which is given the sensors and never the truth.
+    """A method: a name, a track, and `run`, which receives the sensors and never the ground truth.
 
-    One that draws random numbers also has the attribute `seed`, a whole number: run k is given its seed + k.
+    A method that draws random numbers also has the attribute `seed`, an integer: run k gets its seed + k.
     """
 
     name: str
     track: str
 
     def run(self, sequence: Sequence) -> Estimate:
-        """Estimate from the sensors, read in time order."""
+        """Estimate the trajectory from the sensors, read in time order."""
         ...
 
 
 def seed_of(method: Method) -> int | None:
-    """The seed of a method that takes one."""
+    """Return the seed of a method, None if it takes none."""
     seed = getattr(method, "seed", None)
     return seed if isinstance(seed, int) and not isinstance(seed, bool) else None

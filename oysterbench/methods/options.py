@@ -1,7 +1,7 @@
-"""Variants of a method: `gtsam_vi[max_tracks=80,output=online]` is the method with other options than its own.
+"""Variants of a method: `gtsam_vi[max_tracks=80,output=online]` is the method with options other than its defaults.
 
-An option is a parameter of the method's class, or, where its object has `settings`, a dataclass, a field of that; the
-field of a field is written with a dot, as in `dead_reckoning[start.level_s=2]`.
+An option is a parameter of the method's class or, if its object has a dataclass `settings`, a field of that; a nested
+field is written with a dot, as in `dead_reckoning[start.level_s=2]`.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from oysterbench.core.names import FEW, did_you_mean, nearest
 
 VARIANT = re.compile(r"(?P<method>[^\[\]]+)\[(?P<options>.*)\]", re.DOTALL)
 LONGEST = 160
-"""Characters of the options in a name, which has to be that of a folder; of more, it has their number and digest."""
+"""Maximum length of the options in a name, which also names a folder; if longer, their number and digest are used."""
 UNPLAIN = re.compile(r"[^A-Za-z0-9_.+=,-]+")
-"""Characters that do not belong into the name of a file."""
+"""Characters that do not belong in a file name."""
 
 
 def split_variant(reference: str) -> tuple[str, dict[str, str]]:
-    """The method of a reference, and its options as they were written. Raises MethodError for another shape.
+    """Split a reference into the method and its options as written. Raises MethodError where an option is malformed.
 
     >>> split_variant("gtsam_vi[max_tracks=80,grid=[5,4]]")
     ('gtsam_vi', {'max_tracks': '80', 'grid': '[5,4]'})
@@ -37,7 +37,7 @@ def split_variant(reference: str) -> tuple[str, dict[str, str]]:
 
 
 def split_commas(text: str) -> list[str]:
-    """The parts between the commas that no bracket encloses."""
+    """Split a text at the commas that are not inside brackets."""
     parts, depth = [""], 0
     for character in text:
         depth += (character in "[{") - (character in "]}")
@@ -49,7 +49,7 @@ def split_commas(text: str) -> list[str]:
 
 
 def read_options(words: Iterable[str]) -> dict[str, str]:
-    """Key -> text of each `key=value`. Raises MethodError for another shape, or a key that is there twice."""
+    """Read words `key=value` into key -> text. Raises MethodError for another form, or a repeated key."""
     options: dict[str, str] = {}
     for word in words:
         key, equals, value = word.partition("=")
@@ -62,7 +62,7 @@ def read_options(words: Iterable[str]) -> dict[str, str]:
 
 
 def with_options(reference: str, more: Iterable[str]) -> str:
-    """The reference with more options, `key=value` each; they take the place of those it has of the same key.
+    """Return the reference with more options, each `key=value`; they replace options with the same key.
 
     >>> with_options("gtsam_vi[output=online]", ["max_tracks=80"])
     'gtsam_vi[output=online,max_tracks=80]'
@@ -73,7 +73,7 @@ def with_options(reference: str, more: Iterable[str]) -> str:
 
 
 def variant_name(name: str, options: Mapping[str, str]) -> str:
-    """Name of a variant, in tables and of its folder: that of the method with the options behind it.
+    """Name of a variant, used in tables and for its folder: the name of the method followed by its options.
 
     >>> variant_name("gtsam_vi", {"grid": "[5, 4]"})
     'gtsam_vi[grid=5-4]'
@@ -89,9 +89,9 @@ def variant_name(name: str, options: Mapping[str, str]) -> str:
 
 
 def configure(kind: Callable[..., Any], options: Mapping[str, str], reference: str) -> tuple[Any, dict[str, Any]]:
-    """A new object of a method's class with options, and the options' values.
+    """Create an object of a method's class with options. Returns it and the options' values.
 
-    Raises MethodError where the method has no such option, or one of another type.
+    Raises MethodError where the method has no such option, or a value has the wrong type.
     """
     method = kind()
     if not options:
@@ -122,13 +122,13 @@ def configure(kind: Callable[..., Any], options: Mapping[str, str], reference: s
 
 
 def _instead(key: str, known: list[str], parameters: Iterable[str], settings: Any) -> str:
-    """What to type in place of an option that there is not: all, or of many those alike and where all of them are."""
-    renamed: Mapping[str, str] = getattr(settings, "renamed", {})  # by which a method's options went before
+    """Advice for an unknown option: all options, or, if there are many, similar ones and where to find the rest."""
+    renamed: Mapping[str, str] = getattr(settings, "renamed", {})  # former names of its options
     if key in renamed:
         return f"it is called {renamed[key]!r} now"
     if len(known) <= FEW:
         return f"its options: {', '.join(known)}" if known else "it has none"
-    # A nested option is also looked for by its own name: level_s for start.level_s.
+    # A nested option is also matched by its last name alone: level_s for start.level_s.
     by_name = {name.rpartition(".")[2]: name for name in known} | {name: name for name in known}
     meant = did_you_mean(dict.fromkeys(by_name[name] for name in nearest(key, by_name)))
     all_of_them = ", ".join(parameters)
@@ -138,7 +138,7 @@ def _instead(key: str, known: list[str], parameters: Iterable[str], settings: An
 
 
 def fields_of(settings: Any, prefix: str = "") -> dict[str, Any]:
-    """Field -> value of a dataclass's object; those of nested ones with a dot."""
+    """Field -> value of a dataclass object; names of nested fields are joined by dots."""
     found: dict[str, Any] = {}
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
@@ -150,13 +150,13 @@ def fields_of(settings: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def replaced(settings: Any, path: list[str], value: Any) -> Any:
-    """The dataclass's object with another value at a path of fields."""
+    """Copy a dataclass object, with another value at a path of fields."""
     first, *rest = path
     return dataclasses.replace(settings, **{first: replaced(getattr(settings, first), rest, value) if rest else value})
 
 
 def read_value(text: str, default: Any, what: str) -> Any:
-    """A value as TOML writes it, bare words being texts, of the type that the default has; of any where it has none."""
+    """Read a value in TOML, where bare words are strings, as the type of the default; as any type without a default."""
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:

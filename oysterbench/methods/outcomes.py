@@ -1,4 +1,4 @@
-"""Jobs, and what became of them: a folder for each, with outcome.json once it is finished."""
+"""Jobs and their outcomes: each job has a folder, with outcome.json once it is finished."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FORMAT = "oysterbench-outcome/2"
 
 @dataclass(frozen=True)
 class Job:
-    """Run `number`, from 0, of so many, of a method on a sequence."""
+    """Run `number`, from 0, out of `of` runs of a method on a sequence."""
 
     adapter: MethodAdapter
     sequence: RunSequence
@@ -29,32 +29,32 @@ class Job:
 
     @property
     def title(self) -> str:
-        """What it is in messages."""
+        """The job's name in messages."""
         return f"{self.adapter.name} on {self.sequence.name}, run {self.number + 1}"
 
     def folder(self, root: Path) -> Path:
-        """Where its predictions and its logs are kept."""
+        """Folder where the job's predictions and logs are kept."""
         return root / "runs" / self.adapter.name / self.sequence.name / f"{self.number + 1}"
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What an outcome must have been made by to be taken for this job's."""
+        """What the identity of an outcome must equal for it to be this job's."""
         seed = self.adapter.seed(self.number)
         return {"method": self.adapter.identity, "origin": self.sequence.origin, "seed": seed, "run": self.number}
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a job.
+    """Outcome of a job.
 
-    failure:      why there are no predictions; None where there are
-    wall_s/cpu_s: of the method: of its own `run` where it is Python, of the whole process otherwise
-    process:      of the whole process: wall_s, cpu_s, peak_bytes, and left_behind, processes that had to be ended
-    command:      as it was run; versions, hardware, started, ended: UTC, ISO 8601
-    contained:    whether the truth was hidden by the kernel, and not only left out of what the method was given
-    info, notes:  of the method, and of the reading of its predictions
-    prediction:   what the interface of the method has to know to read them
-    finished:     False where the machine failed, and not the method: then nothing is kept, so that it is run again
+    failure:      why there are no predictions; None if there are
+    wall_s/cpu_s: cost of the method: of its own `run` if it is in Python, otherwise of the whole process
+    process:      of the whole process: wall_s, cpu_s, peak_bytes, and left_behind, processes that had to be killed
+    command:      as it was run; started, ended: UTC, ISO 8601
+    contained:    whether the kernel hid the ground truth, rather than it only being left out of the method's input
+    info, notes:  from the method, and from reading its predictions
+    prediction:   what the method's interface needs to read the predictions
+    finished:     False if the machine failed rather than the method: the outcome is not kept, so the job is run again
     """
 
     identity: Mapping[str, Any]
@@ -75,12 +75,12 @@ class Outcome:
     finished: bool = True
 
     def write(self, folder: Path) -> None:
-        """Whole or not at all."""
+        """Write outcome.json atomically."""
         write_atomically(folder / OUTCOME, json.dumps({"format": FORMAT, **asdict(self)}, indent=1).encode())
 
 
 def read_outcome(folder: Path) -> Outcome | None:
-    """The outcome in a folder, None where there is none yet."""
+    """Read the outcome in a folder; None if there is none yet. Raises MethodError where it has another format."""
     path = folder / OUTCOME
     try:
         values = json.loads(path.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""A policy at work: views in, commands out, one at a time and checked."""
+"""Running a policy: views in, commands out, one at a time and checked."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ class _Views:
 def commands(
     policy: SteeringMethod, task: SteeringRecipe, views: Iterator[View], where: str
 ) -> Iterator[tuple[View, Steering, tuple[int, int]]]:
-    """Each view, what a policy commands at it, and the classes of yaw and pitch that this means.
+    """Yield each view, the policy's command for it, and the classes of yaw and pitch that the command means.
 
-    Raises MethodError where the method fails, names another view or takes one before it has commanded at the last.
+    Raises MethodError where the policy fails, names another view, or requests a view before it has given a command for
+    the last one.
     """
     last: list[View] = []
 
@@ -58,7 +59,7 @@ def commands(
 
 
 def classes_of(command: Steering, task: SteeringRecipe, where: str) -> tuple[int, int]:
-    """The classes of yaw and pitch that a command names, or finds likeliest; of equals the one nearest to straight."""
+    """Classes of yaw and pitch that a command names or gives the highest probability; ties go to the straightest."""
     found = []
     for axis, degrees in (("yaw", task.yaw_deg), ("pitch", task.pitch_deg)):
         number, shares = getattr(command, axis), getattr(command, f"{axis}_probability")
@@ -83,13 +84,13 @@ def classes_of(command: Steering, task: SteeringRecipe, where: str) -> tuple[int
 
 
 def probabilities(command: Steering, classes: tuple[int, int], task: SteeringRecipe) -> tuple[Array, Array]:
-    """Of each class of yaw (Y,) and of pitch (P,), adding up to 1; of a command that was checked."""
+    """Probabilities of the classes of yaw (Y,) and pitch (P,), each adding up to 1, of a command that was checked."""
     found = []
     for axis, chosen, degrees in zip(AXES, classes, (task.yaw_deg, task.pitch_deg), strict=True):
         given = getattr(command, f"{axis}_probability")
         if given is None:
             found.append(np.eye(len(degrees))[chosen])
         else:
-            scaled = np.asarray(given, dtype=float) / np.max(given)  # a sum of the largest numbers has no end
+            scaled = np.asarray(given, dtype=float) / np.max(given)  # the sum of very large numbers would overflow
             found.append(scaled / scaled.sum())
     return found[0], found[1]

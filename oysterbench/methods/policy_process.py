@@ -1,9 +1,9 @@
-"""A policy in a process of its own, out of reach of the truth: views go in and commands come out over pipes.
+"""A policy in a process of its own, which cannot read the ground truth: views go in and commands come out over pipes.
 
     python -m oysterbench.methods.policy_process REFERENCE
 
 reads a line of JSON with the task, then for each view a line of JSON and its pixels; it writes a line of JSON for each
-command, and one with `failure` or `end` when there is none any more. What a method prints goes to the log.
+command, and a last one with `failure` or `end`. What the method prints goes to the log.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from oysterbench.methods.processes import environment, failure_of, supervised_co
 from oysterbench.methods.steering import Steering, SteeringMethod, VehicleState, View, Views
 
 LIMIT_S = 4 * 3600.0
-"""Of a rollout."""
+"""Time limit of a rollout, s."""
 
 
 class PolicyProcess:
-    """A method of the track steering whose `run` takes place in a process of its own."""
+    """A method of the track steering whose `run` is executed in a process of its own."""
 
     track = "steering"
 
@@ -41,7 +41,7 @@ class PolicyProcess:
         self.name = find_method(reference).name
 
     def run(self, views: Views) -> Iterator[Steering]:
-        """A command at each view. Raises MethodError where the policy fails."""
+        """Yield a command for each view. Raises MethodError where the policy fails."""
         with scratch() as folder:
             report, log = folder / "process.json", folder / "stderr.txt"
             words = [sys.executable, "-m", __name__, self.reference]
@@ -64,7 +64,7 @@ class PolicyProcess:
                 failure = failure_of(report, LIMIT_S, folder) or "it ended without output"
                 raise MethodError(f"method {self.name!r}: {failure}") from None
             finally:
-                process.terminate()  # its supervisor ends all that it started
+                process.terminate()  # the supervisor ends everything that the policy started
                 process.communicate()
 
     def _commands(self, views: Views, down: IO[bytes], up: IO[bytes]) -> Iterator[Steering]:
@@ -84,7 +84,7 @@ class PolicyProcess:
 
 
 def _steering(reply: dict[str, Any]) -> Steering:
-    """A command as the policy gave it; what is wrong with it is found where it is checked."""
+    """Build a command as the policy gave it; it is checked elsewhere."""
     shares = {key: np.array(reply[key], dtype=float) for key in reply if key.endswith("_probability")}
     return Steering(reply["name"], reply.get("yaw"), reply.get("pitch"), **shares)
 
@@ -95,7 +95,7 @@ def _send(pipe: IO[bytes], header: dict[str, Any], data: bytes = b"") -> None:
 
 
 def _received(pipe: IO[bytes]) -> Iterator[View]:
-    """The views, as they come."""
+    """Yield the views as they arrive."""
     while line := pipe.readline():
         header = json.loads(line)
         shape = tuple(header["shape"])
@@ -105,9 +105,9 @@ def _received(pipe: IO[bytes]) -> Iterator[View]:
 
 
 def main(reference: str) -> None:
-    """Run the policy."""
+    """Run the policy on views from stdin, and write its commands to stdout."""
     up, down = os.fdopen(os.dup(1), "wb"), os.fdopen(os.dup(0), "rb")
-    os.dup2(2, 1)  # nothing but commands goes where commands go
+    os.dup2(2, 1)  # what the method prints must not mix with the commands
     task = task_of(json.loads(down.readline())["task"])
     method: Any = find_method(reference)
     policy: SteeringMethod = method

@@ -1,4 +1,4 @@
-"""Commands in processes of their own: limited in time, measured, ended with all that they started."""
+"""Commands in their own processes: time-limited, measured, and ended together with everything that they started."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ from oysterbench.methods.sandbox import Sandbox, can_hide
 SUPERVISOR = Path(__file__).with_name("supervise.py")
 STDOUT, STDERR, REPORT = "stdout.txt", "stderr.txt", "process.json"
 LEAST_FREE = 1 << 20
-"""Bytes; where a disk has less, whatever fails beside it fails for that."""
+"""Free space, bytes, below which any failure is put down to a full disk."""
 KILLED_STATUS = 128 + signal.SIGKILL
-"""By which a shell says that what it ran was killed."""
+"""Exit status by which a shell reports that its command was killed by SIGKILL."""
 WEIGHTS = ".pt"
-"""How files of trained weights end."""
+"""File suffix of trained weights."""
 TAIL_BYTES, TAIL_LINES, TAIL_CHARACTERS = 8192, 10, 2000
 
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended: what it cost (see `supervise`), and why it failed; None where it ended with status 0.
+    """How a command ended: what it cost (see `supervise`), and why it failed.
 
-    killed: whether it was from outside, and neither by itself nor at its limit
+    failure: None if it ended with status 0; killed: whether it was killed from outside, neither by itself nor at its
+    time limit
     """
 
     wall_s: float
@@ -45,7 +46,7 @@ class Ended:
 
 
 class Stopped(Exception):
-    """The command was ended because all of them are."""
+    """The command was ended because `Processes.stop` ended all of them."""
 
 
 class Processes:
@@ -64,11 +65,12 @@ class Processes:
         hidden: Iterable[Path] = (),
         visible: Iterable[Path] = (),
     ) -> Ended:
-        """Run a command to its end; its output goes to stdout.txt and stderr.txt in a folder. Stopped by `stop`.
+        """Run a command to its end; its output goes to stdout.txt and stderr.txt in a folder.
 
-        hidden: what it cannot open, where the kernel can hide it (`sandbox`); then nothing tells it where that is.
-        visible: what it can read of that, and not write.
-        Raises MachineError where it was killed from outside: by the kernel for memory, or by a person.
+        hidden: paths that it cannot open, if the kernel can hide them (`sandbox`); its environment does not reveal them
+        either. visible: paths inside these that it can read but not write.
+        Raises MachineError where it was killed from outside, by the kernel for lack of memory or by a person, and
+        Stopped once `stop` was called.
         """
         report = folder / REPORT
         report.unlink(missing_ok=True)
@@ -77,7 +79,7 @@ class Processes:
             with self._lock:
                 if self._stopped:
                     raise Stopped
-                # A session of its own: Ctrl-C on the terminal is answered by `stop`, and by nobody else.
+                # In its own session: only `stop` handles Ctrl-C on the terminal.
                 process = subprocess.Popen(
                     supervised,
                     stdin=subprocess.DEVNULL,
@@ -103,12 +105,12 @@ class Processes:
         return ended
 
     def raise_if_stopped(self) -> None:
-        """Raise Stopped where no command may start any more."""
+        """Raise Stopped once `stop` was called."""
         if self._stopped:
             raise Stopped
 
     def stop(self) -> None:
-        """End all commands, and let none start."""
+        """End all commands, and let no more start."""
         with self._lock:
             self._stopped = True
             for process in self._running:
@@ -118,7 +120,7 @@ class Processes:
 def supervised_command(
     command: Sequence[str], limit_s: float, report: Path, hidden: Iterable[Path], visible: Iterable[Path] = ()
 ) -> list[str]:
-    """The command line that runs a command under the supervisor, out of reach of what is hidden and not visible."""
+    """Command line that runs a command under the supervisor, unable to open what is hidden and not visible."""
     places = [os.path.realpath(path) for path in hidden if path.exists()]
     if places and can_hide():
         names = {os.path.realpath(path or os.curdir) for path in [os.curdir, *sys.path]}
@@ -128,8 +130,8 @@ def supervised_command(
 
 
 def environment() -> dict[str, str]:
-    """What a method is told of this process's environment: all but where data is kept, and the salts. Weights that were
-    trained here are part of it: OYSTERBENCH_MODELS is their folder, and other variables may name a file of them."""
+    """Environment of a method's process: this one's, without the variables that say where data is kept, and the salts.
+    Trained weights remain known: OYSTERBENCH_MODELS is their folder, and other variables may name a weights file."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith("OYSTERBENCH_") or v.endswith(WEIGHTS)}
     return kept | {MODELS: str(models())}
 
@@ -155,7 +157,7 @@ def _ended(report: dict[str, Any], limit_s: float, folder: Path) -> Ended:
 
 
 def failure_of(report: Path, limit_s: float, folder: Path) -> str | None:
-    """Why a command that a supervisor ran ended badly, as far as its report says; its output is in a folder."""
+    """Reason why a supervised command failed, from its report or else its output in a folder; None if none is known."""
     try:
         return _ended(json.loads(report.read_text(encoding="utf-8")), limit_s, folder).failure
     except (OSError, ValueError):
@@ -163,14 +165,14 @@ def failure_of(report: Path, limit_s: float, folder: Path) -> str | None:
 
 
 def raise_if_full(folder: Path, said: str) -> None:
-    """Raise OSError where the disk of a folder is full, or was for a process by what it `said`."""
+    """Raise OSError where the disk of a folder is full, or where a process `said` that it was."""
     full = os.strerror(errno.ENOSPC)
     if full in said or free_bytes(folder) < LEAST_FREE:
         raise OSError(errno.ENOSPC, full, str(folder))
 
 
 def signal_name(number: int) -> str:
-    """SIGSEGV of 11; real-time signals have numbers only."""
+    """Name of a signal, such as SIGSEGV for 11; real-time signals have only numbers."""
     try:
         return signal.Signals(number).name
     except ValueError:
@@ -178,17 +180,17 @@ def signal_name(number: int) -> str:
 
 
 def tail(path: Path) -> str:
-    """The last lines of a log in one line, however long it is and whatever it holds."""
+    """Last lines of a log, joined into one line, however long it is and whatever it holds."""
     return " | ".join(_lines(_end_of(path))[-TAIL_LINES:])[-TAIL_CHARACTERS:]
 
 
 def complete_lines(path: Path) -> list[str]:
-    """The last lines of a log that goes on, but one that is not at its end yet."""
+    """Last lines of a log that is still being written, without an incomplete last line."""
     return _lines(_end_of(path).rpartition("\n")[0])
 
 
 def _end_of(path: Path) -> str:
-    """Of a log that may be absent; a carriage return ends a line, too."""
+    """End of a log, empty if it does not exist; carriage returns become line ends."""
     try:
         with open(path, "rb") as file:
             size = file.seek(0, 2)
@@ -199,6 +201,6 @@ def _end_of(path: Path) -> str:
 
 
 def _lines(text: str) -> list[str]:
-    """Those that are not blank, of characters that can be shown."""
+    """Lines that are not blank, with unprintable characters replaced by spaces."""
     printable = "".join(c if c.isprintable() or c == "\n" else " " for c in text)
     return [" ".join(line.split()) for line in printable.split("\n") if line.strip()]

@@ -1,7 +1,7 @@
-"""Runs of methods on the workers of a cluster: each as it is run here, with what it leaves brought back.
+"""Runs of methods on the workers of a cluster: each runs as it would here, and its files are brought back.
 
-Nothing but the job travels to a worker: it reads the sequence under the path that it has here, on a disk that is shared
-or where it was copied to, and has the method, or the program, installed.
+Only the job is sent to a worker. The worker reads the sequence from the same path as here, on a shared disk or from a
+copy, and has the method or program installed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from oysterbench.methods.processes import Processes
 from oysterbench.methods.runner import run_job
 
 LOOK_S = 1.0
-"""How often a worker looks whether its job is still wanted."""
+"""Interval at which a worker checks whether its job is still wanted, s."""
 
 NEEDED = "workers need the sequence under the same path, and the same version of the method or program"
 Hardware = Callable[[], Mapping[str, Any]]
@@ -33,7 +33,7 @@ Hardware = Callable[[], Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Asked:
-    """A job as it travels. identity: as it is here, which the worker's has to be too."""
+    """A job as sent to a worker. identity: the job's identity here, which has to be the same on the worker."""
 
     job: Job
     identity: Mapping[str, Any]
@@ -45,9 +45,9 @@ class Asked:
 def run_remotely(
     jobs: Sequence[Job], root: Path, scheduler: str, most: int | None, hardware: Hardware
 ) -> Iterator[tuple[Job, Outcome]]:
-    """Run jobs on the cluster of a scheduler, `most` at a time, and keep what they leave in `root`.
+    """Run jobs on the cluster of a scheduler, at most `most` at a time, and keep what they leave in `root`.
 
-    Raises OysterbenchError where a worker lacks what a job needs, or has it otherwise than it is here.
+    Raises OysterbenchError where a worker lacks what a job needs, or has another version of it than is here.
     """
     asked = [Asked(job, job.identity) for job in jobs]
     found: Results[Asked, tuple[Outcome, dict[str, bytes]]]
@@ -63,7 +63,7 @@ def run_remotely(
 
 
 def run_asked(asked: Asked, hardware: Hardware) -> tuple[Outcome, dict[str, bytes]]:
-    """On a worker: run a job; what became of it, and the files that it left, by their names in its folder."""
+    """Run a job on a worker. Returns its outcome, and the content of the files that it left, by path in its folder."""
     job = asked.job
     try:
         for place in job.sequence.hidden:

@@ -1,4 +1,4 @@
-"""Runs many jobs: in parallel where cores and memory allow, each once, going on where it was interrupted."""
+"""Runs many jobs, each once: in parallel as far as cores and memory allow, resuming after an interruption."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from oysterbench.methods.processes import Processes, raise_if_full
 from oysterbench.methods.sandbox import can_hide
 
 ASSUMED_BYTES = 2 * 2**30
-"""What a method is taken to need as long as none of its runs has been measured."""
+"""Memory that a method is assumed to need until one of its runs has been measured."""
 LOOK_S = 1.0
-"""How often those that run are listened to."""
+"""Interval at which the output of running jobs is read, s."""
 MARGIN = 1.2
-"""Of a method's greatest peak so far, for the next of its runs."""
+"""Memory reserved for a method's next run, as a multiple of its highest peak so far."""
 
 
 def default_workers() -> int:
-    """One for each core that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -49,13 +49,13 @@ def run_jobs(
     scheduler: str | None = None,
     told: Told | None = None,
 ) -> Iterator[tuple[Job, Outcome]]:
-    """Each job with its outcome, as they are finished; those that are finished already come first and are not run.
+    """Yield each job with its outcome as it finishes; jobs that were finished before come first and are not run.
 
-    root: folder of the results, which one runner at a time may work in. again: run the finished ones too; retry: those
-    of them that failed. workers: at a time; None for one per core. exports: folder where what programs are given is
-    kept for other runs. hardware: says what a machine is; scheduler: address of a Dask cluster that runs them. told: of
-    what those say that go on here. A job that ends badly has a `failure`; nothing that a method does raises here.
-    Raises MethodError, before anything is run, where `root` holds outcomes of other jobs under the same names or
+    root: folder of the results, which only one runner at a time may use. again: rerun finished jobs too; retry: rerun
+    those of them that failed. workers: jobs at a time; None for one per core. exports: folder where inputs are kept for
+    other runs. hardware: describes a machine; scheduler: address of a Dask cluster to run the jobs on. told: called
+    with the latest output of jobs that run here. A job that fails has a `failure`; nothing that a method does raises
+    here. Raises MethodError, before anything is run, where `root` holds outcomes of other jobs under the same names or
     the options of a method fit none of its sequences, and OSError where a disk is full.
     """
     with _alone(root):
@@ -76,7 +76,7 @@ def run_jobs(
 
 
 def _check(jobs: Sequence[Job]) -> None:
-    """Refuse options of a method that fit none of its sequences, a slip. Where they fit some, the others fail."""
+    """Refuse options that fit none of a method's sequences: a mistake. If they fit some, only the other jobs fail."""
     misfits: dict[str, list[MethodError | None]] = {}
     for job in jobs:
         try:
@@ -91,7 +91,7 @@ def _check(jobs: Sequence[Job]) -> None:
 
 
 def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
-    """The outcome of a job that needs not be run. Raises MethodError where it is that of another one."""
+    """Return the outcome of a job that need not be run, else None. Raises MethodError where it is of another job."""
     folder = job.folder(root)
     outcome = read_outcome(folder)
     if outcome is None or (retry and outcome.failure is not None):
@@ -107,7 +107,7 @@ def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
 
 
 def _changed_files(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Files of a program that are in both identities of its runs, and not the same."""
+    """Names of the files that are in both identities of a program but differ."""
     old, new = (identity["method"].get("files", {}) for identity in (before, now))
     return [name for name in new if old.get(name, new[name]) != new[name]]
 
@@ -123,7 +123,7 @@ def _run(
 ) -> Iterator[tuple[Job, Outcome]]:
     processes = Processes()
     held = ExitStack()
-    # A temporary folder says nothing of where the truth is.
+    # The path of a temporary folder does not reveal where the ground truth is.
     inputs = Inputs(held.enter_context(scratch()), jobs, processes, exports, announce)
     peaks = _known_peaks(jobs, root)
     budget = available_bytes()
@@ -148,7 +148,7 @@ def _run(
                 peaks[job.adapter.name] = max(peaks.get(job.adapter.name, 0), peak)
                 yield job, outcome
     finally:
-        # Also where the caller stops asking, or is interrupted: nothing goes on without being waited for.
+        # Also if the caller stops iterating or is interrupted: no process is left running unattended.
         processes.stop()
         pool.shutdown(wait=True, cancel_futures=True)
         inputs.close()
@@ -163,8 +163,8 @@ def run_job(
     hardware: Mapping[str, Any] | None = None,
     begun: Callable[[Path], None] = lambda folder: None,
 ) -> Outcome:
-    """Run one job and keep what became of it, where that is the method's doing. begun: called with the folder that its
-    output goes to until it has ended."""
+    """Run one job and write its outcome, unless it was the machine that failed. begun: called with the folder that the
+    job's output goes to while it runs."""
     kept = job.folder(root)
     shutil.rmtree(kept, ignore_errors=True)
     kept.mkdir(parents=True)
@@ -219,7 +219,7 @@ def run_job(
 
 
 def _move(source: Path, target: Path) -> None:
-    """What a run left. Links are left out: they would be followed by who may read what they lead to."""
+    """Move what a run left, except symbolic links: a reader with more rights than the method would follow them."""
     for path in sorted(source.rglob("*")):
         if path.is_symlink() or not path.is_file():
             continue
@@ -243,7 +243,7 @@ def _with_predictions(outcome: Outcome, job: Job, found: Predicted) -> Outcome:
 
 
 def available_bytes() -> int:
-    """Memory that processes may still take: the system's, and what the control group leaves of it."""
+    """Memory that processes may still use, bytes: what the system has available, within the control group's limit."""
     found = []
     try:
         rows = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
@@ -252,12 +252,12 @@ def available_bytes() -> int:
         if limit != "max":
             found.append(int(limit) - int(Path("/sys/fs/cgroup/memory.current").read_text()))
     except (OSError, KeyError, ValueError):
-        pass  # not Linux, or no control group of the second version
+        pass  # not Linux, or no control group v2
     return min(found, default=2**62)
 
 
 def _fits(job: Job, running: Any, peaks: Mapping[str, int], budget: int) -> bool:
-    """Whether one more fits into the memory. The first always does: it may as well try."""
+    """Whether one more job fits into memory. The first always does: it may as well try."""
     others = list(running)
     return not others or sum(_need(each, peaks) for each in [job, *others]) <= budget
 
@@ -268,7 +268,7 @@ def _need(job: Job, peaks: Mapping[str, int]) -> float:
 
 
 def _known_peaks(jobs: Sequence[Job], root: Path) -> dict[str, int]:
-    """By name of a method, the most memory that any of its runs in this folder took."""
+    """Peak memory of the methods' earlier runs in this folder, bytes, by method name."""
     peaks: dict[str, int] = {}
     for name in {job.adapter.name for job in jobs}:
         for path in (root / "runs" / name).glob(f"*/*/{OUTCOME}"):
@@ -287,7 +287,7 @@ def _now() -> str:
 
 @contextmanager
 def _alone(root: Path) -> Iterator[None]:
-    """Hold the folder. Raises MethodError where another runner does."""
+    """Lock the folder. Raises MethodError where another runner holds it."""
     root.mkdir(parents=True, exist_ok=True)
     with open(root / ".runner", "w") as file:
         try:

@@ -1,11 +1,11 @@
-"""Takes reach from a process before it runs what is not trusted: folders it cannot open, no network, bounded memory,
-time, files. A program of its own, for Linux, that imports the standard library only and then becomes the command:
+"""Confines a process before it runs untrusted code: folders that it cannot open, no network, limits on memory, time
+and files. A standalone program, for Linux, that imports only the standard library and then becomes the command:
 
     python -I -S sandbox.py '{"hidden": ["/srv/truth"], "network": false, "cpu_s": 60}' COMMAND...
 
-Folders are hidden by Landlock (Linux 5.13 and later; `can_hide` tells), which needs no privilege, holds root as well,
-is inherited by every child and cannot be undone. Landlock grants and never denies, so everything beside a hidden path
-is granted: the folders above it can be walked through, but not listed, and what is made in them later is out of reach.
+Folders are hidden by Landlock (Linux 5.13 and later; see `can_hide`), which needs no privilege, applies to root too,
+is inherited by every child and cannot be undone. Landlock only grants, never denies, so everything beside a hidden path
+is granted: the folders above it can be traversed but not listed, and whatever is created in them later is inaccessible.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ from dataclasses import asdict, dataclass
 PR_SET_PDEATHSIG, PR_SET_NO_NEW_PRIVS = 1, 38  # linux/prctl.h
 CLONE_NEWNET, CLONE_NEWUSER = 0x40000000, 0x10000000  # linux/sched.h
 
-CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # system calls, of every architecture
-VERSION, PATH_BENEATH = 1, 1  # linux/landlock.h, like all that follows
+CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # system call numbers, the same on every architecture
+VERSION, PATH_BENEATH = 1, 1  # linux/landlock.h, like everything that follows
 EXECUTE, WRITE_FILE, READ_FILE, READ_DIR, TRUNCATE, IOCTL_DEV = (1 << bit for bit in (0, 1, 2, 3, 14, 15))
 OF_FILES = EXECUTE | WRITE_FILE | READ_FILE | TRUNCATE | IOCTL_DEV
 READ = READ_FILE | READ_DIR | EXECUTE
 RIGHTS = {1: (1 << 13) - 1, 2: (1 << 14) - 1, 3: (1 << 15) - 1, 4: (1 << 15) - 1, 5: (1 << 16) - 1}
-"""Version of Landlock -> all rights over files that it knows; later ones know the last."""
+"""Landlock version -> all file rights that it knows; for later versions, the last entry is used."""
 
 TCP, SINCE_TCP = 0b11, 4  # bind and connect
-OUTSIDE, SINCE_OUTSIDE = 0b11, 6  # abstract sockets of other processes, and signals to them
+OUTSIDE, SINCE_OUTSIDE = 0b11, 6  # abstract sockets of outside processes, and signals to them
 
 
 @dataclass(frozen=True)
 class Sandbox:
-    """What a process may not do. None: no limit but that of whoever starts it.
+    """What a process may not do. A limit of None leaves the limit of whoever starts it.
 
     hidden:       files and folders that cannot be opened
-    visible:      files and folders inside of these that can be read nevertheless
-    listed:       folders above hidden ones whose names can be listed, and with them those of what is hidden
-    network:      whether it has one; without it the process can neither signal nor trace any process outside
-    memory_bytes: address space; file_bytes: of a file that it writes; open_files: at once
-    cpu_s:        processor time, at whose end it gets SIGXCPU and two seconds later SIGKILL
+    visible:      files and folders inside these that can be read nevertheless
+    listed:       folders above hidden ones that can be listed, names of what is hidden included
+    network:      whether it has network access; without it, it can neither signal nor trace any process outside
+    memory_bytes: limit of its address space; file_bytes: of each file it writes; open_files: of files open at once
+    cpu_s:        limit of its CPU time; it then gets SIGXCPU, and two seconds later SIGKILL
     """
 
     hidden: tuple[str, ...] = ()
@@ -58,15 +58,15 @@ class Sandbox:
     cpu_s: int | None = None
 
     def command(self, command: Sequence[str]) -> list[str]:
-        """The command that runs `command` in this sandbox."""
+        """Return the command that runs `command` in this sandbox."""
         return [sys.executable, "-I", "-S", os.path.abspath(__file__), json.dumps(asdict(self)), *command]
 
     def enter(self) -> None:
-        """Hold the process that asks, for good: it is killed when its parent dies, too. Raises OSError."""
+        """Confine the calling process irrevocably; it is also killed when its parent dies. Raises OSError."""
         libc = ctypes.CDLL(None, use_errno=True)
         libc.prctl(PR_SET_PDEATHSIG, ctypes.c_ulong(signal.SIGKILL), 0, 0, 0)
         libc.prctl(PR_SET_NO_NEW_PRIVS, ctypes.c_ulong(1), 0, 0, 0)
-        # A network of its own needs a right, which a user namespace of its own gives.
+        # A new network namespace needs a privilege, which a new user namespace grants.
         if not self.network and libc.unshare(CLONE_NEWNET) != 0:
             libc.unshare(CLONE_NEWUSER | CLONE_NEWNET)
         for kind, most in (
@@ -84,19 +84,19 @@ class Sandbox:
 
 
 def can_hide() -> bool:
-    """Whether the kernel here can hide folders."""
+    """Whether this machine's kernel can hide folders."""
     return _version(ctypes.CDLL(None, use_errno=True)) > 0
 
 
 def _version(libc: ctypes.CDLL) -> int:
-    """Of Landlock; not positive where there is none."""
+    """Version of Landlock; 0 or negative if there is none."""
     return int(libc.syscall(CREATE_RULESET, None, ctypes.c_size_t(0), ctypes.c_uint32(VERSION)))
 
 
 def _restrict(
     libc: ctypes.CDLL, hidden: Iterable[str], visible: Iterable[str], listed: Iterable[str], network: bool
 ) -> None:
-    """Landlock: all rights over all that is beside the hidden paths, those of reading over `visible`, no others."""
+    """Restrict with Landlock: all rights on everything but the hidden paths, read rights on `visible`, no others."""
     version = _version(libc)
     if version <= 0:
         return
@@ -120,7 +120,7 @@ def _restrict(
 
 
 def _beside(hidden: set[str], folder: str = "/") -> Iterator[str]:
-    """The fewest paths that hold all files but the hidden ones."""
+    """Smallest set of paths that covers all files but the hidden ones."""
     try:
         names = os.listdir(folder)
     except OSError:
@@ -130,14 +130,14 @@ def _beside(hidden: set[str], folder: str = "/") -> Iterator[str]:
             continue
         if any(other.startswith(path + "/") for other in hidden):
             yield from _beside(hidden, path)
-        elif not os.path.islink(path):  # where it leads is granted, or hidden, by its own path
+        elif not os.path.islink(path):  # its target is granted or hidden by its own path
             yield path
 
 
 def _grant(libc: ctypes.CDLL, rules: int, path: str, rights: int) -> None:
     try:
         place = os.open(path, os.O_PATH | os.O_CLOEXEC | os.O_NOFOLLOW)
-    except OSError:  # gone meanwhile, or not for us anyway
+    except OSError:  # deleted in the meantime, or not accessible to us anyway
         return
     try:
         if not stat.S_ISDIR(os.fstat(place).st_mode):
@@ -154,7 +154,7 @@ def _done(result: int) -> int:
 
 
 def main(settings: str, *command: str) -> None:
-    """Enter the sandbox, and become the command."""
+    """Enter the sandbox and become the command."""
     Sandbox(**json.loads(settings)).enter()
     os.execvp(command[0], command)
 

@@ -1,4 +1,4 @@
-"""What a method of the track steering is given, and what it predicts.
+"""Input and predictions of methods of the track steering.
 
     class MyPolicy:
         name, track = "my_policy", "steering"
@@ -7,8 +7,8 @@
             for view in views:
                 yield Steering(view.name, yaw_probability=..., pitch_probability=...)
 
-It is given views one by one and never the truth, and commands at each before it takes the next: in a closed loop the
-next view is what the vehicle sees after it has done what was commanded. `views.task` has the classes.
+A method receives views one by one and never the ground truth, and gives a command for each before it takes the next: in
+a closed loop, the next view is what the vehicle sees after it has executed the command. `views.task` has the classes.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from oysterbench.recipe.steering import SteeringRecipe
 
 @dataclass(frozen=True)
 class View:
-    """name: unlike that of any other view of the rollout; pixels: (H, W, 3) uint8 RGB of the front camera; time_s:
-    since the first view."""
+    """A view of a rollout. name: unique within it; pixels: (H, W, 3) uint8 RGB of the front camera; time_s: time since
+    the first view."""
 
     name: str
     pixels: NDArray[np.uint8]
@@ -37,11 +37,11 @@ class View:
 
 @dataclass(frozen=True)
 class Steering:
-    """The command at a view: classes, or how probable each class is, from which the likeliest is taken.
+    """The command for a view: classes, or a probability for each class, of which the most probable is taken.
 
-    yaw, pitch:             numbers of the classes, from 0, in the order of the task
-    yaw_probability:        (Y,) float, at least 0, not all 0; they need not add up to 1
-    pitch_probability:      (P,) float
+    yaw, pitch:             class numbers, from 0, in the order of the task
+    yaw_probability:        (Y,) float, none negative, not all 0; they need not add up to 1
+    pitch_probability:      (P,) float, likewise
     """
 
     name: str
@@ -52,7 +52,7 @@ class Steering:
 
 
 class Views(Protocol):
-    """The views of a rollout, and the task that is steered for."""
+    """The views of a rollout, and its steering task."""
 
     task: SteeringRecipe
 
@@ -60,11 +60,11 @@ class Views(Protocol):
 
 
 class SteeringMethod(Protocol):
-    """A method of the track steering. One that draws random numbers also has the attribute `seed`."""
+    """A method of the track steering. A method that draws random numbers also has the attribute `seed`."""
 
     name: str
     track: str
 
     def run(self, views: Views) -> Iterable[Steering]:
-        """A command at each view, before the next one is taken."""
+        """Return a command for each view, before the next one is taken."""
         ...

@@ -1,18 +1,18 @@
-"""Runs one command, measures it, and leaves nothing of it behind: a program of its own, for Linux.
+"""Runs one command, measures it, and leaves no process of it behind: a standalone program, for Linux.
 
     python -I -S supervise.py LIMIT_S REPORT COMMAND...
 
-It imports the standard library only, so that what it measures is the command and not itself. It takes in the orphans of
-the command, also those that made themselves daemons, and kills all that is left when the command ends, when the limit
-is reached, when it gets SIGTERM, and when the process that started it dies. REPORT, a JSON file, says what happened:
+It imports only the standard library, so that what it measures is the command and not itself. It adopts the orphans of
+the command, even those that became daemons, and kills every remaining process when the command ends, when the limit is
+reached, when it receives SIGTERM, and when the process that started it dies. REPORT, a JSON file, says what happened:
 
 status, signal: how the command ended; one of them is null
-timed_out:      whether the limit was reached; stopped: whether SIGTERM came
-wall_s, cpu_s:  of the command; processor time of all its descendants, of user and system
-peak_bytes:     the greater of two: the most that one process had resident, as the kernel kept it, and the most that all
-                of them together had at one of the looks at them, every LOOK_S
-left_behind:    processes that were still there when the command had ended
-error:          why it could not be started; null where it was
+timed_out:      whether the limit was reached; stopped: whether SIGTERM was received
+wall_s, cpu_s:  wall time of the command; user and system CPU time of all its descendants
+peak_bytes:     the larger of two resident sizes: the peak of any single process, as recorded by the kernel, and the
+                peak of all processes together, sampled every LOOK_S
+left_behind:    number of processes that were still running when the command had ended
+error:          why the command could not be started; null if it was
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ import sys
 import time
 
 LOOK_S = 0.2
-KILLING_S = 30.0  # a process that the kernel does not let go of is given up after this
+KILLING_S = 30.0  # then give up on a process that the kernel does not release
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36  # linux/prctl.h
 WATCHED = {signal.SIGCHLD, signal.SIGTERM}
 CHANGED_BY_PYTHON = {signal.SIGPIPE, signal.SIGXFSZ}
-"""Signals that Python ignores, and whose default the command should have."""
+"""Signals that Python ignores, reset to their defaults for the command."""
 PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 def descendants() -> dict[int, int]:
-    """Process id -> resident bytes of all descendants of this process, the dead that nobody has waited for included."""
+    """Process id -> resident bytes of all descendants of this process, zombies included."""
     parents, resident = {}, {}
     for name in os.listdir("/proc"):
         if not name.isdigit():
             continue
         try:
             with open(f"/proc/{name}/stat", "rb") as file:
-                fields = file.read().rpartition(b")")[2].split()  # after the name, which may hold anything
-        except OSError:  # it has ended meanwhile
+                fields = file.read().rpartition(b")")[2].split()  # after the process name, which may contain anything
+        except OSError:  # it has ended in the meantime
             continue
         parents[int(name)] = int(fields[1])
         resident[int(name)] = int(fields[21]) * PAGE
@@ -56,7 +56,7 @@ def descendants() -> dict[int, int]:
 
 
 class Supervisor:
-    """Of one command."""
+    """Supervisor of one command."""
 
     def __init__(self) -> None:
         self.cpu_s = 0.0
@@ -64,7 +64,7 @@ class Supervisor:
         self.statuses: dict[int, int] = {}
 
     def run(self, command: list[str], limit_s: float) -> dict[str, object]:
-        """What REPORT says."""
+        """Run the command, and return the content of REPORT."""
         start = time.monotonic()
         try:
             pid = os.posix_spawnp(command[0], command, os.environ, setsigmask=(), setsigdef=CHANGED_BY_PYTHON)
@@ -95,11 +95,11 @@ class Supervisor:
         }
 
     def look(self) -> None:
-        """Take note of the memory in use."""
+        """Record the memory in use."""
         self.peak_bytes = max(self.peak_bytes, sum(descendants().values()))
 
     def reap(self) -> bool:
-        """Wait for those that have ended, and add up what they cost. Returns whether any child is left."""
+        """Reap the children that have ended, and add up what they cost. Returns whether any child is left."""
         while True:
             try:
                 pid, status, usage = os.wait4(-1, os.WNOHANG)
@@ -112,7 +112,7 @@ class Supervisor:
             self.peak_bytes = max(self.peak_bytes, usage.ru_maxrss * 1024)
 
     def kill(self) -> None:
-        """End all descendants; again and again, as those that are not dead yet may start others."""
+        """Kill all descendants, repeatedly, as those that are still alive may start others."""
         end = time.monotonic() + KILLING_S
         while self.reap() and time.monotonic() < end:
             for pid in descendants():
@@ -122,14 +122,14 @@ class Supervisor:
 
 
 def main(limit_s: str, report: str, *command: str) -> None:
-    """Run the command and write the report, whole or not at all."""
+    """Run the command and write the report atomically."""
     signal.pthread_sigmask(signal.SIG_BLOCK, WATCHED)
     parent = os.getppid()
     prctl = ctypes.CDLL(None, use_errno=True).prctl
     for option, value in ((PR_SET_CHILD_SUBREAPER, 1), (PR_SET_PDEATHSIG, int(signal.SIGTERM))):
         if prctl(option, ctypes.c_ulong(value), 0, 0, 0) != 0:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-    if os.getppid() != parent:  # it died before it could be watched
+    if os.getppid() != parent:  # the parent died before it could be watched
         return
     result = Supervisor().run(list(command), float(limit_s))
     with open(f"{report}.new", "w", encoding="utf-8") as file:

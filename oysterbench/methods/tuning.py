@@ -1,7 +1,7 @@
-"""Random search over the options of a method: what is tried is fixed by a seed, for every method alike.
+"""Random search over the options of a method; a seed fixes what is tried, in the same way for every method.
 
-Bergstra and Bengio (2012), "Random search for hyper-parameter optimization": with few of many options deciding, points
-drawn at random find more than a grid of as many. The first trial is the method as it is.
+Bergstra and Bengio (2012), "Random search for hyper-parameter optimization": if only a few of many options matter,
+random points find more than a grid with as many points. The first trial is the method as it is.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from oysterbench.methods.options import with_options
 
 @dataclass(frozen=True, kw_only=True)
 class OptionRange:
-    """An option of a method. default: its value, None where the method itself has it; range: lowest and highest that
-    tuning tries, on a scale of logarithms where `log` is true, whole numbers where both are; choices: the values it may
-    have instead. One without range and choices is not tuned."""
+    """An option of a method. default: its value, None if the method itself sets it; range: lowest and highest value
+    that tuning tries, on a logarithmic scale if `log`, integers only if both are; choices: the allowed values, in place
+    of a range. An option with neither is not tuned."""
 
     default: Any = None
     range: tuple[int | float, int | float] | None = None
@@ -38,20 +38,20 @@ class OptionRange:
         return self.range is not None or bool(self.choices)
 
     def draw(self, random: np.random.Generator) -> Any:
-        """A value of it."""
+        """Draw a value, uniformly over the range (or its logarithm) or the choices."""
         if self.range is None:
             return self.choices[int(random.integers(len(self.choices)))]
         low, high = self.range
         share = float(random.random())
         whole = isinstance(low, int) and isinstance(high, int)
         if whole:
-            low, high = low - 0.5, high + 0.5  # so that the ends are as likely as what lies between
+            low, high = low - 0.5, high + 0.5  # so that both ends are as likely as the values between
         value = low * (high / low) ** share if self.log else low + (high - low) * share
         return min(max(round(value), math.ceil(low)), math.floor(high)) if whole else float(f"{value:.3g}")
 
 
 def trials(method: str, ranges: Mapping[str, OptionRange], count: int, seed: int = 0) -> list[str]:
-    """References of so many variants of a method, the method itself first. Raises MethodError without ranges.
+    """References of `count` variants of a method, itself the first. Raises MethodError if there is nothing to tune.
 
     >>> trials("mine", {"gain": OptionRange(range=(1.0, 9.0))}, 3)
     ['mine', 'mine[gain=6.93]', 'mine[gain=3.15]']
@@ -67,14 +67,14 @@ def trials(method: str, ranges: Mapping[str, OptionRange], count: int, seed: int
 
 
 def written(value: Any) -> str:
-    """A value as TOML has it, words without their quotes."""
+    """Write a value as in TOML, but strings without quotes."""
     if isinstance(value, bool):
         return str(value).lower()
     return value if isinstance(value, str) else repr(value)
 
 
 def read_ranges(path: Path) -> dict[str, OptionRange]:
-    """Tables by the names of options. Raises MethodError, with file and key, where they are none."""
+    """Read a TOML file with a table for each option. Raises MethodError, with file and key, where one is invalid."""
     found, key = {}, ""
     try:
         for key, table in tomllib.loads(path.read_text(encoding="utf-8")).items():

@@ -1,12 +1,12 @@
-"""Trained weights that methods run on: which they are, how to have them, and having them before a method is run.
+"""Trained weights that methods use: what is known about them, how to get them, and fetching them before a run.
 
-A method that runs on weights says which by an attribute `weights`, name -> file:
+A method that uses weights declares them in an attribute `weights`, name -> file:
 
     @property
     def weights(self):
         return {"my_net": Path(self.checkpoint) if self.checkpoint else weights_path("my_net")}
 
-What is known of weights by their name is brought by the entry-point group `oysterbench.weights`.
+The entry-point group `oysterbench.weights` provides what is known about weights, by their name.
 """
 
 from __future__ import annotations
@@ -28,20 +28,21 @@ ENTRY_POINTS = "oysterbench.weights"
 
 Announce = Callable[[str], None]
 Bar = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
-"""Called with a title and a unit: shows progress."""
+"""Called with a title and a unit; its context gives a function (done, total) that shows progress."""
 
 
 @dataclass(frozen=True)
 class Weights:
-    """What is known of trained weights before there are any.
+    """What is known about trained weights, whether or not they are here.
 
-    name:     as `oysterbench train` and `oysterbench download` have it
-    methods:  that run on them
+    name:     the name in `oysterbench train` and `oysterbench download`
+    methods:  methods that use them
     train:    arguments of the `oysterbench train` that makes them
-    takes:    how long that is, and on what, in words
-    option:   how a user names a file of others
-    summary:  what they are, in a line; limits: what they are not for, in sentences; licence: an address
-    describe: reads how a file of them was trained; raises MethodError where it is none, or not finished
+    takes:    how long training takes, and on what, in words
+    option:   option by which a user names a file of other weights
+    summary:  what they are, in one line; limits: what they are not suited for, in sentences; licence: a URL
+    describe: reads how the weights in a file were trained; raises MethodError where the file is not one of these
+              weights, or training did not finish
     """
 
     name: str
@@ -56,17 +57,17 @@ class Weights:
 
 
 def weights_path(name: str) -> Path:
-    """Where `oysterbench train NAME` and `oysterbench download NAME` leave weights."""
+    """Path where `oysterbench train NAME` and `oysterbench download NAME` save weights."""
     return models() / f"{name}.pt"
 
 
 def weights_names() -> list[str]:
-    """Names of weights that something is known of."""
+    """Names of the known weights."""
     return sorted(point.name for point in entry_points(group=ENTRY_POINTS))
 
 
 def find_weights(name: str) -> Weights:
-    """What is known of weights. Raises MethodError where nothing is."""
+    """Look up weights by name. Raises MethodError where they are unknown."""
     found = entry_points(group=ENTRY_POINTS, name=name)
     if not found:
         raise MethodError(
@@ -83,26 +84,26 @@ def find_weights(name: str) -> Weights:
 
 
 def weights_of(method: Any) -> dict[str, Path]:
-    """Files of trained weights that a method runs on, by name; nothing of most."""
+    """Files of the trained weights that a method uses, by name; empty for most methods."""
     return {str(name): Path(path) for name, path in dict(getattr(method, "weights", {})).items()}
 
 
 def weights_digests(needed: Mapping[str, Path]) -> dict[str, str]:
-    """SHA-256 of each file; empty where it is absent."""
+    """SHA-256 of each file; an empty string if it is absent."""
     from oysterbench.methods.adapters import file_digest
 
     return {name: file_digest(path) if path.is_file() else "" for name, path in needed.items()}
 
 
 def existing(name: str, path: Path) -> Path:
-    """The file, where it is there. Raises MethodError, with what to type, where it is not."""
+    """Return the path of weights if the file exists. Raises MethodError, with what to type, where it does not."""
     if not path.is_file():
         raise no_weights(name, path)
     return path
 
 
 def no_weights(name: str, path: Path) -> MethodError:
-    """What is said where weights are absent."""
+    """Error for missing weights, with what to type if they are known."""
     try:
         known = find_weights(name)
     except MethodError:
@@ -119,10 +120,10 @@ def have_weights(
     announce: Announce = lambda text: None,
     bar: Bar = lambda title, unit: nullcontext(lambda done, total: None),
 ) -> None:
-    """Have weights here before a method runs on them: those that are absent are fetched where a hub is set.
+    """Make sure that weights are here before a method uses them: missing ones are fetched if a hub is set.
 
-    Raises MethodError, with what to type, where there are none and no hub is set, or the user named a file of his own;
-    HubError with the same and the reason where the hub does not give them.
+    Raises MethodError, with what to type, where weights are missing and no hub is set or the user named another file;
+    HubError, with the same and the reason, where the hub does not provide them.
     """
     for name, path in needed.items():
         if path.is_file():
@@ -139,7 +140,7 @@ def have_weights(
 
 
 def _fetched(name: str, path: Path, announce: Announce, bar: Bar) -> bool:
-    """Fetch weights; False where no hub is set."""
+    """Fetch weights from the hub. Returns False if no hub is set."""
     from oysterbench.hub.download import Hub
     from oysterbench.hub.settings import hub_key, hub_places
     from oysterbench.hub.weights import fetch_weights

@@ -1,9 +1,9 @@
-"""Runs a method of Python in a process of its own, and leaves its predictions in a folder.
+"""Runs a Python method in a process of its own, and leaves its predictions in a folder.
 
     python -m oysterbench.methods.worker REFERENCE INPUT FOLDER [SEED]
 
-FOLDER gets the files of the predictions (see `interfaces`) and prediction.json: `info` and `prediction`, as of
-`Predicted`, and `wall_s` and `cpu_s` of the method alone, threads and children included; or `failure`, one line.
+FOLDER receives the prediction files (see `interfaces`) and prediction.json: the fields of `Predicted`, with `wall_s`
+and `cpu_s` of the method alone, threads and children included; or `failure`, one line.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PREDICTION = "prediction.json"
 
 
 def predict(reference: str, given: Path, folder: Path, seed: int | None) -> dict[str, Any]:
-    """Run the method on its input, write its predictions; returns what prediction.json says."""
+    """Run the method on its input and write its predictions. Returns the content of prediction.json."""
     method = find_method(reference)
     if seed is not None:
         method.seed = seed  # type: ignore[attr-defined]
@@ -46,7 +46,7 @@ def predict(reference: str, given: Path, folder: Path, seed: int | None) -> dict
 
 
 def read_predicted(folder: Path) -> Predicted | str:
-    """What a worker left in a folder, or why there is nothing. Raises OSError or ValueError where it did not end."""
+    """Read what a worker left in a folder, or why it failed. Raises OSError or ValueError where it did not finish."""
     held = read_json((folder / PREDICTION).read_bytes())
     if isinstance(held, dict) and "failure" in held:
         return str(held["failure"])
@@ -54,7 +54,7 @@ def read_predicted(folder: Path) -> Predicted | str:
 
 
 def _plain(value: Any) -> Any:
-    """Values that JSON knows; what it does not know, as text."""
+    """Convert a value for JSON; types that JSON does not know become strings."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -65,7 +65,7 @@ def _plain(value: Any) -> Any:
 
 
 def main(reference: str, given: str, folder: str, seed: str = "") -> None:
-    """As the command line has it."""
+    """Run the worker with the arguments of its command line."""
     result = predict(reference, Path(given), Path(folder), int(seed) if seed else None)
     write_atomically(Path(folder) / PREDICTION, json.dumps(result).encode())
     sys.exit(1 if "failure" in result else 0)

@@ -1,8 +1,8 @@
-"""Methods of the tracks of images: a folder of pictures in, a prediction for each out.
+"""Methods of the image tracks: a folder of images in, a prediction for each out.
 
-The folder holds NAME.png for each picture, and images.txt with the names in their order. What a method of Python
-predicts is kept as arrays, one .npz for each picture; what a program leaves, as it is: masks, probabilities or classes
-in a folder or an .npz, or COCO annotations (`annotations.open_predictions`, `annotations.read_coco`).
+The folder holds NAME.png for each image, and images.txt with the names in order. Predictions of a Python method are
+stored as arrays, one .npz for each image; those of a program are kept as they are: masks, probabilities or classes in a
+folder or an .npz, or COCO annotations (`annotations.open_predictions`, `annotations.read_coco`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Prediction = Segmentation | Detections
 
 
 class ImagesInterface(Interface):
-    """Pictures in, a `Segmentation` or `Detections` of each out."""
+    """Images in, a `Segmentation` or `Detections` for each out."""
 
     forms: ClassVar = {FORM: "a folder of pictures, NAME.png, and images.txt with their names in order"}
     own_form = FORM
@@ -40,7 +40,7 @@ class ImagesInterface(Interface):
     leaves = "masks or COCO annotations"
 
     def predict(self, method: Any, given: Path, folder: Path, watch: Stopwatch) -> Predicted:
-        """Run the method on the pictures, which it is given one by one."""
+        """Run the method on the images, which it receives one by one."""
         names = listed(given)
         pictures = (Picture(name, read_picture(given, name)) for name in names)
         (folder / PREDICTIONS).mkdir()
@@ -51,7 +51,7 @@ class ImagesInterface(Interface):
     def take(
         self, sequence: RunSequence, given: Path, folder: Path, form: str, options: Mapping[str, str]
     ) -> Predicted:
-        """What it left is read when it is scored; here it gets the suffix of its content."""
+        """Give the output file the suffix that fits its content; the predictions are read only when they are scored."""
         place = folder / self.out
         if place.is_dir():
             return Predicted(prediction={"arrays": False, "place": place.name})
@@ -62,7 +62,7 @@ class ImagesInterface(Interface):
 
 
 def write_pictures(pictures: Iterable[Picture], folder: Path) -> None:
-    """Write a folder of pictures, without loss. Raises SequenceError for a name that leads out of it."""
+    """Write a folder of images, losslessly. Raises SequenceError for a name that would lead out of the folder."""
     folder.mkdir(parents=True)
     names = []
     for picture in pictures:
@@ -79,12 +79,12 @@ def write_pictures(pictures: Iterable[Picture], folder: Path) -> None:
 
 
 def listed(folder: Path) -> list[str]:
-    """Names of the pictures of a folder, in their order."""
+    """Read the names of the images of a folder, in order."""
     return (folder / LIST).read_text(encoding="utf-8").splitlines()
 
 
 def read_picture(folder: Path, name: str) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 RGB."""
+    """Read an image of a folder, (H, W, 3) uint8 RGB."""
     pixels = cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_COLOR)
     if pixels is None:
         raise SequenceError(f"{folder / name}.png: cannot be read as a picture")
@@ -94,9 +94,9 @@ def read_picture(folder: Path, name: str) -> NDArray[np.uint8]:
 def predictions(
     method: Any, pictures: Iterable[Picture], where: str, count: int, watch: Stopwatch
 ) -> Iterator[Prediction]:
-    """What a method predicts for the pictures of a sequence, so many, in their order.
+    """Yield a method's predictions for the `count` images of a sequence, in order.
 
-    Raises MethodError where it does not predict picture by picture.
+    Raises MethodError where the method does not give exactly one prediction for each image, in order.
     """
     who = f"method {method.name!r} on {where}"
     waiting: list[str] = []
@@ -137,14 +137,14 @@ def _write(path: Path, prediction: Prediction) -> None:
 
 
 def read_predictions(folder: Path, names: Sequence[str]) -> Iterator[Prediction]:
-    """The predictions that a method of Python left for the pictures of these names. Raises MethodError."""
+    """Read the predictions that a Python method left for the images of these names. Raises MethodError."""
     for k, name in enumerate(names):
         path = folder / PREDICTIONS / f"{k:06d}.npz"
         try:
             with np.load(path, allow_pickle=False) as held:
                 arrays = {key: held[key] if held[key].ndim else held[key].item() for key in held.files}
             yield KINDS[str(arrays.pop("kind"))](name, **arrays)
-        except Exception as error:  # numpy and zipfile each have their own, for bytes that a stranger may have made
+        except Exception as error:  # numpy and zipfile raise many types, and the bytes may come from a stranger
             raise MethodError(f"{path}: no prediction can be read: {type(error).__name__}: {error}") from None
 
 

@@ -1,4 +1,4 @@
-"""How the methods of a track are spoken to across the border of a process: files in, files out, and no truth."""
+"""How data is exchanged with the methods of a track across a process boundary: files in, files out, no ground truth."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Predicted:
-    """What a run left, beside the files of its predictions.
+    """What a run left besides its prediction files.
 
-    info: what the method says of itself (JSON values); prediction: what its interface has to know to read them;
-    wall_s, cpu_s: its own account of what it cost, None where it has none; notes: of the reading
+    info: what the method reports about itself (JSON values); prediction: what its interface needs to read those files;
+    wall_s, cpu_s: wall and CPU time as the method's process measured them, None if it did not; notes: remarks from
+    reading the predictions
     """
 
     info: Mapping[str, Any] = field(default_factory=dict)
@@ -37,9 +38,9 @@ class Predicted:
 class RunSequence(ABC):
     """A sequence that methods are run on.
 
-    name: in tables and of folders; origin: what made it, as results of another origin are not results on this one;
-    hidden: files and folders with its truth, which no method may open; limit_s: what a run may take by default
-    split: that it is of, None for one of the user's own
+    name: used in tables and for folders; origin: what the sequence was made from: results with another origin are not
+    results on this sequence; hidden: files and folders with its ground truth, which no method may open; limit_s:
+    default time limit of a run; split: the split that it belongs to, None for a sequence of the user's own
     """
 
     name: str
@@ -48,31 +49,31 @@ class RunSequence(ABC):
     @property
     @abstractmethod
     def origin(self) -> str:
-        """What made it."""
+        """What the sequence was made from."""
 
     @property
     @abstractmethod
     def hidden(self) -> tuple[Path, ...]:
-        """Where its truth is."""
+        """Files and folders with its ground truth."""
 
     @property
     @abstractmethod
     def limit_s(self) -> float:
-        """Time limit of a run, s."""
+        """Default time limit of a run, s."""
 
     @abstractmethod
     def write_input(self, form: str, out: Path, processes: Processes) -> None:
-        """Write what a method is given of it, in a form and without the truth. Raises MethodError."""
+        """Write the input that a method receives, in a form and without the ground truth. Raises MethodError."""
 
 
 class Interface(ABC):
-    """How methods of a kind are given their input and leave their predictions.
+    """How methods of a kind receive their input and leave their predictions.
 
-    forms:    placeholder of a command line -> what is put in its place
-    own_form: what a method of Python is given
-    lasting:  those of both that take long to write, and are kept for other runs
-    out:      name of what a program leaves at {out}; leaves: the same in words
-    further:  placeholder -> name of what a program may leave as well
+    forms:    input forms of programs: placeholder of the command line -> description of what replaces it
+    own_form: input form of Python methods
+    lasting:  forms that take long to write and are therefore kept for other runs
+    out:      file or folder name of what a program leaves at {out}; leaves: the same in words
+    further:  placeholder -> file name of a further, optional output
     """
 
     forms: ClassVar[Mapping[str, str]]
@@ -83,38 +84,38 @@ class Interface(ABC):
     further: ClassVar[Mapping[str, str]] = {}
 
     def input_name(self, sequence: RunSequence, form: str) -> str:
-        """Name of the file or folder of an input."""
+        """Return the name of the file or folder of an input."""
         return sequence.name
 
     def options_of(self, form: str, poses_of: str = "") -> dict[str, str]:
-        """What decides beside the form how a program's predictions are read. Raises MethodError for what does not."""
+        """Options that, beside the form, decide how a program's output is read. Raises MethodError for others."""
         if poses_of:
             raise MethodError(f"--poses-of is for the track slam; here a program writes {self.leaves}")
         return {}
 
     def check(self, sequence: RunSequence, form: str, options: Mapping[str, str]) -> None:
-        """Raises MethodError where what a program will leave could not be read as the options say, before it runs."""
+        """Check, before a run, that its output can be read with these options. Raises MethodError if not."""
         return
 
     @abstractmethod
     def predict(self, method: Any, given: Path, folder: Path, watch: Stopwatch) -> Predicted:
-        """In the process of the method: run it on its input, and write its predictions into a folder."""
+        """Run a Python method on its input and write its predictions into a folder; called in the method's process."""
 
     @abstractmethod
     def take(
         self, sequence: RunSequence, given: Path, folder: Path, form: str, options: Mapping[str, str]
     ) -> Predicted:
-        """Check what a program left in a folder, and write it as `predict` does. Raises MethodError in one line."""
+        """Check what a program left in a folder and write it as `predict` does. Raises MethodError with one line."""
 
 
 class Stopwatch:
-    """Wall and processor time of a method, of its threads and children too: what runs between `with` and its end."""
+    """Context manager that adds up the wall and CPU time of its blocks, threads and child processes included."""
 
     def __init__(self) -> None:
         self.wall_s = self.cpu_s = 0.0
 
     def leave_out(self, items: Iterable[T]) -> Iterator[T]:
-        """What a method is given; what its reading takes is not the method's."""
+        """Pass on a method's inputs without counting the time that it takes to produce them."""
         before = self._now()
         for item in items:
             self._add(before, -1)

@@ -1,9 +1,9 @@
-"""Methods of the track SLAM: a sequence without its truth in, poses T_odom_base out.
+"""Methods of the track SLAM: a sequence without ground truth in, poses T_odom_base out.
 
     python -m oysterbench.methods.interfaces.slam SEQUENCE FORM OUT
 
-writes an input. What is left in the folder of a run: estimate.npz, the path that is scored; estimate.NAME.npz of each
-alternative; map.ply and keyframes.tum where there is a map; health.csv where it says how it had its poses.
+writes an input. A run leaves in its folder: estimate.npz, the path that is scored; estimate.NAME.npz for each
+alternative; map.ply and keyframes.tum if there is a map; health.csv if the method says how it obtained each pose.
 """
 
 from __future__ import annotations
@@ -42,40 +42,40 @@ FORMS = {
     "rosbag": "a folder with a ROS 1 bag, NAME.bag, like EuRoC's: /cam0/image_raw, /imu0; and Kalibr's files",
     "mcap": "a sequence file with everything that was measured",
 }
-"""Placeholder of a command line -> what is put in its place."""
+"""Placeholder of a command line -> description of what replaces it."""
 
 SENSORS = "sensors"
-"""Form of what a method of Python is given: a sequence as it was, file or folder, without the truth."""
+"""Input form of Python methods: the sequence as it is, file or folder, without the ground truth."""
 
 POSES_OF = {"euroc": "imu", "tum": "camera", "kitti": "camera", "rosbag": "imu", "mcap": "base"}
-"""Whose poses the programs that read a form are taken to leave: its body frame."""
+"""Form -> frame whose poses a program that reads it is assumed to write."""
 
 
 class SequencePath(RunSequence):
-    """A sequence by its file, or folder in EuRoC layout."""
+    """A sequence given by its file, or by its folder in EuRoC layout."""
 
     def __init__(self, name: str, path: Path) -> None:
         self.name, self.path = name, path
 
     @property
     def origin(self) -> str:
-        """The file, as it is now."""
+        """Path, size and modification time of the sequence file, or of the IMU file of an EuRoC folder."""
         file = self.path if self.path.is_file() else self.path / "mav0" / "imu0" / "data.csv"
         state = file.stat()
         return f"{file.resolve()} {state.st_size} {state.st_mtime_ns}"
 
     @property
     def hidden(self) -> tuple[Path, ...]:
-        """Itself."""
+        """The file or folder itself."""
         return (self.path,)
 
     @cached_property
     def limit_s(self) -> float:
-        """Ten times the sequence's duration, and ten minutes at least."""
+        """Ten times the sequence's duration, but at least ten minutes."""
         return max(10 * open_sequence(self.path).duration_s, 600.0)
 
     def write_input(self, form: str, out: Path, processes: Processes) -> None:
-        """In a process of its own, which can be ended at any time."""
+        """Write the input in a separate process, which can be stopped at any time."""
         words = [sys.executable, "-m", __name__, str(self.path.absolute()), form, str(out.absolute())]
         ended = processes.run(words, EXPORT_LIMIT_S, out.parent)
         if ended.failure is not None:
@@ -93,28 +93,28 @@ class SlamInterface(Interface):
     further: ClassVar[Mapping[str, str]] = {"online": ONLINE}
 
     def input_name(self, sequence: RunSequence, form: str) -> str:
-        """A file where the program reads one."""
+        """Return the name of the input, with the suffix .mcap if it is a file."""
         assert isinstance(sequence, SequencePath)
         is_file = form == "mcap" or (form == SENSORS and sequence.path.is_file())
         return f"{sequence.name}.mcap" if is_file else sequence.name
 
     def options_of(self, form: str, poses_of: str = "") -> dict[str, str]:
-        """Whose poses a program leaves."""
+        """Return the frame whose poses a program writes, as `poses_of`."""
         return {"poses_of": poses_of or POSES_OF[form]}
 
     def check(self, sequence: RunSequence, form: str, options: Mapping[str, str]) -> None:
-        """The frame whose poses it leaves is one of the sequence's."""
+        """Check that the sequence has the frame whose poses the program writes."""
         assert isinstance(sequence, SequencePath)
         if options["poses_of"] in ("base", "imu"):
             return
         try:
             opened = open_sequence(sequence.path)
-        except OysterbenchError:  # its run says so
+        except OysterbenchError:  # the run itself will report it
             return
         frame_pose(opened, options["poses_of"], form)
 
     def predict(self, method: Any, given: Path, folder: Path, watch: Stopwatch) -> Predicted:
-        """Run the method on a sequence from which the truth was cut."""
+        """Run the method on a sequence from which the ground truth was removed."""
         sequence = open_sequence(given).for_method()
         with watch:
             estimate = method.run(sequence)
@@ -123,9 +123,10 @@ class SlamInterface(Interface):
     def take(
         self, sequence: RunSequence, given: Path, folder: Path, form: str, options: Mapping[str, str]
     ) -> Predicted:
-        """Poses of the frame that the option `poses_of` says, by default that of the form, become those of the body.
+        """Read the poses, of the frame `poses_of` (by default that of the form), and convert them to poses of the body.
 
-        A path as it was known at each time is the alternative "online"; one that cannot be read is a note.
+        An online path, with each pose as it was known at its time, becomes the alternative "online"; if it cannot be
+        read, a note says so.
         """
         assert isinstance(sequence, SequencePath)
         opened = open_sequence(sequence.path)
@@ -147,7 +148,7 @@ class SlamInterface(Interface):
 
 
 def _read_path(file: Path, T_base_frame: Array, times: NDArray[np.int64] | None) -> Trajectory:
-    """Poses of the body, of a file with those of a frame. times: (N,) ns, of KITTI's images. Raises TrajectoryError."""
+    """Read poses of a frame and return those of the body. times: (N,) ns, of KITTI's images. Raises TrajectoryError."""
     found = read_trajectory(file, T_body_estimate=T_base_frame, times=times)
     if times is not None and len(found) and found.stamps_ns[-1] < times[0]:
         note = "its timestamps count from the first image, as in times.txt: that image's timestamp was added"
@@ -173,28 +174,31 @@ def keep(estimate: Estimate, folder: Path) -> Predicted:
 def described(
     scored: str, alternatives: Mapping[str, Trajectory], counts: Mapping[str, int] | None, health: bool
 ) -> dict[str, Any]:
-    """scored: what the method calls the path that is scored; alternatives: names of the others; map: counts of the
-    map's key frames and landmarks, None where there is none; health: whether it says how it had its poses."""
+    """Description of an estimate, as kept in its record.
+
+    scored: the method's name for the path that is scored; alternatives: names of the others; map: numbers of keyframes
+    and landmarks of the map, None if there is none; health: whether the method says how it obtained each pose
+    """
     return {"scored": scored, "alternatives": list(alternatives), "map": counts, "health": health}
 
 
 def alternative_file(name: str) -> str:
-    """File of an alternative in the folder of its run."""
+    """Name of an alternative's file in the folder of its run."""
     return f"estimate.{name}.npz"
 
 
 def read_estimate(folder: Path) -> Trajectory:
-    """Poses T_odom_base of a run that did not fail. Raises MethodError where its file is none of ours."""
+    """Read the poses T_odom_base of a run that did not fail. Raises MethodError where the file is not a trajectory."""
     return _read_npz(folder / ESTIMATE)
 
 
 def read_alternatives(folder: Path, prediction: Mapping[str, Any]) -> dict[str, Trajectory]:
-    """Its further paths by name."""
+    """Read the alternative paths of a run, by name."""
     return {name: _read_npz(folder / alternative_file(name)) for name in prediction["alternatives"]}
 
 
 def read_run_health(folder: Path, prediction: Mapping[str, Any]) -> tuple[NDArray[np.int64], NDArray[np.uint8]] | None:
-    """Stamps (N,) of its poses, and the `Health` (N,) of each; None where it does not say."""
+    """Read the stamps (N,) of a run's poses and the `Health` (N,) of each; None if the method gave no health."""
     return read_health(folder / HEALTH) if prediction.get("health") else None
 
 
@@ -206,7 +210,7 @@ def _read_npz(path: Path) -> Trajectory:
 
 
 def write_input(path: Path, form: str, out: Path) -> None:
-    """Write the sequence at `path` in a form, without the truth; `out` is there whole or not at all."""
+    """Write the sequence at `path` in a form, without the ground truth; `out` ends up complete or not there at all."""
     if form == SENSORS and path.is_dir():
         _link_measurements(path, out)
         return
@@ -219,7 +223,7 @@ def write_input(path: Path, form: str, out: Path) -> None:
 
 
 def _write_measurements(path: Path, out: Path) -> None:
-    """Topics and attachments that are listed as public, as a hidden split is published."""
+    """Copy only the topics and attachments listed as public, as in the published file of a hidden split."""
     if not path.is_file():
         raise MethodError(f"{path}: {{mcap}} needs a sequence file, and this is a folder; {{euroc}} takes both")
     from oysterbench.sequence.cut import cut_public
@@ -236,7 +240,7 @@ def _write_measurements(path: Path, out: Path) -> None:
 
 
 def _link_measurements(path: Path, out: Path) -> None:
-    """The cameras and the inertial unit of an EuRoC folder: files of their own names, copied only between disks."""
+    """Hard-link the cameras and the IMU of an EuRoC folder; files are copied only if `out` is on another disk."""
     temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
     try:
         for sensor in [*sorted((path / "mav0").glob("cam[0-9]")), path / "mav0" / "imu0"]:
@@ -249,7 +253,7 @@ def _link_measurements(path: Path, out: Path) -> None:
 
 
 def frame_pose(sequence: Sequence, frame: str, form: str) -> Array:
-    """T_base_frame (4, 4) of `base`, `imu`, `camera` (whose images the form has first) or a camera by its name."""
+    """T_base_frame (4, 4) of `base`, `imu`, `camera` (the first camera of the form) or a camera given by name."""
     if frame == "base":
         return np.eye(4)
     if frame == "imu":
@@ -271,7 +275,7 @@ def frame_pose(sequence: Sequence, frame: str, form: str) -> Array:
 
 
 def first_camera(sequence: Sequence, form: str) -> str:
-    """Name of the camera whose images a form has first; empty where there is none. KITTI begins with a left one."""
+    """Name of the first camera of a form; empty if there is none. In KITTI, the left camera of a pair comes first."""
     names = list(sequence.cameras)
     if form == "kitti":
         from oysterbench.sequence.export.parts import stereo_partner
@@ -281,7 +285,7 @@ def first_camera(sequence: Sequence, form: str) -> str:
 
 
 def kitti_stamps(sequence: Sequence, folder: Path) -> NDArray[np.int64]:
-    """(N,) ns, stamps of the images of a KITTI folder, whose times.txt counts from the first of them."""
+    """Stamps (N,) ns of the images of a KITTI folder, whose times.txt counts from the first image."""
     from oysterbench.sequence.export.parts import stereo_partner
 
     left = first_camera(sequence, "kitti")

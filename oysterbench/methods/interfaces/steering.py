@@ -1,9 +1,9 @@
-"""Policies on labelled pictures: views in, a command for each out.
+"""Policies on labelled images: views in, a command for each out.
 
-The folder of a program holds STAMP.png for each view, views.csv (stamp_ns, time_s, heading_rad, pitch_rad, depth_m,
-altitude_m and view, its name; a line for each) and task.json, the table [steering]. It leaves a table (CSV) with a line
-for each view: stamp_ns,yaw,pitch with the numbers of the classes, or stamp_ns,yaw_0,...,pitch_0,... with how probable
-each class is.
+The input folder of a program holds STAMP.png for each view, views.csv (a line for each view: stamp_ns, time_s,
+heading_rad, pitch_rad, depth_m, altitude_m and view, its name) and task.json, the table [steering]. The program writes
+a table (CSV) with a line for each view: stamp_ns,yaw,pitch with class numbers, or stamp_ns,yaw_0,...,pitch_0,... with
+the probability of each class.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from oysterbench.recipe import SteeringRecipe
 VIEWS, TASK, COMMANDS = "views.csv", "task.json", "commands.npz"
 STAMP = "stamp_ns"
 SHOWN = 80
-"""Characters of a text of somebody else's in a message."""
+"""Maximum number of characters of foreign text quoted in a message."""
 
 COLUMNS = (STAMP, "time_s", "heading_rad", "pitch_rad", "depth_m", "altitude_m", "view")
 
 
 class SteeringInterface(Interface):
-    """Views in, a `Steering` of each out."""
+    """Views in, a `Steering` for each out."""
 
     forms: ClassVar = {FORM: "a folder of pictures, STAMP.png, with views.csv and task.json"}
     own_form = FORM
@@ -47,7 +47,7 @@ class SteeringInterface(Interface):
     leaves = "a table of commands"
 
     def predict(self, method: Any, given: Path, folder: Path, watch: Stopwatch) -> Predicted:
-        """Run the method on the views, which it is given one by one."""
+        """Run the method on the views, which it receives one by one."""
         task, rows = read_task(given), _rows(given)
         views = (_view(given, row) for row in rows)
         with watch:
@@ -63,14 +63,14 @@ class SteeringInterface(Interface):
     def take(
         self, sequence: RunSequence, given: Path, folder: Path, form: str, options: Mapping[str, str]
     ) -> Predicted:
-        """Read its table."""
+        """Read the table of commands that a program left."""
         task = read_task(given)
         _write(folder, task, read_commands(folder / self.out, [int(row[0]) for row in _rows(given)], task))
         return Predicted()
 
 
 def write_views(views: Iterable[View], task: SteeringRecipe, folder: Path) -> None:
-    """Write what a policy is given; names of views end with their stamp."""
+    """Write the input folder of a policy. The name of each view must end with its stamp."""
     rows: list[tuple[Any, ...]] = [COLUMNS]
 
     def pictures() -> Iterator[Picture]:
@@ -86,18 +86,18 @@ def write_views(views: Iterable[View], task: SteeringRecipe, folder: Path) -> No
 
 
 def read_task(folder: Path) -> SteeringRecipe:
-    """The task of a folder of views."""
+    """Read the task of a folder of views."""
     return task_of(json.loads((folder / TASK).read_text(encoding="utf-8")))
 
 
 def task_of(values: Mapping[str, Any]) -> SteeringRecipe:
-    """A table [steering] from plain values."""
+    """Build a table [steering] from plain values."""
     given: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
     return SteeringRecipe(**given)
 
 
 def read_commands(path: Path, stamps: Sequence[int], task: SteeringRecipe) -> list[Steering]:
-    """The commands of a table at the views of these stamps (`parse_commands`). Raises MethodError by file and line."""
+    """Read the commands for the views of these stamps (`parse_commands`). Raises MethodError with file and line."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -106,8 +106,9 @@ def read_commands(path: Path, stamps: Sequence[int], task: SteeringRecipe) -> li
 
 
 def parse_commands(data: bytes, label: str, task: SteeringRecipe, stamps: Sequence[int] = ()) -> list[Steering]:
-    """The commands of a table, one for each picture of these stamps, in their order; where none are given, those that
-    it has, by stamp. Probabilities need not add up to 1. Raises MethodError by file, called `label`, and line."""
+    """Parse a table of commands: one for each of these stamps, in their order, or, if no stamps are given, all commands
+    of the table, sorted by stamp. Probabilities need not add up to 1. Raises MethodError with line and `label`, the
+    name of the file."""
     try:
         lines = list(csv.reader(io.StringIO(data.decode("utf-8-sig"), newline="")))
     except (UnicodeDecodeError, csv.Error) as error:
@@ -162,7 +163,7 @@ def _share(text: str, where: str) -> float:
 
 
 def command_arrays(made: Sequence[Steering], task: SteeringRecipe) -> tuple[NDArray[np.int64], Array, Array]:
-    """Classes (N, 2), probabilities of yaw (N, Y) and of pitch (N, P), of commands of the task."""
+    """Classes (N, 2), yaw probabilities (N, Y) and pitch probabilities (N, P) of N commands."""
     chosen = [classes_of(one, task, one.name) for one in made]
     both = [probabilities(one, classes, task) for one, classes in zip(made, chosen, strict=True)]
     yaw, pitch = (np.array([pair[k] for pair in both]).reshape(len(made), -1) for k in (0, 1))
@@ -170,9 +171,9 @@ def command_arrays(made: Sequence[Steering], task: SteeringRecipe) -> tuple[NDAr
 
 
 def read_classes(folder: Path, task: SteeringRecipe) -> tuple[NDArray[np.int64], Array, Array]:
-    """The commands that a run left: classes (N, 2) int, probabilities of yaw (N, Y) and of pitch (N, P).
+    """Read the commands that a run left: classes (N, 2) int64, yaw probabilities (N, Y), pitch probabilities (N, P).
 
-    Raises MethodError where they are no commands of the task.
+    Raises MethodError where they are not commands of the task.
     """
     try:
         with np.load(folder / COMMANDS, allow_pickle=False) as held:
@@ -185,7 +186,7 @@ def read_classes(folder: Path, task: SteeringRecipe) -> tuple[NDArray[np.int64],
             fits = fits and bool((each >= 0).all() and np.allclose(each.sum(axis=1), 1.0))
         if not fits:
             raise ValueError("expected classes of the task, and probabilities that add up to 1")
-    except Exception as error:  # numpy and zipfile each have their own, for bytes that a stranger may have made
+    except Exception as error:  # numpy and zipfile raise many types, and the bytes may come from a stranger
         raise MethodError(f"{folder / COMMANDS}: no commands can be read: {type(error).__name__}: {error}") from None
     return classes, shares[0], shares[1]
 
@@ -196,7 +197,7 @@ def _write(folder: Path, task: SteeringRecipe, made: Sequence[Steering]) -> None
 
 
 def _rows(folder: Path) -> list[list[str]]:
-    """Of views.csv."""
+    """Rows of views.csv, without the header."""
     with open(folder / VIEWS, newline="", encoding="utf-8") as file:
         return list(csv.reader(file))[1:]
 

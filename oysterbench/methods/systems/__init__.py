@@ -1,7 +1,7 @@
-"""Published systems: programs of others, obtained, built, configured and run by one command each.
+"""Published systems: third-party programs, each obtained, built, configured and run with one command.
 
-A package names its systems under the entry points `oysterbench.systems`; each is a folder with `system.toml`
-(`manifest`), what builds it (`building`), and `configure.py` (`launch`). `adapter` runs one as a method.
+A package lists its systems in the entry-point group `oysterbench.systems`; each is a folder with `system.toml`
+(`manifest`), its build files (`building`), and `configure.py` (`launch`). `adapter` runs one as a method.
 """
 
 from oysterbench.methods.systems.manifest import (

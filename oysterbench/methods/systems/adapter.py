@@ -1,4 +1,4 @@
-"""A published system as a method that the runner runs."""
+"""A published system, adapted as a method for the runner."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from oysterbench.version import VERSION
 
 
 class SystemAdapter(MethodAdapter):
-    """A method of a published system that is built here."""
+    """A method of a published system that has been built here."""
 
     def __init__(self, reference: str, tracks: Sequence[str] = ("slam",)) -> None:
-        """Raises MethodError where there is no such method, it is of none of these tracks, or it is not built."""
+        """Raises MethodError where there is no such method, it is of none of these tracks, or is not built."""
         found = split_reference(reference)
         if found is None:
             raise MethodError(f"no published system has a method {reference!r}; `oysterbench systems` lists them")
@@ -36,7 +36,7 @@ class SystemAdapter(MethodAdapter):
             )
         self.build = find_build(self.system)
         self._files = file_options(self.system, self.options)
-        # The folder that it is launched in is another one, and so is its home.
+        # It is launched in another folder, with another home, so files are given by their absolute paths.
         self.reference = with_options(reference, [f"{key}={self.options[key]}" for key in self._files])
         self.interface = interface_of(self.method.track)
         self.form = self.method.form
@@ -76,12 +76,12 @@ class SystemAdapter(MethodAdapter):
 
     @property
     def _digests(self) -> dict[str, str]:
-        """SHA-256 of each file that its options name, as it is now."""
+        """SHA-256 of each file that the options name, as it is now."""
         return {key: file_digest(Path(self.options[key])) for key in self._files}
 
     @property
     def _configuration(self) -> str:
-        """SHA-256 of what writes its configuration, and of scripts that run it."""
+        """SHA-256 of the code that writes its configuration, and of the scripts that run it."""
         found = hashlib.sha256()
         for path in sorted([*self.system.folder.glob("*.py"), *(self.system.folder.parent / "common").glob("*.py")]):
             found.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
@@ -98,7 +98,7 @@ class SystemAdapter(MethodAdapter):
         return None if self.method.deterministic else number
 
     def command(self, given: Path, folder: Path, number: int) -> list[str]:
-        # The home is named, as the environment of a method does not say where it is.
+        # The path under the home is passed, as a method's environment does not say where the home is.
         asked = [self.reference, str(self.system.place), str(given), str(folder), str(number)]
         return [sys.executable, "-m", "oysterbench.methods.systems.launch", *asked]
 

@@ -1,6 +1,6 @@
 """Obtains the source of a published system at its commit, makes the edits that it needs, and builds it.
 
-A build is a folder of its own under the home: `source/`, `build/`, `build.log`, and, once it is whole, `built.json`.
+Each build has its own folder under the home: `source/`, `build/`, `build.log` and, once complete, `built.json`.
 """
 
 from __future__ import annotations
@@ -30,14 +30,15 @@ from oysterbench.version import VERSION
 
 BUILT, LOG, EDITS = "built.json", "build.log", "edits.toml"
 STEP = re.compile(r"^\[(\d+)/(\d+)\]|^\[ *(\d+)%\]")
-"""How Ninja and Make begin a line on what they build."""
+"""Start of the progress lines of Ninja and Make."""
 
 Announce = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Build:
-    """A system that is built. compiler: its own first line; cpu_s: that it took; size_bytes: of all its files"""
+    """A finished build of a system. compiler: first line of its version output; cpu_s: CPU time that the build took;
+    size_bytes: total size of its files"""
 
     commit: str
     recipe: str
@@ -48,7 +49,10 @@ class Build:
 
 
 def built(system: System) -> Build | None:
-    """The build that is here; None where there is none, or one of another commit or recipe only."""
+    """Return the build that is here; None if there is none, or only of another commit or recipe.
+
+    Raises MethodError where built.json is not what this version writes.
+    """
     try:
         return Build(**json.loads((system.place / BUILT).read_text(encoding="utf-8")))
     except FileNotFoundError:
@@ -58,18 +62,18 @@ def built(system: System) -> Build | None:
 
 
 def environment(system: System) -> Path:
-    """Where the Python requirements of a system are installed: a virtual environment."""
+    """Path of the virtual environment with a system's Python requirements."""
     return system.place / "venv"
 
 
 def interpreter(system: System) -> Path:
-    """The Python that has them. Raises MethodError where the system is not built."""
+    """Path of the Python interpreter with a system's requirements. Raises MethodError where the system is not built."""
     find_build(system)
     return environment(system) / "bin" / "python"
 
 
 def find_build(system: System) -> Build:
-    """The build that is here. Raises MethodError, with what to type, where there is none."""
+    """Return the build that is here. Raises MethodError, with what to type, where there is none."""
     found = built(system)
     if found is None:
         raise MethodError(f"{system.name} is not built here; type: oysterbench systems build {system.name}")
@@ -83,11 +87,11 @@ def build(
     again: bool = False,
     announce: Announce = print,
 ) -> Build:
-    """Build a system where it is not built; what was begun and interrupted is begun anew.
+    """Build a system unless it is built already; an interrupted build starts again from scratch.
 
-    sources: clones, bare or not: a repository is taken from the first that has its commit, and from the network where
-    none is given; jobs: compilers at a time
-    Raises MethodError with what is missing, or the last words of what failed and the path of its log.
+    sources: clones, bare or not: each repository is taken from the first that has its commit, or from the network if no
+    clones are given; jobs: parallel compilers; again: rebuild it in any case
+    Raises MethodError with what is missing, or with the last output of the step that failed and the path of the log.
     """
     system.place.mkdir(parents=True, exist_ok=True)
     with locked(system.place.with_suffix(".lock")):
@@ -120,7 +124,7 @@ def build(
 
 
 def missing_packages(packages: Sequence[str]) -> list[str]:
-    """Debian packages that are not installed; none where there is no Debian to ask."""
+    """Debian packages that are not installed; empty where there is no `dpkg-query` to ask."""
     if shutil.which("dpkg-query") is None:
         return []
     asked = ["dpkg-query", "--show", "--showformat", "${Package} ${db:Status-Status}\n", *packages]
@@ -139,7 +143,7 @@ def _check_packages(system: System) -> None:
 
 
 def _obtain(system: System, given: Sequence[Path], log: IO[bytes], announce: Announce) -> None:
-    """The needed folders of the source and of its submodules at their commits, with the edits."""
+    """Obtain the needed folders of the source and its submodules at their commits, and make the edits."""
     described = system.description
     whole = Submodule(source=described.source, commit=described.commit, folders=described.folders)
     with tempfile.TemporaryDirectory(dir=system.place) as scratch:
@@ -159,7 +163,7 @@ def _obtain(system: System, given: Sequence[Path], log: IO[bytes], announce: Ann
 def _clone(
     system: System, needed: Submodule, given: Sequence[Path], folder: Path, log: IO[bytes], announce: Announce
 ) -> Path:
-    """A clone that has the commit: the first given one that has, or a new one from the network where none is given."""
+    """Return a clone with the commit: the first given one that has it, or, if none is given, one from the network."""
     for path in given:
         asked = ["git", "-C", str(path), "cat-file", "-e", f"{needed.commit}^{{commit}}"]
         if subprocess.run(asked, stdout=log, stderr=log, check=False).returncode == 0:
@@ -177,7 +181,7 @@ def _clone(
 
 
 def make_edits(edits: Path, tree: Path) -> None:
-    """Replace texts of a source tree, wherever in their file they stand. Raises MethodError for an absent one."""
+    """Replace texts in a source tree, wherever they occur in their file. Raises MethodError where one is absent."""
     if not edits.exists():
         return
     for edit in tomllib.loads(edits.read_text(encoding="utf-8"))["edit"]:
@@ -203,11 +207,11 @@ def _compile(system: System, jobs: int | None, log: IO[bytes], announce: Announc
 
 
 def _install(system: System, log: IO[bytes], announce: Announce) -> None:
-    """Requirements of Python, beside what this interpreter has."""
+    """Install the Python requirements, in addition to the packages of this interpreter."""
     place = environment(system)
     announce(f"installing {', '.join(system.description.python)}")
     _call(system, [sys.executable, "-m", "venv", "--clear", "--system-site-packages", str(place)], log)
-    # In an environment itself, this interpreter has what is not the system's.
+    # If this interpreter is itself in a virtual environment, its packages are not among the system's.
     own = sysconfig.get_path("purelib")
     theirs = Path(sysconfig.get_path("purelib", "venv", {"base": str(place), "platbase": str(place)}))
     (theirs / "beside.pth").write_text(f"import site; site.addsitedir({own!r})\n", encoding="utf-8")
@@ -215,7 +219,7 @@ def _install(system: System, log: IO[bytes], announce: Announce) -> None:
 
 
 def _call(system: System, command: Sequence[str], log: IO[bytes], announce: Announce | None = None) -> None:
-    """Run a step; its output goes to the log, and how far it is to `announce`."""
+    """Run a build step; its output goes to the log, and its progress to `announce`."""
     log.write(f"$ {' '.join(command)}\n".encode())
     log.flush()
     try:

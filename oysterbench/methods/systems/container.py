@@ -1,4 +1,4 @@
-"""A container recipe of a published system."""
+"""Container recipe for a published system."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from oysterbench.version import VERSION
 
 
 def containerfile(system: System) -> str:
-    """Text of a Containerfile: Debian with the system's packages, this project, and the system built."""
+    """Text of a Containerfile: Debian with the system's packages, this project, and the built system."""
     packages = " ".join(["python3-venv", "git", *system.description.packages])
     described = system.description
     extra = "slam" if any(method.track == "slam" for method in described.methods.values()) else "score"

@@ -1,9 +1,9 @@
-"""Writes the configuration of a published system for one sequence, and becomes its program.
+"""Writes the configuration of a published system for one sequence, then becomes its program.
 
     python -m oysterbench.methods.systems.launch REFERENCE BUILD INPUT FOLDER NUMBER
 
-The module `configure` of the system's folder has `command`, which is given a `Launch`, writes what the program reads
-into `Launch.folder`, and returns the command line.
+The module `configure` in the system's folder has a function `command`, which receives a `Launch`, writes what the
+program reads into `Launch.folder`, and returns the command line.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ CONFIGURATION = "configuration"
 class Launch:
     """One run of a system.
 
-    method, about: its name and what its manifest says of it; options: all of the system, by key; given: the sequence
-    in the form of the method, without the truth; source, build: the edited source tree and what was built of it;
-    folder: for the configuration; out: where what its track asks for goes; number: of the run, from 0
+    method, about: the method's name and its entry in the manifest; options: all options of the system, by key; given:
+    the sequence in the method's form, without the ground truth; source, build: the edited source tree and the build
+    folder; folder: where the configuration goes; out: where the output for its track goes; number: of the run, from 0
     """
 
     method: str
@@ -46,14 +46,14 @@ class Launch:
 
     @cached_property
     def sequence(self) -> Sequence:
-        """The same as a sequence, of the track slam: its calibration, above all."""
+        """The input as a sequence (track slam only), above all for its calibration."""
         return open_sequence(self.given)
 
     @cached_property
     def cameras(self) -> dict[str, CameraCalibration]:
-        """The first two of the sequence where the method uses a pair, and else its first, by name.
+        """The first two cameras of the sequence if the method uses a stereo pair, else its first one, by name.
 
-        Raises MethodError where the sequence has fewer: with one camera a system for two is another method.
+        Raises MethodError where the sequence has fewer: a stereo system with one camera would be another method.
         """
         wanted = 2 if "stereo" in self.about.sensors else 1
         found = dict(list(self.sequence.cameras.items())[:wanted])
@@ -66,7 +66,7 @@ class Launch:
 
 
 def launch_of(reference: str, place: Path, given: Path, folder: Path, number: int) -> tuple[Launch, list[str]]:
-    """The run, and the command line of its program."""
+    """Prepare a run. Returns it and the command line of its program."""
     found = split_reference(reference)
     if found is None:
         raise MethodError(f"no published system has a method {reference!r}")
@@ -91,7 +91,7 @@ def launch_of(reference: str, place: Path, given: Path, folder: Path, number: in
 
 
 def main(reference: str, place: str, given: str, folder: str, number: str) -> None:
-    """As the command line has it."""
+    """Launch a system with the arguments of the command line."""
     try:
         _, command = launch_of(reference, Path(place), Path(given), Path(folder), int(number))
     except OysterbenchError as error:

@@ -1,4 +1,4 @@
-"""What a published system is: the system.toml of its folder, and the methods that it brings."""
+"""Description of a published system: the system.toml of its folder, and the methods that it provides."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ Sensor = Literal["mono", "stereo", "imu", "dvl", "sonar", "pressure", "compass",
 class SystemMethod:
     """A way to run a system.
 
-    track: that it answers to; form: what it is given, as of `ExternalCommand`; deterministic: whether two runs on one
-    sequence leave the same; options: that differ from the system's; limit_factor: by what the time limit of a run is
-    multiplied, where the user gives none
+    track: the track that it takes part in; form: its input form, as for `ExternalCommand`; deterministic: whether two
+    runs on the same sequence give the same result; options: those that differ from the system's defaults; limit_factor:
+    factor on the default time limit of a run, used if the user gives no limit
 
-    Of the track slam alone: sensors: that it uses; online: whether a pose is what was known at its time; poses_of: as
-    of `ExternalCommand`; align: how it is aligned where the user does not say, as a system without scale cannot be
-    scored as it is; max_gap_s: between two poses of it, None for the evaluator's
+    For the track slam only: sensors: those it uses; online: whether each pose is as known at its time; poses_of: as for
+    `ExternalCommand`; align: how its path is aligned if the user does not say, as a system without scale cannot be
+    scored unaligned; max_gap_s: longest gap between two of its poses, None for the evaluator's default
     """
 
     about: str
@@ -59,8 +59,8 @@ OF_SLAM = ("sensors", "online", "poses_of", "align", "max_gap_s")
 
 @dataclass(frozen=True, kw_only=True)
 class SystemOption(OptionRange):
-    """An option of a system. file: whether it is the path of a file, by whose content it is then known, and which lies
-    under the home where the user names none; made_by: what to type where there is none."""
+    """An option of a system. file: whether it is the path of a file, which is then identified by its content, and whose
+    default is relative to the home; made_by: what to type to make a missing file."""
 
     file: bool = False
     made_by: str = ""
@@ -68,7 +68,7 @@ class SystemOption(OptionRange):
 
 @dataclass(frozen=True, kw_only=True)
 class Submodule:
-    """Another repository that the source needs within its tree; its keys as those of `Description`."""
+    """Another repository that the source needs in its tree; its keys are as in `Description`."""
 
     source: str
     commit: str
@@ -77,12 +77,12 @@ class Submodule:
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """A system.toml.
+    """Content of a system.toml.
 
-    source: address of its repository; commit: of 40 digits; folders: of the repository that are needed, all where
-    there are none; submodules: where in its tree others lie, after git's word; packages: Debian's, that building and
-    running need; python: requirements, for a system that is a package of Python's; program: what the build leaves;
-    cpu_minutes, disk_mb: that building takes
+    source: URL of its repository; commit: 40 hexadecimal digits; folders: folders of the repository that are needed,
+    all if empty; submodules: path in its tree -> other repository, as in git; packages: Debian packages needed to build
+    and run it; python: requirements, for a system that is a Python package; program: file that the build produces;
+    cpu_minutes, disk_mb: CPU time and disk space that building takes
     """
 
     title: str
@@ -104,7 +104,7 @@ class Description:
 
 @dataclass(frozen=True)
 class System:
-    """A published system by its name; folder: with what describes, builds and configures it; module: that folder's."""
+    """A published system. folder: the files that describe, build and configure it; module: that folder as a module."""
 
     name: str
     folder: Path
@@ -113,7 +113,7 @@ class System:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of what builds it: other code, or another commit, is another build; other options are not."""
+        """SHA-256 of what it is built from: other code or another commit makes another build, other options do not."""
         described = self.description
         builds = (described.commit, described.folders, described.submodules, described.python, described.program)
         found = hashlib.sha256(msgspec.json.encode(builds, order="sorted"))
@@ -122,8 +122,8 @@ class System:
         return found.hexdigest()
 
     def recipe_files(self) -> list[Path]:
-        """The files that decide what is built: sources and edits of ours, and those that the systems share; none of a
-        system that is a package of Python's."""
+        """Files that decide what is built: our own sources and edits, with those that the systems share; empty for a
+        system that is a Python package."""
         if not (self.folder / "CMakeLists.txt").exists():
             return []
         places = [self.folder, self.folder.parent / "common"]
@@ -132,13 +132,13 @@ class System:
 
     @property
     def place(self) -> Path:
-        """Where it is built."""
+        """Folder of its build."""
         return home() / "systems" / f"{self.name}-{self.description.commit[:8] or 'python'}-{self.digest[:8]}"
 
 
 @cache
 def systems() -> Mapping[str, System]:
-    """All that are known here, by name. Raises MethodError where one is described wrongly."""
+    """All known systems, by name. Raises MethodError where the description of one is invalid."""
     found = {}
     for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name):
         spec = find_spec(point.value)
@@ -149,7 +149,7 @@ def systems() -> Mapping[str, System]:
 
 
 def read_system(name: str, folder: Path, module: str = "") -> System:
-    """The system of a folder. Raises MethodError, with file and key, where its system.toml is not one."""
+    """Read the system of a folder. Raises MethodError, with file and key, where its system.toml is invalid."""
     path = folder / MANIFEST
     try:
         description = msgspec.toml.decode(path.read_bytes(), type=Description)
@@ -164,7 +164,7 @@ def read_system(name: str, folder: Path, module: str = "") -> System:
 
 
 def _wrong(method: SystemMethod) -> str | None:
-    """What of a method is not of its track."""
+    """What in a method's entry does not fit its track, with the key first; None if all of it does."""
     forms = interface_of(method.track).forms
     if method.form not in forms:
         return f"form: expected one of {', '.join(forms)}, as its track is {method.track}, got {method.form!r}"
@@ -176,7 +176,7 @@ def _wrong(method: SystemMethod) -> str | None:
 
 
 def find_system(name: str) -> System:
-    """The system of that name. Raises MethodError where there is none."""
+    """Return the system of that name. Raises MethodError where there is none."""
     known = systems()
     if name not in known:
         meant = did_you_mean(nearest(name, known))
@@ -185,10 +185,10 @@ def find_system(name: str) -> System:
 
 
 def split_reference(reference: str) -> tuple[System, str, dict[str, Any]] | None:
-    """System, method and all options of `METHOD[key=value,...]`; None where no system has such a method.
+    """Split `METHOD[key=value,...]` into system, method and all its options; None if no system has such a method.
 
-    A file among them is named by its whole path, and in the method's name by its digest. Raises MethodError for an
-    option that the system has not, a value that is none, or a file that is not there.
+    Options that are files have absolute paths, but appear in the method's name by their digest. Raises MethodError for
+    an option that the system does not have, an invalid value, or a missing file.
     """
     method, given = split_variant(reference)
     system = next((one for one in systems().values() if method in one.description.methods), None)
@@ -221,12 +221,12 @@ def split_reference(reference: str) -> tuple[System, str, dict[str, Any]] | None
 
 
 def file_options(system: System, values: Mapping[str, Any]) -> list[str]:
-    """Keys of the options that name a file."""
+    """Keys of the options that are set and name a file."""
     return [key for key, option in system.description.options.items() if option.file and values.get(key)]
 
 
 def track_of(reference: str) -> str:
-    """The track of a method, of a published system or any other. Raises MethodError where there is no such method."""
+    """Return the track of a method, of a published system or any other. Raises MethodError where there is none."""
     found = split_reference(reference)
     if found is None:
         return find_method(reference).track
