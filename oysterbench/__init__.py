@@ -11,7 +11,7 @@ Data come by name, rendered or downloaded on first use:
 >>> image.pixels.shape
 (48, 64, 3)
 
-Poses and files of them are scored in one call, and each metric is a function of its own:
+Poses, or files of them, are scored in one call, and each metric is also a function of its own:
 
 >>> oysterbench.score("mini-01.mcap", sequence.truth()).metrics["coverage"]
 1.0
@@ -79,7 +79,7 @@ _HOMES = {
     "splits": "oysterbench.notebook.split",
     "torch": "",
 }
-"""Public name -> module that has it, imported when the name is first used; empty of modules themselves."""
+"""Public name -> module that has it, imported when the name is first used; empty for modules themselves."""
 
 
 def __getattr__(name: str) -> Any:
@@ -103,12 +103,12 @@ def open(path: str | os.PathLike[str]) -> Sequence:
     Parameters
     ----------
     path : str or path
-        Of the file or folder.
+        Path of the file or folder.
 
     Returns
     -------
     Sequence
-        Its iterators read the file when they are used, and it may stand in a `with`.
+        Its iterators read the file when they are used, and it may be used in a `with` statement.
 
     Raises
     ------

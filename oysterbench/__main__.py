@@ -1,4 +1,4 @@
-"""The command, guarded from its first moment: what it stands on takes a while to be imported."""
+"""Entry point of the command, guarded against interrupts from the start: its imports take a while."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ INTERRUPTED = 130
 
 def main() -> None:
     """Run `oysterbench`."""
-    # An exception amid imports would pass through other people's code, which may take it for something else.
+    # An exception during imports would pass through third-party code, which may mistake it for something else.
     early = signal.getsignal(signal.SIGINT) == signal.default_int_handler
     if early:
         signal.signal(signal.SIGINT, _leave)

@@ -1,1 +1,1 @@
-"""What every room stands on: errors, files, geometry, named random streams, measurements, trajectories."""
+"""Foundations of all other packages: errors, files, geometry, named random streams, measurements, trajectories."""

@@ -1,4 +1,4 @@
-"""Arrays of other people's making, brought to what the arithmetic on them takes for granted."""
+"""Arrays from outside, converted to what the arithmetic on them takes for granted."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from oysterbench.core.errors import LabelError
 
 
 def truth_values(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
-    """The same shape of truth values, of bool or of the integers 0 and 1, each stored as a byte 0 or 1.
+    """Convert an array of bool, or of the integers 0 and 1, to bool of the same shape with every byte 0 or 1.
 
-    In a file, or after a view, a byte of a bool array may be any number: numpy takes it for true, and arithmetic on
-    the bytes takes it for what it is. Raises LabelError, in one line that begins with `where`, for other numbers.
+    The bytes of a bool array from a file or a view may hold any number: numpy treats every one but 0 as true, whereas
+    arithmetic on the bytes uses the number itself. Raises LabelError, with a one-line message that starts with `where`,
+    for other values.
     """
     if values.dtype == bool:
         return np.asarray(values.view(np.uint8) != 0)

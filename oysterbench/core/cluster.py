@@ -1,7 +1,7 @@
-"""A Dask cluster, on hosts, Slurm or Kubernetes: what is done there, and what that gives, which travels back.
+"""Jobs on a Dask cluster (plain hosts, Slurm or Kubernetes), whose results travel back to the caller.
 
-Only the caller writes files. So a worker that dies takes nothing along but the jobs that it was at, and results do not
-depend on where and in which order they were made.
+Only the caller writes files. So a worker that dies loses only the jobs that it was running, and results do not depend
+on where or in which order they were computed.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ J = TypeVar("J")
 R = TypeVar("R")
 
 AHEAD = 2
-"""Jobs handed out per worker: the next is there when one is done, and few results wait for the disk at a time."""
+"""Jobs submitted per worker thread: the next is ready when one finishes, yet few results wait to be written to disk."""
 
-LEAST_AHEAD = 8  # jobs that a cluster is given before it has any worker
-DEATHS = 3  # of workers at one job, beyond those that the scheduler forgives by itself, before the job is to blame
+LEAST_AHEAD = 8  # jobs submitted at least, even before the cluster has any worker
+DEATHS = 3  # workers lost to one job, beyond those that the scheduler itself tolerates, before the job is blamed
 CONNECT_S = 15
 
 Results = Generator[tuple[J, R], None, None]
-"""Each job, with what it gave, in the order in which they are done."""
+"""Each job with its result, in the order of completion."""
 
 
 def connect(address: str) -> Any:
-    """A client of the scheduler at an address (`distributed.Client`), to be closed. Raises OysterbenchError where none
-    answers."""
+    """Return a client (`distributed.Client`) of the scheduler at an address, for the caller to close. Raises
+    OysterbenchError where none answers, or Dask is not installed."""
     try:
-        dask: Any = import_module("distributed")  # which is not typed
+        dask: Any = import_module("distributed")  # untyped
     except ImportError:
         raise OysterbenchError("--scheduler needs Dask: pip install 'oysterbench[cluster]'") from None
     try:
@@ -46,15 +46,15 @@ def connect(address: str) -> Any:
 
 
 def new_key() -> str:
-    """A name for a task: Dask's would be made from the arguments, which hold what no log should tell."""
+    """Return a unique key for a task: Dask would derive one from the arguments, which must not leak into logs."""
     return f"oysterbench-{uuid.uuid4().hex}"
 
 
 def run_on_cluster(task: Callable[[J], R], jobs: Sequence[J], address: str, most: int | None = None) -> Results[J, R]:
-    """Run jobs on the workers of a Dask scheduler, those that come and go meanwhile included. most: at a time.
+    """Run jobs on the workers of a Dask scheduler, including workers that join or leave meanwhile.
 
-    A job whose worker is lost is run by another. Raises OysterbenchError when the scheduler cannot be reached or is
-    lost, and when a job kills its workers again and again.
+    most: limit on jobs submitted at a time. A job whose worker is lost is run by another. Raises OysterbenchError when
+    the scheduler cannot be reached or is lost, and when a job kills its workers again and again.
     """
     client = connect(address)
     dask: Any = import_module("distributed")
@@ -99,8 +99,8 @@ def run_on_cluster(task: Callable[[J], R], jobs: Sequence[J], address: str, most
 
 
 def find_withdrawn() -> Callable[[], bool]:
-    """On a worker, in the thread of a task: what says, in any thread, whether nobody waits for the task any more, as
-    its caller has cancelled it or is gone."""
+    """On a worker, in the thread of a task: return a function that says, in any thread, whether the task is no longer
+    wanted because its caller has cancelled it or is gone."""
     worker: Any = import_module("distributed.worker")
     state, key = worker.get_worker().state, worker.thread_state.key
     return lambda: getattr(state.tasks.get(key), "state", "") != "executing"

@@ -1,4 +1,4 @@
-"""How things look in a notebook: cards of facts, tables and pictures, as HTML that needs no other file."""
+"""Notebook display: cards of facts, tables and images, as self-contained HTML."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 PICTURE_PX = 320
-"""Width of a picture on a card, at most."""
+"""Maximum width of an image on a card, px."""
 GOLDEN = 0.61803398875
-"""Steps of this on a circle of hues lie far from all steps before."""
+"""Step around the circle of hues such that each hue lies far from all earlier ones."""
 FAINT = 0.45
-"""Weight of the colour that marks an oyster in its picture."""
+"""Weight of the colour that marks an oyster in its image."""
 MARK = (255, 140, 0)
-"""RGB of that colour, orange: no water and no bottom has it."""
+"""RGB of that colour: orange, which neither water nor bottom has."""
 
 
 @dataclass(frozen=True)
 class CardTable:
-    """Headings, and rows of what can be written."""
+    """A table on a card: headings, and rows of printable values."""
 
     headings: Sequence[str]
     rows: Sequence[Sequence[object]]
@@ -33,7 +33,7 @@ class CardTable:
 
 @dataclass(frozen=True)
 class CardPicture:
-    """A picture, encoded (base64), with what is written below it."""
+    """An image on a card, encoded (base64), with its caption."""
 
     caption: str
     data: str
@@ -47,13 +47,13 @@ def card(
     pictures: Iterable[CardPicture] = (),
     notes: Iterable[str] = (),
 ) -> str:
-    """A card as HTML; every text in it is escaped."""
+    """Render a card as HTML; every text in it is escaped."""
     parts = {"tables": list(tables), "pictures": list(pictures), "notes": list(notes)}
     return render("notebook.html", {"title": title, "lead": lead, **parts})
 
 
 def picture(pixels: NDArray[Any], caption: str, width: int = PICTURE_PX) -> CardPicture:
-    """A picture, or a layer, (H, W, ...) as `shown` colours it, scaled down to a width."""
+    """Encode an image or layer (H, W, ...), coloured by `shown` and scaled down to at most `width` px."""
     import cv2
 
     colours: NDArray[Any] = shown(pixels)
@@ -64,16 +64,17 @@ def picture(pixels: NDArray[Any], caption: str, width: int = PICTURE_PX) -> Card
 
 
 def png(pixels: NDArray[Any]) -> bytes:
-    """The bytes of a PNG of a picture, or a layer, as `shown` colours it."""
+    """PNG bytes of an image or layer, coloured by `shown`."""
     return _encoded(shown(pixels), ".png")
 
 
 def shown(pixels: NDArray[Any]) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 RGB of a picture or a layer of any kind.
+    """Colour an image or layer of any kind: (H, W, 3) uint8 RGB.
 
-    Colours stay; numbers of instances and classes (H, W) get a colour each, 0 is black; measures (H, W) go from dark
-    to light between their 2nd and 98th percentile, positive ones by their logarithm, and none (0, NaN) is black; three
-    numbers are a colour between -1 and 1, or 0 and the greatest, and two are shown by their length.
+    RGB images stay as they are; instance and class numbers (H, W) get a colour each, 0 is black; measures (H, W) go
+    from dark to light between their 2nd and 98th percentiles, by their logarithm if all are positive, and missing ones
+    (0, NaN) are black; three channels become RGB, scaled from -1 to 1, or from 0 to the maximum if none is negative;
+    two channels are shown by their norm.
     """
     import numpy as np
 
@@ -89,7 +90,7 @@ def shown(pixels: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def marked(pixels: NDArray[np.uint8], where: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """A picture (H, W, 3) with the pixels (H, W) of something tinted."""
+    """Tint the pixels of a mask (H, W) in an image (H, W, 3)."""
     import numpy as np
 
     found = pixels.astype(np.float32)
@@ -115,7 +116,7 @@ def _graded(values: NDArray[Any]) -> NDArray[np.uint8]:
     known = np.isfinite(values) & (values != 0)
     if not known.any():
         return np.zeros((*values.shape, 3), dtype=np.uint8)
-    if (values[known] > 0).all():  # depths: near ones differ by as much to the eye as far ones
+    if (values[known] > 0).all():  # depths: by their logarithm, near ones differ as visibly as far ones
         values = np.log(np.where(known, values, 1.0))
     low, high = np.percentile(values[known], (2, 98))
     share = np.clip((np.where(known, values, low) - low) / max(high - low, 1e-12), 0, 1)

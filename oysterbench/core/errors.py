@@ -28,7 +28,7 @@ class TrajectoryError(OysterbenchError):
 
 
 class NoStampsError(TrajectoryError):
-    """A file with so many poses says nothing of their times."""
+    """A trajectory file gives no timestamps. poses: how many poses it has"""
 
     def __init__(self, message: str, poses: int) -> None:
         super().__init__(message)
@@ -40,7 +40,7 @@ class MethodError(OysterbenchError):
 
 
 class MachineError(OysterbenchError):
-    """The machine failed, and not what ran on it: a process was killed from outside, as where memory is short."""
+    """The machine failed, not the code that ran on it: a process was killed from outside, e.g. when memory ran out."""
 
 
 class ResultError(OysterbenchError):
@@ -68,4 +68,4 @@ class NetworkError(HubError):
 
 
 class MissingExtraError(OysterbenchError, ImportError):
-    """What an optional part stands on is not installed; the message says what to type."""
+    """A dependency of an optional part is not installed; the message says what to type."""

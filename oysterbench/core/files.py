@@ -1,4 +1,4 @@
-"""Where things are kept, and writing them so that nothing is ever half there."""
+"""Where data is stored, and atomic writing of files and folders."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ def home() -> Path:
 
 MODELS = "OYSTERBENCH_MODELS"
 SCRATCH = "oysterbench-run-"
-"""How the names of temporary folders begin that are cleared when their process was killed."""
+"""Prefix of temporary folders; those whose process was killed are removed later."""
 
 
 def models() -> Path:
-    """Folder of weights that were trained here: `OYSTERBENCH_MODELS`, or `models` in the home."""
+    """Folder of locally trained weights: `OYSTERBENCH_MODELS`, or `models` in the home folder."""
     return Path(os.environ.get(MODELS) or home() / "models").absolute()
 
 
 def write_atomically(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write a file so that it is there whole or not at all."""
+    """Write a file atomically: it appears complete or not at all."""
     with appearing(path) as file:
         file.write(data)
 
 
 @contextlib.contextmanager
 def appearing(path: str | os.PathLike[str], prefix: str | None = None, mode: int = 0o644) -> Iterator[IO[bytes]]:
-    """A file to write, which appears under its name, synced, when the block ends well, and leaves nothing when it does
-    not. prefix: of the name that it has until then; mode: who may read it then."""
+    """Yield a file to write, which appears under its name, synced, when the block succeeds, and leaves nothing behind
+    when it fails. prefix: of its temporary name until then; mode: its permissions after that."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     prefix = prefix or f".{path.name}."
@@ -62,10 +62,11 @@ def appearing(path: str | os.PathLike[str], prefix: str | None = None, mode: int
 
 @contextlib.contextmanager
 def appearing_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A folder to fill, which appears under its name when the block ends well, and leaves nothing when it does not.
+    """Yield a folder to fill, which appears under its name when the block succeeds, and leaves nothing behind when it
+    fails.
 
-    What a killed process left of the same folder is cleared first. Raises OSError where `path` is there already and is
-    not an empty folder, and where another process fills the same one.
+    Leftovers of a killed process for the same folder are removed first. Raises OSError where `path` already exists and
+    is not an empty folder, and where another process is filling the same one.
     """
     folder = Path(path)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -96,8 +97,8 @@ def appearing_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def scratch() -> Iterator[Path]:
-    """A temporary folder for as long as the block runs. What killed processes of this user left of the same kind is
-    cleared first: each folder is locked by its process, and the system frees the lock of one that dies."""
+    """Yield a temporary folder that exists for as long as the block runs. Those left by killed processes of this user
+    are removed first: each folder is locked by its process, and the system releases the lock of a process that dies."""
     root = Path(tempfile.gettempdir())
     for left in root.glob(f"{SCRATCH}*"):
         with contextlib.suppress(OSError), _held(left) as mine:
@@ -106,7 +107,7 @@ def scratch() -> Iterator[Path]:
     while True:
         folder = Path(tempfile.mkdtemp(prefix=SCRATCH))
         with _held(folder, wait=True) as mine:
-            if not mine:  # cleared by another process before it was locked
+            if not mine:  # removed by another process before it was locked
                 continue
             try:
                 yield folder
@@ -117,8 +118,10 @@ def scratch() -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _held(folder: Path, wait: bool = False) -> Iterator[bool]:
-    """Lock a folder; whether it is locked now, and still there under its name and this user's. Where a disk has no
-    locks, a folder is nobody's to clear, and its own process's all the same."""
+    """Lock a folder; yield whether it is now locked, still exists under its name and belongs to this user.
+
+    On a disk without locks, a process holds its own folders (`wait`) all the same, and none may remove another's.
+    """
     try:
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     except FileNotFoundError:
@@ -144,12 +147,12 @@ def _held(folder: Path, wait: bool = False) -> Iterator[bool]:
 def locked(
     path: str | os.PathLike[str], wait: bool = True, before_waiting: Callable[[], None] | None = None
 ) -> Iterator[bool]:
-    """Hold a lock file while the block runs; whether it is held: another holder is waited for, or prevents it. The
-    system frees it when a process dies. before_waiting: called where another holder is waited for."""
+    """Hold a lock file while the block runs; yield whether it is held. Another holder is waited for or, without `wait`,
+    prevents that. The system releases the lock of a process that dies. before_waiting: called before such a wait."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with naming(path.parent, path):
-        file = open(path, "w")  # noqa: SIM115  closed below; what the block raises is none of its errors
+        file = open(path, "w")  # noqa: SIM115  closed below; errors of the block are not this file's
     with file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -165,9 +168,10 @@ def locked(
 
 @contextlib.contextmanager
 def naming(path: str | os.PathLike[str], stands_for_it: str | os.PathLike[str] | None = None) -> Iterator[None]:
-    """Let an OSError of the block that names no file, as that of a full disk in `write`, name this one.
+    """Add this path to an OSError of the block that names no file, such as that of a full disk in `write`.
 
-    stands_for_it: how the names begin that this file, or what is in this folder, has for a while, which no user knows
+    stands_for_it: prefix of temporary names for this file, or for what is in this folder; as no user knows them, they
+    are replaced too
     """
     try:
         yield
@@ -181,13 +185,14 @@ def naming(path: str | os.PathLike[str], stands_for_it: str | os.PathLike[str] |
 
 
 def free_bytes(folder: Path) -> int:
-    """Room on the disk of a folder, which need not be there yet."""
+    """Free bytes on the disk of a folder, which need not exist yet."""
     there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
     return shutil.disk_usage(there).free
 
 
 def link(source: str, target: str) -> None:
-    """A file under another name; copied where a link cannot be had, as between disks."""
+    """Make a file available under a second name: by a hard link, or by a copy where that is impossible, as between
+    disks."""
     try:
         os.link(os.path.realpath(source), target)
     except OSError:

@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 SMALL_ARC_RAD = 1e-7
-"""On a shorter arc the chord is the arc, to the last bit of a float64."""
+"""On a shorter arc, the chord equals the arc to the last bit of a float64."""
 
 
 BLOCK = 1 << 14
-"""Poses that are worked on at once: what they need stays in the processor's cache."""
+"""Poses processed at a time, so that their data stays in the processor's cache."""
 
 CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
-"""Times a unit quaternion: its inverse."""
+"""Factor, element by element, that turns a unit quaternion into its inverse."""
 
 GRAVITY = 9.80665
 """Standard gravity, m/s^2, along -z of `map`."""
@@ -56,9 +56,10 @@ def poses_to_matrices(positions: ArrayLike, quaternions: ArrayLike) -> Array:
 def interpolate_poses(
     stamps_ns: NDArray[np.int64], positions: Array, quaternions: Array, at_ns: NDArray[np.int64]
 ) -> tuple[Array, Array]:
-    """Linear positions and slerped attitudes at `at_ns` (M,), all inside [stamps_ns[0], stamps_ns[-1]].
+    """Interpolate positions (linearly) and attitudes (slerp) at `at_ns` (M,), all inside [stamps_ns[0], stamps_ns[-1]].
 
-    stamps_ns (N,) int64 increasing, positions (N, 3), quaternions (N, 4); returns (M, 3) and (M, 4).
+    stamps_ns (N,) int64 increasing, positions (N, 3), quaternions (N, 4); returns (M, 3) and (M, 4). Raises ValueError
+    for stamps outside.
     """
     at_ns = np.asarray(at_ns, dtype=np.int64)
     if len(at_ns) == 0:
@@ -72,7 +73,7 @@ def interpolate_poses(
     for begin in range(0, len(at_ns), BLOCK):
         part = slice(begin, begin + BLOCK)
         i, j = low[part], low[part] + 1
-        # Differences of stamps are exact, and fit a float64; nanoseconds of an epoch do not.
+        # Differences between stamps are exact and fit a float64; nanoseconds since an epoch do not.
         share = ((at_ns[part] - stamps_ns[i]) / (stamps_ns[j] - stamps_ns[i]))[:, None]
         at_positions[part] = (1.0 - share) * np.take(positions, i, axis=0) + share * np.take(positions, j, axis=0)
         at_quaternions[part] = _slerp(np.take(quaternions, i, axis=0), np.take(quaternions, j, axis=0), share)
@@ -80,10 +81,10 @@ def interpolate_poses(
 
 
 def _slerp(begin: Array, end: Array, share: Array) -> Array:
-    """Unit quaternions (N, 4) on the shorter arc from `begin` to `end`, at shares (N, 1) of it (Shoemake 1985)."""
+    """Unit quaternions (N, 4) on the shorter arc from `begin` to `end`, at fractions (N, 1) of it (Shoemake 1985)."""
     end = np.where(np.einsum("ij,ij->i", begin, end)[:, None] < 0, -end, end)
     apart, together = begin - end, begin + end
-    # The angle between the quaternions, half of that between the attitudes: exact where an arc cosine is not.
+    # The angle between the quaternions is half that between the attitudes; this is exact where an arc cosine is not.
     angle = 2.0 * np.arctan2(
         np.sqrt(np.einsum("ij,ij->i", apart, apart)), np.sqrt(np.einsum("ij,ij->i", together, together))
     )
@@ -103,14 +104,14 @@ def left_product(quaternion: ArrayLike) -> Array:
 def rotation_angle(quaternions_a: Array, quaternions_b: Array) -> Array:
     """Angle (N,) in rad, 0 to pi, of the rotations R_a^T R_b; unit quaternions (N, 4).
 
-    From sine and cosine of the half angle, exact near 0 and near pi, where an arc cosine is not.
+    Computed from the sine and cosine of the half angle: exact near 0 and near pi, where an arc cosine is not.
     """
     x, y, z, w = quaternion_product(quaternions_a * CONJUGATE, quaternions_b).T
     return np.asarray(2.0 * np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w)))
 
 
 def quaternion_product(a: Array, b: Array) -> Array:
-    """a * b of quaternions (N, 4) x y z w: the rotation b followed by a."""
+    """Product a * b of quaternions (N, 4), x y z w: the rotation b followed by a."""
     product = np.empty((4, len(b))).T
     for begin in range(0, len(b), BLOCK):
         part = slice(begin, begin + BLOCK)
@@ -133,11 +134,11 @@ class Similarity:
 
     def apply(self, points: Array) -> Array:
         """Transform (N, 3) points."""
-        # einsum, as the matrix product of BLAS takes ten times as long for so narrow a matrix.
+        # einsum, because the matrix product of BLAS takes ten times as long for so narrow a matrix.
         return np.asarray(np.einsum("ij,kj->ik", points, self.scale * self.rotation) + self.translation)
 
     def rotate(self, quaternions: Array) -> Array:
-        """Attitudes (N, 4) turned from the left: body to the estimate's world becomes body to the reference's."""
+        """Rotate attitudes (N, 4) from the left: body to estimate's world becomes body to reference's world."""
         turn = scipy.spatial.transform.Rotation.from_matrix(self.rotation)
         return np.asarray(np.einsum("ij,kj->ik", quaternions, left_product(turn.as_quat())))
 
@@ -145,19 +146,19 @@ class Similarity:
 IDENTITY = Similarity(np.eye(3), np.zeros(3))
 
 MIN_SPREAD_M = 1e-3
-"""A reference whose points lie closer together than this (rms distance from their mean) does not move."""
+"""A reference whose spread (rms distance of the points from their mean) is below this does not move."""
 
 MIN_SPREAD_RATIO = 1e-6
-"""Spread across the main direction over spread along it, below which points are on one line but for rounding.
+"""Ratio of the spread across the main direction to that along it, below which points are collinear up to rounding.
 
-A line has no rotation about itself. Points that are nearly on one have, as exactly as their errors are small against
-their distance from it: `evaluate.alignment` weighs that.
+Points on a line do not determine the rotation about it. Points that are nearly collinear do, as precisely as their
+errors are small compared with their distance from the line: `evaluate.alignment` takes that into account.
 """
 
 MIN_MOTION_RATIO = 1e-3
-"""Spread of the estimate over that of the reference, below which the estimate is stuck.
+"""Ratio of the estimate's spread to the reference's, below which the estimate is stuck.
 
-Umeyama's scale of a stuck estimate is its noise blown up to the reference (1e8 and more).
+Umeyama's scale for a stuck estimate merely blows its noise up to the size of the reference (1e8 and more).
 """
 
 
@@ -168,21 +169,21 @@ def spread(points: Array) -> float:
 
 
 def centroid(points: Array) -> Array:
-    """Mean (K,) of points (N, K), column by column, as numpy sums those exactly to the last digits and quickly."""
+    """Mean (K,) of points (N, K), taken column by column, which numpy sums quickly and precisely to the last digits."""
     return np.array([points[:, k].mean() for k in range(points.shape[1])])
 
 
 def covariance(points_a: Array, points_b: Array) -> Array:
-    """(K, K) mean of a b^T over points (N, K), each set less its own mean.
+    """Cross-covariance (K, K) of points (N, K): mean of a b^T, each set minus its own mean.
 
-    einsum's sums, unlike those of BLAS, are the same on any number of threads.
+    Sums by einsum, unlike those by BLAS, are the same on any number of threads.
     """
     a, b = points_a - centroid(points_a), points_b - centroid(points_b)
     return np.asarray(np.einsum("ni,nj->ij", a, b) / len(a))
 
 
 def align_origin(reference: Array, estimate: Array) -> Similarity:
-    """The rigid transform that takes one estimated pose onto its reference, both (4, 4)."""
+    """Rigid transform that takes one estimated pose onto its reference, both (4, 4)."""
     change = np.asarray(reference) @ invert(estimate)
     return Similarity(change[:3, :3], change[:3, 3])
 
@@ -234,10 +235,10 @@ def align_yaw(reference: Array, estimate: Array) -> Similarity:
 
 
 def align_scale(reference: Array, estimate: Array) -> Similarity:
-    """The scale of the similarity alignment of matched points (N, 3), alone: nothing is turned or moved.
+    """Only the scale of the similarity alignment of matched points (N, 3): nothing is rotated or translated.
 
-    The least-squares scale between the centred points after their best rotation (Umeyama 1991, eq. 42); points on
-    one line have it too.
+    The least-squares scale between the centred points after their best rotation (Umeyama 1991, eq. 42); collinear
+    points have one too.
     """
     _check_matched(reference, estimate)
     _check_motion(spread(reference), spread(estimate))

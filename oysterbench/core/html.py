@@ -1,4 +1,4 @@
-"""Pages by Jinja2 templates: always escaped, and a name that is not given is an error."""
+"""HTML from Jinja2 templates: always escaped, and an undefined name is an error."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
 @lru_cache(maxsize=16)
 def environment(*packages: str) -> Environment:
-    """The templates of packages, each from its folder `templates`, then those of core: `page.html`, the frame that
-    pages extend."""
+    """Jinja2 environment with the templates of packages, each from its folder `templates`, then those of core:
+    `page.html` is the frame that pages extend."""
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     made = Environment(
@@ -30,12 +30,12 @@ def environment(*packages: str) -> Environment:
 
 
 def render(template: str, context: Mapping[str, Any], *packages: str) -> str:
-    """A template, filled in."""
+    """Render a template with the values of `context`."""
     return environment(*packages).get_template(template).render(**context)
 
 
 def capital(text: str) -> str:
-    """A sentence with a capital at its begin; the rest as it is.
+    """Capitalise the first letter of a sentence; the rest stays as it is.
 
     >>> capital("one GPU")
     'One GPU'

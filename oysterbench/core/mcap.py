@@ -1,7 +1,7 @@
-"""MCAP files that anybody may have made: their index, and messages in time order, in bounded time and memory.
+"""MCAP files from untrusted sources: their index, and messages in time order, in bounded time and memory.
 
-The reader of the package mcap unpacks a chunk to whatever size its compressed bytes claim, and takes records of no
-length for records: 9 kB then cost minutes. Here a chunk unpacks to the size that it declares, or not at all.
+The reader of the mcap package decompresses a chunk to whatever size its compressed bytes claim, and accepts records of
+zero length: 9 kB can then cost minutes. Here a chunk decompresses to the size that it declares, or not at all.
 """
 
 from __future__ import annotations
@@ -33,21 +33,22 @@ from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.summary import Summary
 
 MAGIC = b"\x89MCAP0\r\n"
-FOOTER = struct.Struct("<BQQQI")  # opcode, length of what follows, start of the summary, of its offsets, its CRC
-RECORD = struct.Struct("<BQ")  # opcode, length of what follows
+FOOTER = struct.Struct("<BQQQI")  # opcode, length of the rest, offsets of the summary and its offset section, its CRC
+RECORD = struct.Struct("<BQ")  # opcode, length of the rest
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; then the data
 
 LARGEST_CHUNK = 1 << 27
-"""Bytes, unpacked: 32 times what writers make by default, and more than the largest picture of a camera."""
+"""Size limit of a decompressed chunk, bytes: 32 times what writers make by default, and more than the largest camera
+image."""
 MOST_RECORDS = 1 << 19
-"""In a chunk: 4 times what fits into one of the default size."""
+"""Limit on the records in a chunk: 4 times what fits into one of the default size."""
 LARGEST_KEPT = 1 << 20
-"""Bytes of an index that is kept, parsed: that of a file of some gigabytes."""
+"""Size limit of an index that is cached once parsed, bytes: that of a file of some gigabytes."""
 
 
 def read_summary(file: IO[bytes]) -> Summary | None:
-    """The index of a file, not to be written to; None where it has none. Raises ValueError, EOFError and errors of mcap
-    for damage."""
+    """Read the index of a file; None where it has none. It may be cached, so callers must not modify it. Raises
+    ValueError, EOFError and errors of mcap for damage."""
     start = summary_start(file)
     if start == 0:
         return None
@@ -58,14 +59,14 @@ def read_summary(file: IO[bytes]) -> Summary | None:
 
 @lru_cache(maxsize=8)
 def _kept(index: bytes) -> Summary:
-    """Of the bytes of an index, which viewers read once for each picture."""
+    """Parse the bytes of an index; cached, since viewers read it once per image."""
     return _parsed(io.BytesIO(index))
 
 
 def _parsed(file: IO[bytes]) -> Summary:
-    """The index that begins where the file stands."""
+    """Parse the index that starts at the file's current position."""
     summary = Summary()
-    # A chunk has no place here: with `emit_chunks` it is passed over, packed.
+    # A chunk does not belong here: with `emit_chunks` it is skipped without being decompressed.
     for record in StreamReader(file, skip_magic=True, emit_chunks=True).records:
         if isinstance(record, Statistics):
             summary.statistics = record
@@ -88,8 +89,8 @@ def _parsed(file: IO[bytes]) -> Summary:
 
 
 def summary_start(file: IO[bytes]) -> int:
-    """Where the index begins, 0 where there is none. Raises ValueError or EOFError unless the file ends as it should
-    and its index has the CRC that its footer says."""
+    """Offset of the index, 0 where there is none. Raises ValueError or EOFError unless the file ends as it should and
+    its index matches the CRC in the footer."""
     size = file.seek(0, os.SEEK_END)
     tail = FOOTER.size + len(MAGIC)
     if size < tail + len(MAGIC):
@@ -105,14 +106,14 @@ def summary_start(file: IO[bytes]) -> int:
         raise ValueError("its index is outside it")
     file.seek(start)
     # The CRC covers the footer as well, up to the CRC itself.
-    # Zero says that there is none: a file of another program.
+    # Zero means that there is none: a file from another program.
     if crc and zlib.crc32(file.read(size - tail - start) + end[: FOOTER.size - 4]) != crc:
         raise ValueError("the CRC of its index is wrong")
     return int(start)
 
 
 def iter_metadata(file: IO[bytes], summary: Summary) -> Iterator[Metadata]:
-    """The metadata records of a file."""
+    """Yield the metadata records of a file."""
     for index in summary.metadata_indexes:
         yield Metadata.read(_record_at(file, index.offset, Opcode.METADATA))
 
@@ -124,17 +125,20 @@ def iter_messages(
     start_ns: int | None = None,
     end_ns: int | None = None,
 ) -> Iterator[tuple[Schema | None, Channel, Message]]:
-    """Messages of some topics (all by default) in the order of their log times, of `start_ns <= log_time < end_ns`;
-    only chunks that hold such messages are read, and a chunk when its time has come."""
+    """Yield the messages of some topics (all by default) with `start_ns <= log_time < end_ns`, in order of log time.
+
+    Only chunks that hold such messages are read, each when its time has come. Raises ValueError for messages of a
+    channel that the index lacks.
+    """
     low, high = -1 if start_ns is None else start_ns, 1 << 64 if end_ns is None else end_ns
     wanted = {key: channel for key, channel in summary.channels.items() if topics is None or channel.topic in topics}
-    # Entries are told apart by time, offset of the chunk, and place in it: -1 of the chunk itself.
+    # Entries are ordered by time, offset of the chunk, and index within it: -1 for the chunk itself.
     queue: list[tuple[int, int, int, ChunkIndex | Message]] = [
         (index.message_start_time, index.chunk_start_offset, -1, index)
         for index in summary.chunk_indexes
         if index.message_end_time >= low
         and index.message_start_time < high
-        # Without message indexes, only the chunk itself says whose messages it holds.
+        # Without message indexes, only the chunk itself tells which channels it holds.
         and (not index.message_index_offsets or topics is None or wanted.keys() & index.message_index_offsets.keys())
     ]
     if not summary.chunk_indexes:
@@ -160,8 +164,8 @@ def read_chunk(file: IO[bytes], index: ChunkIndex) -> Iterator[Message]:
 
 
 def message_places(file: IO[bytes], index: ChunkIndex, channel: int) -> list[tuple[int, int]]:
-    """Log time, ns, and place in the chunk of each message of a channel, in the order of the file, without unpacking
-    it. Raises ValueError where the file does not say."""
+    """Log time, ns, and offset in the chunk of each message of a channel, in the order of the file, without
+    decompressing the chunk. Raises ValueError where the message index is wrong."""
     if channel not in index.message_index_offsets:
         return []
     record = MessageIndex.read(_record_at(file, index.message_index_offsets[channel], Opcode.MESSAGE_INDEX))
@@ -171,12 +175,12 @@ def message_places(file: IO[bytes], index: ChunkIndex, channel: int) -> list[tup
 
 
 def unpacked_chunk(file: IO[bytes], offset: int) -> bytes:
-    """The records of the chunk at an offset of the file; its CRC is checked."""
+    """Decompressed records of the chunk at an offset of the file; its CRC is checked."""
     return _unpacked(Chunk.read(_record_at(file, offset, Opcode.CHUNK)))
 
 
 def message_at(data: bytes, place: int, channel: int, stamp_ns: int) -> bytes:
-    """The data of a message in a chunk's records. Raises ValueError where there is another one, or none."""
+    """Data of the message at an offset in a chunk's records. Raises ValueError where there is another one, or none."""
     opcode, length = RECORD.unpack_from(data, place)
     found, _, log_time, _ = MESSAGE.unpack_from(data, place + RECORD.size)
     if opcode != Opcode.MESSAGE or (found, log_time) != (channel, stamp_ns) or length < MESSAGE.size:
@@ -206,7 +210,8 @@ def _in_file(file: IO[bytes]) -> Iterator[Message]:
 
 
 def _unpacked(chunk: Chunk) -> bytes:
-    """The records in a chunk. Raises ValueError where they are not as many bytes as it declares, or damaged."""
+    """Decompress the records of a chunk. Raises ValueError where their size is not the declared one, or they are
+    damaged."""
     size = chunk.uncompressed_size
     if size > LARGEST_CHUNK:
         raise ValueError(
@@ -226,7 +231,8 @@ def _count(found: int, expected: int) -> str:
 
 
 def unpack(data: bytes, compression: str, most: int) -> bytes:
-    """Data unpacked, by zstd, lz4, bz2 or (empty) none, and of more than so many bytes the first `most` + 1 alone."""
+    """Decompress data (zstd, lz4 or bz2) to `most` + 1 bytes at most; with an empty `compression`, return it as it
+    is."""
     if compression == "zstd":
         import zstandard
 
@@ -239,7 +245,7 @@ def unpack(data: bytes, compression: str, most: int) -> bytes:
             return bytes(LZ4FrameDecompressor().decompress(data, max_length=most + 1))
         except RuntimeError as error:
             raise ValueError(f"lz4: {error}") from None
-    if compression == "bz2":  # of chunks of ROS 1
+    if compression == "bz2":  # in chunks of ROS 1 bags
         import bz2
 
         return bz2.BZ2Decompressor().decompress(data, most + 1)

@@ -1,4 +1,4 @@
-"""Measurements: what one message of each sensor says. Sensors make them, files hold them, readers give them back."""
+"""Measurements: the content of one message of each sensor. Sensors make them, files store them, readers return them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Image:
 
     pixels: (H, W, 3) uint8 RGB; or a layer: depth (H, W) float32 m along the optical axis, 0 = none; class (H, W)
     uint8 (`recipe.CLASSES`); instance (H, W) uint16, 0 = none; normals (H, W, 3) float32, outward, in the optical
-    frame; visibility (H, W) float32, share of the instance at a pixel that nothing hides, NaN = none; light (H, W, 3)
+    frame; visibility (H, W) float32, unoccluded fraction of the instance at a pixel, NaN = none; light (H, W, 3)
     float32, 1 = a white matte surface in full daylight: clean (without water), and direct + forward_scatter +
     backscatter + snow, which add up to what reaches the lens; dynamic (H, W) uint8, 1 = moves by itself; flow (H, W, 2)
-    float32 px to the right and down until the next frame, NaN = none; transmittance (H, W) float32, share of light in
-    green that arrives through the water, 0 = none.
+    float32 px to the right and down until the next frame, NaN = none; transmittance (H, W) float32, fraction of green
+    light that arrives through the water, 0 = none.
     """
 
     stamp_ns: int
@@ -86,7 +86,7 @@ class MagneticMeasurement:
 
 @dataclass(frozen=True)
 class RangeMeasurement:
-    """Range of an altimeter's echo, m along its axis; +inf where nothing answers within its reach."""
+    """Range of an altimeter's echo, m along its axis; +inf where there is no echo within its maximum range."""
 
     stamp_ns: int
     sensor: str
@@ -117,10 +117,10 @@ class ScanPing:
 
 @dataclass(frozen=True)
 class Cloud:
-    """Returns of a sonar with their meaning.
+    """Labelled point cloud of a sonar's returns.
 
-    points (N, 3) float32 m in the sensor's frame; intensity (N,) float32 dB over a perfect scatterer that fills the
-    beam at 1 m; classes (N,) uint8 (`recipe.CLASSES`); instances (N,) uint16, 0 = none.
+    points (N, 3) float32 m in the sensor's frame; intensity (N,) float32 dB relative to a perfect scatterer that fills
+    the beam at 1 m; classes (N,) uint8 (`recipe.CLASSES`); instances (N,) uint16, 0 = none.
     """
 
     stamp_ns: int
@@ -133,8 +133,8 @@ class Cloud:
 
 @dataclass(frozen=True)
 class VehicleState:
-    """What compass, tilt, pressure and altimeter tell: heading rad (from east, counter-clockwise), pitch rad (bow down
-    positive), depth m under the mean water surface, altitude m over the bottom."""
+    """State from compass, tilt and pressure sensors and altimeter: heading rad (from east, counter-clockwise), pitch
+    rad (bow down positive), depth m below the mean water surface, altitude m above the bottom."""
 
     heading: float
     pitch: float

@@ -1,4 +1,4 @@
-"""Names that are asked for and are not there: what to type in place of one."""
+"""Suggestions for names that were asked for but do not exist."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import difflib
 from collections.abc import Iterable
 
 FEW = 10
-"""So many known names are all listed where another one was asked for."""
+"""Up to this many known names are all listed where an unknown one was asked for."""
 
 
 def instead(name: str, known: Iterable[str], listed_by: str) -> str:
-    """The known names where they are few; else those that the asked one is like, and the command that lists them all.
+    """List the known names if they are few; otherwise suggest similar ones, and the command that lists them all.
 
     >>> instead("calmm", ["calm", "rough"], "oysterbench splits sea")
     'it has calm, rough'
@@ -24,7 +24,7 @@ def instead(name: str, known: Iterable[str], listed_by: str) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> list[str]:
-    """At most four known names that the asked one may have been meant to be, the likeliest first.
+    """At most four known names that `name` may have been meant to be, the likeliest first.
 
     >>> nearest("waves-4", ["calm", "waves-1", "wave"])
     ['waves-1', 'wave']
@@ -33,7 +33,7 @@ def nearest(name: str, known: Iterable[str]) -> list[str]:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names in a sentence: the first, and how many more there are.
+    """Join names for a sentence: the first few, and how many more there are.
 
     >>> listed(["calm", "rough"]), listed(map(str, range(12)))
     ('calm, rough', '0, 1, 2, 3, 4, 5, 6, 7, 8, 9 and 2 more')
@@ -44,7 +44,7 @@ def listed(names: Iterable[str]) -> str:
 
 
 def did_you_mean(names: Iterable[str]) -> str:
-    """The question, to be written before what else helps; nothing without names.
+    """Question that suggests names, to precede further advice; empty without names.
 
     >>> did_you_mean(["calm", "wave"])
     'did you mean calm or wave? '

@@ -5,6 +5,6 @@ from __future__ import annotations
 from importlib import resources
 
 STYLES = 8
-"""Methods that can be distinguished: each has a colour (after Okabe & Ito 2008) and a pattern of dashes of its own."""
+"""Number of methods that can be told apart: each has its own colour (after Okabe & Ito 2008) and dash pattern."""
 
 STYLE = (resources.files("oysterbench.core") / "templates" / "style.css").read_text(encoding="utf-8")

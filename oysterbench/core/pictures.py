@@ -1,4 +1,4 @@
-"""Pictures of anybody's making, decoded in bounded memory."""
+"""Images from untrusted sources, decoded in bounded memory."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LARGEST_IMAGE_PX = 1 << 26
-"""What claims to be larger is no image: nothing of that size is made to find out."""
+"""Pixel limit: a file that claims more is no image, and no memory of that size is allocated to find out."""
 
-# OpenCV reads this once, as it is loaded, which it is nowhere before this module; its own limit is 16 times as much.
+# OpenCV reads this once, when it is loaded, and nothing loads it before this module; its own limit is 16 times larger.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(LARGEST_IMAGE_PX))
 
 
 def decode_picture(data: bytes | NDArray[np.uint8], flags: int) -> NDArray[Any] | None:
-    """(H, W) or (H, W, 3) of the bytes of an image file, by OpenCV's flags; None where it is none, or too large."""
+    """Decode the bytes of an image file to (H, W) or (H, W, 3), by OpenCV's flags; None if it is no image, or too
+    large."""
     import cv2
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""Points as binary PLY, which every program that shows clouds opens."""
+"""Point clouds as binary PLY, which every point cloud viewer opens."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ END = b"end_header\n"
 
 
 def write_ply(path: str | os.PathLike[str], rows: NDArray[Any], comment: str) -> None:
-    """A structured array (N,) as the vertices of a binary PLY, a property per field; whole or not at all."""
+    """Write a structured array (N,) as the vertices of a binary PLY, one property per field; atomically."""
     properties = [f"property {TYPES[rows.dtype[name].str]} {name}" for name in rows.dtype.names or ()]
     header = ["ply", "format binary_little_endian 1.0", f"comment {comment}", f"element vertex {len(rows)}"]
     write_atomically(path, "\n".join([*header, *properties, ""]).encode() + END + rows.tobytes())
 
 
 def read_ply(path: str | os.PathLike[str]) -> NDArray[Any]:
-    """The vertices (N,) of a file that `write_ply` wrote, a field per property. OysterbenchError for another."""
+    """Read the vertices (N,) of a file written by `write_ply`, one field per property. Raises OysterbenchError for any
+    other."""
     with open(path, "rb") as file:
         data = file.read()
     header, found, body = data.partition(END)

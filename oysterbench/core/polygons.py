@@ -1,4 +1,4 @@
-"""Masks as polygons along the borders of their pixels, and polygons as masks, so that each gives the other back."""
+"""Masks as polygons along the borders of their pixels, and polygons as masks; each conversion inverts the other."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ BORDERS = (
     ((1, 0), (1, 1), (0, 1)),
     ((0, -1), (0, 1), (0, 0)),
 )
-"""Of a pixel: where its neighbour lies (rows, columns), and the corners (x, y) between which their border runs."""
+"""Neighbours of a pixel: offset (rows, columns), and the corners (x, y) between which the common border runs."""
 
 
 def mask_polygons(mask: NDArray[np.bool_]) -> list[list[float]]:
     """Polygons [x0, y0, x1, y1, ...] around a mask (H, W); pixel (row, column) covers [column, column + 1) and so on.
 
-    One polygon per piece (pixels that touch at corners only are of different pieces). A hole is cut out of its piece
-    by a slit of no width along a row of corners.
+    One polygon per piece (pixels that touch only at corners belong to different pieces). A hole is cut out of its piece
+    by a slit of zero width along a row of corners.
     """
     loops = _loops(mask)
     outer = [loop for loop in loops if _area(loop) > 0]
@@ -56,7 +56,8 @@ def _loops(mask: NDArray[np.bool_]) -> list[list[Corner]]:
 
 
 def _take(onward: dict[Corner, list[Corner]], here: Corner, before: Corner | None) -> Corner:
-    """Where the border goes on; at a corner that two pixels share, around the same pixel (a turn to the right)."""
+    """Remove and return the next corner of the border; where two pixels share a corner, the one that stays with the
+    same pixel (a right turn)."""
     ends = onward[here]
     if len(ends) > 1 and before is not None:
         dx, dy = here[0] - before[0], here[1] - before[1]
@@ -71,7 +72,7 @@ def _take(onward: dict[Corner, list[Corner]], here: Corner, before: Corner | Non
 
 
 def _area(loop: list[Corner]) -> float:
-    """Positive for outlines."""
+    """Signed area of a loop: positive for outlines, negative for holes."""
     x, y = np.array(loop, dtype=float).T
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
@@ -101,14 +102,14 @@ def _straight(loop: list[Corner]) -> list[Corner]:
 
 
 def rasterise(polygon: ArrayLike, height: int, width: int) -> NDArray[np.bool_]:
-    """(H, W) mask of a polygon (N, 2), x and y in px, pixel (row, column) covering [column, column + 1) and so on.
+    """Mask (H, W) of a polygon (N, 2), x and y in px; pixel (row, column) covers [column, column + 1) and so on.
 
     A pixel is inside where its centre is (even-odd rule), so that polygons along the borders of pixels
     (`mask_polygons`) give back their mask, and polygons that touch share no pixel.
     """
     corners = np.asarray(polygon, dtype=float).reshape(-1, 2)
     mask = np.zeros((height, width), dtype=bool)
-    # Only the box of the polygon is looked at: most are small.
+    # Only the polygon's bounding box is processed: most are small.
     (left, top), (right, bottom) = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
     left, top = int(np.clip(left, 0, width)), int(np.clip(top, 0, height))
     right, bottom = int(np.clip(right, 0, width)), int(np.clip(bottom, 0, height))
@@ -118,7 +119,7 @@ def rasterise(polygon: ArrayLike, height: int, width: int) -> NDArray[np.bool_]:
     for (x0, y0), (x1, y1) in zip(corners.tolist(), np.roll(corners, -1, axis=0).tolist(), strict=True):
         low, high = min(y0, y1), max(y0, y1)
         rows = np.arange(max(top, math.ceil(low - 0.5)), min(bottom, math.ceil(high - 0.5)))
-        if len(rows):  # those whose centre line the edge crosses
+        if len(rows):  # rows whose centre line the edge crosses
             x = x0 + (rows + 0.5 - y0) * (x1 - x0) / (y1 - y0)
             flips[rows - top, np.clip(np.ceil(x - 0.5), left, right).astype(int) - left] ^= 1
     mask[top:bottom, left:right] = np.bitwise_xor.accumulate(flips[:, :-1], axis=1)

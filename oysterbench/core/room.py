@@ -1,4 +1,4 @@
-"""Whether what is being written will fit on its disk: told from the first of it, so that nobody waits for the last."""
+"""Whether what is being written will fit on its disk, predicted early so that nobody waits for the end to find out."""
 
 from __future__ import annotations
 
@@ -8,21 +8,23 @@ from oysterbench.core.errors import MachineError
 from oysterbench.core.files import free_bytes
 
 FIRST = 16
-"""Pictures from which the size of all is told for the first time; then whenever there are twice as many."""
+"""Images after which the total size is first predicted; then again whenever their number has doubled."""
 
 
 class Room:
-    """Of a folder that is filled picture by picture.
+    """Disk space for a folder that is filled image by image.
 
-    folder: where it is filled; shown: the name that its user knows it by
+    folder: where the images are written; shown: the path under which the user knows it
     """
 
     def __init__(self, folder: Path, shown: Path) -> None:
         self._folder, self._shown, self._next = folder, shown, FIRST
 
     def check(self, done: int, total: int) -> None:
-        """To be called with the pictures that are written, and those there will be. Raises MachineError where the rest
-        will not fit, if it is like what is there."""
+        """Predict the size of all images from those written so far. Raises MachineError where the rest will not fit.
+
+        done: images written; total: images there will be
+        """
         if done < self._next or done >= total:
             return
         self._next = 2 * done
@@ -30,7 +32,7 @@ class Room:
         self.need(written / done * (total - done), written)
 
     def need(self, more: float, written: float = 0) -> None:
-        """Raise MachineError where so many bytes more do not fit. written: bytes that are there already."""
+        """Raise MachineError where `more` bytes do not fit. written: bytes that are there already."""
         free = free_bytes(self._folder)
         if more > free:
             raise MachineError(

@@ -1,5 +1,4 @@
-"""Messages as bytes: CDR of ROS 2's stock types, point clouds, pictures of 16 bits, and what a recorder notes of a
-topic."""
+"""Messages as bytes: CDR of ROS 2's stock types, point clouds, 16-bit images, and a recorder's metadata of a topic."""
 
 from __future__ import annotations
 
@@ -36,7 +35,7 @@ QOS = """\
   liveliness_lease_duration: {{sec: 9223372036, nsec: 854775807}}
   avoid_ros_namespace_conventions: false
 """
-"""As ROS 2 Jazzy's recorder writes it; the times are its "infinite"."""
+"""QoS profile as ROS 2 Jazzy's recorder writes it; the times are its "infinite"."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +49,12 @@ class Message:
 
 @cache
 def typestore() -> Typestore:
-    """Message types of ROS 2 Jazzy. Humble has the same, but for Range, which ends there before its variance."""
+    """Message types of ROS 2 Jazzy. Humble's are the same, except that its Range lacks the last field, variance."""
     return get_typestore(Stores.ROS2_JAZZY)
 
 
 def channel_metadata(topic: str, type_name: str) -> dict[str, str]:
-    """What rosbag2 wants to know of a channel."""
+    """Metadata that rosbag2 expects of a channel: QoS profile and type hash."""
     latched = topic == TF_STATIC
     qos = QOS.format(depth=1 if latched else 10, durability="transient_local" if latched else "volatile")
     return {
@@ -65,12 +64,12 @@ def channel_metadata(topic: str, type_name: str) -> dict[str, str]:
 
 
 def schema(type_name: str) -> bytes:
-    """Definition of a message type with all that it refers to, as `ros2msg`."""
+    """Definition of a message type and of all types it refers to, as `ros2msg`."""
     return typestore().generate_msgdef(type_name, ros_version=2)[0].encode()
 
 
 def make(type_name: str, **values: Any) -> Any:
-    """Message object of a type."""
+    """Create a message object of a type."""
     return typestore().types[type_name](**values)
 
 
@@ -80,7 +79,7 @@ def encode(message: Any) -> bytes:
 
 
 def decode(data: bytes, type_name: str) -> Any:
-    """Message object from CDR bytes. Raises ValueError, struct.error and the like where they are none."""
+    """Decode a message object from CDR bytes. Raises ValueError, struct.error and the like where they hold none."""
     try:
         return typestore().deserialize_cdr(data, type_name)
     except (SerdeError, AssertionError) as error:
@@ -88,7 +87,7 @@ def decode(data: bytes, type_name: str) -> Any:
 
 
 def stamp_of(header: Any) -> int:
-    """Nanoseconds of a message's header."""
+    """Timestamp of a message's header, ns."""
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
@@ -124,7 +123,7 @@ _KINDS = {code: kind for kind, code in _DATATYPES.items()}
 
 
 def points_bytes(stamp_ns: int, frame: str, rows: NDArray[Any]) -> bytes:
-    """An unordered cloud (height 1) from a structured array (N,), its fields and their offsets as they are."""
+    """Encode an unordered cloud (height 1) from a structured array (N,), keeping its fields and their offsets."""
     offsets: Any = rows.dtype.fields
     fields = [
         make(
@@ -153,7 +152,7 @@ def points_bytes(stamp_ns: int, frame: str, rows: NDArray[Any]) -> bytes:
 
 
 def point_rows(message: Any) -> NDArray[Any]:
-    """Structured array (N,) of a decoded cloud. Raises ValueError where sizes do not fit."""
+    """Structured array (N,) of a decoded cloud. Raises ValueError where sizes do not match."""
     kind = np.dtype(
         {
             "names": [field.name for field in message.fields],
@@ -169,7 +168,7 @@ def point_rows(message: Any) -> NDArray[Any]:
 
 
 def image_bytes(stamp_ns: int, frame: str, encoding: str, pixels: NDArray[Any]) -> bytes:
-    """An Image of an encoding: pixels (H, W) or (H, W, channels), little-endian, in the encoding's type."""
+    """Encode an Image: pixels (H, W) or (H, W, channels), little-endian, in the type of `encoding`."""
     rows = np.ascontiguousarray(pixels)
     message = make(
         IMAGE,
@@ -185,13 +184,13 @@ def image_bytes(stamp_ns: int, frame: str, encoding: str, pixels: NDArray[Any]) 
 
 
 def echo_image(stamp_ns: int, frame: str, amplitudes: NDArray[np.uint16]) -> bytes:
-    """Amplitudes (H, W) of a sonar as a picture of 16 bits."""
+    """Encode amplitudes (H, W) of a sonar as a 16-bit image."""
     return image_bytes(stamp_ns, frame, "mono16", np.asarray(amplitudes, dtype="<u2"))
 
 
 def read_echo_image(data: bytes, sensor: str, shape: tuple[int, int]) -> tuple[int, NDArray[np.uint16]]:
-    """Stamp and amplitudes (H, W) of a sonar's picture. Raises ValueError where it is none, or has not the shape (H, W)
-    that follows from the sonar's calibration."""
+    """Stamp and amplitudes (H, W) of a sonar image. Raises ValueError where it is none, or does not have the shape (H,
+    W) that follows from the sonar's calibration."""
     message = decode(data, IMAGE)
     if message.encoding != "mono16":
         raise ValueError(f"expected a sonar's picture as mono16, got {message.encoding!r}")
@@ -211,7 +210,8 @@ ULTRASOUND = 0
 def range_bytes(
     stamp_ns: int, frame: str, reading: float, limits: tuple[float, float], beam_rad: float, variance: float = 0.0
 ) -> bytes:
-    """A Range in m, +inf or NaN without echo (REP 117); limits: least and greatest; variance in m^2, 0 if unknown."""
+    """Encode a Range in m, +inf or NaN without echo (REP 117); limits: minimum and maximum; variance in m^2, 0 if
+    unknown."""
     message = make(
         RANGE,
         header=header(stamp_ns, frame),

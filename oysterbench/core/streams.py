@@ -44,5 +44,5 @@ class Streams:
         return Streams(self.seed, self.salt, (*self.path, *name))
 
     def generator(self, *name: Name) -> np.random.Generator:
-        """The stream at `name` of this branch, from its beginning."""
+        """The stream at `name` of this branch, from its start."""
         return stream(self.seed, self.salt, *self.path, *name)

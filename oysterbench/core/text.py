@@ -1,4 +1,4 @@
-"""Text of strangers: what may be printed as it is, and what lets a name look like another."""
+"""Untrusted text: what may be printed as it is, and what makes one name look like another."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import unicodedata
 IGNORABLE = re.compile(
     "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0\U000e0100-\U000e01ef]"
 )
-"""What is drawn as nothing, although its category says nothing of it (Default_Ignorable_Code_Point of Unicode, and the
-blank of Braille)."""
+"""Characters drawn as nothing, although their category does not say so (Default_Ignorable_Code_Point of Unicode, and
+the Braille blank)."""
 
 LIKE_LATIN = re.compile("[ΑΒΕΖΗΙΚΜΝΟΡΤΥΧινορυ\u03f2\u03f3\u03f9\u0400-\u052f\u0530-\u058f\u13a0-\u13fd]")
-"""Greek letters that look like Latin ones, and all of Cyrillic, Armenian and Cherokee. The other Greek ones stand
-beside Latin letters in formulas."""
+"""Greek letters that look like Latin ones, and all of Cyrillic, Armenian and Cherokee. Other Greek letters occur next
+to Latin ones in formulas."""
 
 LATIN = re.compile("[A-Za-z]")
 
 
 def printable(text: str) -> str:
-    r"""Text with everything that a terminal may obey, or that nobody sees, written as JSON writes it.
+    r"""Escape, as JSON does, everything in a text that a terminal may obey or that nobody sees.
 
-    So text that is JSON stays JSON, of the same values; line ends and tabs stay.
+    Text that is JSON thus stays JSON with the same values; line ends and tabs stay.
 
     >>> printable("a\x1b[2Jb")
     'a\\u001b[2Jb'
@@ -33,8 +33,8 @@ def printable(text: str) -> str:
 
 
 def in_one_line(error: Exception, most: int = 200) -> str:
-    """What an error says, most likely another library's: its type where it says nothing, and no addresses of objects,
-    which are other ones each time and tell where memory lies.
+    """Message of an error, probably from another library, in one line: its type if it has none, and without addresses
+    of objects, which differ each time and reveal the memory layout.
 
     >>> in_one_line(ValueError("malformed:\\n  <ast.Name object at 0x7f3922>"))
     'malformed: <ast.Name object>'
@@ -44,13 +44,13 @@ def in_one_line(error: Exception, most: int = 200) -> str:
 
 
 def unseen(text: str) -> str | None:
-    """The first character that is no sign on the paper: of control, of format, of no meaning, a space other than the
-    common one. None where there is none."""
+    """First character without a visible glyph: a control, format or unassigned character, or a space other than the
+    ordinary one. None where there is none."""
     return next((c for c in text if not c.isprintable() or IGNORABLE.match(c)), None)
 
 
 def mixed_word(text: str) -> str | None:
-    """The first word in which Latin letters stand beside letters that look like them. None where there is none.
+    """First word that mixes Latin letters with letters that look like them. None where there is none.
 
     >>> mixed_word("ORB-SL\u0410M") == "SL\u0410M", mixed_word("\u03b1-SLAM")
     (True, None)
@@ -62,8 +62,8 @@ def mixed_word(text: str) -> str | None:
 
 
 def disguised(text: str) -> str | None:
-    """The first sign that is a common letter or digit in another cut: wide, bold, in a circle, a ligature. None where
-    there is none; what stands higher or lower, as in m\N{SUPERSCRIPT TWO}, is no disguise.
+    """First character that is an ordinary letter or digit in another form: wide, bold, circled, a ligature. None where
+    there is none; a superscript or subscript, as in m\N{SUPERSCRIPT TWO}, is no disguise.
 
     >>> disguised("\uff23arp") == "\uff23", disguised("5 \u00b5m, m\u00b2")
     (True, None)
@@ -77,8 +77,8 @@ def disguised(text: str) -> str | None:
 
 
 def alike(name: str) -> str:
-    """What two names share that a reader takes for one: letters and digits alone, without case and accents, and with
-    one sign for 1, l and I, and one for 0 and O.
+    """Key that names share if a reader may confuse them: letters and digits only, without case and accents, with one
+    character for 1, l and I, and one for 0 and O.
 
     >>> alike("R\N{LATIN SMALL LETTER E WITH ACUTE}ef Lab 10") == alike("reef-lab_lO"), alike("C++"), alike("!")
     (True, 'c', '!')
@@ -88,5 +88,5 @@ def alike(name: str) -> str:
 
 
 def compatible(text: str) -> str:
-    """In the signs that stand for those that look like them: wide letters, ligatures, circled digits (NFKC)."""
+    """Replace compatibility characters, such as wide letters, ligatures and circled digits, by ordinary ones (NFKC)."""
     return unicodedata.normalize("NFKC", text)

@@ -1,4 +1,4 @@
-"""Splits, handed on without losing a byte: a static, content-addressed tree, its server and its client.
+"""Distribution of splits without losing a byte: a static, content-addressed tree, its server and its client.
 
 ```
 DIR/index.json                 mutable, small, signed: names manifests       (`index`, `sign`)

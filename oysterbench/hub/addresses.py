@@ -1,4 +1,4 @@
-"""Addresses of clients."""
+"""Network addresses of clients."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import ipaddress
 
 
 def network(address: str) -> str:
-    """What counts as one client: an IPv4 address, or the /64 that an IPv6 host chooses its addresses from."""
+    """Network that counts as one client: an IPv4 address, or the /64 from which an IPv6 host chooses its addresses."""
     try:
         found = ipaddress.ip_address(address)
     except ValueError:

@@ -1,4 +1,4 @@
-"""JSON with one spelling, so that the hash of a document is its name; and documents as they are read, checked."""
+"""Canonical JSON, so that the hash of a document can be its name; and checked decoding of documents."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ T = TypeVar("T")
 
 SHA256 = re.compile("[0-9a-f]{64}")
 Sha256 = Annotated[str, msgspec.Meta(pattern=rf"^{SHA256.pattern}\Z")]
-"""A hash, 64 hex digits."""
+"""A SHA-256 hash, 64 hex digits."""
 
 
 def canonical(document: Any) -> bytes:
-    """A document as UTF-8 bytes: keys sorted, no spaces, one line break at the end; NaN and infinity are refused."""
+    """Encode a document as UTF-8: keys sorted, no spaces, one line break at the end; NaN and infinity are refused."""
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return text.encode() + b"\n"
 
@@ -30,7 +30,8 @@ def sha256(data: bytes | memoryview) -> str:
 
 
 def decode(data: bytes, kind: type[T], what: str) -> T:
-    """A document of a kind. Raises IntegrityError naming `what`, what was expected, what was got and at which key."""
+    """Decode a document of a kind. Raises IntegrityError naming `what`, what was expected, what was got and at which
+    key."""
     try:
         return msgspec.json.decode(data, type=kind)
     except msgspec.ValidationError as error:
@@ -41,5 +42,5 @@ def decode(data: bytes, kind: type[T], what: str) -> T:
 
 
 def parse(data: bytes, what: str) -> dict[str, Any]:
-    """A JSON object of any kind. Raises IntegrityError naming `what` where it is none."""
+    """Decode a JSON object of any kind. Raises IntegrityError naming `what` where it is none."""
     return decode(data, dict[str, Any], what)

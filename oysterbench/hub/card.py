@@ -1,4 +1,4 @@
-"""A model's card for people: the same facts on a page and on a terminal."""
+"""A model card for people: the same facts on a page and on a terminal."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from oysterbench.hub.pages import human
 
 
 def facts(model: Model) -> dict[str, str]:
-    """What is said of a model, by what it says."""
+    """Facts about a model: heading -> text."""
     training = model.training
     data = [f"{name} (SHA-256 {digest[:12]}…)" for name, digest in training.data.items()]
     processor = "processor" if training.device == "cpu" else f"processor, beside a GPU ({training.device})"
@@ -32,7 +32,7 @@ def facts(model: Model) -> dict[str, str]:
 
 
 def reached(figure: Figure) -> str:
-    """The value of a figure with its unit, and the interval where there is one."""
+    """Value of a figure with its unit, and the confidence interval where there is one."""
     unit = f" {figure.unit}" if figure.unit else ""
     if figure.low is None or figure.high is None:
         return f"{figure.value:.3f}{unit}"
@@ -40,7 +40,7 @@ def reached(figure: Figure) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Of a computation, for people.
+    """Format the duration of a computation, in s, for people.
 
     >>> duration(40), duration(480), duration(9000)
     ('40 s', '8 min', '2.5 h')
@@ -51,7 +51,7 @@ def duration(seconds: float) -> str:
 
 
 def card_page(model: Model) -> str:
-    """The card as a page; its links are relative to the folder `cards` of the tree."""
+    """Render the card as an HTML page; its links are relative to the folder `cards` of the tree."""
     context = {
         "model": model,
         "facts": facts(model),

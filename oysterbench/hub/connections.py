@@ -1,4 +1,4 @@
-"""Connections to a server of ours: how many there may be, and how long a client may take to say what it wants."""
+"""Connections to our servers: how many there may be, and how long a client may take to send a request."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ from oysterbench.hub.addresses import network
 LARGEST_HEADERS = 16 << 10
 MOST_HEADERS = 100
 CLIENTS = 512
-"""Bytes and number of a request's headers, and clients at once, beyond which a request is refused."""
+"""Limits on the size in bytes and number of a request's headers, and on concurrent clients, beyond which it is
+refused."""
 
 BACKLOG = 2048
-"""Connections that wait to be accepted."""
+"""Length of the queue of connections waiting to be accepted."""
 
 CLIENTS_OF_ADDRESS = 64
-"""Connections that one address may hold: an eighth, so that nobody keeps all others out alone."""
+"""Connections that one address may hold: an eighth of all, so that nobody alone can lock out all others."""
 
 HEADERS_S = 20.0
-"""From a connection, or the answer before, to the last byte of a request's headers."""
+"""Time limit from the connection, or the previous response, to the last byte of a request's headers."""
 
 REFUSED = b"HTTP/1.1 429 Too Many Requests\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
@@ -42,7 +43,7 @@ LOGGING = {
 
 
 class Guarded(H11Protocol):
-    """HTTP/1.1 as uvicorn speaks it, with an end to requests that are never finished, and a share for each address."""
+    """Uvicorn's HTTP/1.1 protocol with a deadline for requests that are never completed, and a limit per address."""
 
     _deadline: asyncio.TimerHandle | None = None
 
@@ -55,7 +56,7 @@ class Guarded(H11Protocol):
         self._watch()
 
     def data_received(self, data: bytes) -> None:
-        if not self.transport.is_closing():  # of one that was refused nothing more is wanted
+        if not self.transport.is_closing():  # ignore whatever a refused connection still sends
             super().data_received(data)
             self._watch()
 
@@ -68,7 +69,7 @@ class Guarded(H11Protocol):
         super().connection_lost(exc)
 
     def _of_address(self) -> int:
-        """Connections of this one's client. A proxy's are those of many."""
+        """Number of connections of this client; 0 for a trusted proxy, which stands for many clients."""
         if self.client is None or self.client[0] in trusted(self.config.forwarded_allow_ips):
             return 0
         mine = network(self.client[0])
@@ -76,7 +77,7 @@ class Guarded(H11Protocol):
         return sum(client is not None and network(client[0]) == mine for client in clients)
 
     def _watch(self) -> None:
-        """Wait for the end of a request's headers, as long as they are not there."""
+        """Start the deadline while a request's headers are incomplete, and cancel it once they are complete."""
         if self.conn.their_state is not h11.IDLE:
             self._forget()
         elif self._deadline is None:
@@ -89,16 +90,19 @@ class Guarded(H11Protocol):
 
 
 def trusted(proxies: str | Sequence[str]) -> set[str]:
-    """Addresses of the proxies that a server stands behind, as uvicorn keeps them."""
+    """Addresses of the proxies in front of a server, from uvicorn's setting."""
     return {part.strip() for part in (proxies.split(",") if isinstance(proxies, str) else proxies)}
 
 
 def server_settings(
     app: Any, host: str, port: int, lifespan: str = "off", proxies: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """How uvicorn serves an application. proxies: addresses that are believed when they say whom they speak for."""
+    """Settings for uvicorn to serve an application; raises the limit on open files to its maximum.
+
+    proxies: addresses trusted to state the client that they forward for
+    """
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # connections and files are counted elsewhere
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # connections and files are limited elsewhere
     return {
         "app": app,
         "host": host,
@@ -117,20 +121,20 @@ def server_settings(
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Listen at an address before anything is started for it. Raises HubError where that is not possible, as where
-    another program listens there. Port 0 takes one that is free."""
+    """Listen at an address before anything is started for it. Raises HubError where that is impossible, for example
+    because another program listens there. Port 0 takes a free one."""
     try:
         family, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         return socket.create_server((host, port), family=family, backlog=BACKLOG)
     except (OSError, OverflowError) as error:
         number = getattr(error, "errno", None) or 0
-        # A name that is unknown has a number of its own kind, below 0.
+        # For an unknown host name, the number is of another kind, below 0.
         reason = os.strerror(number) if number > 0 else str(getattr(error, "strerror", None) or error)
         raise HubError(f"cannot serve at {host}:{port}: {reason.lower()}; give another --port, or --host") from None
 
 
 def address(host: str, listening: socket.socket, root: str = "") -> str:
-    """Where a browser finds what is served there. root: what stands before all paths."""
+    """URL at which a browser finds what is served there. root: prefix of all paths"""
     return f"http://{f'[{host}]' if ':' in host else host}:{listening.getsockname()[1]}{root}/"
 
 
@@ -141,7 +145,7 @@ def run(app: Any, listening: socket.socket, lifespan: str = "off", proxies: Sequ
 
     host, port, *_ = listening.getsockname()
     server = uvicorn.Server(uvicorn.Config(**server_settings(app, host, port, lifespan, proxies)))
-    with contextlib.suppress(KeyboardInterrupt):  # which uvicorn raises again once all is closed
+    with contextlib.suppress(KeyboardInterrupt):  # uvicorn raises it again once everything is closed
         server.run(sockets=[listening])
     if not server.started:
         raise HubError(f"the server at {host}:{port} did not start; what it logged above says why")

@@ -1,4 +1,4 @@
-"""What a sequence file says, whatever it was packed with: a hash of the decoded messages of each topic."""
+"""Content of a sequence file irrespective of its compression: a hash of the decoded messages of each topic."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ RECORD = struct.Struct("<qq")  # stamp in ns, bytes that follow
 
 @dataclass(frozen=True)
 class Content:
-    """What a file says. topics: topic -> {"type", "messages", "sha256"}, of those that have messages, and "pixels", of
-    pictures: some of their numbers; attachments: name -> SHA-256."""
+    """Content of a file. topics: topic -> {"type", "messages", "sha256"}, for those that have messages, and, for
+    images, "pixels": a sample of their values; attachments: name -> SHA-256."""
 
     topics: dict[str, dict[str, Any]]
     attachments: dict[str, str]
@@ -31,10 +31,10 @@ class Content:
 
 
 def content_of(path: Path) -> Content:
-    """Hash all topics and attachments of a sequence file; SequenceError where it is damaged.
+    """Hash all topics and attachments of a sequence file. Raises SequenceError where it is damaged.
 
-    The hash of a topic runs over each message's stamp (int64, ns), length (int64) and payload, in the order of the
-    file. The payload is the CDR data; of an image in PNG it is header, shape and pixels. So neither the compression of
+    The hash of a topic covers each message's stamp (int64, ns), length (int64) and payload, in the order of the file.
+    The payload is the CDR data; for an image in PNG, it is header, shape and pixels. So neither the compression of
     chunks nor that of PNG images changes it. JPEG stays as it is: its decoders may differ in the last bit.
     """
     with Reading(path) as (_, summary):
@@ -62,7 +62,7 @@ def content_of(path: Path) -> Content:
 
 
 def decoded_image(data: bytes) -> bytes:
-    """A compressed image's CDR data; in PNG, which loses nothing, its header, shape and pixels instead."""
+    """CDR data of a compressed image; for PNG, which is lossless, its header, shape and pixels instead."""
     message = decode(data, COLOUR)
     if message.format != "png":
         return data

@@ -10,7 +10,7 @@ from oysterbench.hub.canonical import canonical
 from oysterbench.hub.manifest import LICENCE, Manifest
 
 CONTEXT = "croissant.json"
-"""File beside this one: the context that the specification gives."""
+"""File next to this one: the JSON-LD context that the specification gives."""
 
 SEQUENCES = "sequences"
 
@@ -20,12 +20,12 @@ FIELDS = {
     "duration_s": ("sc:Float", "Seconds from the first message to the last."),
     "size": ("sc:Integer", "Bytes of the file."),
 }
-"""Of a row of the table of sequences: type and description."""
+"""Fields of a row in the table of sequences -> type and description."""
 
 
 def croissant(manifest: Manifest, published: str, url: str = "") -> bytes:
-    """The document of a manifest. Addresses of files are relative to the folder `croissant` of the tree, or start with
-    `url`, the tree's own address, where one is given; published: date, UTC."""
+    """Describe a manifest as a Croissant document. Addresses of files are relative to the folder `croissant` of the
+    tree, or start with `url`, the tree's own address, where one is given; published: date, UTC."""
     base = f"{url.rstrip('/')}/blobs/" if url else "../blobs/"
     files = [
         {
@@ -90,7 +90,7 @@ def croissant(manifest: Manifest, published: str, url: str = "") -> bytes:
 
 
 def description(manifest: Manifest) -> str:
-    """What the split is, in one paragraph."""
+    """Describe the split in one paragraph."""
     topics = sorted({topic for entry in manifest.files for topic in entry.content})
     truth = "The truth is kept back for the evaluation server." if manifest.hidden else "The truth is in the files."
     return (
@@ -101,6 +101,6 @@ def description(manifest: Manifest) -> str:
 
 
 def semantic(version: str) -> str:
-    """MAJOR.MINOR.PATCH, which Croissant wants, of a version such as 1.0."""
+    """Convert a version such as 1.0 to MAJOR.MINOR.PATCH, as Croissant requires."""
     numbers = re.findall(r"\d+", version)[:3]
     return ".".join(numbers + ["0"] * (3 - len(numbers)))

@@ -1,4 +1,4 @@
-"""Downloading: index, manifest, files. A file appears under its name when every byte of it was checked."""
+"""Downloading: index, manifest, files. A file appears under its name only once every byte of it has been checked."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ T = TypeVar("T")
 
 CONNECTIONS = 4
 SPARE = 64 << 20
-"""Bytes that a download leaves free on the disk."""
+"""Disk space that a download leaves free, bytes."""
 
 Progress = Callable[[int, int], None]
-"""Called with the bytes that are right and the bytes wanted."""
+"""Called with the number of verified bytes and the total."""
 
 Announce = Callable[[str], None]
 """Called with a sentence on what is being done."""
 
 
 def quiet(text: str) -> None:
-    """Say nothing."""
+    """Ignore an announcement."""
 
 
 @dataclass
@@ -54,13 +54,13 @@ class Hub:
 
     @classmethod
     def at(cls, places: Sequence[str], public: str | None, announce: Announce = quiet, **options: object) -> Hub:
-        """A hub at addresses or folders, each a mirror of the others."""
+        """Hub at addresses or folders, each a mirror of the others."""
         hub = cls([], public, announce=announce, **options)  # type: ignore[arg-type]
         hub.mirrors = [Mirror(open_source(place, hub.connections, hub.patience)) for place in places]
         return hub
 
     def index(self) -> Index:
-        """The index, from the first mirror whose index is well signed and not older than one seen before."""
+        """Fetch the index from the first mirror whose index is validly signed and not older than one seen before."""
         if self.public is None:
             hub = " and ".join(mirror.source.name for mirror in self.mirrors) or "the hub"
             raise HubError(
@@ -78,7 +78,7 @@ class Hub:
         return self._document("index.json", LARGEST, "the hub's index", check)
 
     def manifest(self, split: str, version: str | None = None) -> Manifest:
-        """The manifest of a split: that which came with oysterbench, or that which the signed index names."""
+        """Manifest of a split: the one that came with oysterbench, or else the one that the signed index names."""
         if version is not None and (released := released_manifest(split, version)) is not None:
             return released
         index = self.index()
@@ -98,7 +98,7 @@ class Hub:
         )
 
     def model(self, name: str, version: str | None = None) -> Model:
-        """The card of trained weights, which the signed index names."""
+        """Fetch the card of trained weights that the signed index names."""
         index = self.index()
         release = find_release(index, index.models, name, version)
 
@@ -116,17 +116,17 @@ class Hub:
         return self._document(f"models/{release.card}.json", release.card_size, what, check)
 
     def described(self, model: Model) -> str:
-        """What would be fetched of a model, and from where, in words."""
+        """Describe in words what would be fetched of a model, and from where."""
         places = " and ".join(mirror.source.name for mirror in self.mirrors if mirror.failure is None)
         file = model.file
         return f"{model.name} {model.version} from {places}, {file.size / 1e6:.1f} MB, SHA-256 {file.sha256}"
 
     def has_model(self, name: str) -> bool:
-        """Whether the signed index names a model so; never where no key is known."""
+        """Whether the signed index has a model of this name; false where no key is known."""
         return self.public is not None and name in self.index().models
 
     def _document(self, path: str, largest: int, what: str, check: Callable[[bytes, str], T]) -> T:
-        """A small file of at most `largest` bytes, from the first mirror that gives one which passes the check."""
+        """Fetch a small file of at most `largest` bytes from the first mirror whose file passes the check."""
         for mirror in self.mirrors:
             where = f"{mirror.source.name}/{path}"
             attempt = 0
@@ -157,8 +157,8 @@ class Hub:
 
 
 def find_release(index: Index, releases: Mapping[str, Mapping[str, R]], name: str, version: str | None) -> R:
-    """A release: of the version asked for, or the newest. releases: splits or models of the index. Raises HubError
-    where there is none, with the names and versions that there are."""
+    """Release of the requested version, or the newest. releases: splits or models of the index. Raises HubError where
+    there is none, with the names and versions that exist."""
     versions = releases.get(name)
     if not versions:
         other = instead(name, sorted([*index.splits, *index.models]), "oysterbench splits --hub")
@@ -169,7 +169,8 @@ def find_release(index: Index, releases: Mapping[str, Mapping[str, R]], name: st
 
 
 def choose(manifest: Manifest, patterns: Sequence[str]) -> list[FileEntry]:
-    """Files whose sequence fits a pattern such as `val-0*`; all without patterns. HubError where one fits none."""
+    """Files whose sequence matches a pattern such as `val-0*`; all without patterns. Raises HubError where a pattern
+    matches none."""
     of = f"{manifest.split} {manifest.version}"
     names = [entry.sequence for entry in manifest.files]
     fitting = choose_names(names, patterns, of, f"oysterbench download {manifest.split}@{manifest.version} --dry-run")
@@ -177,7 +178,8 @@ def choose(manifest: Manifest, patterns: Sequence[str]) -> list[FileEntry]:
 
 
 def choose_names(names: Sequence[str], patterns: Sequence[str], of: str, listed_by: str) -> list[str]:
-    """Names that fit a pattern; all without patterns. HubError where one fits none, with the command that lists all.
+    """Names that match a pattern; all without patterns. Raises HubError where a pattern matches none, with the command
+    that lists all.
 
     of: whose names they are, in words
     """
@@ -189,7 +191,8 @@ def choose_names(names: Sequence[str], patterns: Sequence[str], of: str, listed_
 
 @dataclass(frozen=True)
 class Step:
-    """What a download would do for a file: `state` is "here" or "to fetch", `there` the bytes of it that a part has."""
+    """What a download would do for a file: `state` is "here" or "to fetch", `there` the number of its bytes in a
+    part."""
 
     entry: FileEntry
     path: Path
@@ -198,10 +201,10 @@ class Step:
 
 
 def plan(manifest: Manifest, entries: Sequence[FileEntry], folder: Path) -> list[Step]:
-    """What is here and what is not.
+    """Determine which files are here and which have to be fetched.
 
-    In a folder where this manifest lies, a file of the right name and size is right: it appeared whole. Elsewhere it
-    is read; HubError where it is another one, which is left as it is.
+    In a folder that holds this manifest, a file of the right name and size is right: it appeared complete. Elsewhere,
+    it is read. Raises HubError where it is a different one, which is left unchanged.
     """
     kept = kept_manifest(folder)
     same = kept is not None and kept.sha256 == manifest.sha256
@@ -224,10 +227,10 @@ def plan(manifest: Manifest, entries: Sequence[FileEntry], folder: Path) -> list
 def find_here(
     split: str, version: str | None, patterns: Sequence[str] = (), folder: Path | None = None
 ) -> tuple[Path, Manifest] | None:
-    """A folder, with its manifest, where all chosen files of a split are: found without any network.
+    """Find a folder, with its manifest, that has all chosen files of a split, without using the network.
 
-    folder: look only there; otherwise under the home. Without a version, only the offline variable makes one that is
-    here good enough, because a hub may have a newer one.
+    folder: look only there; otherwise under the home. Without a version, a local one suffices only if the offline
+    variable is set, because a hub may have a newer one.
     """
     if version is None and not is_offline():
         return None
@@ -242,12 +245,12 @@ def find_here(
 
 
 def part_path(folder: Path, entry: Pieced) -> Path:
-    """Where a file grows; bound to its hash, so that no other version goes on from it."""
+    """Path of a partial file; bound to the file's hash, so that no other version resumes from it."""
     return folder / f".{entry.name}.{entry.sha256[:16]}.part"
 
 
 def check_space(folder: Path, wanted: int) -> None:
-    """Raise HubError unless there is room for so many bytes more."""
+    """Raise HubError unless there is room for `wanted` more bytes, and `SPARE`."""
     free = free_bytes(folder)
     if wanted + SPARE > free:
         raise HubError(
@@ -267,8 +270,8 @@ def download(
 ) -> dict[str, Path]:
     """Fetch the files of a manifest that are not in the folder yet, and return all: sequence -> path.
 
-    verify: read files that are here already, and those that were written, once more, and repair what is damaged.
-    Raises IntegrityError or NetworkError where that fails; downloaded data is kept.
+    verify: read back files that are here already, and those that were written, and repair what is damaged. Raises
+    IntegrityError or NetworkError where that fails; downloaded data is kept.
     """
     entries = manifest.files if entries is None else entries
     steps = plan(manifest, entries, folder)
@@ -288,7 +291,7 @@ def download(
 
 
 def _fetch(hub: Hub, step: Step, verify: bool, count: Callable[[int], None]) -> None:
-    """Have one file, whole. Several processes may be at it: they wait for one another where the disk knows locks."""
+    """Complete one file. Several processes may do so at once: they wait for one another where the disk has locks."""
     entry, target, path = step.entry, step.path, part_path(step.path.parent, step.entry)
     with locked_if_possible(path.with_suffix(".lock")):
         if target.is_file() and _is_good(hub, target, entry, verify or step.state != "here", path):
@@ -306,7 +309,7 @@ def _fetch(hub: Hub, step: Step, verify: bool, count: Callable[[int], None]) -> 
 
 
 def fetch_file(hub: Hub, entry: Pieced, path: Path, target: Path, count: Callable[[int], None]) -> None:
-    """Fetch what is missing of a part, and give it its name, in the place of what had it before."""
+    """Fetch what is missing of a part, and move it to its final name, replacing any file there."""
     with naming(target, path.with_suffix("")):
         part = Part(path, entry)
         try:
@@ -317,8 +320,8 @@ def fetch_file(hub: Hub, entry: Pieced, path: Path, target: Path, count: Callabl
 
 
 def _is_good(hub: Hub, target: Path, entry: FileEntry, read: bool, part: Path) -> bool:
-    """Whether a file under its final name is right. A damaged one becomes a part, so that only its wrong pieces are
-    fetched again."""
+    """Whether a file under its final name is right. A damaged one becomes a part again, so that only its wrong pieces
+    are fetched again."""
     if not read:
         return True
     found = check_file(target, entry)
@@ -331,7 +334,8 @@ def _is_good(hub: Hub, target: Path, entry: FileEntry, read: bool, part: Path) -
 
 @contextlib.contextmanager
 def locked_if_possible(path: Path) -> Iterator[None]:
-    """A lock saves work; nothing goes wrong without it, as on network disks that know none."""
+    """Hold a lock where the disk supports it. It only saves work: without it, as on some network disks, nothing goes
+    wrong."""
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(OSError):
             stack.enter_context(locked(path))

@@ -21,11 +21,11 @@ from oysterbench.hub.model import ModelName, ModelVersion
 from oysterbench.hub.sign import is_signed, public_hex, sign
 
 LARGEST = 8 << 20
-"""Bytes of an index or manifest that a client reads at most."""
+"""Size limit of an index that a client reads, bytes."""
 
 
 class Release(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A version of a split, as the index names it; `size` is that of all files, `manifest_size` its manifest's."""
+    """A version of a split, as listed in the index; `size` is that of all files, `manifest_size` its manifest's."""
 
     split: SplitName
     version: SplitVersion
@@ -42,7 +42,7 @@ class Release(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ModelRelease(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A version of a model, as the index names it; `size` is that of its weights, `card_size` its card's.
+    """A version of a model, as listed in the index; `size` is that of its weights, `card_size` its card's.
 
     page: the card for people, HTML
     """
@@ -59,7 +59,7 @@ class ModelRelease(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class IndexBody(msgspec.Struct, kw_only=True, omit_defaults=True):
-    """What is signed. Lists, because the order of the versions matters and that of a table's keys does not."""
+    """The signed part of an index. Lists, because the order of versions matters, and that of keys is not kept."""
 
     format: Literal["oysterbench-index/1"]
     counter: int
@@ -68,29 +68,29 @@ class IndexBody(msgspec.Struct, kw_only=True, omit_defaults=True):
 
 
 class Signature(msgspec.Struct):
-    """One of an index's; whether it is good is for `is_signed` to say."""
+    """A signature of an index; `is_signed` tells whether it is valid."""
 
     key: str = ""
     signature: str = ""
 
 
 class SignedIndex(msgspec.Struct):
-    """The document. signed: an `IndexBody`, read once it is known to be signed."""
+    """The index document. signed: an `IndexBody`, decoded only once its signature has been verified."""
 
     signed: dict[str, Any]
     signatures: list[Signature]
 
     @property
     def signed_bytes(self) -> bytes:
-        """What the signatures are of: what was read, so that there is no second way to read it. Empty where that cannot
-        be written again."""
+        """Bytes that the signatures cover: what was read, written again, so that there is no second way to read it.
+        Empty where it cannot be written again."""
         try:
             return canonical(self.signed)
         except (ValueError, RecursionError):
             return b""
 
     def unsigned(self) -> list[str]:
-        """The keys that it names, and that did not sign it."""
+        """Keys that the index names but whose signatures are not valid."""
         return [one.key for one in self.signatures if not is_signed(one.key, self.signed_bytes, one.signature)]
 
 
@@ -106,7 +106,7 @@ R = TypeVar("R", Release, ModelRelease)
 
 @dataclass(frozen=True)
 class Index:
-    """counter: raised by each change, so that an older index is known for one.
+    """Content of an index. counter: increased by each change, so that an older index can be recognised.
 
     splits, models: name -> version -> release, versions in the order of their release.
     """
@@ -116,15 +116,15 @@ class Index:
     models: dict[str, dict[str, ModelRelease]] = field(default_factory=dict)
 
     def with_release(self, release: Release) -> Index:
-        """The next index: this one with a release more."""
+        """The next index: this one with one more release of a split."""
         return Index(self.counter + 1, _with(self.splits, release.split, release), self.models)
 
     def with_model(self, release: ModelRelease) -> Index:
-        """The next index: this one with a release of a model more."""
+        """The next index: this one with one more release of a model."""
         return Index(self.counter + 1, self.splits, _with(self.models, release.model, release))
 
     def signed_with(self, *keys: Ed25519PrivateKey) -> bytes:
-        """The index as a document with its signatures: of one key or, while users change keys, of several."""
+        """Encode the index as a document with its signatures: by one key or, while users change keys, by several."""
         body = msgspec.to_builtins(
             IndexBody(
                 format="oysterbench-index/1",
@@ -138,19 +138,19 @@ class Index:
 
 
 def in_order(releases: Mapping[str, Mapping[str, R]]) -> list[R]:
-    """All releases: by name, versions in the order of their release."""
+    """All releases, sorted by name, with versions in the order of their release."""
     return [release for _, versions in sorted(releases.items()) for release in versions.values()]
 
 
 def _with(releases: Mapping[str, Mapping[str, R]], name: str, release: R) -> dict[str, dict[str, R]]:
-    """The releases, and one more."""
+    """Copy of the releases with one more."""
     found = {known: dict(versions) for known, versions in releases.items()}
     found.setdefault(name, {})[release.version] = release
     return found
 
 
 def read_index(data: bytes, public: str, what: str) -> Index:
-    """An index that the key signed. Raises IntegrityError where it is not, whatever else is in it."""
+    """Read an index. Raises IntegrityError unless the key signed it, whatever else is in it."""
     document = decode(data, SignedIndex, what)
     signed = document.signed_bytes
     if not any(is_signed(public, signed, one.signature) for one in document.signatures):
@@ -170,10 +170,10 @@ def read_index(data: bytes, public: str, what: str) -> Index:
 
 
 def check_not_older(index: Index, data: bytes, public: str, what: str) -> None:
-    """Remember the newest index of a key, and refuse one that is older, or another one of the same age.
+    """Remember the newest index of a key, and refuse an older one, or a different one of the same age.
 
-    The memory is `hub/<public key>.json` in the home folder. A mirror that serves old, well signed indexes could
-    otherwise keep back a corrected split for ever.
+    It is remembered in `hub/<public key>.json` in the home folder. A mirror that serves old, validly signed indexes
+    could otherwise withhold a corrected split for ever. Raises IntegrityError.
     """
     path = home() / "hub" / f"{public}.json"
     known = SeenIndex(index.counter, sha256(canonical(decode(data, SignedIndex, what).signed)))
@@ -195,7 +195,7 @@ def check_not_older(index: Index, data: bytes, public: str, what: str) -> None:
 
 
 def read_own_index(folder: Path, *keys: Ed25519PrivateKey) -> Index:
-    """The index of a tree that is published to, or an empty one where there is none yet.
+    """Read the index of a tree to publish to, or an empty one where there is none yet.
 
     Raises IntegrityError where none of the keys signed it.
     """

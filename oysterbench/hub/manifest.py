@@ -24,13 +24,13 @@ VERSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 SplitName = Annotated[str, msgspec.Meta(pattern=rf"^{NAME.pattern}\Z")]
 SplitVersion = Annotated[str, msgspec.Meta(pattern=rf"^{VERSION_NAME.pattern}\Z")]
 FileName = Annotated[str, msgspec.Meta(pattern=rf"^{NAME.pattern}\.mcap\Z")]
-"""Names that lead out of no folder."""
+"""Names that cannot lead out of a folder."""
 
 
 class FileEntry(Pieced, msgspec.Struct, frozen=True):
     """One file: its name in the split's folder, size in bytes, SHA-256 of the whole and of each piece.
 
-    content, attachments: what the file says, however it is compressed; see `content_of`. piece_size: the manifest's.
+    content, attachments: content of the file, however it is compressed; see `content_of`. piece_size: the manifest's.
     """
 
     name: FileName
@@ -49,9 +49,9 @@ class FileEntry(Pieced, msgspec.Struct, frozen=True):
 
 
 class Manifest(msgspec.Struct, frozen=True, dict=True):
-    """A split's version. `recipe_digest` is absent (None) from a hidden split, whose `commitment` stands for its
-    truth: the SHA-256 of the truth package's manifest. made_with: of what was rendered for all, the versions of what
-    decides its bytes."""
+    """A version of a split. `recipe_digest` is absent (None) from a hidden split, whose `commitment` stands for its
+    ground truth: the SHA-256 of the truth package's manifest. made_with: for a released split, the versions of the
+    software that decides its bytes."""
 
     split: SplitName
     version: SplitVersion
@@ -69,17 +69,17 @@ class Manifest(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def hidden(self) -> bool:
-        """Whether the truth is kept back."""
+        """Whether the ground truth is withheld."""
         return self.commitment is not None
 
     @property
     def size(self) -> int:
-        """Bytes of all files."""
+        """Total size of all files, bytes."""
         return sum(entry.size for entry in self.files)
 
     @property
     def facts(self) -> dict[str, str | int | None]:
-        """What commands tell of it as JSON."""
+        """Facts about it that commands print as JSON."""
         return {
             "split": self.split,
             "version": self.version,
@@ -93,7 +93,7 @@ class Manifest(msgspec.Struct, frozen=True, dict=True):
         """The manifest as canonical JSON; what is absent has no key."""
         document = {key: value for key, value in msgspec.to_builtins(self).items() if value is not None}
         for entry in document["files"]:
-            del entry["piece_size"]  # one for all of them
+            del entry["piece_size"]  # the same for all of them
         return canonical(document)
 
     @cached_property
@@ -102,13 +102,13 @@ class Manifest(msgspec.Struct, frozen=True, dict=True):
         return sha256(self.data)
 
     def find(self, name: str) -> FileEntry | None:
-        """The file of that name."""
+        """The file with that name, or None."""
         return next((entry for entry in self.files if entry.name == name), None)
 
 
 def describe_file(path: Path, name: str | None = None, piece_size: int = PIECE) -> FileEntry:
     """Hash a sequence file: the whole, its pieces and its content."""
-    from oysterbench.hub.content import content_of  # what reads messages is loaded only when needed
+    from oysterbench.hub.content import content_of  # code that reads messages is loaded only when needed
 
     size, whole, pieces = hashed(path, piece_size)
     found = content_of(path)
@@ -131,16 +131,16 @@ def build_manifest(
     commitment: str | None = None,
     piece_size: int = PIECE,
 ) -> Manifest:
-    """The manifest of sequence files, sequence name -> path; facts: split, version, track, rig and summary."""
+    """Build the manifest of sequence files, sequence name -> path; facts: split, version, track, rig and summary."""
     entries = tuple(describe_file(path, f"{name}.mcap", piece_size) for name, path in sorted(files.items()))
     made = {"oysterbench": VERSION, "files": entries, "piece_size": piece_size}
     return Manifest(**facts, **made, recipe_digest=recipe_digest, commitment=commitment)  # type: ignore[arg-type]
 
 
 def read_manifest(data: bytes, what: str) -> Manifest:
-    """A manifest from its bytes, checked so that no name in it leads out of a folder and every number fits.
+    """Read a manifest from its bytes, checked so that no name leads out of a folder and all numbers are consistent.
 
-    Raises IntegrityError that names `what` and the first key that is wrong.
+    Raises IntegrityError naming `what` and the first key that is wrong.
     """
     manifest = decode(data, Manifest, what)
     files = tuple(msgspec.structs.replace(entry, piece_size=manifest.piece_size) for entry in manifest.files)
@@ -152,7 +152,8 @@ def read_manifest(data: bytes, what: str) -> Manifest:
 
 
 def released_manifest(split: str, version: str) -> Manifest | None:
-    """The manifest of a released split that comes with oysterbench (`datasets/manifests`): a pin like a key."""
+    """Manifest of a released split that ships with oysterbench (`datasets/manifests`), a pin like a key; None where
+    there is none."""
     if not (NAME.fullmatch(split) and VERSION_NAME.fullmatch(version)):
         return None
     entry = resources.files("oysterbench_datasets") / "manifests" / f"{split}-{version}.json"

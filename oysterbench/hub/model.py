@@ -1,5 +1,5 @@
-"""The card of trained weights: which file they are, what they were made from, how, what they reach, what they are for.
-Immutable once released, as a manifest is."""
+"""The card of trained weights: their file, how and from what they were made, what they achieve, what they are for.
+Immutable once released, like a manifest."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from oysterbench.hub.pieces import PIECE, Pieced, PieceSize
 ModelName = Annotated[str, msgspec.Meta(pattern=rf"^{NAME.pattern}\Z")]
 ModelVersion = Annotated[str, msgspec.Meta(pattern=rf"^{VERSION_NAME.pattern}\Z")]
 WeightsName = Annotated[str, msgspec.Meta(pattern=rf"^{NAME.pattern}\.pt\Z")]
-"""Names that lead out of no folder."""
+"""Names that cannot lead out of a folder."""
 
 
 class WeightsFile(Pieced, msgspec.Struct, frozen=True):
-    """The file: its name in the folder of models, size in bytes, SHA-256 of the whole and of each piece."""
+    """A weights file: its name in the folder of models, size in bytes, SHA-256 of the whole and of each piece."""
 
     name: WeightsName
     size: Annotated[int, msgspec.Meta(ge=1)]
@@ -29,7 +29,7 @@ class WeightsFile(Pieced, msgspec.Struct, frozen=True):
 
 
 class Origin(msgspec.Struct, frozen=True):
-    """Weights of somebody else that a training began from. source: an address."""
+    """Third-party weights from which a training started. source: an address"""
 
     what: str
     licence: str
@@ -37,14 +37,14 @@ class Origin(msgspec.Struct, frozen=True):
 
 
 class Training(msgspec.Struct, frozen=True):
-    """How weights were found.
+    """How weights were trained.
 
-    data:       what was learnt from, name -> digest
-    steps:      of the optimiser; loss: mean over the last of them; cpu_s: seconds of a processor
-    settings:   all else that decides the weights; device: cpu or cuda
-    parameters: numbers that the network has learnt
-    versions:   of what computed them
-    begun:      what they began from; None for random weights
+    data:       training data, name -> digest
+    steps:      of the optimiser; loss: mean over the last of them; cpu_s: processor time in s
+    settings:   everything else that decides the weights; device: cpu or cuda
+    parameters: number of the network's trained parameters
+    versions:   of the software used
+    begun:      weights from which training started; None for random ones
     """
 
     data: dict[str, str]
@@ -60,10 +60,10 @@ class Training(msgspec.Struct, frozen=True):
 
 
 class Figure(msgspec.Struct, frozen=True):
-    """A metric that a method reached with these weights, its mean over the sequences of a split.
+    """A metric that a method achieved with these weights: its mean over the sequences of a split.
 
-    heading, unit, better: of the metric; low, high: 95 % interval over sequences, None where there is none
-    evaluator: version of what scored it; results: SHA-256 of the file that says so
+    heading, unit, better: of the metric; low, high: 95 % confidence interval over sequences, None where there is none
+    evaluator: version that scored it; results: SHA-256 of the file with the results
     """
 
     method: str
@@ -85,7 +85,7 @@ class Figure(msgspec.Struct, frozen=True):
 class Model(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     """A version of trained weights.
 
-    methods: that run on them; summary: what they are, in a line; limits: what they are not for, in sentences
+    methods: those that use them; summary: what they are, in one line; limits: what they are not for, in sentences
     licence: of the weights, an address
     """
 
@@ -113,7 +113,7 @@ class Model(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
 
 def read_model(data: bytes, what: str) -> Model:
-    """A card from its bytes. Raises IntegrityError that names `what` and the first key that is wrong."""
+    """Read a card from its bytes. Raises IntegrityError naming `what` and the first key that is wrong."""
     model = decode(data, Model, what)
     model.file.check(what)
     return model

@@ -1,4 +1,4 @@
-"""The hub's page: what there is to download, with pictures and sizes. It is a file of the tree like the others."""
+"""The hub's page: what there is to download, with images and sizes. It is a file of the tree like the others."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ QUALITY = 85
 
 
 def pictures_of(files: list[Path]) -> list[bytes]:
-    """A few frames of a split as small JPEG images: the middle frame of sequences that lie evenly among all."""
+    """A few frames of a split as small JPEG images: the middle frames of sequences spaced evenly among all."""
     n = min(PICTURES, len(files))
     chosen = [files[round(k * (len(files) - 1) / max(n - 1, 1))] for k in range(n)]
     return [picture for path in chosen if (picture := middle_frame(path)) is not None]
@@ -39,7 +39,7 @@ def middle_frame(path: Path) -> bytes | None:
 
 
 def index_page(index: Index, public: str) -> str:
-    """The page of an index, signed with the key whose public half is given; links and pictures are relative, so that it
+    """Render the page of an index, signed with the key whose public half is given. Links and images are relative, so it
     works from any address and from a folder."""
     releases = [release for _, versions in sorted(index.splits.items()) for release in reversed(versions.values())]
     models = [release for _, versions in sorted(index.models.items()) for release in reversed(versions.values())]
@@ -55,7 +55,7 @@ def index_page(index: Index, public: str) -> str:
 
 
 def human(size: int) -> str:
-    """A number of bytes for people, in decimal units."""
+    """Format a number of bytes for people, in decimal units."""
     for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if size >= scale:
             return f"{size / scale:.1f} {unit}"

@@ -1,8 +1,8 @@
-"""A file that is not whole yet: it grows as a sparse `.part` beside its final name.
+"""A file that is not complete yet: it grows as a sparse `.part` next to its final name.
 
-The part is its own journal: what of it is right is found by hashing the pieces that are not holes, so nothing can come
-out of step with it. Only pieces whose hash is right are written to it, so that two processes that write the same part
-write the same bytes; the pieces under way are beside it (`draft`), for whoever goes on after a kill.
+The part is its own journal: what is right is determined by hashing the pieces that are not holes, so nothing can get
+out of step with it. Only pieces with the right hash are written to it, so that two processes that write the same part
+write the same bytes; pieces in progress are next to it (`draft`), to be resumed after a kill.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from oysterbench.hub.pieces import Pieced
 
 
 class Part:
-    """A file that is not whole yet."""
+    """A file that is not complete yet."""
 
     def __init__(self, path: Path, entry: Pieced) -> None:
         self.path, self.entry = path, entry
-        self._writing = threading.Lock()  # the system lets one write to a file at a time, and waits less well
+        self._writing = threading.Lock()  # the system allows only one write at a time anyway, and waits less well
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         if os.fstat(self._file).st_size != entry.size:
             os.ftruncate(self._file, entry.size)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         os.close(self._file)
 
     def duplicate(self) -> int:
-        """A descriptor of one's own to write through, so that nobody else's `close` can make it another file's."""
+        """Return a separate descriptor to write through, so that a `close` elsewhere cannot make it another file's."""
         return os.dup(self._file)
 
     def write(self, piece: int, data: memoryview, descriptor: int) -> None:
-        """Keep a piece. It may be written twice at once: with the same bytes."""
+        """Write a verified piece. It may be written twice at once, with the same bytes."""
         with self._writing:
             write_all(descriptor, data, self.entry.span(piece)[0])
 
     def is_right(self, piece: int) -> bool:
-        """Whether a piece is there, by its hash."""
+        """Whether a piece is there with the right hash."""
         start, end = self.entry.span(piece)
         if self._is_hole(start, end):
             return False
@@ -53,10 +53,10 @@ class Part:
         try:
             return os.lseek(self._file, start, os.SEEK_DATA) >= end
         except OSError as error:
-            return error.errno == errno.ENXIO  # nothing but a hole from here on; other errors: cannot be known
+            return error.errno == errno.ENXIO  # only a hole from here on; after other errors, it is unknown
 
     def install(self, target: Path) -> None:
-        """Give the whole file its name, in one step and for good."""
+        """Move the complete file to its final name, atomically and durably."""
         os.fsync(self._file)
         try:
             os.replace(self.path, target)
@@ -64,7 +64,7 @@ class Part:
             if not (target.is_file() and target.stat().st_size == self.entry.size):
                 raise
         remove_drafts(self.path)
-        with contextlib.suppress(OSError):  # not every file system can
+        with contextlib.suppress(OSError):  # not every file system supports it
             folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY)
             try:
                 os.fsync(folder)

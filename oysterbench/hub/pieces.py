@@ -1,4 +1,4 @@
-"""A file of a tree, in the pieces that it is verified, resumed and fetched by."""
+"""A file of a tree, in the pieces in which it is verified, resumed and fetched."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from oysterbench.core.errors import IntegrityError
 from oysterbench.hub.canonical import sha256
 
 PIECE = 4 * 1024 * 1024
-"""Bytes of a piece, the unit of verification, resumption and parallel transfer (the last of a file is shorter)."""
+"""Size of a piece, bytes: the unit of verification, resumption and parallel transfer (a file's last is shorter)."""
 
 PieceSize = Annotated[int, msgspec.Meta(ge=1 << 10, le=1 << 26)]
-"""1 KiB to 64 MiB."""
+"""Size of a piece, 1 KiB to 64 MiB."""
 
 
 class Pieced:
-    """What documents say of a file: its name, size in bytes, SHA-256 of the whole and of each piece."""
+    """A file as documents describe it: its name, size in bytes, SHA-256 of the whole and of each piece."""
 
     __slots__ = ()
 
@@ -30,16 +30,16 @@ class Pieced:
     piece_size: int
 
     def span(self, piece: int) -> tuple[int, int]:
-        """First byte of a piece, and the byte behind its last."""
+        """Offsets of a piece's first byte, and of the byte after its last."""
         return piece * self.piece_size, min((piece + 1) * self.piece_size, self.size)
 
     def length(self, piece: int) -> int:
-        """Bytes of a piece."""
+        """Length of a piece, bytes."""
         start, end = self.span(piece)
         return end - start
 
     def check(self, what: str) -> None:
-        """Raise IntegrityError, naming `what`, unless so many pieces make so many bytes."""
+        """Raise IntegrityError, naming `what`, unless the number of pieces matches the size."""
         if len(self.pieces) != -(-self.size // self.piece_size):
             raise IntegrityError(
                 f"{what}: {self.name}: {len(self.pieces)} pieces do not make {self.size} bytes; it was not used"
@@ -47,7 +47,7 @@ class Pieced:
 
 
 def hashed(path: Path, piece_size: int = PIECE) -> tuple[int, str, tuple[str, ...]]:
-    """Size of a file in bytes, SHA-256 of the whole and of each piece."""
+    """Hash a file: size in bytes, SHA-256 of the whole and of each piece."""
     whole = hashlib.sha256()
     pieces = []
     with open(path, "rb") as file:

@@ -1,5 +1,5 @@
-"""Some pixels of a topic of pictures, at places that the topic's name draws. By them a render is judged whose pictures
-are like the released ones and not the same, as those of a GPU are."""
+"""Pixel samples of an image topic, at places drawn from the topic's name. They serve to judge a render whose images
+resemble the released ones but are not identical, as those of a GPU do."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from oysterbench.core.streams import stream
 from oysterbench.sensors.camera_messages import COLOUR, read_colour
 
 FRAMES = 32
-"""Frames of a topic of which pixels are kept, at most: a picture is decoded in some ms."""
+"""Maximum number of a topic's frames that are sampled: decoding an image takes some ms."""
 
 NUMBERS = 1024
-"""Kept of a topic, each of one channel of a pixel."""
+"""Number of values kept for a topic, each from one channel of a pixel."""
 
 TYPES = {"mono8": "u1", "16UC1": "<u2", "mono16": "<u2", "32FC1": "<f4", "32FC2": "<f4", "32FC3": "<f4"}
-"""Encoding of an image -> type of its numbers."""
+"""Encoding of an image -> type of its values."""
 
 LEVEL = {"u1": 1.0, "u2": 257.0, "f4": 1.0 / 255.0}
-"""A grey level, 1/255 of black to white, by type of numbers."""
+"""Type of values -> one grey level, 1/255 of the range from black to white."""
 
 LEVEL_OF = {"class": 0.0, "instance": 0.0, "dynamic": 0.0, "depth": 1.0}
-"""Layer -> what stands for a level there: labels are the same or not, and depth is in mm."""
+"""Layer -> what counts as one grey level there: labels are the same or not, and depth is in mm."""
 
 SHARE = 0.999
-"""Of the pixels that have to be within a grey level."""
+"""Fraction of the pixels that have to be within one grey level."""
 
 
 class Sampler:
-    """Takes the numbers of a topic as its messages go by. kind: their type; messages: how many there are."""
+    """Collector of a topic's samples while its messages are read. kind: their type; messages: how many there are"""
 
     def __init__(self, topic: str, kind: str, messages: int) -> None:
         generator = stream(0, b"", "hub", "pixels", topic)
@@ -45,19 +45,19 @@ class Sampler:
         self._found: list[NDArray[Any]] = []
 
     def see(self, number: int, data: bytes) -> None:
-        """A message, by its number."""
+        """Take samples from a message, if its number is among those drawn."""
         places = self._places.get(number)
         if places is None:
             return
         try:
             pixels = np.atleast_3d(read_colour(data)[1] if self._kind == COLOUR else _read_image(data))
         except (SequenceError, ValueError, KeyError):
-            return  # no picture: the others are too few then, and like none
+            return  # not an image: the samples are then too few to match any
         row, column, channel = (places * pixels.shape).astype(int).T
         self._found.append(pixels[row, column, channel])
 
     def text(self) -> str:
-        """The numbers: their type as NumPy spells it, and their bytes in base64."""
+        """Samples as text: their type as NumPy spells it, and their bytes in base64; empty where there are none."""
         if not self._found:
             return ""
         found = np.concatenate(self._found)
@@ -66,13 +66,13 @@ class Sampler:
 
 
 def sampler(topic: str, kind: str, messages: int) -> Sampler | None:
-    """For a topic of pictures; None for others."""
+    """Sampler for an image topic; None for other topics."""
     return Sampler(topic, kind, messages) if kind in (COLOUR, IMAGE) else None
 
 
 def share_within(topic: str, ours: str, theirs: str) -> float:
-    """Share of the numbers of a topic that are within one grey level of each other: 1/255 of black to white, or a
-    millimetre of depth; labels have to be the same. 0 where these are no numbers of one type, and as many."""
+    """Fraction of a topic's samples that are within one grey level of each other: 1/255 of the range from black to
+    white, or a millimetre of depth; labels have to be equal. 0 where type or number of the samples differ."""
     try:
         here, there = _numbers(ours), _numbers(theirs)
     except (ValueError, TypeError):
@@ -80,12 +80,12 @@ def share_within(topic: str, ours: str, theirs: str) -> float:
     if not len(here) or (here.dtype, here.shape) != (there.dtype, there.shape):
         return 0.0
     within = LEVEL_OF.get(topic.rpartition("/")[2], LEVEL[here.dtype.str[1:]])
-    same = (here == there) | ((here != here) & (there != there))  # NaN is NaN
+    same = (here == there) | ((here != here) & (there != there))  # NaN equals NaN
     return float(np.mean(same | (np.abs(here.astype(np.float64) - there.astype(np.float64)) <= within)))
 
 
 def _read_image(data: bytes) -> NDArray[Any]:
-    """(H, W, channels) of an uncompressed image, as it is encoded."""
+    """Values (H, W, channels) of an uncompressed image, in its encoding."""
     message = decode(data, IMAGE)
     return np.asarray(message.data).view(TYPES[message.encoding]).reshape(message.height, message.width, -1)
 

@@ -1,4 +1,4 @@
-"""Connections to web servers, watched: one that trickles, in its headers or its body, is as dead as a silent one."""
+"""Monitored connections to web servers: one that only trickles, in headers or body, counts as dead as a silent one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ REDIRECTS = 5
 
 
 class _Watched(io.RawIOBase):
-    """What comes over a socket. Raises ConnectionError where fewer than `least` bytes come in a window of waiting."""
+    """Input from a socket. Raises ConnectionError where fewer than `least` bytes arrive in a window of waiting."""
 
     def __init__(self, file: io.BufferedReader, sock: socket.socket, patience: Patience) -> None:
         self._file = file  # keeps the socket open until it is closed
@@ -33,7 +33,7 @@ class _Watched(io.RawIOBase):
         self._least, self._got, self._waited_s = least, 0, 0.0
 
     def body(self) -> None:
-        """The headers, which had to come in one window, are there."""
+        """Switch to the body: the headers, which had to arrive within one window, are there."""
         self._begin(self._patience.least_bytes)
 
     def readable(self) -> bool:
@@ -70,7 +70,7 @@ class _Watched(io.RawIOBase):
 
 
 class _Response(http.client.HTTPResponse):
-    """An answer whose every byte is watched, those of a proxy's answer to CONNECT too."""
+    """A response whose every byte is monitored, including those of a proxy's response to CONNECT."""
 
     def __init__(self, patience: Patience, sock: socket.socket, *arguments: Any, **options: Any) -> None:
         super().__init__(sock, *arguments, **options)
@@ -83,9 +83,9 @@ class _Response(http.client.HTTPResponse):
 
 
 def open_pool(url: str, connections: int, patience: Patience) -> urllib3.PoolManager:
-    """Connections to a server, through a proxy where the environment names one."""
+    """Open a pool of connections to a server, through a proxy where the environment names one."""
     parts = urllib.parse.urlsplit(url)
-    # Only redirects are followed here: what to try again, and when, is decided where it is known what is missing.
+    # Only redirects are followed here: what to retry, and when, is decided where it is known what is missing.
     retries = urllib3.Retry(
         total=None, connect=0, read=0, status=0, other=0, redirect=REDIRECTS, respect_retry_after_header=False
     )

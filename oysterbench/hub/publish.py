@@ -1,4 +1,4 @@
-"""Publishing: a split's files into a static tree. Nothing is ever half there, and publishing twice adds nothing."""
+"""Publishing a split's files into a static tree. Every write is atomic, and publishing twice adds nothing."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def publish(
 ) -> Manifest:
     """Publish the sequence files (name -> path) of a split; facts: split, version, track, rig and summary.
 
-    Blobs go first, the signed index last: whoever reads the tree in between sees the old one. Keys that came before
-    sign the index, too, so that those who pin them go on. truth: of a hidden split, the folder for its truth package;
-    what may be seen is published. Raises HubError where the version was released with other bytes.
+    Blobs go first, the signed index last: whoever reads the tree in between sees the old one. Earlier keys sign the
+    index too, so that it still works for those who pin them. truth: for a hidden split, the folder for its truth
+    package; only what may be seen is published. Raises HubError where the version was released with other bytes.
     """
     keys = (key, *old_keys)
     with writing(tree, *keys) as index, tempfile.TemporaryDirectory(dir=tree, prefix=TEMPORARY) as scratch:
@@ -60,8 +60,8 @@ def publish(
 
 
 def _as_released(manifest: Manifest) -> Manifest:
-    """The manifest that came with oysterbench, where there is one: that of the same files, or else HubError, for
-    clients take no others under its name."""
+    """Return the manifest that ships with oysterbench, where there is one. Raises HubError where its files differ, as
+    clients accept no others under its name."""
     released = released_manifest(manifest.split, manifest.version)
     if released is None:
         return manifest
@@ -77,10 +77,10 @@ def _as_released(manifest: Manifest) -> Manifest:
 def _without_truth(
     tree: Path, truth: Path, facts: Mapping[str, str], files: Mapping[str, Path], scratch: Path, announce: Announce
 ) -> tuple[dict[str, Path], str]:
-    """What may be seen of a hidden split, as files in `scratch`, and the commitment to its truth.
+    """Split off the ground truth: public files of a hidden split, in `scratch`, and the commitment to its truth.
 
-    The truth goes into a package, `<truth>/<split>-<version>/`: a sequence file each with what was kept back, and
-    `manifest.json`, whose SHA-256 is the commitment in the public manifest. So nobody can exchange the truth later on.
+    The truth goes into a package, `<truth>/<split>-<version>/`: a sequence file each with what was withheld, and
+    `manifest.json`, whose SHA-256 is the commitment in the public manifest. So nobody can replace the truth later.
     """
     package = truth / f"{facts['split']}-{facts['version']}"
     if tree.resolve() in (package.resolve(), *package.resolve().parents):
@@ -99,8 +99,8 @@ def _without_truth(
 
 
 def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: str, hidden: bool) -> None:
-    """Raise HubError unless the files are of this split and version, made with the recipe's own digest; or, hidden,
-    with another one, which only a salt gives: without one everybody could render the truth."""
+    """Raise HubError unless the files are of this split and version, made with the recipe's own digest; if hidden, with
+    another one, which only a salt gives: without a salt, anybody could render the ground truth."""
     for name, path in files.items():
         if not path.is_file():
             raise HubError(
@@ -129,7 +129,7 @@ def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: s
 
 @contextmanager
 def writing(tree: Path, *keys: Ed25519PrivateKey) -> Iterator[Index]:
-    """Be the only one who writes to a tree, without what an interrupted publisher left."""
+    """Hold exclusive write access to a tree, remove what an interrupted publisher left, and yield the index."""
     tree.mkdir(parents=True, exist_ok=True)
     with locked(tree / ".lock"):
         for left in (*tree.glob(f"{TEMPORARY}*"), *tree.glob(f"*/{TEMPORARY}*")):
@@ -151,7 +151,7 @@ def _release(
     url: str,
     announce: Announce,
 ) -> None:
-    """Put everything into the tree that is not there yet, and name it in the index."""
+    """Put everything that is not there yet into the tree, and list it in the index."""
     if manifest.split in index.models:
         raise HubError(f"{manifest.split}: a model in {tree} has this name, and `download` finds both by name")
     known = index.splits.get(manifest.split, {}).get(manifest.version)
@@ -191,15 +191,15 @@ def _release(
 
 
 def put_index(tree: Path, index: Index, keys: Sequence[Ed25519PrivateKey]) -> None:
-    """Sign the index, by which all that was put before becomes visible, and make the page of it."""
+    """Sign and write the index, which makes everything put before visible, and its page."""
     put(tree / "index.json", index.signed_with(*keys))
     put(tree / "index.html", index_page(index, public_hex(keys[0])).encode())
 
 
 def put_blob(tree: Path, source: Path, digest: str) -> bool:
-    """Copy a file into `blobs/`, under its hash, which is taken again on the way. False if it was there already.
+    """Copy a file into `blobs/` under its hash, which is checked while copying. Return False if it was there already.
 
-    A blob that is there already is trusted by its size: it appeared whole. `oysterbench verify` reads it again.
+    A blob that is there already is trusted by its size: it appeared complete. `oysterbench verify` reads it again.
     """
     path = tree / "blobs" / digest
     if path.is_file() and path.stat().st_size == source.stat().st_size:
@@ -215,6 +215,6 @@ def put_blob(tree: Path, source: Path, digest: str) -> bool:
 
 
 def put(path: Path, data: bytes) -> None:
-    """Write a file unless it says the same already."""
+    """Write a file unless it already has this content."""
     if not path.is_file() or path.read_bytes() != data:
         write_atomically(path, data)

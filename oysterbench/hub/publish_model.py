@@ -1,4 +1,4 @@
-"""Publishing trained weights: their file, their card and its page into a static tree."""
+"""Publishing trained weights, their card and its page into a static tree."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from oysterbench.version import VERSION
 
 
 def describe_weights(name: str, path: Path, piece_size: int = PIECE) -> WeightsFile:
-    """Hash a file of weights: the whole and its pieces. name: of the model."""
+    """Hash a weights file: the whole and its pieces. name: of the model"""
     size, whole, pieces = hashed(path, piece_size)
     return WeightsFile(name=f"{name}.pt", size=size, sha256=whole, pieces=pieces, piece_size=piece_size)
 
@@ -33,7 +33,7 @@ def build_model(
     training: Training,
     figures: Sequence[Figure] = (),
 ) -> Model:
-    """The card of weights. words: summary, limits and licence."""
+    """Build the card of weights. words: summary, limits and licence"""
     summary, limits, licence = words
     return Model(
         name=name,
@@ -57,11 +57,11 @@ def publish_model(
     announce: Announce = lambda text: None,
     old_keys: Sequence[Ed25519PrivateKey] = (),
 ) -> Model:
-    """Publish a model with its weights. As of a split, what is named goes first and the signed index last, and
-    publishing twice adds nothing.
+    """Publish a model with its weights. As for a split, files go first and the signed index last, and publishing twice
+    adds nothing.
 
     Raises HubError where the version was released with another card or other weights, a split has the name, or the file
-    changed on the way.
+    changed meanwhile.
     """
     keys = (key, *old_keys)
     with writing(tree, *keys) as index:

@@ -1,7 +1,7 @@
-"""Releasing a split: the manifest that comes with oysterbench, and that everybody's render is held against.
+"""Releasing a split: the manifest that ships with oysterbench, and with which everybody's render is compared.
 
-It is made sequence by sequence, so that a split need never be on a disk as a whole: what was read of each is kept, and
-put together when nothing is missing.
+It is made sequence by sequence, so that a split need never be on one disk as a whole: the description of each is kept,
+and they are assembled once none is missing.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ DECIDING = ("numpy", "scipy", "opencv-python-headless", "warp-lang", "trimesh", 
 
 
 class Read(msgspec.Struct, frozen=True):
-    """What was read of one sequence file, and where it was made."""
+    """Description of one sequence file, and the versions of the software that made it."""
 
     entry: FileEntry
     made_with: dict[str, str]
 
 
 def made_with() -> dict[str, str]:
-    """Versions of what decides the bytes, here: of packages, Python, the kind of processor, and what is rendered."""
+    """Versions, on this machine, of what decides the bytes: packages, Python, processor type, and render generation."""
     found = {"generation": str(GENERATION), "python": platform.python_version(), "processor": platform.machine()}
     for name in DECIDING:
         try:
@@ -42,8 +42,8 @@ def made_with() -> dict[str, str]:
 
 
 def keep_read(kept: Path, name: str, path: Path, topics: Collection[str]) -> None:
-    """Read the file of a sequence, and keep what it says in the folder `kept`. Raises HubError where one of the topics,
-    all those of its rig, has no message: the file is a part of what is to be released."""
+    """Read the file of a sequence, and keep its description in the folder `kept`. Raises HubError where one of
+    `topics`, all those of its rig, has no message: the file is then only part of what is to be released."""
     read = Read(describe_file(path, f"{name}.mcap"), made_with())
     absent = sorted({*topics} - {*read.entry.content})
     if absent:
@@ -52,12 +52,12 @@ def keep_read(kept: Path, name: str, path: Path, topics: Collection[str]) -> Non
 
 
 def not_read(kept: Path, names: Sequence[str]) -> list[str]:
-    """Which of the sequences were not read yet."""
+    """Names of the sequences that have not been read yet."""
     return [name for name in names if not (kept / f"{name}.json").is_file()]
 
 
 def put_together(kept: Path, facts: Mapping[str, str], names: Sequence[str], recipe_digest: str) -> Manifest:
-    """The manifest of sequences that were read; facts: split, version, track, rig and summary.
+    """Assemble the manifest of sequences that were read; facts: split, version, track, rig and summary.
 
     Raises HubError where they were made with different versions of what decides the bytes.
     """
@@ -75,7 +75,8 @@ def put_together(kept: Path, facts: Mapping[str, str], names: Sequence[str], rec
 
 
 def write_release(manifest: Manifest, folder: Path) -> Path:
-    """Write a manifest among the released ones. Raises HubError where another one has its name: releases stay."""
+    """Write a manifest among the released ones. Raises HubError where a different one has its name: releases never
+    change."""
     path = folder / f"{manifest.split}-{manifest.version}.json"
     if path.is_file() and path.read_bytes() != manifest.data:
         raise HubError(

@@ -25,7 +25,7 @@ from oysterbench.version import VERSION
 
 FOREVER = "public, max-age=31536000, immutable"
 CHANGING = "no-cache"
-"""What caches may do: what is named by its hash never changes; index and page are asked for anew each time."""
+"""Cache-Control values: files named by their hash never change; index and page are revalidated each time."""
 
 KINDS = {
     "blobs": ("", "application/octet-stream"),
@@ -35,7 +35,7 @@ KINDS = {
     "croissant": (".json", "application/ld+json"),
     "pictures": (".jpg", "image/jpeg"),
 }
-"""Folder -> suffix and media type."""
+"""Folder -> suffix and media type of its files."""
 
 HEADERS = {"Accept-Ranges": "bytes", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
 PAGE_HEADERS = {"Content-Security-Policy": "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'"}
@@ -80,7 +80,7 @@ def application(tree: Path) -> Starlette:
 
     def changing(path: str, name: str, media: str, **further: str) -> Route:
         async def get(request: Request) -> Response:
-            # Read at once, as the file may be replaced while a client takes its time.
+            # Read all at once, as the file may be replaced while a slow client downloads.
             data = await anyio.to_thread.run_sync((tree / name).read_bytes)
             digest = sha256(data)
             headers = tagged(digest, CHANGING) | further
@@ -124,7 +124,7 @@ def application(tree: Path) -> Starlette:
 
 
 class HeaderLimit:
-    """Refuses floods of headers that came in one go, which the HTTP parser lets through."""
+    """Middleware that refuses excessive headers received in one go, which the HTTP parser lets through."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -145,7 +145,7 @@ def tagged(digest: str, caching: str) -> dict[str, str]:
 
 
 def unneeded(request: Request, digest: str, headers: dict[str, str]) -> Response | None:
-    """The answer to a condition on the entity tag that says that no body is wanted (RFC 9110, section 13), or None."""
+    """Response where a condition on the entity tag means that no body is wanted (RFC 9110, section 13), or None."""
     wanted, known = request.headers.get("if-match"), request.headers.get("if-none-match")
     if wanted is not None and not _names(wanted, digest):
         return Response(status_code=412, headers=headers)
@@ -155,15 +155,15 @@ def unneeded(request: Request, digest: str, headers: dict[str, str]) -> Response
 
 
 def _names(header: str, digest: str) -> bool:
-    """Whether a list of entity tags names this one, or any with `*`."""
+    """Whether a list of entity tags has this one, or `*` for any."""
     return bool({"*", f'"{digest}"'} & {entry.strip() for entry in header.split(",")})
 
 
 class BlobResponse(FileResponse):
-    """A file, or the range of it that a GET asks for. Where the standard allows it the answer is the whole: to several
-    ranges, to another unit, to bad spelling (RFC 9110, section 14.2)."""
+    """A file, or the range of it that a GET requests. Where the standard allows it, the response is the whole file: for
+    several ranges, another unit, or bad syntax (RFC 9110, section 14.2)."""
 
-    chunk_size = 1 << 20  # bytes in memory for each client
+    chunk_size = 1 << 20  # bytes in memory per client
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         found = ONE_RANGE.fullmatch(dict(scope["headers"]).get(b"range", b""))
@@ -176,11 +176,11 @@ class BlobResponse(FileResponse):
 def serve(
     tree: Path, host: str, port: int, proxies: Sequence[str] = (), ready: Callable[[str], None] = lambda url: None
 ) -> None:
-    """Serve until interrupted; every request is logged on stderr. Raises HubError where there is no tree,
+    """Serve a tree until interrupted; every request is logged on stderr. Raises HubError where there is no tree,
     or the address is taken.
 
-    proxies: addresses that are believed when they say whom they speak for; ready: called with the address of the page,
-    once it is listened at
+    proxies: addresses trusted to state the client that they forward for; ready: called with the address of the page,
+    once the server listens there
     """
     if not (tree / "index.json").is_file():
         raise HubError(f"{tree}: expected a published tree (index.json is absent); `oysterbench publish` makes one")

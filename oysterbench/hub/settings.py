@@ -1,4 +1,4 @@
-"""Which hub, and whose key: options before the environment before the user's file before what came with oysterbench."""
+"""Which hub, and whose key. In order of precedence: options, environment, the user's file, oysterbench's own file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from oysterbench.core.files import home
 from oysterbench.hub.sign import check_public
 
 FILE = "hub.toml"
-"""In the home folder, or beside the splits of oysterbench: `url` (an address or a list of mirrors) and `key`."""
+"""File in the home folder, or with oysterbench's splits: `url` (an address or a list of mirrors) and `key`."""
 
 NO_HUB = "no hub is set (--from, OYSTERBENCH_HUB or hub.toml in the home folder)"
 
@@ -22,7 +22,7 @@ NAME_ONE = "name one, with its public key: --from URL --key KEY"
 
 def hub_places(given: Sequence[str] = ()) -> list[str]:
     """Addresses or folders of the hub's mirrors; none where no hub is set."""
-    if named := [place for place in given if place.strip()]:  # an empty one, as of a variable that is not set, is none
+    if named := [place for place in given if place.strip()]:  # an empty one, as from an unset variable, is ignored
         return named
     if named := os.environ.get("OYSTERBENCH_HUB", "").split():
         return named

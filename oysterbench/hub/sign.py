@@ -13,13 +13,13 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from oysterbench.core.errors import HubError
 
 CONTEXT = b"oysterbench hub index\n"
-"""Goes before what is signed, so that a signature made for something else never passes for one of an index."""
+"""Prefix of what is signed, so that a signature made for something else never passes for one of an index."""
 
 
 def make_key(path: Path) -> str:
     """Write a new private key (PEM, PKCS 8), readable by its owner only, and return the public one in hex.
 
-    Raises HubError where the file is there already: a lost key cannot be had back.
+    Raises HubError where the file already exists: an overwritten key could not be recovered.
     """
     data = Ed25519PrivateKey.generate().private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
@@ -36,7 +36,7 @@ def make_key(path: Path) -> str:
 
 
 def load_key(path: Path) -> Ed25519PrivateKey:
-    """A private key from its file."""
+    """Read a private key from its file. Raises HubError where it is not an Ed25519 key in PEM."""
     try:
         key = serialization.load_pem_private_key(path.read_bytes(), password=None)
     except FileNotFoundError:
@@ -49,7 +49,7 @@ def load_key(path: Path) -> Ed25519PrivateKey:
 
 
 def public_hex(key: Ed25519PrivateKey) -> str:
-    """The public key of a private one, 64 hex digits."""
+    """Public key of a private one, 64 hex digits."""
     return key.public_key().public_bytes_raw().hex()
 
 
@@ -68,7 +68,7 @@ def is_signed(public: str, data: bytes, signature: str) -> bool:
 
 
 def check_public(key: str, where: str) -> str:
-    """A public key as a user gives it. Raises HubError naming `where` it was given."""
+    """Normalise a public key as given by a user. Raises HubError, naming `where` it was given, unless it is one."""
     if not re.fullmatch("[0-9a-f]{64}", key.strip().lower()):
         raise HubError(
             f"{where}: expected a hub's public key, 64 hex digits as `oysterbench keygen` prints them, got {key!r}"

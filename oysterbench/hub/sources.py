@@ -1,4 +1,4 @@
-"""Where a tree can be read: a web server or a folder. A source gives bytes and errors; it is never believed."""
+"""Sources of a tree: a web server or a folder. A source gives bytes and errors; it is never trusted."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     from urllib3 import BaseHTTPResponse
 
 READ = 1 << 20
-"""Bytes asked for at a time."""
+"""Bytes read at a time."""
 
 RETRIED = (408, 425, 429, 500, 502, 503, 504)
 """Status codes after which the same request may succeed."""
 
 HOST = re.compile(r"(?:localhost|[\w-]+(?:\.[\w-]+)+|[\w.-]+(?=:)|\[[0-9a-fA-F:]+\])(?::[0-9]{1,5})?(?:/.*)?")
-"""What looks like an address without http://: a host with a dot or a port, perhaps a path."""
+"""Text that looks like an address without http://: a host with a dot or a port, perhaps a path."""
 
 
 class Setback(Exception):
-    """A request that failed and may be made again; `wait_s`: no sooner than the server asks for."""
+    """A request that failed and may be retried; `wait_s`: the delay that the server asks for, s."""
 
     def __init__(self, message: str, wait_s: float = 0.0) -> None:
         super().__init__(message)
@@ -40,26 +40,26 @@ class Setback(Exception):
 
 
 class Refusal(Exception):
-    """A request that this source will not meet, however often it is made."""
+    """A request that this source will not fulfil, however often it is retried."""
 
 
 @dataclass(frozen=True)
 class Patience:
     """How long and how often a client tries. Times in seconds."""
 
-    attempts: int = 6  # in a row that bring nothing
-    first_contact: int = 3  # attempts to read index and manifest: an absent hub is told soon
+    attempts: int = 6  # in a row that yield nothing
+    first_contact: int = 3  # attempts to read index and manifest: an absent hub is reported soon
     first_wait_s: float = 0.5  # doubled from attempt to attempt
-    longest_wait_s: float = 60.0  # a server that asks for more is given up
+    longest_wait_s: float = 60.0  # a server that asks for more is given up on
     connect_s: float = 10.0
     idle_s: float = 30.0  # without a byte
-    window_s: float = 60.0  # of waiting, within which the headers have to come, and then `least_bytes` again and again
+    window_s: float = 60.0  # of waiting, in which the headers must arrive, and after that `least_bytes` in each
     least_bytes: int = 1 << 14
-    wait: Callable[[threading.Event, float], object] = threading.Event.wait  # so long, or until the transfer stops
+    wait: Callable[[threading.Event, float], object] = threading.Event.wait  # this long, or until the transfer stops
 
 
 class Body(Protocol):
-    """What a source answers: bytes from `start` on; the file may be longer or shorter than what was asked for."""
+    """Response of a source: bytes from `start` on; the file may be longer or shorter than requested."""
 
     start: int
 
@@ -72,10 +72,10 @@ class Source(Protocol):
     """A tree that can be read."""
 
     name: str
-    parallel: bool  # whether several connections are worth their while
+    parallel: bool  # whether several connections are worthwhile
 
     def open(self, path: str, start: int = 0, end: int | None = None) -> contextlib.AbstractContextManager[Body]:
-        """The bytes [start, end) of a file of the tree, or all of it where the source cannot do better.
+        """Open the bytes [start, end) of a file of the tree, or all of it where the source cannot do better.
 
         Raises Setback or Refusal.
         """
@@ -98,7 +98,7 @@ class FileBody:
 
 
 class Folder:
-    """A tree in a folder: a disk, a network share."""
+    """A tree in a folder, on a disk or a network share."""
 
     parallel = False
 
@@ -120,7 +120,7 @@ class Folder:
 
 @dataclass
 class HttpBody:
-    """The body of an answer."""
+    """The body of a response."""
 
     response: BaseHTTPResponse
     start: int
@@ -135,7 +135,7 @@ class HttpBody:
 
 
 class Web:
-    """A tree behind a web server, which may do ranges or not."""
+    """A tree on a web server, which may or may not support ranges."""
 
     parallel = True
 
@@ -162,7 +162,7 @@ class Web:
             begins = _check(response, start, end)
             yield HttpBody(response, begins)
         finally:
-            # A connection whose answer was read to its end is used again; what is left over is not read.
+            # A connection whose response was read to its end is reused; a remainder is not read.
             if response.length_remaining == 0:
                 response.release_conn()
             else:
@@ -170,7 +170,7 @@ class Web:
 
 
 def _check(response: BaseHTTPResponse, start: int, end: int | None) -> int:
-    """Where the body begins in the file. Raises Setback or Refusal where it is not what was asked for."""
+    """Offset in the file at which the body starts. Raises Setback or Refusal where it is not what was requested."""
     status = response.status
     if status in RETRIED:
         raise Setback(f"status {status}", retry_after_s(response.headers.get("Retry-After")))
@@ -192,7 +192,7 @@ def _check(response: BaseHTTPResponse, start: int, end: int | None) -> int:
 
 
 def retry_after_s(value: str | None) -> float:
-    """Seconds of a Retry-After header, which is a number of seconds or a date; 0 where it is neither."""
+    """Delay of a Retry-After header, s, which is a number of seconds or a date; 0 where it is neither."""
     text = (value or "").strip()
     if text.isascii() and text.isdigit():
         return float(text[:9])
@@ -203,12 +203,12 @@ def retry_after_s(value: str | None) -> float:
 
 
 def _cause(error: BaseException) -> str:
-    """The innermost reason, in words."""
+    """Innermost reason of an error, in words."""
     import urllib3
 
     system = error.__cause__
     if isinstance(error, urllib3.exceptions.NewConnectionError) and isinstance(system, OSError) and system.strerror:
-        return system.strerror  # not with the name of a class and all its values
+        return system.strerror  # without the name of a class and all its values
     if isinstance(error, urllib3.exceptions.SSLError) and "WRONG_VERSION_NUMBER" in str(error):
         return "the server does not speak TLS: is its address http://, and not https://?"
     reasons = (getattr(error, "reason", None), *error.args)
@@ -217,7 +217,7 @@ def _cause(error: BaseException) -> str:
 
 
 def open_source(place: str, connections: int = 4, patience: Patience = Patience()) -> Source:
-    """A source from what a user gives: an http(s) address, a file:// address or the path of a folder.
+    """Open a source from what a user gives: an http(s) address, a file:// address or the path of a folder.
 
     Raises HubError for anything else, and NetworkError for an address while OYSTERBENCH_OFFLINE is set.
     """

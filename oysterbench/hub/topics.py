@@ -1,7 +1,7 @@
-"""Some topics of a split: only the pieces that hold them are fetched, and a smaller file is cut from them here.
+"""Downloading some topics of a split: only the pieces that hold them are fetched, and a smaller file is cut from them.
 
-Small topics lie in chunks of their own, so that the inertial data of a long sequence is a few pieces. The smaller file
-is made on this machine: it is a sequence file like any other, but no hub knows its hash.
+Small topics have their own chunks, so that the IMU data of a long sequence takes a few pieces. The smaller file is made
+on this machine: it is a sequence file like any other, but no hub knows its hash.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ def fetch_topics(
     out: Path | None = None,
     progress: Progress = lambda done, total: None,
 ) -> dict[str, Path]:
-    """Smaller files with the topics that fit patterns such as `/imu` or `/cam_front/*`: sequence -> path.
+    """Make smaller files with the topics that match patterns such as `/imu` or `/cam_front/*`: sequence -> path.
 
-    They go to `out`, by default to a folder of their own within the split's. A file that is here whole is not fetched.
-    Raises SequenceError where a pattern fits no topic, and HubError where a file is in the way.
+    They go to `out`, by default a subfolder of the split's. A file that is here completely is not fetched. Raises
+    SequenceError where a pattern matches no topic, and HubError where a file is in the way.
     """
     out = out or topics_folder(folder, wanted)
     total = sum(entry.size for entry in entries)
@@ -66,8 +66,8 @@ def fetch_topics(
 def plan_topics(hub: Hub, entries: Sequence[FileEntry], folder: Path, wanted: Sequence[str]) -> dict[str, int]:
     """Sequence -> bytes that `fetch_topics` would fetch of its file: whole pieces; 0 where the file is here.
 
-    The index at the end of each file tells, which is fetched for it. Raises SequenceError where a pattern fits no
-    topic.
+    This is known from the index at the end of each file, which is fetched for it. Raises SequenceError where a pattern
+    matches no topic.
     """
     sizes = {}
     for entry in entries:
@@ -83,7 +83,7 @@ def plan_topics(hub: Hub, entries: Sequence[FileEntry], folder: Path, wanted: Se
 
 
 def _fetch_and_cut(hub: Hub, entry: FileEntry, folder: Path, target: Path, names: Sequence[str], tell: Count) -> None:
-    """Fetch what the index of the file says, then cut."""
+    """Fetch the parts that the index of the file lists for some topics, then cut the smaller file from them."""
     check_space(folder, entry.size)
     with _part_of(hub, entry, folder, tell) as (path, fetch):
         summary, _ = _index(path, entry, fetch)
@@ -93,8 +93,8 @@ def _fetch_and_cut(hub: Hub, entry: FileEntry, folder: Path, target: Path, names
 
 @contextmanager
 def _part_of(hub: Hub, entry: FileEntry, folder: Path, tell: Count) -> Iterator[tuple[Path, Fetch]]:
-    """A file of which bytes can be fetched. A part that was there before goes on growing later; another one is gone
-    afterwards."""
+    """Yield the part of a file, and a function that fetches bytes into it. A part that existed before is kept, so that
+    it can grow later; otherwise it is removed afterwards."""
     path = part_path(folder, entry)
     kept = path.is_file()
     part = Part(path, entry)
@@ -120,7 +120,7 @@ def _pieces(spans: Iterable[Span], entry: FileEntry) -> set[int]:
 
 
 def _index(path: Path, entry: FileEntry, fetch: Fetch) -> tuple[Summary, list[Span]]:
-    """The index of a file, fetched; and where that lies."""
+    """Fetch the index of a file; return it, and the spans that were fetched for it."""
     ends = [(0, len(MAGIC)), (entry.size - FOOTER.size - len(MAGIC), entry.size)]
     fetch(ends)
     ends.append((_summary_start(path, entry.size), entry.size))
@@ -134,7 +134,7 @@ def _is_here(path: Path, entry: FileEntry) -> bool:
 
 
 def _summary_start(path: Path, size: int) -> int:
-    """Where the index of an MCAP file begins, from its footer."""
+    """Offset of the index of an MCAP file, from its footer. Raises HubError where it is outside the file."""
     with open(path, "rb") as file:
         file.seek(size - FOOTER.size - len(MAGIC))
         start = int(FOOTER.unpack(file.read(FOOTER.size))[2])
@@ -144,7 +144,7 @@ def _summary_start(path: Path, size: int) -> int:
 
 
 def _spans(summary: Summary, names: Sequence[str]) -> list[Span]:
-    """Bytes [start, end) of all that a smaller file is made from."""
+    """Spans [start, end) of everything from which a smaller file is made."""
     found = [(index.offset, index.length) for index in summary.attachment_indexes]
     found += [(index.offset, index.length) for index in summary.metadata_indexes]
     found += [(chunk.chunk_start_offset, chunk.chunk_length) for chunk in chunks_with(summary, names)]

@@ -1,4 +1,4 @@
-"""One file, fetched in pieces from several mirrors at once: a piece counts once its hash is right."""
+"""Fetching one file in pieces from several mirrors at once: a piece counts once its hash is right."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from oysterbench.hub.part import Part
 from oysterbench.hub.sources import Body, Patience, Refusal, Setback, Source
 
 RUN = 8
-"""Pieces of one request, at most."""
+"""Maximum number of pieces in one request."""
 
 WRONG = 2
-"""Wrong pieces in a row after which a mirror is not asked again."""
+"""Number of wrong pieces in a row after which a mirror is not asked again."""
 
 Count = Callable[[int], None]
-"""Called with the number of bytes that were found right."""
+"""Called with the number of bytes that were verified."""
 
 
 class Found(enum.Enum):
-    """What a piece turned out to be."""
+    """Outcome of receiving a piece."""
 
     NEW = enum.auto()
     KNOWN = enum.auto()
@@ -36,7 +36,7 @@ class Found(enum.Enum):
 
 
 class Mirror:
-    """A source, and what became known of it on the way."""
+    """A source, and what has been learnt about it so far."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
@@ -47,7 +47,7 @@ class Mirror:
         self.sweeping = threading.Lock()  # held by the one connection that reads a whole file from it
 
     def fail(self, why: str, lied: bool = False) -> None:
-        """Not to be asked again."""
+        """Mark this mirror as not to be asked again. lied: it gave wrong bytes"""
         self.failure, self.lied = why, self.lied or lied
 
     def why_not(self, path: str) -> str | None:
@@ -56,7 +56,7 @@ class Mirror:
 
 
 def no_mirror_left(what: str, path: str, mirrors: Iterable[Mirror]) -> HubError:
-    """The error when no mirror can give a file."""
+    """Error to raise where no mirror can give a file."""
     mirrors = list(mirrors)
     reasons = "; ".join(f"{mirror.source.name}: {mirror.why_not(path)}" for mirror in mirrors)
     kind = IntegrityError if any(mirror.lied for mirror in mirrors) else NetworkError
@@ -66,21 +66,21 @@ def no_mirror_left(what: str, path: str, mirrors: Iterable[Mirror]) -> HubError:
 def pause_s(attempt: int, asked_s: float, patience: Patience) -> float:
     """Seconds to wait before the next attempt: doubled each time, with jitter, and no less than the server asks for.
 
-    The jitter is the one random number of oysterbench that no seed decides: clients must not come back together.
+    The jitter is the only random number in oysterbench that no seed decides: clients must not return all at once.
     """
     wait = min(patience.first_wait_s * 2.0 ** (attempt - 1), patience.longest_wait_s) * random.uniform(0.5, 1.0)
     return max(wait, asked_s + random.uniform(0.0, 0.1) * asked_s)
 
 
 class Reader:
-    """Takes bytes out of a body in portions of any size."""
+    """Reader of a body in portions of any size."""
 
     def __init__(self, body: Body) -> None:
         self._body = body
         self._left = memoryview(b"")
 
     def take(self, view: memoryview) -> int:
-        """Put the next bytes at the beginning of `view`, and return how many. Raises Setback at the end."""
+        """Copy the next bytes to the start of `view`, and return how many. Raises Setback at the end."""
         if not self._left:
             self._left = memoryview(self._body.read())
             if not self._left:
@@ -92,7 +92,7 @@ class Reader:
 
 
 class Transfer:
-    """Fetching pieces of one part with several connections."""
+    """Transfer of pieces of one part over several connections."""
 
     def __init__(self, part: Part, mirrors: list[Mirror], connections: int, patience: Patience, count: Count) -> None:
         self._part, self.entry = part, part.entry
@@ -105,7 +105,7 @@ class Transfer:
         self.stop = threading.Event()
         self._missing: set[int] = set()
         self._queue: deque[int] = deque()
-        self._left: dict[int, Path] = {}  # pieces of which a killed process left the beginning
+        self._left: dict[int, Path] = {}  # pieces of which a killed process left the start
         self._error: BaseException | None = None
 
     def fetch(self, pieces: Iterable[int]) -> None:
@@ -134,7 +134,7 @@ class Transfer:
             for worker in workers:
                 worker.join()
         finally:
-            with self._lock:  # after an interruption nothing is told of any more
+            with self._lock:  # after an interruption, no more progress is reported
                 self.stop.set()
         if self._error is not None:
             raise self._error
@@ -158,11 +158,11 @@ class Transfer:
         finally:
             os.close(descriptor)
 
-    # What connections share:
+    # Shared by the connections:
 
     def next_run(self) -> list[int]:
-        """Neighbouring pieces that nobody fetches yet; short runs towards the end, so that all end together. Only the
-        first may have a beginning that was left."""
+        """Take adjacent pieces that nobody is fetching yet; short runs towards the end, so that all finish together.
+        Only the first may have a start that was left."""
         with self._lock:
             longest = max(1, min(RUN, len(self._queue) // (2 * self._connections)))
             run: list[int] = []
@@ -175,12 +175,12 @@ class Transfer:
             return run
 
     def take_left(self, piece: int) -> Path | None:
-        """The beginning of a piece that a killed process left, for whoever asks first."""
+        """Draft of a piece that a killed process left, for whoever asks first; None where there is none."""
         with self._lock:
             return self._left.pop(piece, None)
 
     def give_back(self, run: list[int]) -> None:
-        """Pieces that a connection could not fetch."""
+        """Return to the queue the pieces that a connection could not fetch."""
         with self._lock:
             self._queue.extendleft(reversed(run))
 
@@ -189,7 +189,7 @@ class Transfer:
         return [mirror for mirror in self._mirrors if mirror.why_not(self.path) is None]
 
     def accept(self, piece: int, data: memoryview, descriptor: int) -> Found:
-        """Keep a piece if its hash is right and it was missing. Hashing and writing hold nobody up."""
+        """Keep a piece if its hash is right and it was missing. Hashing and writing do not block other connections."""
         if sha256(data) != self.entry.pieces[piece]:
             return Found.WRONG
         if not self.is_missing(piece):
@@ -217,8 +217,8 @@ class Connection:
         self._turn = number
         self._descriptor = descriptor
         self._draft = draft  # of the first piece of the run
-        self._gained = 0  # bytes that the attempt under way brought nearer to the end
-        self._attempts: Counter[Mirror] = Counter()  # in a row that brought nothing
+        self._gained = 0  # bytes of progress made by the present attempt
+        self._attempts: Counter[Mirror] = Counter()  # in a row that yielded nothing
         self._wrong: Counter[Mirror] = Counter()  # wrong pieces in a row
 
     def run(self) -> None:
@@ -243,12 +243,12 @@ class Connection:
                     self._fall_back(mirror, setback)
 
     def _change_mirror(self) -> None:
-        """A piece comes from one mirror, so that it is known who is to blame for it."""
+        """Change to the next mirror. A piece comes from one mirror only, so that it is known which one is to blame."""
         self._turn += 1
         self._draft.clear()
 
     def _fall_back(self, mirror: Mirror, setback: Setback) -> None:
-        """Decide what a failed attempt means: wait, ask another mirror, or never ask this one again."""
+        """Decide what follows from a failed attempt: wait, ask another mirror, or never ask this one again."""
         if self.t.stop.is_set():
             return
         patience = self.t.patience
@@ -266,7 +266,7 @@ class Connection:
             patience.wait(self.t.stop, pause_s(self._attempts[mirror], setback.wait_s, patience))
 
     def _ask(self, mirror: Mirror, run: list[int]) -> None:
-        """Ask for the run, and strike every piece that comes off it."""
+        """Request the run, and remove every piece that arrives from it."""
         if mirror.whole:
             self._sweep(mirror, run)
             return
@@ -284,14 +284,14 @@ class Connection:
                     self._draft.begin(run[0])
 
     def _take(self, mirror: Mirror, reader: Reader, piece: int) -> None:
-        """Read one piece to its end, and keep it; Setback if the answer ends before, or the piece is wrong."""
+        """Read one piece to its end, and keep it. Raises Setback if the response ends early, or the piece is wrong."""
         draft = self._draft
         while draft.free:
             if self.t.stop.is_set():
                 raise Setback("stopped")
             n = reader.take(draft.free)
             draft.add(n)
-            self._gained += 0 if mirror.whole else n  # without ranges an attempt starts from nothing again
+            self._gained += 0 if mirror.whole else n  # without ranges, an attempt restarts from nothing
         found, inherited = self.t.accept(piece, draft.there, self._descriptor), draft.inherited
         draft.clear()
         if found is Found.WRONG:
@@ -303,9 +303,10 @@ class Connection:
             self._gained = max(self._gained, self.t.patience.least_bytes)
 
     def _sweep(self, mirror: Mirror, run: list[int], body: Body | None = None) -> None:
-        """Read the whole file from a mirror that ignores ranges, and keep what is missing; one connection at a time."""
+        """Read the whole file from a mirror that ignores ranges, and keep what was missing; one connection at a
+        time."""
         if not mirror.sweeping.acquire(blocking=False):
-            body = None  # another connection sweeps already: let this answer go, and wait for that one
+            body = None  # another connection is already sweeping: drop this response, and wait for that one
             mirror.sweeping.acquire()
         try:
             if self.t.stop.is_set() or not self.t.is_missing():
@@ -315,7 +316,7 @@ class Connection:
                 for piece in range(len(self.t.entry.pieces)):
                     if not self.t.is_missing():
                         break
-                    self._draft.begin(piece, on_disk=False)  # the beginning of a piece is of no use here
+                    self._draft.begin(piece, on_disk=False)  # the start of a piece is of no use here
                     self._take(mirror, reader, piece)
         finally:
             mirror.sweeping.release()

@@ -1,4 +1,4 @@
-"""What is on disk, held against a manifest."""
+"""Verification of files on disk against a manifest."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from oysterbench.hub.content import Content
 
 MANIFEST = "manifest.json"
-"""Name of the manifest beside the files of a split."""
+"""Name of the manifest next to the files of a split."""
 
 SMALLER_FILES = "topics-*/*.mcap"
-"""Of the folder of a split: smaller files (`sequence.cut.topics_folder`)."""
+"""Pattern of smaller files in the folder of a split (`sequence.cut.topics_folder`)."""
 
 FOLDERS = ("blobs", "cards", "croissant", "manifests", "models", "pictures")
-"""Of a tree, whose files are named by their hash."""
+"""Folders of a tree whose files are named by their hash."""
 
 RIGHT, REPACKED, SMALLER = "right", "same content, other bytes", "right, with some of the topics"
 ALIKE, OTHER = "alike", "other content"
@@ -36,7 +36,7 @@ DAMAGED, ABSENT, UNKNOWN = "damaged", "absent", "no manifest"
 
 @dataclass(frozen=True)
 class Check:
-    """What became of a file: `state` is one of the words above, `detail` says more."""
+    """Outcome of checking a file: `state` is one of the words above, `detail` says more."""
 
     path: Path
     state: str
@@ -49,11 +49,11 @@ class Check:
 
 
 def check_file(path: Path, entry: FileEntry, smaller: bool = False) -> Check:
-    """Read a file and compare it with its entry: bytes first and, where they differ, the content; where that differs,
-    too, some of the pixels.
+    """Read a file and compare it with its entry: bytes first and, where they differ, the content; where that differs
+    too, a sample of the pixels.
 
-    A file is alike whose pictures are within one grey level on 99.9 % of these pixels, and that is the same otherwise.
-    smaller: whether one with some of the topics is good, too, by those that it has.
+    A file is alike if its images are within one grey level on 99.9 % of these pixels, and it is the same otherwise.
+    smaller: whether a file with only some of the topics is good too, judged by those that it has
     """
     if not path.is_file():
         return Check(path, ABSENT)
@@ -66,7 +66,7 @@ def check_file(path: Path, entry: FileEntry, smaller: bool = False) -> Check:
                 wrong.append(number)
     if whole.hexdigest() == entry.sha256:
         return Check(path, RIGHT)
-    from oysterbench.hub.content import content_of  # what reads messages is loaded only when needed
+    from oysterbench.hub.content import content_of  # code that reads messages is loaded only when needed
 
     try:
         content = content_of(path)
@@ -84,7 +84,7 @@ def check_file(path: Path, entry: FileEntry, smaller: bool = False) -> Check:
 
 
 def _check_content(path: Path, content: Content, entry: FileEntry, smaller: bool) -> Check:
-    """Compare what a whole file says with its entry."""
+    """Compare the content of an undamaged file with its entry."""
     wrong: list[str] = []
     alike: list[str] = []
     for topic, here in sorted(content.topics.items()):
@@ -118,9 +118,9 @@ def _check_content(path: Path, content: Content, entry: FileEntry, smaller: bool
 
 
 def check_released(path: Path, manifest: Manifest) -> Check:
-    """Check a sequence file by a released manifest; where it differs, say what may be the cause.
+    """Check a sequence file against a released manifest; where it differs, state the possible cause.
 
-    Raises SequenceError where the file is damaged so that it does not say which sequence it is.
+    Raises SequenceError where the file is so damaged that it does not say which sequence it is.
     """
     from oysterbench.sequence.read import McapSequence
 
@@ -142,7 +142,7 @@ def check_released(path: Path, manifest: Manifest) -> Check:
 
 
 def check_unknown(path: Path) -> Check:
-    """Check a file without a manifest by the checksums that it carries itself."""
+    """Check a file without a manifest, using its own checksums."""
     from oysterbench.hub.content import content_of
 
     if not path.is_file():
@@ -155,8 +155,8 @@ def check_unknown(path: Path) -> Check:
 
 
 def kept_manifest(folder: Path) -> Manifest | None:
-    """The manifest that a download left beside its files; None also where it has been damaged since: then it vouches
-    for nothing, and files are read instead."""
+    """Read the manifest that a download left next to its files; None where there is none, or it has been damaged: then
+    it vouches for nothing, and files are read instead."""
     path = folder / MANIFEST
     try:
         return read_manifest(path.read_bytes(), str(path)) if path.is_file() else None
@@ -165,13 +165,13 @@ def kept_manifest(folder: Path) -> Manifest | None:
 
 
 def kept_card(path: Path) -> Model | None:
-    """The card that a download left beside a file of weights; it may be damaged since, or others."""
+    """Read the card that a download left next to a weights file, which may since have been damaged or replaced."""
     card = path.with_suffix(".json")
     return read_model(card.read_bytes(), str(card)) if card.is_file() else None
 
 
 def check_weights(path: Path) -> Check:
-    """Check a file of weights by the card beside it."""
+    """Check a weights file against the card next to it."""
     card = kept_card(path)
     if not path.is_file():
         return Check(path, ABSENT)
@@ -186,8 +186,8 @@ def check_weights(path: Path) -> Check:
 
 
 def checks(name: str = "") -> Iterator[Check]:
-    """Check a file, the tree of a hub, the splits of a name (NAME or NAME@VERSION) that are here, trained weights, a
-    folder, or all that is here.
+    """Check a file, a hub's tree, the local splits of a name (NAME or NAME@VERSION), trained weights, a folder, or
+    everything that is here.
 
     Raises HubError where nothing has that name.
     """
@@ -218,10 +218,10 @@ def checks(name: str = "") -> Iterator[Check]:
 
 
 def check_tree(tree: Path) -> Iterator[Check]:
-    """Check that the index is signed with all keys that it names, that every file of a published tree has the hash that
-    is its name, and that none that is named is absent.
+    """Check that a published tree's index is signed with all keys that it names, that every file has the hash that is
+    its name, and that no listed file is absent.
 
-    Whether these keys are the right ones is for those who know them: for clients.
+    Whether these keys are the right ones is for those to judge who know them: clients.
     """
     path = tree / "index.json"
     document = decode(path.read_bytes(), SignedIndex, str(path))
@@ -255,7 +255,7 @@ def check_tree(tree: Path) -> Iterator[Check]:
 
 
 def _check_folder(folder: Path) -> Iterator[Check]:
-    """Check the files of a split's folder, and say which of its manifest are absent."""
+    """Check the files in a split's folder, and report those in its manifest that are absent."""
     manifest = kept_manifest(folder)
     if manifest is not None:
         yield from (check_file(folder / entry.name, entry) for entry in manifest.files)
@@ -268,7 +268,7 @@ def _check_folder(folder: Path) -> Iterator[Check]:
 
 
 def _check_alone(path: Path) -> Check:
-    """Check one file by the manifest beside it, or by that of the release it says it belongs to."""
+    """Check one file against the manifest next to it, or that of the release to which it says it belongs."""
     from oysterbench.sequence.read import McapSequence
 
     if not path.is_file():

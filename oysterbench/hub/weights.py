@@ -1,11 +1,11 @@
-"""Trained weights on this machine: what is known of them, and fetching them from a hub.
+"""Trained weights on this machine: what is known about them, and fetching them from a hub.
 
 ```
 <models>/NAME.pt      weights, whether they were trained here or fetched
 <models>/NAME.json    the card of those that were fetched (`model`)
 ```
 
-A card is believed of a file whose hash it names, and of no other.
+A card is trusted only for a file whose hash it names.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from oysterbench.hub.verify import kept_card
 
 @dataclass(frozen=True)
 class Here:
-    """A file of weights on this machine. card: beside it; model: the same, where it is of this very file."""
+    """A weights file on this machine. card: the one next to it; model: the same, if it is for this very file"""
 
     path: Path
     sha256: str
@@ -34,14 +34,14 @@ class Here:
 
     @property
     def brief(self) -> str:
-        """The version that a hub gave, or where else it is from."""
+        """Version from a hub, or else where the file is from."""
         if self.model is not None:
             return self.model.version
         return "trained here" if self.card is None else f"not {self.card.version}"
 
     @property
     def described(self) -> str:
-        """What it is, in words."""
+        """Description of the file in words."""
         state, what = self.path.stat(), "weights trained here"
         if self.model is not None:
             what = f"{self.model.name} {self.model.version} of a hub"
@@ -52,7 +52,7 @@ class Here:
 
 
 def weights_here(path: Path) -> Here | None:
-    """What is known of a file of weights; None where there is none."""
+    """What is known about a weights file; None where there is none."""
     if not path.is_file():
         return None
     with open(path, "rb") as file:
@@ -62,14 +62,14 @@ def weights_here(path: Path) -> Here | None:
 
 
 def there_bytes(path: Path, entry: Pieced) -> int:
-    """Bytes of a file that an interrupted download has left, about."""
+    """Approximate number of a file's bytes that an interrupted download left."""
     part = part_path(path.parent, entry)
     return min(part.stat().st_blocks * 512, entry.size) if part.is_file() else 0
 
 
 def check_replaced(path: Path, model: Model, again: bool = False) -> bool:
-    """Whether this model is at a path already. Raises HubError where weights are that no hub has given, which only
-    `again` lets a download replace."""
+    """Whether this model is already at a path. Raises HubError where there are weights that did not come from a hub,
+    which a download may replace only with `again`."""
     here = weights_here(path)
     if here is None:
         return False
@@ -86,11 +86,11 @@ def check_replaced(path: Path, model: Model, again: bool = False) -> bool:
 def fetch_weights(
     hub: Hub, model: Model, path: Path, again: bool = False, progress: Progress = lambda done, total: None
 ) -> Path:
-    """Have a model's weights at a path, whole, with their card beside them.
+    """Fetch a model's weights to a path, with their card next to them.
 
-    Weights of another version that a hub gave are replaced at the moment when the new ones are whole; one's own only
-    with `again`, and else HubError is raised. Raises IntegrityError or NetworkError where it fails; what was fetched is
-    kept, and the same call goes on from there.
+    Weights of another version from a hub are replaced once the new ones are complete; one's own only with `again`, and
+    otherwise HubError is raised. Raises IntegrityError or NetworkError where it fails; what was fetched is kept, and
+    the same call resumes from there.
     """
     entry, part, done = model.file, part_path(path.parent, model.file), 0
 

@@ -1,4 +1,4 @@
-"""The sequence file: topics, writing, reading."""
+"""Sequence files: their topics, writing and reading."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def open_sequence(path: str | os.PathLike[str]) -> Sequence:
 
 
 def sequences_in(path: str | os.PathLike[str]) -> list[Path]:
-    """The sequence files of a folder; the path itself where it has none, as one in EuRoC layout."""
+    """Sequence files in a folder; the path itself where there are none, as for a folder in EuRoC layout."""
     place = Path(path)
     return sorted(place.glob("*.mcap")) or [place]
 
 
 def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """What a sequence holds, as JSON values: names, duration, path length, cameras, topics with counts and rates."""
+    """Content of a sequence as JSON values: names, duration, path length, cameras, topics with counts and rates."""
     sequence = open_sequence(path)
     cameras = {
         name: {"width": camera.width, "height": camera.height, "rate_hz": camera.rate_hz}

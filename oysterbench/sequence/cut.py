@@ -1,4 +1,4 @@
-"""Smaller sequence files: some of the topics, attachments and metadata of one, chunk for chunk."""
+"""Smaller sequence files: a selection of one's topics, attachments and metadata, copied chunk by chunk."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from oysterbench.sequence.write import SequenceWriter
 
 PUBLIC_METADATA = ("sequence", "split", "split_version", "track", "rig", "generation")
 PUBLIC_ATTACHMENTS = (CALIBRATION, "classes.json")
-"""What a hidden split shows besides measurements: lists of what may be seen, so that what is new stays hidden until it
-is listed. A topic is listed by the `leaves` of its kind of sensor."""
+"""What a hidden split shows besides measurements. These list what may be seen, so that anything new stays hidden until
+it is listed. A topic is listed by the `leaves` of its kind of sensor."""
 
 
 def is_public(topic: str) -> bool:
-    """Whether a hidden split shows a topic: a measurement of a kind of sensor that there is."""
+    """Whether a hidden split shows a topic: a measurement of a known kind of sensor, or the static transforms."""
     if topic == TF_STATIC:
         return True
     name, _, leaf = topic.removeprefix("/").partition("/")
@@ -43,10 +43,10 @@ def cut(
     keep_attachment: Callable[[str], bool] = lambda name: True,
     keep_metadata: Callable[[str], bool] = lambda key: True,
 ) -> None:
-    """Write the sequence file `source` again with the topics, attachments and metadata that are kept.
+    """Copy the sequence file `source` with only the topics, attachments and metadata that are kept.
 
-    Chunks keep their order and bounds, so that small topics stay in chunks of their own. The same call gives the same
-    bytes.
+    Chunks keep their order and boundaries, so that small topics stay in chunks of their own. The same call gives the
+    same bytes.
     """
     with Reading(source) as (file, summary):
         records = read_metadata(file, summary)
@@ -71,18 +71,18 @@ def cut(
 
 
 def cut_to(target: Path, source: Path, topics: Collection[str]) -> None:
-    """Write the smaller file with these topics of `source`; it appears complete or not at all."""
+    """Write a smaller file with these topics of `source`; it appears complete or not at all."""
     with appearing(target) as file:
         cut(source, file, set(topics).__contains__)
 
 
 def cut_public(source: Path, output: IO[bytes]) -> None:
-    """What a hidden split shows of a sequence: measurements and calibration; no recipe, truth or digest."""
+    """Write what a hidden split shows of a sequence: measurements and calibration; no recipe, truth or digest."""
     cut(source, output, is_public, PUBLIC_ATTACHMENTS.__contains__, PUBLIC_METADATA.__contains__)
 
 
 def cut_truth(source: Path, output: IO[bytes]) -> None:
-    """What a hidden split keeps back of a sequence, with what is needed to open it; `cut_public` has the rest."""
+    """Write what a hidden split withholds of a sequence, with what is needed to open it; `cut_public` has the rest."""
     shared = (TF_STATIC, "/imu")
     cut(source, output, lambda topic: not is_public(topic) or topic in shared or topic.endswith("/camera_info"))
 
@@ -105,12 +105,13 @@ def read_chunk(path: Path, index: ChunkIndex, channels: Mapping[int, Channel]) -
 
 
 def topics_folder(folder: Path, wanted: Collection[str]) -> Path:
-    """Where smaller files of a split's folder are kept: those of each choice of topics apart."""
+    """Subfolder of a split's folder for smaller files, one for each choice of topics."""
     return folder / f"topics-{hashlib.sha256(' '.join(sorted(wanted)).encode()).hexdigest()[:8]}"
 
 
 def match_topics(known: Collection[str], wanted: Collection[str], what: str) -> list[str]:
-    """Topics that fit patterns such as `/imu` or `/cam_front/*`; SequenceError where a pattern fits none."""
+    """Topics that match patterns such as `/imu` or `/cam_front/*`. Raises SequenceError where a pattern matches
+    none."""
     from fnmatch import fnmatchcase
 
     for pattern in wanted:

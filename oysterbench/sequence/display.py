@@ -1,4 +1,4 @@
-"""How a sequence looks in a notebook."""
+"""Notebook display of a sequence."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CAMERAS_SHOWN = 4
 
 
 def outline(sequence: Sequence) -> str:
-    """What a sequence holds, in a line."""
+    """Summarise the content of a sequence in one line."""
     cameras = [f"{name} {c.width} x {c.height} at {c.rate_hz:g} Hz" for name, c in sequence.cameras.items()]
     others = [name for name in sequence.sensors() if name not in sequence.cameras]
     truth = "truth" if has_truth(sequence) else "no truth"
@@ -21,12 +21,12 @@ def outline(sequence: Sequence) -> str:
 
 
 def has_truth(sequence: Sequence) -> bool:
-    """Whether it says where the vehicle truly was, as far as its list of contents tells."""
+    """Whether a sequence has ground-truth poses, according to its list of contents."""
     return TRUTH in (topic for topic, _, _ in sequence.contents())
 
 
 def sequence_card(sequence: Sequence) -> str:
-    """Facts, a frame of each camera, and a row for each topic."""
+    """Card with facts, a frame of each camera (at most `CAMERAS_SHOWN`), and a row for each topic."""
     rows = [
         (topic, kind, count, f"{count / max(sequence.duration_s, 1e-9):.1f}")
         for topic, kind, count in sequence.contents()

@@ -1,4 +1,4 @@
-"""A folder in EuRoC/ASL layout as a sequence: mav0/cam*/, mav0/imu0/, and the truth where there is one."""
+"""A folder in EuRoC/ASL layout as a sequence: mav0/cam*/, mav0/imu0/, and the ground truth if there is one."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from oysterbench.core.pictures import decode_picture
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
-GRAVITY = 9.81  # m/s^2; where the folder has no key for it, as the layout itself has none
+GRAVITY = 9.81  # m/s^2; used where the folder has no key for it, which is not part of the layout
 
 
 class EurocSequence(Sequence):
-    """Reads a folder that holds `mav0`. The body frame is the IMU's, as the layout defines it."""
+    """A sequence read from a folder that holds `mav0`. The body frame is the IMU's, as the layout defines it."""
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
@@ -109,7 +109,7 @@ def _rows(path: Path) -> Iterator[str]:
 
 
 def _read_yaml(path: Path) -> dict[str, str]:
-    """The flat `key: value` lines of an ASL sensor.yaml; lists may run over lines. Nested keys by their own name."""
+    """Read the `key: value` lines of an ASL sensor.yaml; lists may span lines. Nested keys go by their own name."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError:

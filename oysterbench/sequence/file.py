@@ -1,4 +1,4 @@
-"""An MCAP file, opened so that no damaged byte of it passes for a good one."""
+"""Access to an MCAP file such that no damaged byte passes for a good one."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ DAMAGE = (
     OSError,
     AttributeError,
 )
-"""What the libraries underneath raise on bytes that are not what they should be."""
+"""Exceptions that the underlying libraries raise on damaged bytes."""
 
 CHECKSUM = "crc32"
 
 
 class Reading:
-    """An MCAP file and its index, with statistics; whatever is wrong with its bytes becomes one SequenceError.
+    """Context that opens an MCAP file and its index, with statistics; any damage is raised as one SequenceError.
 
     The CRCs of the index and of each chunk that is read are checked in `core.mcap`; those of attachments in
     `read_attachment`.
@@ -72,7 +72,7 @@ class Reading:
 
 
 def damaged(path: Path, cause: str) -> str:
-    """What to say of a damaged file."""
+    """Message about a damaged file."""
     return (
         f"{path}: truncated or damaged ({cause or 'unreadable'}); expected a whole sequence file; "
         "delete it and render or download it again"
@@ -85,11 +85,11 @@ def checksum(values: Mapping[str, str]) -> str:
 
 
 def read_metadata(file: IO[bytes], summary: Summary) -> dict[str, dict[str, str]]:
-    """Metadata records that `SequenceWriter` wrote, by name. Raises ValueError where a checksum is wrong."""
+    """Read the metadata records that `SequenceWriter` wrote, by name. Raises ValueError where a checksum is wrong."""
     found = {}
     for record in iter_metadata(file, summary):
         if CHECKSUM not in record.metadata:
-            continue  # of another program
+            continue  # from another program
         values = {key: value for key, value in record.metadata.items() if key != CHECKSUM}
         if record.metadata[CHECKSUM] != checksum(values):
             raise ValueError(f"the CRC of the metadata {record.name!r} is wrong")
@@ -98,7 +98,7 @@ def read_metadata(file: IO[bytes], summary: Summary) -> dict[str, dict[str, str]
 
 
 def read_attachment(file: IO[bytes], offset: int) -> tuple[str, bytes]:
-    """Name and data of the attachment at an offset. Raises ValueError where its CRC is wrong."""
+    """Read the name and data of the attachment at an offset. Raises ValueError where its CRC is wrong."""
     file.seek(offset)
     opcode, length = RECORD.unpack(file.read(RECORD.size))
     if opcode != Opcode.ATTACHMENT:
@@ -115,7 +115,7 @@ def read_attachment(file: IO[bytes], offset: int) -> tuple[str, bytes]:
 
 
 class Attachments(Mapping[str, bytes]):
-    """Attachments of a file by name, each read and checked when it is asked for."""
+    """Attachments of a file by name, each read and checked on access."""
 
     def __init__(self, path: Path, summary: Summary) -> None:
         self._path = path
@@ -140,7 +140,7 @@ class Attachments(Mapping[str, bytes]):
 
 
 def read_attachments(path: Path) -> Attachments:
-    """Attachments by name."""
+    """Attachments of a sequence file by name."""
     with Reading(path) as (_, summary):
         return Attachments(path, summary)
 
@@ -148,9 +148,10 @@ def read_attachments(path: Path) -> Attachments:
 def read_messages(
     path: Path, names: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
 ) -> Iterator[Message]:
-    """Messages of some topics (all by default) in time order, checksums checked; SequenceError on damage.
+    """Yield the messages of some topics (all by default) in time order. Raises SequenceError on damage.
 
-    Of `start_ns <= stamp_ns < end_ns`: only chunks that hold such messages are read.
+    Limited to `start_ns <= stamp_ns < end_ns`: only chunks that hold such messages are read, and their checksums
+    checked.
     """
     if start_ns is not None and end_ns is not None and start_ns >= end_ns:
         return

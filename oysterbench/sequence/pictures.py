@@ -1,4 +1,4 @@
-"""The pictures of a camera as the bytes of image files, as the sequence holds them: for who passes them on."""
+"""Camera frames as the bytes of image files, as the sequence stores them, for code that passes them on."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from oysterbench.sequence.read import McapSequence
 from oysterbench.sequence.types import Sequence
 
 MEDIA = {"jpeg": "image/jpeg", "png": "image/png"}
-"""Formats of pictures in sequences -> their media types."""
+"""Format of images in sequences -> media type."""
 PNG_LEVEL = 1  # of 9, all of them lossless; the higher ones take four times the time for 5 %
 
 
 @dataclass(frozen=True)
 class EncodedPicture:
-    """form: of MEDIA; data: what a file of that form holds."""
+    """An encoded camera frame. form: format, a key of MEDIA; data: content of an image file of that format"""
 
     stamp_ns: int
     form: str
@@ -34,8 +34,9 @@ class EncodedPicture:
 def encoded_pictures(
     sequence: Sequence, camera: str, start_ns: int | None = None, end_ns: int | None = None
 ) -> Iterator[EncodedPicture]:
-    """The colour frames of a camera with `start_ns <= stamp_ns < end_ns`, in time order, not decoded where the sequence
-    is a file (.mcap), and as PNG else. Raises SequenceError where there is no such camera, or the file is damaged."""
+    """Yield the colour frames of a camera with `start_ns <= stamp_ns < end_ns`, in time order: as stored if the
+    sequence is a file (.mcap), otherwise as PNG. Raises SequenceError where there is no such camera, or the file is
+    damaged."""
     if not isinstance(sequence, McapSequence):
         for image in sequence.images(camera, start_ns, end_ns):
             yield EncodedPicture(image.stamp_ns, "png", png_bytes(image.pixels))
@@ -55,8 +56,8 @@ def encoded_pictures(
 
 
 def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
-    """(H, W, 3) uint8 RGB, or (H, W) uint8 or uint16, as the bytes of a PNG file. Raises ValueError where it is none of
-    them."""
+    """Encode (H, W, 3) uint8 RGB, or (H, W) uint8 or uint16, as the bytes of a PNG file. Raises ValueError for other
+    arrays."""
     ordered = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
     done, data = cv2.imencode(".png", ordered, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
     if not done:

@@ -1,7 +1,7 @@
-"""Any message of a sequence file by its number, without reading what comes before: for training, which draws at random.
+"""Random access to the messages of a sequence file by number, for training, which draws samples at random.
 
-What is read is kept unpacked, chunk by chunk, up to a number of bytes; no file stays open. So what is here can be
-pickled, forked and used in any number of processes, and holds no file descriptor in any of them.
+Decompressed chunks are cached up to a number of bytes; no file stays open. So these objects can be pickled, forked and
+used in any number of processes, and hold no file descriptor in any of them.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from oysterbench.core.mcap import message_at, message_places, unpacked_chunk
 from oysterbench.sequence.file import DAMAGE, Reading, damaged
 
 CACHE_BYTES = 64 << 20
-"""16 chunks of the size that a sequence file has."""
+"""Default size of the chunk cache: 16 chunks of the size in sequence files."""
 
 
 @dataclass(frozen=True)
 class Places:
-    """Where the messages of a topic lie: stamps (N,) int64 ns in order, the chunks that hold them, by their offset in
-    the file (N,) int64, and their places in these (N,) int64."""
+    """Locations of the messages of a topic: stamps (N,) int64 ns in order, offsets in the file of the chunks that hold
+    them (N,) int64, and offsets within those chunks (N,) int64."""
 
     channel: int
     stamps_ns: NDArray[np.int64]
@@ -38,7 +38,7 @@ class Places:
 
 
 class Chunks:
-    """Unpacked chunks of any number of files, those that were used last."""
+    """Cache of the most recently used decompressed chunks of any number of files."""
 
     def __init__(self, most_bytes: int = CACHE_BYTES) -> None:
         self.most_bytes = most_bytes
@@ -46,7 +46,8 @@ class Chunks:
         self._bytes = 0
 
     def get(self, file: IndexedFile, offset: int) -> bytes:
-        """The records of a chunk, its CRC checked. Raises SequenceError."""
+        """Records of a chunk, its CRC checked. Raises SequenceError where the file is gone, has changed or is
+        damaged."""
         key = (file.path, offset)
         if key in self._kept:
             self._kept.move_to_end(key)
@@ -64,9 +65,9 @@ class Chunks:
 
 
 class IndexedFile:
-    """A sequence file whose messages of some topics can be had by their number.
+    """A sequence file whose messages on some topics can be read by number.
 
-    topics: those that are indexed; of the file, those that it does not have are left out
+    topics: those to be indexed; those that the file does not have are left out
     """
 
     def __init__(self, path: str | os.PathLike[str], topics: Iterable[str], chunks: Chunks | None = None) -> None:
@@ -94,9 +95,9 @@ class IndexedFile:
         return sum(map(len, self.topics.values()))
 
     def message(self, topic: str, number: int) -> bytes:
-        """The data of a message of an indexed topic, by its number in the order of stamps.
+        """Data of a message of an indexed topic, by its number in the order of stamps.
 
-        Raises SequenceError where the file is gone, another one by now, or damaged.
+        Raises SequenceError where the file is gone, has changed or is damaged.
         """
         known = self.topics[topic]
         data = self._chunks.get(self, int(known.chunks[number]))
@@ -106,7 +107,7 @@ class IndexedFile:
             raise SequenceError(damaged(self.path, str(error))) from None
 
     def read(self, offset: int) -> bytes:
-        """The records of the chunk at an offset, its CRC checked."""
+        """Read the records of the chunk at an offset, past the cache; its CRC is checked. Raises SequenceError."""
         try:
             with open(self.path, "rb") as file:
                 if _identity(os.fstat(file.fileno())) != self._identity:

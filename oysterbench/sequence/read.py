@@ -65,7 +65,7 @@ MOVING_POSES = "truth/moving_poses.csv"
 
 
 def _table(data: bytes, name: str, columns: Collection[str], **options: Any) -> pd.DataFrame:
-    """An attached table. Raises ValueError where it lacks one of the columns; options: of `pandas.read_csv`."""
+    """Read an attached table. Raises ValueError where it lacks one of the columns; options: of `pandas.read_csv`."""
     import pandas as pd
 
     found: pd.DataFrame = pd.read_csv(io.BytesIO(data), **options)
@@ -76,7 +76,7 @@ def _table(data: bytes, name: str, columns: Collection[str], **options: Any) -> 
 
 
 def _oysters(data: bytes) -> pd.DataFrame:
-    """The table of oysters, whose numbers are those that instance images can hold."""
+    """Read the table of oysters. Raises ValueError for ids that instance images cannot hold."""
     measures = ("height_m", "length_m", "width_m", "volume_m3", *"xyz", "qx", "qy", "qz", "qw")
     types = {"id": "int64"} | dict.fromkeys(measures, "float64")
     found = _table(data, OYSTERS, ("id", *"xyz"), dtype=types)
@@ -86,7 +86,7 @@ def _oysters(data: bytes) -> pd.DataFrame:
 
 
 class McapSequence(Sequence):
-    """A sequence in an MCAP file. The file is opened anew by each iterator, so that several may run at once."""
+    """A sequence in an MCAP file. Each iterator opens the file anew, so that several may run at once."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
@@ -114,7 +114,7 @@ class McapSequence(Sequence):
                 self.uncertainty = Uncertainty.from_entry(document[UNCERTAINTY])
 
     def _calibrate(self, document: Mapping[str, Any]) -> None:
-        """Of the sensors that the file has: a smaller one has the calibration of the whole rig."""
+        """Set the calibrations of the sensors that the file has: a smaller file still lists those of the whole rig."""
         for block, found in read_calibrations(document).items():
             kind = sensor_kinds()[block]
             here = {name: known for name, known in found.items() if self._sends(name)}
@@ -155,7 +155,7 @@ class McapSequence(Sequence):
         return self._decode_all(lambda *data: kind.decode(name, calibration, *data), names, start_ns, end_ns)
 
     def layer(self, camera: str, layer: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
-        """Images of a layer, such as `depth` (see `Image`): those that the recipe's `layers` name."""
+        """Images of a layer, such as `depth` (see `Image`); the recipe's `layers` names those that there are."""
         self._check(camera, self.cameras, "camera")
         if f"/{camera}/{layer}" not in self.types or layer not in LAYERS:
             known = [name for name in LAYERS if f"/{camera}/{name}" in self.types]
@@ -174,7 +174,7 @@ class McapSequence(Sequence):
         return self._decode_all(lambda data: read_cloud(data, name), (f"/{name}/cloud",), start_ns, end_ns)
 
     def frame(self, topic: str, start_ns: int | None = None, end_ns: int | None = None) -> pd.DataFrame:
-        """Messages of a scalar sensor as a table: indexed by stamp_ns (int64), a column per number, in SI units."""
+        """Messages of a scalar sensor as a table: indexed by stamp_ns (int64), one column per number, in SI units."""
         import pandas as pd
 
         tables = self._tables()
@@ -188,7 +188,7 @@ class McapSequence(Sequence):
         return pd.DataFrame(rows, index=pd.Index(np.array(stamps, dtype=np.int64), name="stamp_ns"))
 
     def _tables(self) -> dict[str, Callable[[Any], Row]]:
-        """Topic -> what makes a row of its message, of those that make tables."""
+        """Topic -> function that converts its message to a row, for the topics that can be tables."""
         known = {TRUTH: odometry_row, TRUTH_POSE: lambda message: pose_row(message.pose)}
         for name, kind in self.sensors().items():
             known |= {topic_of(name, leaf): row for leaf, row in kind.tables.items()}
@@ -201,47 +201,50 @@ class McapSequence(Sequence):
         return truth
 
     def oysters(self) -> pd.DataFrame:
-        """The truth about each oyster, a row each: id (as in instance images), state, host (the oyster it grows on, or
-        0), height_m, length_m, width_m, volume_m3, and the pose of its umbo in `map`: x, y, z (m), qx, qy, qz, qw."""
+        """Ground truth on the oysters, one row each: id (as in instance images), state, host (the oyster it grows on,
+        or 0), height_m, length_m, width_m, volume_m3, and the pose of its umbo in `map`: x, y, z (m), qx, qy, qz,
+        qw."""
         if OYSTERS not in self.attachments:
             raise SequenceError(f"{self.path} has no ground truth about oysters: no attachment {OYSTERS}")
         return self._decoded(_oysters, self.attachments[OYSTERS])
 
     def living(self) -> dict[int, bool]:
-        """The same; empty without truth about oysters."""
+        """Whether each oyster is alive, by its id, as in `Sequence`; empty without ground truth on oysters."""
         return super().living() if OYSTERS in self.attachments else {}
 
     def faults(self) -> pd.DataFrame:
-        """Where faults of the sensors struck, a row each: start_ns and end_ns (true times), sensor, fault, and value,
-        its largest size in the unit that the fault's name has. No row where they have none."""
+        """Sensor faults that occurred, one row each: start_ns and end_ns (true times), sensor, fault, and value, the
+        largest in magnitude, in the unit that the fault's name gives. No rows where there were none."""
         return self._table_of(FAULTS, COLUMNS)
 
     def taken(self) -> pd.DataFrame:
-        """How each frame of the cameras that adapt or repeat was truly taken, a row each: camera, stamp_ns; shown_ns,
-        the stamp of the frame whose picture it shows; exposure_ms, gain, and the white balance red, green, blue. No row
-        where no camera does."""
+        """How each frame was truly taken by cameras that adapt or repeat frames, one row each: camera, stamp_ns;
+        shown_ns, the stamp of the frame whose image it shows; exposure_ms, gain, and the white balance red, green,
+        blue. No rows where no camera does."""
         return self._table_of(FRAMES, ("camera", "stamp_ns", "shown_ns"))
 
     def steering(self) -> pd.DataFrame:
-        """What an expert would command at each picture of the front camera, a row each: stamp_ns; yaw and pitch, the
-        numbers of the classes; heading_rad, pitch_rad (bow down positive), depth_m and altitude_m of the vehicle; and
-        value_Y_P, the oysters that the expert's best plan would gain if it began with classes Y and P."""
+        """Commands that an expert would give at each image of the front camera, one row each: stamp_ns; yaw and pitch,
+        as class numbers; heading_rad, pitch_rad (bow down positive), depth_m and altitude_m of the vehicle; and
+        value_Y_P, the oysters that the expert's best plan would gain if it started with classes Y and P."""
         if STEERING not in self.attachments:
             raise SequenceError(f"{self.path} has no ground truth about steering: no attachment {STEERING}")
         return self._decoded(_table, self.attachments[STEERING], STEERING, ("stamp_ns", "yaw", "pitch"))
 
     def moving(self) -> pd.DataFrame:
-        """Who moves by itself, a row each: id (as in instance images), class, kind (species or material), group (number
-        of its school), size_m (length, of crabs the width, of the tether its radius). Empty where nothing does."""
+        """Everything that moves by itself, one row each: id (as in instance images), class, kind (species or material),
+        group (number of its school), size_m (length; width for crabs, radius for the tether). Empty where nothing
+        does."""
         return self._table_of(MOVING, ["id", "class", "kind", "group", "size_m"])
 
     def moving_poses(self) -> pd.DataFrame:
-        """Where they are, a row for each and each stamp of the layers: stamp_ns, id, and the pose of its frame in `map`
-        (x to the nose, z to the back): x, y, z (m), qx, qy, qz, qw. Of the tether, that of its end at the stern."""
+        """Poses of everything that moves by itself, one row each per stamp of the layers: stamp_ns, id, and the pose of
+        its frame in `map` (x to the nose, z to the back): x, y, z (m), qx, qy, qz, qw; for the tether, of its end at
+        the stern."""
         return self._table_of(MOVING_POSES, ["stamp_ns", "id", *"xyz", "qx", "qy", "qz", "qw"])
 
     def _table_of(self, attachment: str, columns: Collection[str]) -> pd.DataFrame:
-        """A table of truth that is there where it has rows."""
+        """Read a table of ground truth; empty where the file does not have it."""
         import pandas as pd
 
         if attachment not in self.attachments:
@@ -261,7 +264,7 @@ class McapSequence(Sequence):
     def _messages(
         self, names: tuple[str, ...], start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[tuple[bytes, ...]]:
-        """The data of one message of each topic at a time. Several topics are those of one sensor: they go together."""
+        """Yield the data of one message of each topic at a time. The topics are those of one sensor, in step."""
         sources = [read_messages(self.path, [name], start_ns, end_ns) for name in names]
         try:
             for messages in zip(*sources, strict=True):

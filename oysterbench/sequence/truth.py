@@ -1,4 +1,4 @@
-"""Where the vehicle truly is, as odometry, pose and transform; and where its sensors sit on it."""
+"""True pose of the vehicle as odometry, pose and transform messages, and the poses of its sensors on it."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ TRUTH_TYPES = {
     TRUTH_POSE: "geometry_msgs/msg/PoseStamped",
     TF: TRANSFORMS,
 }
-"""Topics that tell where the vehicle truly is: as odometry, and in two forms more for viewers and tools."""
+"""Topics with the true pose of the vehicle: as odometry, and in two further forms for viewers and tools."""
 
 
 def rig_topics(rig: RigRecipe) -> dict[str, str]:
-    """Topic -> type of everything that a rig sends, truth included, in the order of the file: the small ones first.
+    """Topic -> type of everything that a rig publishes, ground truth included, in the order of the file: small first.
 
-    Each topic has chunks of its own (`SequenceWriter.section` after each), so that reading one touches no other.
+    Each topic has its own chunks (`SequenceWriter.section` after each), so that reading one touches no other.
     """
     topics = {TF_STATIC: TRANSFORMS}
     for kind, recipe in rig_sensors(rig):
         topics |= kind.topics(recipe)
-        if kind.rank == 0:  # the inertial unit: next to it the truth
+        if kind.rank == 0:  # the IMU: next to it the ground truth
             topics |= TRUTH_TYPES
     return topics
 
@@ -75,12 +75,12 @@ def truth_pose_message(stamp_ns: int, position: Array, attitude: Array) -> Messa
 
 
 def transform_message(stamp_ns: int, position: Array, attitude: Array) -> Message:
-    """The same pose as a transform on `/tf`, so that a viewer can place what the sensors see."""
+    """True pose of base_link in map as a transform on `/tf`, so that a viewer can place what the sensors see."""
     return Message(TF, stamp_ns, _transforms(stamp_ns, MAP, {BASE: (position, attitude)}))
 
 
 def static_transforms(stamp_ns: int, frames: Mapping[str, tuple[Array, Array]]) -> Message:
-    """Poses in base_link of the rig's frames: name -> (position (3,) m, quaternion (4,))."""
+    """Poses of the rig's frames in base_link: name -> (position (3,) m, quaternion (4,))."""
     return Message(TF_STATIC, stamp_ns, _transforms(stamp_ns, BASE, frames))
 
 
@@ -98,7 +98,7 @@ def _transforms(stamp_ns: int, parent: str, frames: Mapping[str, tuple[Array, Ar
 
 
 def read_truth(messages: list[bytes]) -> Trajectory:
-    """Trajectory from odometry messages. Raises ValueError where they hold no poses."""
+    """Trajectory from odometry messages. Raises ValueError where they hold no valid poses."""
     stamps, positions, quaternions = [], [], []
     for data in messages:
         message = decode(data, TRUTH_TYPES[TRUTH])
@@ -125,11 +125,11 @@ def read_twist(data: bytes) -> tuple[int, Array, Array]:
 
 
 def pose_row(pose: Any) -> Row:
-    """A pose as columns."""
+    """Columns of a pose: position and quaternion."""
     return columns_of("", pose.position) | columns_of("q", pose.orientation, "xyzw")
 
 
 def odometry_row(message: Any) -> Row:
-    """The truth as columns."""
+    """Columns of a ground-truth odometry message: pose, velocity and angular rate."""
     twist = message.twist.twist
     return pose_row(message.pose.pose) | columns_of("velocity_", twist.linear) | columns_of("rate_", twist.angular)

@@ -1,4 +1,4 @@
-"""What a sequence gives: measurements, calibrations, and the views that a method and an evaluator have of it."""
+"""Content of a sequence: measurements, calibrations, and the views that methods and evaluators have of it."""
 
 from __future__ import annotations
 
@@ -55,16 +55,16 @@ __all__ = [
 ]
 
 LIVE = "live"
-"""State of an oyster that is alive, in the table of the truth."""
+"""State of a living oyster in the table of ground truth."""
 
 
 class Sequence(ABC):
-    """Sensors of one run of a vehicle, in time order, and the truth if the file holds it.
+    """Sensors of one run of a vehicle, in time order, and the ground truth if the file holds it.
 
     Every iterator gives the measurements with `start_ns <= stamp_ns < end_ns`, all by default, and reads no more of a
-    file than that. SequenceError where the sequence has no such sensor, or its file is damaged.
+    file than that. Raises SequenceError where the sequence has no such sensor, or its file is damaged.
 
-    It may stand in a `with`, and need not: a file is open while an iterator reads it, and at no other time.
+    It may be used in a `with` statement but need not: a file is open only while an iterator reads it.
 
     Examples
     --------
@@ -88,7 +88,7 @@ class Sequence(ABC):
     pressure_calibration: PressureCalibration | None = None
     magnetometer_calibration: MagnetometerCalibration | None = None
     uncertainty: Uncertainty | None = None
-    """What the calibrations say of their own errors; None where they have none to speak of."""
+    """Stated errors of the calibrations; None where they state none."""
 
     def __enter__(self) -> Self:
         return self
@@ -107,22 +107,22 @@ class Sequence(ABC):
         return sequence_card(self)
 
     def sensors(self) -> dict[str, AnyKind]:
-        """Name -> kind of every sensor."""
+        """Name of every sensor -> its kind."""
         return {name: kind for kind in calibrated_kinds() for name in self.calibrations(kind)}
 
     def calibrations(self, kind: AnyKind) -> Mapping[str, Any]:
-        """Name -> calibration of the sensors of a kind."""
+        """Name of each sensor of a kind -> its calibration."""
         known = getattr(self, kind.attribute, None)
         if kind.single:
             return {} if known is None else {kind.block: known}
         return known or {}
 
     def calibration(self, name: str) -> Any:
-        """Calibration of any sensor, by its name or, where a rig has one at most, its kind."""
+        """Calibration of any sensor, by its name or, if a rig has at most one, its kind."""
         return self.calibrations(self._kind(name))[name]
 
     def measurements(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Any]:
-        """Measurements of any sensor, by its name or, where a rig has one at most, its kind; in time order."""
+        """Measurements of any sensor, by its name or, if a rig has at most one, its kind; in time order."""
         return self._by_reader(self._kind(name), name, start_ns, end_ns)
 
     def _kind(self, name: str) -> AnyKind:
@@ -132,14 +132,14 @@ class Sequence(ABC):
         return known[name]
 
     def _by_reader(self, kind: AnyKind, name: str, start_ns: int | None, end_ns: int | None) -> Iterator[Any]:
-        """By the method that a kind has here, if it has one, which a subclass may have in a way of its own."""
+        """Read a sensor by the method here for its kind, if there is one, which a subclass may override."""
         if not kind.reader:
             return self._measured(kind.block, name, start_ns, end_ns)
         found: Iterator[Any] = getattr(self, kind.reader)(*(() if kind.single else (name,)), start_ns, end_ns)
         return found
 
     def _measured(self, block: str, name: str, start_ns: int | None, end_ns: int | None) -> Iterator[Any]:
-        """What a subclass that knows every kind of sensor overrides."""
+        """Measurements of any sensor; to be overridden by subclasses that support every kind."""
         kind = sensor_kinds()[block]
         self._lacks(kind.title if kind.single else f"{kind.title} {name!r}")
 
@@ -176,40 +176,40 @@ class Sequence(ABC):
         return self._measured("scanner", name, start_ns, end_ns)
 
     def clouds(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Cloud]:
-        """Returns of an imaging sonar with elevation, class and instance: truth, which no method sees."""
+        """Returns of an imaging sonar with elevation, class and instance: ground truth, which no method sees."""
         self._lacks(f"cloud of a sonar {name!r}")
 
     def layer(self, camera: str, layer: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
-        """Images of a layer of truth, such as `depth` (see `Image`), in time order."""
+        """Images of a ground-truth layer, such as `depth` (see `Image`), in time order."""
         self._lacks(f"layer {layer!r} of a camera {camera!r}")
 
     def oysters(self) -> pd.DataFrame:
-        """The truth about each oyster, a row each."""
+        """Ground truth on the oysters, one row each."""
         self._lacks("truth about oysters")
 
     def living(self) -> dict[int, bool]:
-        """Whether an oyster is alive, by its id; boxes and single valves are dead."""
+        """Whether each oyster is alive, by its id; boxes and single valves are dead."""
         table = self.oysters()
         return {int(k): state == LIVE for k, state in zip(table["id"], table["state"], strict=True)}
 
     def faults(self) -> pd.DataFrame:
-        """Where faults of the sensors struck, a row each."""
+        """Sensor faults that occurred, one row each."""
         self._lacks("truth about faults")
 
     def taken(self) -> pd.DataFrame:
-        """How each frame of the cameras that adapt or repeat was truly taken, a row each."""
+        """How each frame was truly taken by cameras that adapt or repeat frames, one row each."""
         self._lacks("truth about how frames were taken")
 
     def moving(self) -> pd.DataFrame:
-        """Who moves by itself, a row each."""
+        """Everything that moves by itself, one row each."""
         self._lacks("truth about what moves")
 
     def moving_poses(self) -> pd.DataFrame:
-        """Where what moves by itself is, a row for each and each stamp."""
+        """Poses of everything that moves by itself, one row each per stamp."""
         self._lacks("truth about what moves")
 
     def steering(self) -> pd.DataFrame:
-        """What an expert would command at each picture, a row each."""
+        """Commands that an expert would give at each image, one row each."""
         self._lacks("truth about steering")
 
     def frame(self, topic: str, start_ns: int | None = None, end_ns: int | None = None) -> pd.DataFrame:
@@ -218,23 +218,23 @@ class Sequence(ABC):
 
     @abstractmethod
     def truth(self) -> Trajectory:
-        """True poses T_map_base. Raises SequenceError where the file has none."""
+        """True poses T_map_base. Raises SequenceError where there are none."""
 
     @property
     @abstractmethod
     def duration_s(self) -> float:
-        """From the first stamp to the last, s."""
+        """Time from the first stamp to the last, s."""
 
     @abstractmethod
     def contents(self) -> list[tuple[str, str, int]]:
         """Name, type and number of messages of each topic."""
 
     def stream(self, *sensors: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Any]:
-        """Inertial measurements and those of `sensors` (all cameras by default), merged in time order.
+        """Measurements of the IMU and of `sensors` (all cameras by default), merged in time order.
 
-        A sensor goes by its name or, where a rig has one at most, by its kind, such as `dvl`. At one stamp they come in
-        this order, inertial first, so that a frame is always preceded by all inertial measurements up to its stamp; of
-        the others as they were named.
+        A sensor goes by its name or, if a rig has at most one, by its kind, such as `dvl`. At equal stamps, the IMU
+        comes first, so that a frame is always preceded by all inertial measurements up to its stamp; the others follow
+        in the order in which they were named.
         """
         wanted = [name for name in dict.fromkeys(sensors or tuple(self.cameras)) if name != "imu"]
         sources = [self._tagged(k, self.measurements(name, start_ns, end_ns)) for k, name in enumerate(wanted, start=1)]
@@ -246,12 +246,12 @@ class Sequence(ABC):
         return ((item.stamp_ns, rank, item) for item in measured)
 
     def truly_calibrated(self) -> Sequence:
-        """The same sequence with the true calibrations in the place of the given ones, for evaluators: what fits the
-        truth. Where they are the same, the sequence itself."""
+        """The same sequence with the true calibrations, which fit the ground truth, in place of the given ones, for
+        evaluators; the sequence itself where they do not differ."""
         return self
 
     def for_method(self) -> Sequence:
-        """The same sensors without the truth: what a method is given."""
+        """The same sensors without the ground truth: what a method is given."""
         return SensorsOnly(self)
 
     def _lacks(self, what: str) -> NoReturn:
@@ -259,10 +259,10 @@ class Sequence(ABC):
 
 
 class SensorsOnly(Sequence):
-    """A sequence whose truth cannot be reached: no poses, layers, oysters, nor clouds.
+    """A sequence whose ground truth cannot be accessed: no poses, layers, oysters or clouds.
 
     A sonar's cloud is hidden as a whole, not only its classes and instances: an imaging sonar measures no elevation, so
-    the third coordinate of its points is truth as well.
+    the third coordinate of its points is ground truth as well.
     """
 
     def __init__(self, sequence: Sequence) -> None:
@@ -332,7 +332,7 @@ class SensorsOnly(Sequence):
 
 
 def is_measured(topic: str) -> bool:
-    """Whether a topic is what a real vehicle would have: neither truth, nor a layer, nor a cloud with classes."""
+    """Whether a real vehicle would have a topic: it is neither ground truth, nor a layer, nor a cloud with classes."""
     truth_leaves = {leaf for kind in sensor_kinds().values() for leaf in kind.truth_leaves}
     return not (topic in TRUTH_TYPES or topic.startswith("/truth") or topic.rsplit("/", 1)[-1] in truth_leaves)
 

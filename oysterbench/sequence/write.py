@@ -16,7 +16,7 @@ CHUNK_BYTES = 4_000_000
 
 
 class SequenceWriter:
-    """Writes messages to a binary stream. The same calls give the same bytes.
+    """Writer of messages to a binary stream. The same calls give the same bytes.
 
     Call `section` before each group of topics that is read by itself: the group then starts a chunk of its own,
     so that reading /imu touches none of the images.
@@ -26,7 +26,7 @@ class SequenceWriter:
         """types: topic -> message type, in the order in which the channels are registered."""
         compression = CompressionType.ZSTD if compress else CompressionType.NONE
         self._writer: Any = Writer(output, chunk_size=CHUNK_BYTES, compression=compression, enable_data_crcs=True)
-        # The name of the library in the header must not change the bytes with its patch releases.
+        # Without a version: patch releases of the library must not change the bytes.
         self._writer.start(profile="ros2", library="oysterbench")
         schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
@@ -39,7 +39,7 @@ class SequenceWriter:
             )
 
     def section(self) -> None:
-        """Begin a new chunk."""
+        """Start a new chunk."""
         self._writer.flush()
 
     def write(self, message: Message) -> None:
@@ -54,7 +54,7 @@ class SequenceWriter:
         self._counts[message.topic] += 1
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record, with a checksum of its own among the values: MCAP has none for it."""
+        """Add a metadata record, with its own checksum among the values: MCAP has none for it."""
         self._writer.add_metadata(name, {**values, CHECKSUM: checksum(values)})
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
@@ -67,7 +67,7 @@ class SequenceWriter:
 
 
 def pack(messages: Iterable[Message], types: Mapping[str, str], tables: Mapping[str, bytes] | None = None) -> bytes:
-    """Messages, and CSV tables by name, as a small uncompressed MCAP file, with checksums."""
+    """Pack messages, and CSV tables by name, into a small uncompressed MCAP file, with checksums."""
     output = io.BytesIO()
     writer = SequenceWriter(output, types, compress=False)
     for message in messages:

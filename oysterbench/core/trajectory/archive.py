@@ -22,13 +22,14 @@ QUATERNIONS = ("quaternions", "quaternion", "orientations", "q", "quat", "quats"
 FRAME = "T_body_estimate"
 COVARIANCES = ("covariances", "covariance", "cov")
 MAX_BYTES = 2**33
-"""Of the arrays together: an archive that claims more is damaged."""
+"""Limit on the total size of the arrays, bytes: an archive that claims more is damaged."""
 
 
 def read_npz(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
-    """`stamps_ns` (N,) int or `t` (N,) s, `positions` (N, 3), `quaternions` (N, 4), `covariances` (N, 6, 6) or none.
+    """Read `stamps_ns` (N,) int or `t` (N,) s, `positions` (N, 3), `quaternions` (N, 4), and any `covariances` (N, 6,
+    6).
 
-    `T_body_estimate` (4, 4), or none: of which frame the poses of the body were carried over, as `Trajectory` has it.
+    `T_body_estimate` (4, 4), optional: the frame from which the body's poses were converted, as in `Trajectory`.
     """
     arrays = _arrays(path, data)
     key, stamps = _pick(arrays, STAMPS, path)
@@ -62,7 +63,7 @@ def _arrays(path: Path, data: bytes) -> dict[str, NDArray[np.generic]]:
             return {name: archive[name] for name in archive.files if name in known}
     except TrajectoryError:
         raise
-    except Exception as error:  # numpy and zipfile each have their own, for bytes that a stranger may have made
+    except Exception as error:  # numpy and zipfile each raise their own on untrusted bytes
         raise TrajectoryError(f"{path} is damaged, or not an .npz of plain arrays: {in_one_line(error)}") from None
 
 
@@ -86,7 +87,7 @@ def _floats(key: str, array: NDArray[np.generic], shape: tuple[int, ...], path: 
 def _stamps(
     stamps: NDArray[np.generic], key: str, path: Path, options: ReadOptions, notes: list[str]
 ) -> NDArray[np.int64]:
-    """(N,) int64 ns, from integers exactly."""
+    """Stamps (N,) int64 ns; integers are converted exactly."""
     if stamps.ndim != 1 or stamps.dtype.kind not in "iuf":
         raise TrajectoryError(f"{path}: expected {key!r} as numbers (N,), got {stamps.dtype} {stamps.shape}")
     named_ns = key.endswith("_ns") or (key == "stamps" and stamps.dtype.kind in "iu")

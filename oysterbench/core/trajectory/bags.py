@@ -30,10 +30,10 @@ POSE_TYPES = (
     "tf2_msgs/msg/TFMessage",
 )
 PACKED = re.compile(rb"compression_mode:\s*['\"]?(file|message)", re.IGNORECASE)
-"""Of a ROS 2 bag, which then may unpack to any size."""
+"""Metadata entry of a compressed ROS 2 bag, which may decompress to any size."""
 
 LATCHED = "/tf_static"
-"""Carries the places of sensors, never a trajectory."""
+"""Topic with the static poses of sensors, never a trajectory."""
 
 PoseRow = tuple[int, tuple[float, ...], Any]
 """Stamp in ns, x y z qx qy qz qw, covariance (36,) or None."""
@@ -41,7 +41,7 @@ PoseRow = tuple[int, tuple[float, ...], Any]
 
 @dataclass(frozen=True)
 class Bag:
-    """What is in a recording.
+    """Content of a recording.
 
     types:    topic -> type of its messages, as `package/msg/Name`
     messages: topic -> its messages, decoded
@@ -52,7 +52,8 @@ class Bag:
 
 
 def read_bag(path: Path, options: ReadOptions) -> Trajectory:
-    """The poses of one topic. Raises TrajectoryError where the choice is not determined or the file is damaged."""
+    """Read the poses of one topic. Raises TrajectoryError where the choice of it is ambiguous or the file is
+    damaged."""
     try:
         trajectory = _read(path, options)
     except (OysterbenchError, KeyboardInterrupt):
@@ -101,7 +102,8 @@ def _read(path: Path, options: ReadOptions) -> Trajectory:
 
 
 def _covariances(given: list[Any]) -> np.ndarray | None:
-    """(N, 6, 6), or None where they say nothing: all zero, or -1 in the first cell, as ROS marks the unknown."""
+    """Covariances (N, 6, 6), or None where they are unknown: one is missing, all are zero, or all have -1 in the first
+    cell, as ROS marks that."""
     if any(covariance is None for covariance in given):
         return None
     covariances = np.array(given, dtype=float).reshape(-1, 6, 6)
@@ -130,7 +132,7 @@ def _pose_row(message: Any) -> PoseRow:
 
 
 def _transforms(messages: Iterator[Any], frames: str, path: Path, topic: str) -> list[PoseRow]:
-    """Rows of one transform among those of a TF topic; `frames` is `parent.child`, or empty where there is one."""
+    """Rows of one transform of a TF topic; `frames` is `parent.child`, or empty where there is only one."""
     rows: dict[str, list[PoseRow]] = {}
     for message in messages:
         for item in message.transforms:
@@ -186,20 +188,20 @@ def _decoder(encoding: str) -> Callable[[bytes, str], Any]:
     if encoding == "cdr":
         return get_typestore(Stores.ROS2_JAZZY).deserialize_cdr
     store = get_typestore(Stores.ROS1_NOETIC)
-    # Not among the messages that the distribution's common packages have.
+    # This type is missing from the distribution's common packages.
     store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
     return store.deserialize_ros1
 
 
 def _full_name(name: str) -> str:
-    """`package/msg/Name` of a type that ROS 1 calls `package/Name`; tf's own message is tf2's."""
+    """`package/msg/Name` of a type that ROS 1 calls `package/Name`; tf's own message becomes tf2's."""
     package, _, rest = name.partition("/")
     full = name if "/msg/" in name else f"{package}/msg/{rest}"
     return full.replace("tf/msg/tfMessage", "tf2_msgs/msg/TFMessage")
 
 
 def _mcap(parts: list[Path]) -> Bag:
-    """MCAP files of one recording, with their checksums checked."""
+    """Open the MCAP files of one recording; checksums are checked. Raises TrajectoryError where one has no index."""
     from oysterbench.core.mcap import iter_messages, read_summary
 
     types: dict[str, str] = {}
@@ -236,7 +238,7 @@ def _mcap(parts: list[Path]) -> Bag:
 def _ros1(path: Path) -> Bag:
     from rosbags.rosbag1 import Reader, reader
 
-    # Its own unpack to whatever size.
+    # The library's own decompressors have no size limit.
     reader.decompressors.update({kind: partial(_unpacked, kind) for kind in ("bz2", "lz4")})
     return _rosbags(lambda: Reader(path), path, "ros1")
 
@@ -260,7 +262,7 @@ def _ros2(path: Path) -> Bag:
 
 
 def _rosbags(make: Callable[[], Any], path: Path, encoding: str) -> Bag:
-    """A bag by one of the readers of rosbags, which have the same face."""
+    """Open a bag with one of the readers of rosbags, which share an interface."""
     with make() as reader:
         types = {connection.topic: _full_name(connection.msgtype) for connection in reader.connections}
 

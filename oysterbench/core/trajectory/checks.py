@@ -1,4 +1,4 @@
-"""What must hold of every pose, with the place named where it does not."""
+"""Checks that every pose must pass; errors name the place in the file."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from oysterbench.core.trajectory.poses import Trajectory
 from oysterbench.core.trajectory.stamps import ns_to_seconds
 
 MAX_POSITION_M = 1e9
-"""Farther from the origin an estimate has diverged; its square would soon leave what a float64 holds."""
+"""Farther from the origin than this, an estimate has diverged; its square would soon overflow a float64."""
 NORM_TOLERANCE = 2e-3
-"""Of a quaternion's norm: three written decimals err by 1e-3 at most."""
+"""Tolerance of a quaternion's norm: writing three decimals puts it off by 1e-3 at most."""
 NORM_STATED = 1e-6
-"""Deviation of a norm from which its correction is stated: less is the rounding of six decimals."""
+"""Deviation of a norm above which its correction is reported: less is the rounding of six decimals."""
 
 
 def checked_poses(
     trajectory: Trajectory, name: str, where: Callable[[int], str], options: ReadOptions | None = None
 ) -> Trajectory:
-    """The poses of a file in the order of their stamps, each stamp once, with quaternions of norm one.
+    """Check the poses of a file; return them in the order of their stamps, one per stamp, with unit quaternions.
 
-    where: pose, counted from 0 -> its place in the file; options: `sort` and `duplicates` of them, none for poses that
-    are no file's and are not chosen among. What is changed is said in the trajectory's notes: one of several poses at a
-    stamp is taken (`each_stamp_once`), norms within NORM_TOLERANCE are made one. Raises TrajectoryError for the rest.
+    where: pose, counted from 0 -> its place in the file; options: their `sort` and `duplicates` apply; None for poses
+    that do not come from a file and are not to be chosen among. Changes are recorded in the trajectory's notes: one of
+    several poses at a stamp is taken (`each_stamp_once`), quaternions with a norm within NORM_TOLERANCE of one are
+    normalised. Raises TrajectoryError for anything else.
     """
     options = options or ReadOptions(duplicates="refuse")
     notes = list(trajectory.notes)
@@ -60,7 +61,7 @@ def checked_poses(
 
 
 def _unit(quaternions: Array, name: str, where: Callable[[int], str], notes: list[str]) -> Array:
-    # Scaled first: the square of a number that has diverged leaves a float64.
+    # Large numbers are set aside first: the square of one that has diverged overflows a float64.
     largest = np.abs(quaternions).max(axis=1, initial=0.0)
     norms = np.where(largest > 1e3, np.inf, np.linalg.norm(np.where(largest[:, None] > 1e3, 0, quaternions), axis=1))
     deviation = np.abs(norms - 1.0)
@@ -107,6 +108,6 @@ def _check_covariances(covariances: Array, where: Callable[[int], str]) -> None:
 
 
 def others(wrong: NDArray[np.bool_]) -> str:
-    """How many more than one are wrong, for the end of a clause."""
+    """Number of wrong ones besides the first, for the end of a clause; empty where there are none."""
     count = int(np.count_nonzero(wrong)) - 1
     return f" and {count} more" if count else ""

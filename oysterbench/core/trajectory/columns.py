@@ -1,4 +1,4 @@
-"""Which column of a text file holds what: by its header, or by the layouts that files without one have."""
+"""Which column of a text file holds what: from its header, or from the usual layouts of files without one."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class Columns:
     kind:       name of the layout, as an error shows it
     stamp:      column of the stamp, or None (KITTI)
     position:   columns of x, y, z
-    quaternion: columns of x, y, z, w; empty for KITTI, whose 12 numbers are the top of a matrix
+    quaternion: columns of x, y, z, w; empty for KITTI, whose 12 numbers are the top three rows of a matrix
     covariance: (row, column) of the 6 x 6 matrix -> column of the file
-    time_unit:  unit of the stamps, where the layout says it
-    unit:       of the positions: m or mm
+    time_unit:  unit of the stamps, where the layout fixes it
+    unit:       unit of the positions: m or mm
     exact:      how many columns a line must have; None: as many as the first line
     named:      whether a header named the columns
     euroc:      whether it is EuRoC's own layout, in which whole stamps are ns
@@ -53,20 +53,20 @@ class Columns:
 
     @property
     def numbers(self) -> list[int]:
-        """Columns that must hold finite numbers, but for the stamp; each once, in the order of the file."""
+        """Columns other than the stamp that must hold finite numbers; each once, in the order of the file."""
         if self.stamp is None:
             return list(range(self.exact or 0))
         return sorted({*self.position, *self.quaternion, *self.covariance.values()})
 
     @property
     def whole_covariance(self) -> bool:
-        """Whether every cell of the matrix is named, or its mirror image is."""
+        """Whether every cell of the matrix, or its transpose, is named."""
         cells = self.covariance
         return all((i, j) in cells or (j, i) in cells for i in range(6) for j in range(i, 6))
 
     @property
     def stands_as_euroc(self) -> bool:
-        """Whether the columns stand as in EuRoC's ground truth: t x y z qw qx qy qz."""
+        """Whether the columns are in the order of EuRoC's ground truth: t x y z qw qx qy qz."""
         return (self.stamp, self.position, self.quaternion) == (0, (1, 2, 3), (5, 6, 7, 4))
 
 
@@ -77,7 +77,7 @@ KITTI_MATRIX = (0, 1, 2, 4, 5, 6, 8, 9, 10)
 
 
 def named_columns(names: list[str]) -> Columns | None:
-    """The columns that a header names, or None where it does not name a stamp, a position and a quaternion."""
+    """Columns that a header names, or None where it does not name a stamp, a position and a quaternion."""
     found: dict[str, int] = {}
     covariance: dict[tuple[int, int], int] = {}
     stamp: tuple[int, str | None] | None = None
@@ -107,7 +107,7 @@ def named_columns(names: list[str]) -> Columns | None:
 
 
 def _words(name: str) -> tuple[list[str], str]:
-    """Lower-case words of a column's name, and the unit that it gives, in brackets or as a last word."""
+    """Lower-case words of a column's name, and its unit, if given in brackets or as the last word."""
     bracket = re.search(r"[\[(]\s*([a-zA-Z]*)\s*[\])]\s*$", name)
     words = re.findall(r"[a-z]+|[0-9]+", (name[: bracket.start()] if bracket else name).lower())
     if bracket:
@@ -116,7 +116,7 @@ def _words(name: str) -> tuple[list[str], str]:
 
 
 def _role(words: list[str]) -> str | None:
-    """`px` to `pz`, `qx` to `qw`, or None."""
+    """Role that a column's words name: `px` to `pz`, `qx` to `qw`, or None."""
     if not words:
         return None
     *before, last = words
@@ -138,7 +138,7 @@ def _is_time(words: list[str]) -> bool:
 
 
 def _covariance_cell(words: list[str]) -> tuple[int, int] | None:
-    """Cell of the matrix that `cov_7`, `cov_x_ry` or `pose.covariance[7]` names."""
+    """Cell of the matrix that a name such as `cov_7`, `cov_x_ry` or `pose.covariance[7]` means, or None."""
     place = next((k for k, word in enumerate(words) if word in COVARIANCE_WORDS), None)
     if place is None:
         return None

@@ -16,17 +16,17 @@ from oysterbench.core.trajectory.poses import Trajectory
 from oysterbench.core.trajectory.stamps import ns_to_seconds
 
 USUAL_PERCENT = 99
-"""Of the steps of a file: the rest may be jumps of an estimate that found its place again."""
+"""Percentile of a file's steps up to which they are usual: the rest may be jumps of an estimate that relocalised."""
 
 
 def each_stamp_once(
     trajectory: Trajectory, name: str, where: Callable[[int], str], choice: Duplicates | None, notes: list[str]
 ) -> Trajectory:
-    """The trajectory, whose stamps do not go back, with one pose for each stamp; what was done is added to `notes`.
+    """Reduce a trajectory, whose stamps do not decrease, to one pose per stamp; what was done is added to `notes`.
 
-    where: pose, counted from 0 -> its place in the file. Where nobody chose, the first of those is taken that differ by
-    less than the poses of neighbouring stamps do, as motion capture and key frames leave such. Raises TrajectoryError
-    for others, and for all that differ where the choice is to refuse.
+    where: pose, counted from 0 -> its place in the file. Without a choice, the first of several poses is taken if they
+    differ by less than poses at neighbouring stamps do, as happens with motion capture and keyframes. Raises
+    TrajectoryError where they differ by more, and where they differ at all if the choice is to refuse.
     """
     _, first, member, count = np.unique(
         trajectory.stamps_ns, return_index=True, return_inverse=True, return_counts=True
@@ -64,7 +64,7 @@ def each_stamp_once(
 
 
 def _steps(values: Array, first: NDArray[np.intp], between: Callable[[Array, Array], Array]) -> Array:
-    """(S,) how far it is from the neighbour before each stamp to that after, or usually between two of the file."""
+    """Distances (S,) from the neighbour before each stamp to that after it; at least the file's usual step."""
     at = values[first]
     padded = np.concatenate([at[:1], at, at[-1:]])
     return np.maximum(between(padded[:-2], padded[2:]), _usual(between(at[:-1], at[1:])))
@@ -80,7 +80,7 @@ def _distance(a: Array, b: Array) -> Array:
 
 
 def _means(trajectory: Trajectory, first: NDArray[np.intp], count: NDArray[np.intp]) -> Trajectory:
-    """The means of poses that stand at one stamp; their covariances are no smaller, as what they err is alike."""
+    """Average the poses at each stamp. Covariances are averaged too, but not reduced, as the errors are alike."""
     mean = trajectory.select(first)
     covariances = None if mean.covariances is None else mean.covariances.copy()
     positions, quaternions = mean.positions.copy(), mean.quaternions.copy()

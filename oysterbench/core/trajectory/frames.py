@@ -1,4 +1,4 @@
-"""Poses of another frame or in another unit to poses of the body in metres."""
+"""Conversion of poses of another frame or in another unit to poses of the body in metres."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ ROTATION_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0,
 """Body x forward, y left, z up; optical x right, y down, z forward (REP 103)."""
 
 METRES = {"m": 1.0, "mm": 1e-3}
-"""Length unit -> how long it is."""
+"""Length unit -> its length in m."""
 
 T_BODY_OPTICAL = transform(ROTATION_BODY_OPTICAL, np.zeros(3))
 
 
 def poses_of_body(trajectory: Trajectory, T_body_estimate: Array) -> Trajectory:
-    """Poses of the body from poses of a frame that is fixed to it: T_map_body = T_map_estimate T_body_estimate^-1.
+    """Poses of the body from poses of a frame fixed to it: T_map_body = T_map_estimate T_body_estimate^-1.
 
     T_body_estimate (4, 4), m, is kept with the poses, as `with_scale` needs it. The lever arm l = R_map_estimate
-    t_estimate_body carries the attitude's error into the position: with rotations d about the world's axes, dp_body =
+    t_estimate_body propagates the attitude error to the position: with rotations d about the world's axes, dp_body =
     dp - [l]x d.
     """
     T_estimate_body = invert(T_body_estimate)
@@ -47,14 +47,14 @@ def poses_of_body(trajectory: Trajectory, T_body_estimate: Array) -> Trajectory:
 
 
 def poses_of_frame(trajectory: Trajectory, T_body_frame: Array | None) -> Trajectory:
-    """Poses of a frame that is fixed to the body, from those of the body; None: the body's own frame."""
+    """Poses of a frame fixed to the body, from those of the body; None: the body's own frame."""
     return trajectory if T_body_frame is None else poses_of_body(trajectory, invert(T_body_frame))
 
 
 def with_scale(trajectory: Trajectory, scale: float) -> Trajectory:
-    """The body's poses where the estimated path is in a unit that is `scale` m long, and stays in it.
+    """Poses of the body for an estimated path in a unit of `scale` m; the result stays in that unit.
 
-    The lever arm from the frame that was estimated was taken in metres, which it is not in a world of another scale.
+    The lever arm from the estimated frame was applied in metres, which is wrong in a world of another scale.
     """
     T = trajectory.T_body_estimate
     if T is None or scale == 1.0:
@@ -65,7 +65,7 @@ def with_scale(trajectory: Trajectory, scale: float) -> Trajectory:
 def inverted(trajectory: Trajectory) -> Trajectory:
     """Poses T_world_body from T_body_world, or the other way round: R^T, -R^T t.
 
-    Covariances are left out, and that is noted: they are about axes that no longer are the world's.
+    Covariances are left out, with a note: they are about axes that are no longer the world's.
     """
     rotations = scipy.spatial.transform.Rotation.from_quat(trajectory.quaternions).inv()
     notes = trajectory.notes
@@ -81,7 +81,7 @@ def inverted(trajectory: Trajectory) -> Trajectory:
 
 
 def scaled(trajectory: Trajectory, factor: float) -> Trajectory:
-    """The trajectory with positions and their covariances in a unit 1 / factor times as long."""
+    """Multiply the positions of a trajectory by a factor, and scale their covariances accordingly."""
     covariances = trajectory.covariances
     if covariances is not None:
         scale = np.array([factor] * 3 + [1.0] * 3)

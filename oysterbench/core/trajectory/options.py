@@ -1,4 +1,4 @@
-"""What decides how a file of poses is read, where the file alone does not."""
+"""Options that decide how a file of poses is read, where its content does not."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Duplicates = Literal["first", "last", "mean", "refuse"]
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How to read a trajectory file; None: as its content says.
+    """How to read a trajectory file; None: as its content indicates.
 
     format:          of the file
     topic:           of an MCAP file or a bag; `/tf:map.base_link` chooses one transform
@@ -30,12 +30,12 @@ class ReadOptions:
     time_unit:       of the stamps
     quaternion:      order of the four numbers in the file
     unit:            of the positions
-    direction:       what a pose does: take points of the body into the world, or the other way (COLMAP's files)
-    frame:           whose poses they are: the body's, or those of a camera's optical frame at the body's place
+    direction:       what a pose maps: points of the body into the world, or the reverse (COLMAP's files)
+    frame:           whose poses they are: the body's, or those of a camera's optical frame at the body's origin
     T_body_estimate: (4, 4), takes points of the frame whose poses they are into the body
-    duplicates:      which of several poses at one stamp counts; None: the first of those that differ by less than
-                     neighbours do, while others are refused
-    sort:            put poses in the order of their stamps instead of refusing
+    duplicates:      which of several poses at one stamp counts; None: the first if they differ by less than
+                     neighbours do, otherwise they are refused
+    sort:            sort poses by their stamps instead of refusing them
     """
 
     format: Format | None = None
@@ -71,11 +71,11 @@ class ReadOptions:
 
 
 RIGID_TOLERANCE = 1e-3
-"""Of R^T R - I, for matrices written with few digits."""
+"""Tolerance on R^T R - I, for matrices written with few digits."""
 
 
 def check_rigid(matrix: Array, name: str) -> None:
-    """Refuse what is not a rigid transform (4, 4)."""
+    """Refuse a matrix that is not a rigid transform (4, 4). Raises TrajectoryError, which starts with `name`."""
     good = np.shape(matrix) == (4, 4) and bool(np.isfinite(matrix).all())
     if good:
         rotation = np.asarray(matrix)[:3, :3]

@@ -20,9 +20,9 @@ class Trajectory:
     quaternions: (N, 4) float64, x y z w, body to world
     covariances: (N, 6, 6) float64 or None; x y z (m) and rotations about x y z (rad), all about the fixed axes of the
                  world frame, as in geometry_msgs/PoseWithCovariance
-    T_body_estimate: (4, 4), takes points of the frame whose poses were estimated into the body: these were carried over
-                 from there, with its lever arm in metres (`poses_of_body`); None: the body's own were
-    notes:       what was decided in reading the file, in sentences; a scorer passes them on
+    T_body_estimate: (4, 4), takes points of the estimated frame into the body: the poses were converted from that
+                 frame, with its lever arm in metres (`poses_of_body`); None: the body's own were estimated
+    notes:       decisions made in reading the file, in sentences; a scorer passes them on
 
     Nothing is checked or sorted here: `read_trajectory` names what is wrong in a file, `evaluate.validate` what is
     wrong with a trajectory.
@@ -70,7 +70,7 @@ class Trajectory:
         return poses_to_matrices(self.positions, self.quaternions)
 
     def at(self, stamps_ns: NDArray[np.int64]) -> Trajectory:
-        """Interpolated poses (lerp, slerp) at stamps inside the time span; covariances are the nearest pose's."""
+        """Interpolated poses (lerp, slerp) at stamps within the time span; covariances are the nearest pose's."""
         stamps_ns = np.asarray(stamps_ns, dtype=np.int64)
         positions, quaternions = interpolate_poses(self.stamps_ns, self.positions, self.quaternions, stamps_ns)
         covariances = None if self.covariances is None else self.covariances[_nearest(self.stamps_ns, stamps_ns)]
@@ -88,7 +88,7 @@ class Trajectory:
 
 
 def _nearest(stamps_ns: NDArray[np.int64], wanted_ns: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Index (M,) of the stamp (N,), increasing, nearest to each wanted one."""
+    """Indices (M,) of the increasing stamps (N,) that are nearest to the wanted ones (M,)."""
     after = np.clip(np.searchsorted(stamps_ns, wanted_ns), 1, max(len(stamps_ns) - 1, 1))
     before = after - 1
     after = np.minimum(after, len(stamps_ns) - 1)

@@ -1,4 +1,4 @@
-"""Reading a trajectory in any format: recognised by its content, or as the options say."""
+"""Reading a trajectory in any format: recognised by its content, or given by the options."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from oysterbench.core.trajectory.text import read_text
 
 ZIP_MAGIC = b"PK\x03\x04"
 MAGIC = 16
-"""Bytes that tell one format from another."""
+"""Number of leading bytes that tell the formats apart."""
 
 EXPECTED = "expected a trajectory: TUM, EuRoC, KITTI, CSV, .npz, MCAP or a ROS bag"
 
@@ -26,11 +26,11 @@ def read_trajectory(path: str | os.PathLike[str], options: ReadOptions | None = 
 
     options, changes: what the content does not decide, see `ReadOptions`: `read_trajectory(path, quaternion="wxyz")`.
 
-    Comments (# and %), blank lines, headers, tabs and repeated spaces are fine. Columns are as a header names them; a
+    Comments (# and %), blank lines, headers, tabs and repeated spaces are accepted. A header names the columns; a
     file without one is EuRoC (`ns,x,y,z,qw,qx,qy,qz,...`) where it has commas, KITTI where it has 12 columns, or else
     TUM (`s x y z qx qy qz qw`). Stamps that can only be nanoseconds are read as such, since ORB-SLAM3 writes that.
-    What was decided in reading is said in the trajectory's `notes`. Raises TrajectoryError naming file and line, and
-    the option that decides.
+    What was decided in reading is recorded in the trajectory's `notes`. Raises TrajectoryError naming file and line,
+    and the option that decides.
 
     Examples
     --------
@@ -54,7 +54,7 @@ def read_trajectory(path: str | os.PathLike[str], options: ReadOptions | None = 
 
 
 def file_format(path: Path, magic: bytes) -> Format | None:
-    """`bag`, `mcap` or `npz` by the first bytes of a file or by what is in a folder; None for what should be text."""
+    """Format `bag`, `mcap` or `npz`, by the first bytes of a file or the content of a folder; None for text."""
     if path.is_dir():
         if any(path.glob("*.mcap")):
             return "mcap"
@@ -69,7 +69,7 @@ def file_format(path: Path, magic: bytes) -> Format | None:
 def _read(path: Path, options: ReadOptions) -> Trajectory:
     try:
         folder = path.is_dir()
-        # A pipe gives its bytes once; a recording may be larger than the memory.
+        # A pipe can be read only once; a recording may be larger than the memory.
         once = path.exists() and not folder and not path.is_file()
         data = path.read_bytes() if once else b""
         found = file_format(path, data[:MAGIC] if once or folder else _begin(path))

@@ -1,4 +1,4 @@
-"""Stamps: decimal text to int64 nanoseconds and back, exact where a float64 would round."""
+"""Conversion of stamps between decimal text and int64 nanoseconds, exact where a float64 would round."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 SHIFTS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
-"""Unit of a stamp -> power of ten that makes it nanoseconds."""
+"""Unit of a stamp -> power of ten that converts it to nanoseconds."""
 
 INT64_DIGITS = 19
-"""A number of so many digits fits an int64 if it begins with at most an 8; one of fewer does in any case."""
+"""A number with this many digits fits an int64 if its first digit is at most 8; one with fewer always does."""
 
 
 def seconds_to_ns(text: str) -> int:
@@ -44,8 +44,9 @@ def scaled_integer(text: str, shift: int) -> int:
 def scaled_integers(texts: Sequence[str] | NDArray[np.bytes_], shift: int) -> NDArray[np.int64]:
     """The decimal numbers `texts` (N,), ASCII, times 10**shift, rounded: (N,) int64.
 
-    Texts of one shape (length, place of the point) are converted together. What is not plain digits, or has more
-    digits than fit, goes one by one. Raises ValueError for what is not a finite number, OverflowError beyond int64.
+    Texts of the same shape (length, position of the point) are converted together; those that are not plain digits, or
+    have more digits than fit, one by one. Raises ValueError for what is not a finite number, OverflowError beyond
+    int64.
     """
     padded = np.array(texts, dtype=np.bytes_)
     width = padded.dtype.itemsize

@@ -1,4 +1,4 @@
-"""Lines of numbers: read whole by a compiled reader where they are plain, and line by line where they are not."""
+"""Tables of numbers as text: plain ones are read by a compiled reader all at once, others line by line."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from oysterbench.core.trajectory.columns import Columns
 
 COMMENTS = ("#", "%")
 PLAIN = b"0123456789+-.eE \t\n,"
-"""Bytes of a file that the compiled reader may have; another one sends it to the reader that names lines."""
+"""Bytes that the compiled reader accepts; any other sends a file to the reader that names lines."""
 
 WORTH_COMPILED = 100_000
-"""Bytes below which reading line by line is as fast as the import of the compiled reader."""
+"""Size below which reading line by line is as fast as importing the compiled reader."""
 
 STAMP_WIDTH = 32
-"""Characters that a stamp has at most where it is read at once: numpy writes 24."""
+"""Limit on the length of stamps that are read all at once: numpy writes 24 characters."""
 
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 NO_NUMBER = re.compile(r"[+-]?(nan|inf(inity)?)", re.IGNORECASE)
@@ -31,10 +31,10 @@ NO_NUMBER = re.compile(r"[+-]?(nan|inf(inity)?)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class NumberTable:
-    """The numbers of a file.
+    """Numbers of a file.
 
     stamps: (N,) texts of the stamps, ASCII; empty where the layout has none
-    sizes:  (N,) float64, the same as rounded numbers
+    sizes:  (N,) float64, the stamps as rounded numbers
     values: (N, K) float64, finite: the columns `Columns.numbers`
     where:  row, counted from 0 -> "path:line"
     """
@@ -45,7 +45,7 @@ class NumberTable:
     where: Callable[[int], str]
 
     def stamp(self, row: int) -> str:
-        """The text of a row's stamp, shortened for a message."""
+        """Text of a row's stamp, shortened for a message."""
         return str(self.stamps[row].decode()[:40])
 
     def __len__(self) -> int:
@@ -53,13 +53,13 @@ class NumberTable:
 
 
 def is_comment(line: str) -> bool:
-    """Whether a line holds no data."""
+    """Whether a line holds no data: it is a comment or blank."""
     stripped = line.strip()
     return not stripped or stripped.startswith(COMMENTS)
 
 
 def split(line: str) -> list[str]:
-    """Fields of a line: between commas or semicolons, or else between spaces and tabs."""
+    """Split a line into its fields, at commas or semicolons, or else at spaces and tabs."""
     for separator in (",", ";"):
         if separator in line:
             return [field.strip(" \t") for field in line.split(separator)]
@@ -67,14 +67,14 @@ def split(line: str) -> list[str]:
 
 
 def separator(line: str) -> str:
-    """What stands between the fields, as a message names it."""
+    """Name, for messages, of what separates the fields of a line."""
     return "commas" if "," in line else "semicolons" if ";" in line else "spaces"
 
 
 def read_table(text: str, begin: int, columns: Columns, path: str, compiled: bool | None = None) -> NumberTable:
-    """The data lines of `text` from line `begin` (counted from 0) on.
+    """Read the data lines of `text` from line `begin` (counted from 0) on.
 
-    compiled: whether to try the compiled reader; None: where that is worth it. What it does not take for plain
+    compiled: whether to try the compiled reader; None: where that is worthwhile. What it does not recognise as plain
     numbers is read line by line, so that both give the same table or the same error.
     """
     if compiled is None:
@@ -84,7 +84,7 @@ def read_table(text: str, begin: int, columns: Columns, path: str, compiled: boo
 
 
 def _read_compiled(text: str, begin: int, columns: Columns, path: str) -> NumberTable | None:
-    """The table by pandas' C reader, or None where anything is unusual."""
+    """Read the table with pandas' C reader; None where anything is unusual."""
     import pandas as pd
 
     if any(sign in text for sign in COMMENTS):
@@ -103,13 +103,13 @@ def _read_compiled(text: str, begin: int, columns: Columns, path: str) -> Number
         data = data.replace(b", ", b",")
         if b" " in data or b"\t" in data:
             return None
-    # Before version 3 only this setting rounds decimals to the nearest float64; since then every one does.
+    # Before version 3, only this setting rounds decimals to the nearest float64; since then, all of them do.
     read: Callable[..., pd.DataFrame] = pd.read_csv
     exact = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
     separator = "," if commas else " " if _single_spaces(data) else r"\s+"
     how: dict[str, object] = {"sep": separator, "header": None, "na_filter": False, "low_memory": False}
     try:
-        # Every column is read as numbers, so that a line that breaks off leaves an empty cell, which is none.
+        # Every column is read as numbers, so that a truncated line leaves an empty cell, which is no number.
         frame = read(io.BytesIO(data), dtype=float, **how, **exact)
         values = frame[columns.numbers].to_numpy()
         stamps, sizes = np.empty(0, dtype="S1"), np.empty(0)
@@ -134,7 +134,7 @@ def _read_compiled(text: str, begin: int, columns: Columns, path: str) -> Number
 
 
 def _single_spaces(data: bytes) -> bool:
-    """Whether one space stands between two numbers everywhere, and none elsewhere."""
+    """Whether fields are separated by exactly one space everywhere, with no spaces elsewhere."""
     characters = np.frombuffer(data, dtype=np.uint8)
     spaces = characters == ord(" ")
     blanks = spaces | (characters == ord("\n"))
@@ -143,7 +143,7 @@ def _single_spaces(data: bytes) -> bool:
 
 
 def _first_fields(data: bytes) -> NDArray[np.bytes_] | None:
-    """The first field of every line, or None where one has none that is short, or a line is empty."""
+    """First field of every line, or None where one is empty or too long (`STAMP_WIDTH`)."""
     characters = np.frombuffer(data, dtype=np.uint8)
     breaks = np.flatnonzero(characters == ord("\n"))
     starts = np.concatenate([[0], breaks + 1])
@@ -159,7 +159,7 @@ def _first_fields(data: bytes) -> NDArray[np.bytes_] | None:
 
 
 def _read_lines(text: str, begin: int, columns: Columns, path: str) -> NumberTable:
-    """The table line by line. Raises TrajectoryError naming the line and what is wrong with it."""
+    """Read the table line by line. Raises TrajectoryError naming the line and what is wrong with it."""
     stamps: list[str] = []
     values: list[list[float]] = []
     numbers: list[int] = []
@@ -197,7 +197,7 @@ def _read_lines(text: str, begin: int, columns: Columns, path: str) -> NumberTab
 
 
 def columns_needed(columns: Columns) -> int:
-    """The least number of columns that holds all of them."""
+    """Least number of columns that a line must have to hold all of `columns`."""
     return max(*columns.numbers, columns.stamp or 0) + 1
 
 
@@ -224,7 +224,7 @@ def _check_number(text: str, column: int, columns: Columns, where: str, line: st
 
 
 def column_name(column: int, columns: Columns) -> str:
-    """What a column holds, in a word."""
+    """Short name, for messages, of what a column holds."""
     for names, places in (
         (("x", "y", "z"), columns.position),
         (("qx", "qy", "qz", "qw"), columns.quaternion),

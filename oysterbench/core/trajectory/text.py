@@ -1,4 +1,4 @@
-"""The text formats that trajectories come in: TUM, EuRoC, KITTI, and CSV with a header that names its columns."""
+"""Text formats of trajectories: TUM, EuRoC, KITTI, and CSV with a header that names its columns."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from oysterbench.core.trajectory.stamps import SHIFTS, scaled_integer, scaled_in
 from oysterbench.core.trajectory.table import NUMBER, NumberTable, is_comment, read_table, split
 
 MAX_SECONDS = 9e9
-"""A stamp above this is not seconds: it would be 285 years after the epoch, and its nanoseconds leave an int64."""
+"""A stamp above this is not in seconds: it would be 285 years after the epoch, and overflow an int64 in nanoseconds."""
 DECIMAL_COMMAS = re.compile(r"(?=.*,)([+-]?\d+(,\d+)?[;\s]+){5,}[+-]?\d+(,\d+)?;?")
-"""A line of numbers between blanks or semicolons, as spreadsheets write it where the comma is the decimal sign."""
+"""Line of numbers separated by blanks or semicolons, as spreadsheets write it where the comma is the decimal sign."""
 MIN_NANOSECONDS = 1e17
-"""A stamp above this is nanoseconds: as microseconds it would be 3000 years after the epoch."""
+"""A stamp above this is in nanoseconds: as microseconds it would be 3000 years after the epoch."""
 
 
 def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
-    """The trajectory in a text file's bytes. Raises TrajectoryError naming file and line."""
+    """Read a trajectory from a text file's bytes. Raises TrajectoryError naming file and line."""
     text = decoded(path, data)
     head = _Head.of(text)
     if head is None:
@@ -66,7 +66,8 @@ def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
 
 
 def read_times(path: Path, unit: str | None = None) -> NDArray[np.int64]:
-    """Stamps (N,) int64 ns from a file with one number on each line, in seconds unless they can only be ns."""
+    """Read stamps (N,) int64 ns from a file with one number per line, by default in seconds unless they can only be
+    ns."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -92,7 +93,7 @@ def read_times(path: Path, unit: str | None = None) -> NDArray[np.int64]:
 
 
 def decoded(path: Path, data: bytes) -> str:
-    """Text with lines that end in a line feed, without a byte order mark."""
+    """Decode UTF-8 text, with lines ending in a line feed and no byte order mark. Raises TrajectoryError for others."""
     if b"\0" not in data:
         try:
             text = data.decode("utf-8-sig")
@@ -104,12 +105,13 @@ def decoded(path: Path, data: bytes) -> str:
 
 @dataclass(frozen=True)
 class _Head:
-    """What stands before the first pose.
+    """What precedes the first pose of a file, and that pose.
 
-    names: of the columns, from a header line or from a comment right before the poses; empty where there are none
+    names: of the columns, from a header line or else from a comment before the poses; empty where there are none
+    certain: whether the names come from a header line
     begin: line of the first pose, counted from 0
     first: its fields
-    commas: whether it has commas
+    commas: whether it has commas or semicolons
     """
 
     names: list[str]
@@ -142,12 +144,12 @@ class _Head:
 
 
 def _is_header(fields: list[str]) -> bool:
-    """Whether no field is a number, nor the lack of one: the names of the columns."""
+    """Whether no field is a number or a missing one, so that the fields are column names."""
     return not any(NUMBER.fullmatch(field) or field.lower().lstrip("+-") in ("nan", "inf", "") for field in fields)
 
 
 def _columns(head: _Head, path: Path, options: ReadOptions) -> Columns:
-    """The layout: as asked for, as a header names it, or as the number of columns and their separator tell."""
+    """Column layout: as requested, as a header names it, or as the number of columns and their separator indicate."""
     named = named_columns(head.names) if len(head.names) <= len(head.first) else None
     if options.format == "kitti":
         return KITTI
@@ -180,7 +182,8 @@ def _columns(head: _Head, path: Path, options: ReadOptions) -> Columns:
 def _stamps(
     table: NumberTable, columns: Columns, path: Path, options: ReadOptions, notes: list[str]
 ) -> NDArray[np.int64]:
-    """(N,) int64 ns. Their unit is as asked for, as the layout says, or as their size leaves no doubt of."""
+    """Stamps (N,) int64 ns. Their unit is the requested one, or that of the layout, or the one that their size
+    implies."""
     sizes = np.abs(table.sizes)
     unit = options.time_unit or columns.time_unit
     if unit is None:
@@ -224,7 +227,7 @@ def _stamps(
 
 
 def _broken(stamps: NDArray[np.bytes_]) -> NDArray[np.bool_]:
-    """Which stamps (N,) are not written as whole numbers."""
+    """Mask (N,) of the stamps that are not written as whole numbers."""
     characters = stamps.view(np.uint8).reshape(len(stamps), -1)
     return np.asarray(np.isin(characters, [ord(sign) for sign in ".eE"]).any(axis=1))
 
@@ -251,7 +254,7 @@ def _covariances(values: Array, columns: Columns, place: dict[int, int], path: P
 
 
 def _kitti(table: NumberTable, path: Path, options: ReadOptions) -> Trajectory:
-    """Poses from the top three rows of their matrices; stamps from `options.times`."""
+    """Convert the top three rows of KITTI's matrices to poses, with stamps from `options.times`."""
     if options.times is None:
         raise NoStampsError(
             f"{path}: KITTI poses have no timestamps; write lines of TUM, or give a file with one time per line "

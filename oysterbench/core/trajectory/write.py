@@ -1,4 +1,4 @@
-"""Trajectories to files: TUM for everybody, .npz where covariances must survive."""
+"""Writing trajectories to files: TUM for general use, .npz where covariances must be kept."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from oysterbench.core.trajectory.stamps import ns_to_seconds
 
 
 def write_tum(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
-    """Write `t x y z qx qy qz qw`, seconds with nine decimals, nothing half-written."""
+    """Write `t x y z qx qy qz qw`, seconds with nine decimals, atomically."""
     rows = ["# timestamp_s x_m y_m z_m qx qy qz qw"]
     poses = np.column_stack([trajectory.positions, trajectory.quaternions]).tolist()
     for stamp, pose in zip(trajectory.stamps_ns.tolist(), poses, strict=True):
@@ -22,7 +22,7 @@ def write_tum(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
 
 
 def write_npz(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
-    """Write the arrays `stamps_ns`, `positions`, `quaternions` to the bit; `covariances`, `T_body_estimate` if any."""
+    """Write the arrays `stamps_ns`, `positions`, `quaternions` bit for bit; `covariances`, `T_body_estimate` if any."""
     arrays = {
         "stamps_ns": trajectory.stamps_ns,
         "positions": trajectory.positions,

@@ -1,4 +1,4 @@
-"""Sequences in the formats of others, a file per format: `export_sequence` writes one as a folder."""
+"""Export of sequences to other formats, one module per format: `export_sequence` writes one as a folder."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ SHARED_FORMATS = {
     "foxglove": "the same, plus a layout that opens it in Foxglove or Lichtblick: cameras, sonars, path, plots",
     "ply": "point clouds in map as binary PLY: from depth images through the poses, and sonar clouds",
 }
-"""Formats of several sensors, and what they are: each is the module of its name, `write(sequence, folder, truth)`."""
+"""Formats for several sensors -> description. Each is written by `write` of the module of its name."""
 
 FORMATS = SHARED_FORMATS | {form: export.summary for form, (_, export) in export_formats().items()}
-"""All formats and what they are, those of single kinds of sensor (`SensorKind.exports`) included."""
+"""All formats -> description, including those of single kinds of sensor (`SensorKind.exports`)."""
 
 Write = Callable[[Sequence, Path, bool, Steps], list[str]]
-"""Fills a folder, counting what it writes, and returns what the user should know about it, a line each."""
+"""Function that fills a folder, counting what it writes, and returns notes for the user, a line each."""
 
 
 def export_sequence(
@@ -42,12 +42,12 @@ def export_sequence(
     truth: bool = True,
     progress: Progress = lambda done, total: None,
 ) -> tuple[Path, list[str]]:
-    """Write a sequence in a format (`FORMATS`) as the folder `out`, which is there whole or not at all.
+    """Write a sequence in a format (`FORMATS`) as the folder `out`, which appears complete or not at all.
 
     truth: with poses, depth, classes and instances where the format has a place for them; without, only what a method
-    may see. progress: told of each picture that is written. Returns the folder and what there is to say about it.
-    Raises SequenceError where `out` is there already, or the sequence lacks what the format needs, and MachineError
-    where it will not fit on the disk.
+    may see. progress: called for each image written. Returns the folder and notes for the user. Raises SequenceError
+    where `out` already exists, or the sequence lacks what the format needs, and MachineError where it will not fit on
+    the disk.
     """
     if form not in FORMATS:
         raise SequenceError(f"unknown format {form!r}; formats: {', '.join(FORMATS)}")
@@ -61,7 +61,7 @@ def export_sequence(
 
 
 def _write_kind(form: str, sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
-    """Every sensor of the kind that a format is of."""
+    """Write every sensor of the kind that a format is for."""
     kind, export = export_formats()[form]
     names = sequence.calibrations(kind)
     if not names:

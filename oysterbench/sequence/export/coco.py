@@ -1,4 +1,4 @@
-"""COCO instances: images/ as the file has them, and instances.json with polygons that give back each mask."""
+"""COCO instances: images/ as in the sequence, and instances.json with polygons that reproduce each mask exactly."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LICENCE = {"id": 1, "name": "CC BY 4.0", "url": "https://creativecommons.org/lic
 
 
 def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
-    """Of every camera with the layers class and instance, the frames that have them. Ids are from 1."""
+    """Write, for every camera with the layers class and instance, the frames that have them. Ids start at 1."""
     cameras = labelled_cameras(sequence, "visibility")
     if not truth or not cameras:
         raise SequenceError(
@@ -70,7 +70,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
 def annotate(
     classes: NDArray[np.uint8], instances: NDArray[np.uint16], visibility: NDArray[np.float32] | None
 ) -> Iterator[dict[str, Any]]:
-    """The annotations of one image, from layers (H, W); instance 0 is none. Area is the number of pixels."""
+    """Yield the annotations of one image, from layers (H, W); instance 0 is none. Area is the number of pixels."""
     for number in np.unique(instances[instances > 0]):
         mask = instances == number
         rows, columns = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]

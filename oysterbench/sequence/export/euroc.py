@@ -1,6 +1,6 @@
 """EuRoC/ASL folders: mav0/cam0, cam1, ..., imu0 and state_groundtruth_estimate0. The body is the IMU.
 
-Beside mav0 lie Kalibr's files for the same cameras, and README.txt.
+Kalibr's files for the same cameras and README.txt lie next to mav0.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ DISTORTION_MODELS = {"plumb_bob": "radial-tangential", "equidistant": "equidista
 
 
 def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
-    """Images as PNG, inertial samples and state with all their digits."""
+    """Write images as PNG, and IMU samples and states with all their digits."""
     root = folder / "mav0"
     T_imu_base = invert(sequence.imu_calibration.T_base_imu)
     steps.expect(frames(sequence, sequence.cameras))
@@ -81,7 +81,7 @@ def _camera_yaml(name: str, camera: CameraCalibration, T_imu_cam: Array) -> list
         f"intrinsics: {numbers([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])}",
         f"distortion_model: {DISTORTION_MODELS[camera.distortion_model]}",
         f"distortion_coefficients: {numbers(coefficients)}",
-        f"timeshift_cam_imu: {number(0.0 - camera.time_offset_s)}",  # not of the layout: Kalibr's
+        f"timeshift_cam_imu: {number(0.0 - camera.time_offset_s)}",  # not part of the layout: Kalibr's
     ]
 
 
@@ -95,7 +95,7 @@ def _imu_yaml(unit: ImuCalibration) -> list[str]:
         f"gyroscope_random_walk: {number(unit.gyro_random_walk)}",
         f"accelerometer_noise_density: {number(unit.accel_noise_density)}",
         f"accelerometer_random_walk: {number(unit.accel_random_walk)}",
-        f"gravity: {number(unit.gravity)}",  # not of the layout, which has none
+        f"gravity: {number(unit.gravity)}",  # not part of the layout, which has none
     ]
 
 
@@ -104,7 +104,7 @@ def _pose_yaml(T_body_sensor: Array) -> list[str]:
 
 
 def _write_state(sequence: Sequence, folder: Path) -> None:
-    """Pose of the IMU in map, and its velocity there: that of base_link and what turning adds at the lever arm."""
+    """Write the pose of the IMU in map, and its velocity there: that of base_link plus rotation at the lever arm."""
     folder.mkdir()
     T_base_imu = sequence.imu_calibration.T_base_imu
     truth = sequence.truth()
@@ -126,7 +126,7 @@ def _write_state(sequence: Sequence, folder: Path) -> None:
 
 
 def _velocities(sequence: Sequence, arm: Array, rotations: Array) -> Array:
-    """(N, 3) m/s in map, of a point at `arm` (3,) m in base_link. NaN where the sequence knows no velocity."""
+    """Velocities (N, 3) m/s in map, of a point at `arm` (3,) m in base_link. NaN where the sequence has none."""
     if TRUTH not in (topic for topic, _, _ in sequence.contents()):
         return np.full((len(rotations), 3), np.nan)
     table = sequence.frame(TRUTH)

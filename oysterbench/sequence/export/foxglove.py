@@ -1,8 +1,8 @@
-"""A layout of Foxglove that opens a sequence's file with cameras, sonars, path and plots laid out.
+"""A Foxglove layout that opens a sequence's file with cameras, sonars, path and plots arranged.
 
 The file is what the app writes under "Export layout to file" and reads under "Import from file": panels by their ids,
-`TYPE!NAME`, and a binary tree of where they stand. Keys of the panels are those of Foxglove's SDK (foxglove.layouts).
-Lichtblick reads the same, but passes over `fixedFrame` and `axisScalesMode`, and has a key of its own for titles.
+`TYPE!NAME`, and a binary tree of their positions. Keys of the panels are those of Foxglove's SDK (foxglove.layouts).
+Lichtblick reads the same, but ignores `fixedFrame` and `axisScalesMode`, and has its own key for titles.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ PANEL_SCHEMAS = {
     "calibration": (CAMERA_INFO,),
     "3D": ("geometry_msgs/msg/PoseStamped", POINTS, CAMERA_INFO, TRANSFORMS),
 }
-"""Panel, or part of one -> the types of messages that it shows, of those that sequences hold; a plot takes all."""
+"""Panel, or part of one -> message types in sequences that it can show; a plot takes all."""
 
 TITLES = ("foxglovePanelTitle", "lichtblickPanelTitle")
 """Keys of a panel's title: Foxglove's, and Lichtblick's."""
 
 KNOWN_LENSES = ("plumb_bob",)
-"""Distortion models whose calibration a panel can use. With that of another, the image panel shows no picture at all;
-with none it shows the picture as it was taken."""
+"""Distortion models whose calibration a panel can use. With any other, the image panel shows no image at all; without
+a calibration, it shows the image as it was taken."""
 
 SHOWN_ENCODINGS = ("16UC1", "32FC1")
-"""Of layers, those that the image panel can show: it takes no pictures of two or three floating-point numbers, and
-mono8 it may draw as grey from 0 to 255, whatever the scale: classes, from 0 to 11, are black then."""
+"""Encodings of layers that the image panel can show: it takes no images with two or three floating-point channels, and
+may draw mono8 as grey from 0 to 255, whatever the scale: classes, from 0 to 11, are then black."""
 
 GREATEST = {"depth": 8000, "visibility": 1, "transmittance": 1}
-"""Layer -> value that is shown in the last colour; depth in mm. That of instances is of the sequence."""
+"""Layer -> value shown in the last colour; depth in mm. For instances, it depends on the sequence."""
 
 PLOTS: dict[str, tuple[tuple[str, str, tuple[str, ...]], ...]] = {
     "sensor_msgs/msg/Imu": (
@@ -55,23 +55,23 @@ PLOTS: dict[str, tuple[tuple[str, str, tuple[str, ...]], ...]] = {
     "sensor_msgs/msg/MagneticField": (("magnetic field, T", "magnetic_field", ("x", "y", "z")),),
     "nav_msgs/msg/Odometry": (("velocity, m/s", "twist.twist.linear", ("x", "y", "z")),),
 }
-"""Type -> plots of a topic of it: unit, field, and the parts of that field that share the plot."""
+"""Message type -> plots of its topics: axis label with unit, field, and the parts of that field that share the plot."""
 
 LIMITS = {"magnetic_field": 1e-4}
-"""Field -> limits of its plot, from minus to plus, in its unit: left alone, axes of Lichtblick end at a thousandth or
-more, and the Earth's field, of up to 67 µT, is a flat line."""
+"""Field -> limit of its plot, from minus to plus, in its unit: by default, Lichtblick's axes end at a thousandth or
+more, where the Earth's field, of up to 67 µT, is a flat line."""
 
 COLOURS = ("#4e98e2", "#f5774d", "#2ecf9f")
-"""Of x, y and z, as in the pages of `oysterbench view`."""
+"""Colours of x, y and z, as in the pages of `oysterbench view`."""
 
 LEGEND_PX = 60
-"""Width of a plot's legend, beside the curves: a floating one lies over them."""
+"""Width of a plot's legend, next to the curves: a floating one would cover them."""
 
 Node = str | dict[str, Any]
 
 
 def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
-    """NAME.mcap, whole or cut as in the format mcap, and the layout for it."""
+    """Write NAME.mcap, whole or cut as in the format mcap, and the layout for it."""
     notes = mcap.write(sequence, folder, truth, steps)
     text = layout_text(sequence if truth else sequence.for_method())
     (folder / LAYOUT).write_text(text, encoding="utf-8")
@@ -79,7 +79,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
 
 
 def layout_text(sequence: Sequence) -> str:
-    """The layout as JSON."""
+    """The layout for a sequence as JSON text."""
     return json.dumps(layout(sequence), indent=2, ensure_ascii=False) + "\n"
 
 
@@ -112,12 +112,12 @@ def _image(panels: dict[str, Any], name: str, topic: str, calibration: str | Non
 
 
 def _calibration(sequence: Sequence, name: str) -> str | None:
-    """Topic of a camera's calibration; None where the panels do not know its lens."""
+    """Topic of a camera's calibration; None where the panels do not support its distortion model."""
     return f"/{name}/camera_info" if sequence.cameras[name].distortion_model in KNOWN_LENSES else None
 
 
 def _sonar(panels: dict[str, Any], sequence: Sequence, name: str) -> str:
-    """Beams across, ranges down: the panel draws no fan. As bright as the first ping asks for."""
+    """Image panel of a sonar: beams across, ranges down, as the panel draws no fan. Its scale suits the first ping."""
     first = next(sequence.sonar(name), None)
     white = 65535.0 if first is None else white_of(first.pixels)
     return _image(panels, name, f"/{name}/image", **_scale(white))
@@ -128,7 +128,7 @@ def _scale(greatest: float) -> dict[str, Any]:
 
 
 def _layers(panels: dict[str, Any], sequence: Sequence, types: dict[str, str]) -> str | None:
-    """A tab for each layer of truth; None without any."""
+    """Panel with a tab for each ground-truth layer; None without any."""
     shown = [layer for layer, encoding in LAYERS.items() if encoding in SHOWN_ENCODINGS]
     there = {name: [layer for layer in shown if f"/{name}/{layer}" in types] for name in sequence.cameras}
     several = len([layers for layers in there.values() if layers]) > 1
@@ -142,9 +142,9 @@ def _layers(panels: dict[str, Any], sequence: Sequence, types: dict[str, str]) -
 
 
 def _greatest(sequence: Sequence, name: str, layer: str) -> float:
-    """The value of a layer that is shown in the last colour.
+    """Value of a layer that is shown in the last colour.
 
-    Of instances, the number of the last oyster, or the greatest in the first picture where that is greater: stones and
+    For instances, the number of the last oyster, or the greatest in the first image if that is greater: stones and
     shells come after the oysters, and can be most of what is seen.
     """
     if layer != "instance":
@@ -154,8 +154,8 @@ def _greatest(sequence: Sequence, name: str, layer: str) -> float:
 
 
 def _scene(panels: dict[str, Any], sequence: Sequence, types: dict[str, str]) -> str:
-    """Frames by /tf and /tf_static, pose, clouds, and where the cameras look, in `map` or, without truth, in the
-    body."""
+    """3D panel with frames from /tf and /tf_static, pose, clouds, and camera frustums, in `map` or, without ground
+    truth, in the body."""
     true = TF in types
     calibrations = [_calibration(sequence, name) for name in sequence.cameras]
     topics: dict[str, Any] = {topic: {"visible": True, "distance": 0.5} for topic in calibrations if topic}
@@ -188,14 +188,15 @@ def _scene(panels: dict[str, Any], sequence: Sequence, types: dict[str, str]) ->
 
 
 def _level(sequence: Sequence) -> float:
-    """Height in map at which the dive begins, in m: the origin of map is at the surface, metres above the vehicle."""
+    """Height in map at which the dive starts, m: the origin of map is at the surface, metres above the vehicle."""
     return round(float(sequence.truth().positions[0, 2]), 2)
 
 
 def _from_above(panels: dict[str, Any], types: dict[str, str]) -> list[str]:
-    """The whole path from above, as a plot of y over x.
+    """Plot of the whole path from above, y over x.
 
-    Of two topics with the same stamps, paired one by one: Lichtblick 1.28 draws no curve whose x and y are of one.
+    x and y are from two topics with the same stamps, paired one by one: Lichtblick 1.28 draws no curve with both from
+    one topic.
     """
     if TRUTH not in types or TRUTH_POSE not in types:
         return []
@@ -209,7 +210,7 @@ def _from_above(panels: dict[str, Any], types: dict[str, str]) -> list[str]:
 
 
 def _plots(panels: dict[str, Any], types: dict[str, str]) -> Node | None:
-    """Curves over time, a tab for each topic that has some; those of a topic one under the other."""
+    """Panel of curves over time, a tab for each topic that has some; those of a topic are stacked."""
     topics = [topic for topic, kind in types.items() if kind in PLOTS]
     sensors = [topic.split("/")[1] for topic in topics]
     tabs = []
@@ -240,14 +241,14 @@ def _panel(panels: dict[str, Any], key: str, config: dict[str, Any], title: str 
 
 
 def _pictures(nodes: Several[Node]) -> Node | None:
-    """Two one under the other; more of them in rows of two, as one column would leave each a strip."""
+    """Arrange up to two image panels in a column, and more in rows of two, as one column would leave each a strip."""
     if len(nodes) < 3:
         return _stacked("column", nodes)
     return _stacked("column", [_stacked("row", nodes[i : i + 2]) for i in range(0, len(nodes), 2)])
 
 
 def _stacked(direction: str, nodes: Several[Node | None]) -> Node | None:
-    """Nodes side by side ("row") or one under the other ("column"), all of one size, as a binary tree."""
+    """Arrange nodes side by side ("row") or one below the other ("column"), all of equal size, as a binary tree."""
     there = [node for node in nodes if node is not None]
     if len(there) < 2:
         return there[0] if there else None

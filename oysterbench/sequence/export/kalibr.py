@@ -1,4 +1,4 @@
-"""Kalibr's files: the chain of cameras and the inertial unit. T_cam_imu takes points of the IMU into the camera."""
+"""Kalibr's files: the camera chain and the IMU. T_cam_imu takes points of the IMU into the camera."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ DISTORTION_MODELS = {"plumb_bob": "radtan", "equidistant": "equidistant"}
 
 
 def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
-    """camchain-imucam.yaml and imu.yaml, for the topics of a sequence file."""
+    """Write camchain-imucam.yaml and imu.yaml, for the topics of a sequence file."""
     return write_calibration(sequence, folder, truth, [f"/{name}/image" for name in sequence.cameras], "/imu")
 
 
 def write_calibration(
     sequence: Sequence, folder: Path, truth: bool, image_topics: Iterable[str], imu_topic: str
 ) -> list[str]:
-    """The same for any topics: of the cameras, in their order, and of the inertial unit.
+    """Write Kalibr's files for any topics: of the cameras, in their order, and of the IMU.
 
-    truth: with offsets of the clocks that the rig's recipe has and no calibration knows
+    truth: with clock offsets that are in the rig's recipe but in no calibration
     """
     notes = port_notes(sequence, sequence.cameras)
     shifts = _time_shifts(sequence, truth)
@@ -74,8 +74,8 @@ def _rows(matrix: Array) -> list[str]:
 
 
 def _time_shifts(sequence: Sequence, truth: bool) -> dict[str, float]:
-    """Camera -> shift in s with t_imu = t_cam + shift: that of the calibration; but with `truth`, where nothing was
-    measured, from the clocks of the rig's recipe, if the file has it."""
+    """Camera -> shift in s with t_imu = t_cam + shift: that of the calibration; but with `truth`, where the calibration
+    was not measured, that of the clocks in the rig's recipe, if the file has it."""
     source = getattr(sequence, "attachments", {}).get("rig.toml")
     if not truth or source is None or sequence.uncertainty is not None:
         return {name: 0.0 - camera.time_offset_s for name, camera in sequence.cameras.items()}

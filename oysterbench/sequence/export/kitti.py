@@ -1,7 +1,7 @@
 """KITTI odometry folders: sequences/00/ with images, calib.txt and times.txt, and poses/00.txt.
 
-KITTI's pictures are rectified, so those of a lens are undistorted here, and those of a pair brought into one plane, by
-the calibration that is given. image_0 and image_1 are grey. Poses take cam 0, rectified, into the first cam 0.
+KITTI's images are rectified, so images are undistorted here, and those of a pair brought into one plane, using the
+given calibration. image_0 and image_1 are grey. Poses take rectified cam 0 into the first cam 0.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from oysterbench.sequence.types import Sequence
 
 
 def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
-    """Of the first camera that is the left one of a stereo pair, or else of the first."""
+    """Write the first stereo pair, or else the first camera alone."""
     names = list(sequence.cameras)
     left = next((name for name in names if stereo_partner(sequence, name)), None) or any_camera(sequence, "kitti")
     right = stereo_partner(sequence, left)
@@ -87,8 +87,8 @@ def _about(sequence: Sequence, pair: list[str], matrix: Array, first_ns: int, tr
 
 
 def _projections(sequence: Sequence, pair: list[str], matrix: Array) -> list[str]:
-    """Lines of calib.txt: projections (3, 4) from the frame of image_0. Always four, as readers expect them: those of
-    the colour cameras are the same, and of a camera alone those of the right ones."""
+    """Lines of calib.txt: projections (3, 4) from the frame of image_0. Always four, as readers expect: those of the
+    colour cameras repeat the grey ones, and for a camera alone so do those of the right cameras."""
     T_base_left = sequence.cameras[pair[0]].T_base_cam
     rows = []
     for name, turn in zip(pair, rectify(sequence, pair), strict=True):
@@ -99,7 +99,7 @@ def _projections(sequence: Sequence, pair: list[str], matrix: Array) -> list[str
 
 
 def _of_body(sequence: Sequence, left: str, turn: Array) -> Array:
-    """(3, 4), Tr of calib.txt: in KITTI from the laser scanner into image_0, here from base_link, whose axes are the
+    """Tr (3, 4) of calib.txt: in KITTI from the laser scanner into image_0, here from base_link, whose axes are the
     same: x forward, y left, z up. Common loaders, such as pykitti, do not open a folder without it."""
     return (transform(turn, np.zeros(3)) @ invert(sequence.cameras[left].T_base_cam))[:3]
 

@@ -1,4 +1,4 @@
-"""The sequence file itself (ROS 2, MCAP), whole or without the truth, as a hidden split is published."""
+"""The sequence file itself (ROS 2, MCAP), whole or without the ground truth, as for a hidden split."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from oysterbench.sequence.types import Sequence
 
 
 def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
-    """NAME.mcap."""
+    """Write NAME.mcap."""
     source = getattr(sequence, "path", None)
     if source is None or not Path(source).is_file():
         raise SequenceError(f"{sequence.name}: the format mcap needs a sequence file, and this is not one")

@@ -1,4 +1,4 @@
-"""What several formats need: images on disk, matrices as YAML, poses of sensors, and who is a stereo pair."""
+"""Shared parts of several formats: images on disk, matrices as YAML, poses of sensors, and stereo pairs."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from oysterbench.sequence.pictures import png_bytes
 from oysterbench.sequence.types import CameraCalibration, Sequence
 
 UNTURNED = np.eye(3)
-PAIR_RAD = np.radians(3.0)  # of one camera of a stereo pair against the other, and of its base against the x axis
+PAIR_RAD = np.radians(3.0)  # limit on the rotation between a stereo pair's cameras, and between baseline and x axis
 
 
 def write_png(path: Path, pixels: NDArray[Any]) -> None:
-    """(H, W, 3) uint8 RGB, or (H, W) uint8 or uint16, as PNG."""
+    """Write (H, W, 3) uint8 RGB, or (H, W) uint8 or uint16, as PNG."""
     path.write_bytes(png_bytes(pixels))
 
 
 def number(value: float) -> str:
-    """A number of YAML 1.1 with all its digits: there `1e-05` is a text, and `1.0e-05` a number."""
+    """Format a number for YAML 1.1 with all its digits: there `1e-05` is a string, and `1.0e-05` a number."""
     text = repr(float(value))
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
 
 def numbers(values: ArrayLike) -> str:
-    """Numbers as a list of YAML."""
+    """Format numbers as a YAML list."""
     return "[" + ", ".join(number(value) for value in np.ravel(values)) + "]"
 
 
 def write_lines(path: Path, lines: Iterable[str]) -> None:
-    """A text file of lines."""
+    """Write a text file of lines."""
     with open(path, "w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{line}\n" for line in lines)
 
 
 def labelled_cameras(sequence: Sequence, *further: str) -> dict[str, list[str]]:
-    """Cameras with the layers class and instance: which of these and of `further` each has, in this order."""
+    """Cameras with the layers class and instance -> which of these and of `further` each has, in this order."""
     topics = {topic for topic, _, _ in sequence.contents()}
     found = {}
     for camera in sequence.cameras:
@@ -59,9 +59,9 @@ def labelled_cameras(sequence: Sequence, *further: str) -> dict[str, list[str]]:
 def frames_with_layers(
     sequence: Sequence, camera: str, layers: Iterable[str]
 ) -> Iterator[tuple[Image, dict[str, NDArray[Any]]]]:
-    """The colour frames of a camera that have layers, with the pixels of each layer by its name.
+    """Yield the colour frames of a camera that have layers, with the pixels of each layer by its name.
 
-    Raises SequenceError where layers and frames are not of one stamp.
+    Raises SequenceError where the stamps of layers and frames differ.
     """
     names = list(layers)
     images = sequence.images(camera)
@@ -79,14 +79,14 @@ def sensor_poses(truth: Trajectory, T_base_sensor: Array) -> Array:
 
 
 def within(truth: Trajectory, stamps_ns: Iterable[int]) -> list[int]:
-    """Those stamps at which the truth is known."""
+    """Stamps within the time span of the ground truth."""
     first, last = int(truth.stamps_ns[0]), int(truth.stamps_ns[-1])
     return [stamp for stamp in stamps_ns if first <= stamp <= last]
 
 
 def stereo_partner(sequence: Sequence, camera: str) -> str | None:
-    """The camera that makes a stereo pair with `camera` once both are rectified: of the same size, to the right of it
-    along its x axis, and turned against it by no more than a calibration may find; None if there is none."""
+    """Camera that forms a stereo pair with `camera` once both are rectified: of the same size, to its right along its x
+    axis, and rotated relative to it by no more than a calibration may find; None if there is none."""
     left = sequence.cameras[camera]
     for name, right in sequence.cameras.items():
         T_left_right = invert(left.T_base_cam) @ right.T_base_cam
@@ -103,8 +103,8 @@ def stereo_partner(sequence: Sequence, camera: str) -> str | None:
 
 
 def rectify(sequence: Sequence, pair: Iterable[str]) -> list[Array]:
-    """Rotations (3, 3) that take the frames of a left and a right camera into those of a rectified pair, whose x lies
-    along the base; of a camera alone, and of cameras that are one, none."""
+    """Rotations (3, 3) that take the frames of a left and a right camera into those of a rectified pair, whose x axis
+    lies along the baseline; identities for a camera alone, or a pair that is already rectified."""
     left, *others = (sequence.cameras[name].T_base_cam for name in pair)
     turns = [invert(left)[:3, :3] @ right[:3, :3] for right in others]
     offsets = [(invert(left) @ right)[:3, 3] for right in others]
@@ -119,8 +119,8 @@ def rectify(sequence: Sequence, pair: Iterable[str]) -> list[Array]:
 
 
 def undistorting_maps(camera: CameraCalibration, matrix: Array, turn: Array = UNTURNED) -> tuple[Any, Any] | None:
-    """Maps (H, W) float32 for cv2.remap that turn a camera's picture into that of a pinhole in a frame that `turn`
-    (3, 3) takes its own into; None where it is one."""
+    """Maps (H, W) float32 for cv2.remap that undistort a camera's image to that of a pinhole in the frame into which
+    `turn` (3, 3) takes the camera's own; None where nothing would change."""
     pinhole = camera.distortion_model == "plumb_bob" and not np.any(camera.distortion)
     if pinhole and np.allclose(camera.matrix, matrix) and np.array_equal(turn, UNTURNED):
         return None
@@ -133,14 +133,14 @@ def undistorting_maps(camera: CameraCalibration, matrix: Array, turn: Array = UN
 
 
 def any_camera(sequence: Sequence, form: str) -> str:
-    """The first camera. Raises SequenceError where there is none."""
+    """Name of the first camera. Raises SequenceError where there is none."""
     for name in sequence.cameras:
         return name
     raise SequenceError(f"{sequence.name} has no camera; the format {form} needs one")
 
 
 def port_notes(sequence: Sequence, cameras: Iterable[str]) -> list[str]:
-    """What to say of cameras behind a flat port, for formats that know pinholes and lenses only."""
+    """Notes on cameras behind a flat port, for formats that only support pinholes and lenses."""
     return [
         f"{name} looks through a flat port: its calibration is that in air, as the format cannot say how water bends it"
         for name in cameras

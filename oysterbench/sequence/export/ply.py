@@ -1,4 +1,4 @@
-"""Point clouds in `map` as binary PLY: what the cameras' depth shows, in colour, and what the sonars heard."""
+"""Point clouds in `map` as binary PLY: from the cameras' depth, in colour, and from the sonars' returns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.types import CameraCalibration, Sequence
 
 VOXEL_M = 0.01
-"""Edge of the cubes of space of which each keeps its first point: a reef is seen in frame after frame."""
+"""Edge of the voxels, each of which keeps only its first point: a reef is seen in frame after frame."""
 
 POINT = np.dtype(
     [
@@ -36,7 +36,7 @@ ECHO = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"),
 
 
 def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
-    """A file per camera with depth, and per sonar with a cloud."""
+    """Write a file per camera with depth, and per sonar with clouds."""
     topics = {topic for topic, _, _ in sequence.contents()}
     cameras = [name for name in sequence.cameras if f"/{name}/depth" in topics]
     sonars = [name for name in sequence.sonars if f"/{name}/cloud" in topics]
@@ -60,7 +60,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
 
 
 def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[str], steps: Steps) -> NDArray[Any]:
-    """(N,) POINT: the pixels with depth of all frames that the truth spans, in map, thinned to one per voxel."""
+    """Points (N,) POINT in map: the pixels with depth of all frames that the truth spans, thinned to one per voxel."""
     calibration = sequence.cameras[camera]
     rays = pixel_rays(calibration)
     known_rays = np.isfinite(rays[..., 0])
@@ -81,7 +81,7 @@ def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[
             rows[colour] = image.pixels[seen][:, k]
         for name, layer in found.items():
             rows[name] = layer[seen]
-        # A frame's new voxels, each with its first point.
+        # The frame's new voxels, each with its first point.
         keys, first = np.unique(voxels(points), return_index=True)
         new = ~np.isin(keys, known, assume_unique=True)
         known = np.union1d(known, keys[new])
@@ -90,7 +90,7 @@ def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[
 
 
 def sonar_cloud(sequence: Sequence, sonar: str, path: Trajectory, steps: Steps) -> NDArray[Any]:
-    """(N,) ECHO: the returns of all pings that the truth spans, in map."""
+    """Points (N,) ECHO in map: the returns of all pings that the truth spans."""
     kept = [np.zeros(0, dtype=ECHO)]
     for cloud in steps.counted(sequence.clouds(sonar)):
         if not _spans(path, cloud.stamp_ns):
@@ -103,17 +103,18 @@ def sonar_cloud(sequence: Sequence, sonar: str, path: Trajectory, steps: Steps) 
 
 
 def pixel_rays(camera: CameraCalibration) -> Array:
-    """(H, W, 3): the ray in water of each pixel's centre, as its slopes x and y over z in the optical frame, and the z
-    at which it meets the optical axis, m; NaN where the lens shows nothing.
+    """Ray in water of each pixel's centre (H, W, 3): its slopes x / z and y / z in the optical frame, and the z at
+    which it meets the optical axis, m; NaN where the lens shows nothing.
 
-    That z is 0, but behind a flat port, which bends every ray by Snell's law: none of them goes through the pupil.
+    That z is 0, except behind a flat port, which refracts every ray by Snell's law: none of them passes through the
+    pupil.
     """
     columns, rows = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
     return rays_at(camera, columns, rows)
 
 
 def rays_at(camera: CameraCalibration, columns: Array, rows: Array) -> Array:
-    """(H, W, 3): the same of the places at columns and rows (H, W) px of the picture."""
+    """Rays (H, W, 3), as in `pixel_rays`, of the points at columns and rows (H, W) px of the image."""
     if camera.distortion_model == "equidistant":
         pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
         plane = np.asarray(cv2.fisheye.undistortPoints(pixels, camera.matrix, camera.distortion[:4]))
@@ -133,22 +134,22 @@ def rays_at(camera: CameraCalibration, columns: Array, rows: Array) -> Array:
 
 
 def points_at(rays: Array, depth: Array) -> Array:
-    """Points (N, 3) m in the optical frame, of rays (N, 3) at depths (N,) m along the optical axis."""
+    """Points (N, 3) m in the optical frame, on rays (N, 3) at depths (N,) m along the optical axis."""
     return np.column_stack([rays[:, :2] * (depth - rays[:, 2])[:, None], depth])
 
 
 def _without_distortion(distorted_x: Array, distorted_y: Array, coefficients: Array) -> tuple[Array, Array]:
-    """Brown-Conrady undone, by fixed-point iteration from the distorted point, on the plane at depth 1."""
+    """Undo Brown-Conrady distortion by fixed-point iteration from the distorted point, on the plane at depth 1."""
     k1, k2, p1, p2, k3 = np.pad(coefficients, (0, 5 - len(coefficients)))
 
     def bent(x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """What the lens multiplies by, and what it adds."""
+        """Radial factor of the distortion, and its tangential terms in x and y."""
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         return radial, 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
 
     x, y = distorted_x, distorted_y
-    with np.errstate(all="ignore"):  # where the lens shows nothing, the iteration runs away
+    with np.errstate(all="ignore"):  # where the lens shows nothing, the iteration diverges
         for _ in range(100):
             radial, side, up = bent(x, y)
             x, y = (distorted_x - side) / radial, (distorted_y - up) / radial
@@ -159,7 +160,7 @@ def _without_distortion(distorted_x: Array, distorted_y: Array, coefficients: Ar
 
 
 def voxels(points: Array) -> NDArray[np.int64]:
-    """(N,) number of the voxel that each point (N, 3) is in; within 10 km of the origin."""
+    """Number (N,) of the voxel that contains each point (N, 3); valid within 10 km of the origin."""
     cells = np.floor(points / VOXEL_M).astype(np.int64) + (1 << 20)
     return (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
 

@@ -1,4 +1,4 @@
-"""README.txt of an exported folder: what its files say by units and conventions, and what they have no place for."""
+"""README.txt of an exported folder: units and conventions of its files, and what they have no place for."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NAMES = {
         "Basalt": "kb4",
     },
 }
-"""Model of distortion, as in sensor_msgs/CameraInfo -> what systems call it in their configurations."""
+"""Distortion model, as in sensor_msgs/CameraInfo -> systems -> what they call it in their configurations."""
 
 COEFFICIENTS = {"plumb_bob": "k1 k2 p1 p2 k3", "equidistant": "k1 k2 k3 k4"}
 
@@ -41,7 +41,7 @@ COEFFICIENTS = {"plumb_bob": "k1 k2 p1 p2 k3", "equidistant": "k1 k2 k3 k4"}
 def write_readme(
     sequence: Sequence, folder: Path, layout: str, cameras: Mapping[str, str], further: Iterable[str]
 ) -> None:
-    """cameras: how the layout calls a camera -> its name; further: lines on what is the layout's own."""
+    """Write README.txt. cameras: label of a camera in the layout -> its name; further: lines specific to the layout"""
     T_imu_base = invert(sequence.imu_calibration.T_base_imu)
     lines = [head(sequence, layout), ""]
     for label, name in cameras.items():
@@ -54,12 +54,12 @@ def write_readme(
 
 
 def head(sequence: Sequence, layout: str) -> str:
-    """First line."""
+    """First line of README.txt."""
     return f"{sequence.name} in the layout of {layout}, by oysterbench {VERSION}."
 
 
 def truth_line(truth: bool, place: str) -> str:
-    """Where the truth is."""
+    """Line on where the ground truth is."""
     return f"The truth is in {place}." if truth else "The truth was left out."
 
 

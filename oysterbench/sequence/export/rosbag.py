@@ -1,7 +1,7 @@
-"""ROS 1 bags (version 2.0) with the topics of EuRoC's: /cam0/image_raw, /cam1/image_raw, ... and /imu0, by rosbags.
+"""ROS 1 bags (version 2.0) with EuRoC's topics: /cam0/image_raw, /cam1/image_raw, ... and /imu0, by rosbags.
 
-Images are grey (mono8), as EuRoC's and as the systems that read them expect. Beside the bag lie Kalibr's files for its
-topics. The truth, if it is asked for, is on /groundtruth: geometry_msgs/PoseStamped, poses of the IMU in map.
+Images are grey (mono8), like EuRoC's and as the systems that read them expect. Kalibr's files for the bag's topics lie
+next to it. The truth, if requested, is on /groundtruth: geometry_msgs/PoseStamped, poses of the IMU in map.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from oysterbench.sequence.types import Sequence
 IMAGE, IMU, POSE = "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu", "geometry_msgs/msg/PoseStamped"
 IMU_TOPIC, TRUTH_TOPIC = "/imu0", "/groundtruth"
 UNKNOWN = np.array([-1.0, *[0.0] * 8])
-"""Covariance (9,) by which sensor_msgs/Imu says that it has no orientation."""
+"""Covariance (9,) that marks a sensor_msgs/Imu as having no orientation."""
 
 
 def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
-    """NAME.bag, camchain-imucam.yaml and imu.yaml."""
+    """Write NAME.bag, camchain-imucam.yaml, imu.yaml and README.txt."""
     topics = {name: f"/cam{index}/image_raw" for index, name in enumerate(sequence.cameras)}
     types = dict.fromkeys(topics.values(), IMAGE) | {IMU_TOPIC: IMU} | ({TRUTH_TOPIC: POSE} if truth else {})
     messages = Messages(topics)
@@ -62,7 +62,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
 
 @dataclass(frozen=True)
 class Pose:
-    """Of the IMU in map: position (3,) m and quaternion x y z w (4,)."""
+    """Pose of the IMU in map: position (3,) m and quaternion x y z w (4,)."""
 
     stamp_ns: int
     position: Array
@@ -77,7 +77,7 @@ def _truth(sequence: Sequence) -> Iterator[Pose]:
 
 
 class Messages:
-    """Measurements as messages of ROS 1. topics: of the cameras, by their names"""
+    """Encoder of measurements as ROS 1 messages. topics: those of the cameras, by camera name"""
 
     def __init__(self, topics: dict[str, str]) -> None:
         self.types = get_typestore(Stores.ROS1_NOETIC)

@@ -1,4 +1,4 @@
-"""How far an export has come: a format says what it will write, and counts it while it writes."""
+"""Progress of an export: a format announces what it will write, and counts it while writing."""
 
 from __future__ import annotations
 
@@ -11,43 +11,43 @@ from oysterbench.sequence.types import Sequence
 T = TypeVar("T")
 
 Progress = Callable[[int, int], None]
-"""Called with what is done, and what there is to do."""
+"""Called with the number of steps done and the total."""
 
 
 class Steps:
-    """Counts towards a total that a format says before it begins; what it counts are pictures, pings or rows.
+    """Counter towards a total that a format announces before it starts; it counts images, pings or rows.
 
-    room: looked at while it counts, where what will not fit is to end at once
+    room: checked while counting, so that an export that will not fit ends early
     """
 
     def __init__(self, progress: Progress = lambda done, total: None, room: Room | None = None) -> None:
         self._progress, self._room, self._done, self._total = progress, room, 0, 0
 
     def expect(self, count: int) -> None:
-        """There are so many more to come."""
+        """Announce `count` more steps."""
         self._total += count
         self._progress(self._done, self._total)
 
     def counted(self, items: Iterable[T]) -> Iterator[T]:
-        """The items, each counted when it was dealt with."""
+        """Yield the items, counting each once it has been processed."""
         for item in items:
             yield item
             self.done()
 
     def done(self) -> None:
-        """One more was dealt with."""
+        """Count one more step. Raises MachineError where the rest will not fit on the disk."""
         self._done += 1
         self._progress(self._done, max(self._done, self._total))
         if self._room is not None:
             self._room.check(self._done, self._total)
 
     def need(self, size: int) -> None:
-        """So many bytes will be written. Raises MachineError where they do not fit."""
+        """Announce that `size` bytes will be written. Raises MachineError where they do not fit."""
         if self._room is not None:
             self._room.need(size)
 
 
 def frames(sequence: Sequence, cameras: Iterable[str], leaf: str = "image") -> int:
-    """How many pictures of cameras, or layers of theirs, a sequence lists; 0 where it lists none."""
+    """Number of images of cameras, or of their layer `leaf`, that a sequence lists; 0 where it lists none."""
     counts = {topic: count for topic, _, count in sequence.contents()}
     return sum(counts.get(f"/{camera}/{leaf}", counts.get(camera, 0)) for camera in cameras)

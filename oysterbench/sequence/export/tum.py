@@ -15,12 +15,12 @@ from oysterbench.sequence.types import CameraCalibration, Sequence
 
 OWN = ("Stamps are in s. accelerometer.txt is of the IMU, in its frame; the layout has no place for a gyroscope.",)
 DEPTH_STEPS = 5000.0
-"""Numbers of a depth image in a metre; 65535, the greatest, is 13.1 m."""
+"""Depth image units per metre; the maximum, 65535, is 13.1 m."""
 PLACE = f"groundtruth.txt, of the camera, and in depth/, {DEPTH_STEPS:g} to the metre"
 
 
 def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
-    """Of one camera: the first with depth, or else the first."""
+    """Write one camera: the first with depth, or else the first."""
     depth_of = {topic.split("/")[1] for topic, _, _ in sequence.contents() if topic.endswith("/depth")}
     name = next((camera for camera in sequence.cameras if camera in depth_of), None) or any_camera(sequence, "tum")
     with_depth = truth and name in depth_of
@@ -56,7 +56,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
 
 
 def _write_depth(sequence: Sequence, name: str, folder: Path, steps: Steps) -> int:
-    """Depth images, 0 = none. Returns how many pixels are too far for the format."""
+    """Write depth images, 0 = none. Returns how many pixels are too far for the format."""
     (folder / "depth").mkdir()
     rows, far = [f"# depth maps of {name}, {DEPTH_STEPS:g} to the metre", "# timestamp filename"], 0
     for image in steps.counted(sequence.layer(name, "depth")):
