@@ -1,1 +1,1 @@
-"""Image formation: light, water and cameras; the only home of ray-casting kernels."""
+"""Image formation: light, water and cameras; the only package with ray-casting kernels."""

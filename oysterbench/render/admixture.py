@@ -1,8 +1,8 @@
-"""What more particles do to a water's light, per unit of them: the water solved with and without, and the difference.
+"""Effect of added particles on a water's light, per unit of them: the difference of the solutions with and without.
 
-Two are known: more of the water's own particles, and silt, which is mineral and so nearly the same at all wavelengths.
-Because the difference is that of two whole solutions, water with a unit of an admixture everywhere looks like the water
-whose recipe says so.
+There are two kinds: more of the water's own particles, and silt, which is mineral and so nearly the same at all
+wavelengths. Because the difference is that of two full solutions, water with a unit of an admixture everywhere looks
+like water whose recipe contains it.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from oysterbench.render.spectra import (
 from oysterbench.render.water import ASYMMETRY, IMAGE_CONE_RAD, LEAST_RADIANCE, NEARBY_M, Water, forward_share, steady
 
 SILT_SLOPE = 0.4
-"""Of its scattering, a power of the wavelength: 0.1 to 1.2 in three estuaries, lowest where mineral (Doxaran, Babin &
+"""Exponent of silt's scattering over wavelength: 0.1 to 1.2 in three estuaries, lowest where mineral (Doxaran, Babin &
 Leymarie, Optics Express 15, 2007); Babin et al. 2003 find it small in all coastal waters."""
 SILT_ABSORPTION = 0.08
-"""At 440 nm over scattering at 550 nm: 0.041 over 0.51 m^2/g (Babin et al., J. Geophys. Res. 108 and Limnol. Oceanogr.
-48, 2003, means of coastal waters)."""
-SILT_UNIT = 5.0  # 1/m of attenuation in the water that the light in a plume is solved for
+"""Silt's absorption at 440 nm over its scattering at 550 nm: 0.041 over 0.51 m^2/g (Babin et al., J. Geophys. Res. 108
+and Limnol. Oceanogr. 48, 2003, means of coastal waters)."""
+SILT_UNIT = 5.0  # attenuation of silt, 1/m, for which the light in a plume is solved
 LEAST_AMOUNT = 1e-3  # unit metres
-LEAST_MORE = 0.25  # of the water's own particles, to tell the two waters apart
+LEAST_MORE = 0.25  # smallest relative excess of own particles, for the two solutions to differ
 
 
 @dataclass(frozen=True)
 class Admixture:
-    """Of a unit: direct, image, veil (R, 3), 1/m: attenuation of the sharp and of all the light of a surface in
-    daylight, and of the light that the water scatters in, at the ranges of the water's tables. scattering, spread (3,),
-    1/m: scattering and attenuation of a lamp's light. dimming (D, 3), 1/m: attenuation of daylight per metre of water
-    above, at the depths of the tables. glow (D, K, 3), 1/m: radiance that a metre scatters into a view ray, over the
-    irradiance there (times pi, as Water.veil)."""
+    """Effect of one unit of particles: direct, image, veil (R, 3), 1/m: attenuation of the sharp and of all the light
+    of a surface in daylight, and of the light that the water scatters in, at the ranges of the water's tables.
+    scattering, spread (3,), 1/m: scattering and attenuation of a lamp's light. dimming (D, 3), 1/m: attenuation of
+    daylight per metre of water above, at the depths of the tables. glow (D, K, 3), 1/m: radiance scattered into a view
+    ray per metre, over the irradiance there (times pi, as Water.veil)."""
 
     direct: Array
     image: Array
@@ -57,7 +57,7 @@ class Admixture:
 
 @dataclass(frozen=True)
 class Ambient:
-    """Even water as admixtures see it. glow (D, K, 3), 1/m, as of an Admixture; left (R, 3): share of it that is left
+    """Uniform water without admixtures. glow (D, K, 3), 1/m, as in Admixture; left (R, 3): share of it that is left
     after the ranges; sky (K, 3): radiance just below the surface, times pi, over the irradiance there."""
 
     glow: Array
@@ -66,7 +66,7 @@ class Ambient:
 
 
 def silt(attenuation: float) -> Constituents:
-    """Silt of that attenuation at 550 nm, 1/m."""
+    """Silt with the given attenuation at 550 nm, 1/m."""
     absorbed = SILT_ABSORPTION * np.exp(-NAP_SLOPE * (SCATTERING_NM - REFERENCE_NM))
     scattering = attenuation / (1.0 + float(absorbed))
     return Constituents(cdom=0.0, nap=SILT_ABSORPTION * scattering, algae=0.0, scattering=scattering, slope=SILT_SLOPE)
@@ -75,9 +75,9 @@ def silt(attenuation: float) -> Constituents:
 def admixtures(
     recipe: WaterRecipe, water: Water, daylight: Daylight, depth_m: float
 ) -> tuple[Ambient, Admixture, Admixture]:
-    """Even water, more of its own particles, and silt, for surfaces about depth_m below the water's.
+    """Uniform water, more of its own particles, and silt, for surfaces about depth_m below the water's surface.
 
-    A unit of its own particles doubles them; a unit of silt attenuates by 1 per metre at 550 nm.
+    One unit of its own particles doubles them; one unit of silt attenuates by 1 per metre at 550 nm.
     """
     there = water_constituents(recipe)
     own = dataclasses.replace(there, cdom=0.0)
@@ -99,7 +99,7 @@ def admixtures(
 
 
 class Solution:
-    """Water of absorption and scattering (L,), 1/m, solved under a daylight."""
+    """The light field in water of absorption a and scattering b (L,), 1/m, solved for a given daylight."""
 
     def __init__(self, a: Array, b: Array, daylight: Daylight) -> None:
         self.a, self.b = a, b
@@ -109,11 +109,12 @@ class Solution:
         self.fields = [solve_daylight(x, y, ASYMMETRY, daylight, z) for x, y, z in lines]
 
     def irradiance(self, depths: Array) -> Array:
-        """(D, L), over that just below the surface."""
+        """Irradiance (D, L) at depths (D,) m over that just below the surface."""
         return np.stack([field.irradiance(depths) for field in self.fields], axis=1)
 
     def source(self, depths: Array, cosines: Array) -> Array:
-        """Radiance (D, K, L) that a metre of water adds to a view ray, 1/m: c' L + mu dL / dz, as the veil begins."""
+        """Radiance (D, K, L) that water adds to a view ray per metre, 1/m: c' L + mu dL / dz, the initial slope of the
+        veil."""
         here, nearby = (
             np.stack([f.radiance(z, cosines) for f in self.fields], axis=2) for z in (depths, depths + NEARBY_M)
         )
@@ -121,12 +122,12 @@ class Solution:
         return np.asarray(np.maximum(slope, LEAST_RADIANCE))
 
     def level_source(self, depth_m: float) -> Array:
-        """The source in each channel (3, L) along a level ray."""
+        """Source along a level ray, weighted for each channel (3, L)."""
         return np.asarray(camera_weights() * self.source(np.array([depth_m]), np.zeros(1))[0])
 
 
 def _glow(solution: Solution, water: Water) -> Array:
-    """(D, K, 3), 1/m."""
+    """Glow (D, K, 3), 1/m, of a solution at the depths and cosines of the water's tables; see Admixture."""
     weights = camera_weights()
     irradiance = np.maximum(solution.irradiance(water.depths) @ weights.T, LEAST_RADIANCE)
     return np.asarray(np.pi * solution.source(water.depths, water.cosines) @ weights.T / irradiance[:, None])
@@ -142,10 +143,10 @@ def _admixture(
     daylight: Daylight,
     depth_m: float,
 ) -> Admixture:
-    """Particles, of which `more` units tell the two waters apart.
+    """Effect per unit of particles, from the difference of the solutions with and without `more` units of them.
 
-    along (R,), m: units of them on the way to the water's ranges, for which the attenuations are exact. everywhere:
-    whether they colour the daylight at depth_m too.
+    along (R,), unit metres: amount of them on the way to the water's ranges for which the attenuations are exact.
+    everywhere: whether they also colour the daylight at depth_m.
     """
     weights, depths = camera_weights(), water.depths
     a, b = particles.absorption() - WATER_ABSORPTION, particles.scatter()
@@ -174,7 +175,7 @@ def _admixture(
 
 
 def _left(signal: Array, even: Array, ranges: Array, unit: Array, amount: Array) -> Array:
-    """Share (R, 3) of a signal (3, L) left after ranges (R,) m of even water and an amount (R, 1) of particles that
-    attenuate by `unit` (L,), 1/m."""
+    """Share (R, 3) of a signal (3, L) left after ranges (R,) m of water that attenuates by `even` (L,), 1/m, and an
+    amount (R, 1) of particles that attenuate by `unit` (L,), 1/m."""
     left = np.exp(-ranges[:, None] * even - amount * unit)
     return np.asarray(left @ (signal / signal.sum(axis=1, keepdims=True)).T)

@@ -1,4 +1,4 @@
-"""Least, greatest and clamped of numbers that are never NaN: Warp's own look for NaN, which takes longer."""
+"""Minimum, maximum and clamp of numbers that are never NaN; Warp's own functions check for NaN, which is slower."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import warp as wp
 
 @wp.func
 def lesser(a: float, b: float):
-    """The lesser of two."""
+    """Lesser of two numbers."""
     return wp.where(a < b, a, b)
 
 
 @wp.func
 def greater(a: float, b: float):
-    """The greater of two."""
+    """Greater of two numbers."""
     return wp.where(a > b, a, b)
 
 
 @wp.func
 def clamped(x: float, low: float, high: float):
-    """A number where it lies from `low` to `high`, else the nearer of these."""
+    """Clamp a number to the range from `low` to `high`."""
     return lesser(greater(x, low), high)

@@ -1,8 +1,8 @@
-"""Light scattered forward: drawn blurred, by a point spread that is a mixture of three normal distributions.
+"""Forward-scattered light, blurred with a point spread function that is a mixture of three normal distributions.
 
 The mixture is fitted to single scattering in a cone by the Henyey-Greenstein function, anywhere along the path
-(apparent angle = scattering angle * U(0, 1)); its largest error as a distribution of angle is 0.026. The blurs are made
-on reduced pictures, wider ones on smaller.
+(apparent angle = scattering angle * U(0, 1)); its largest error as a distribution of angle is 0.026. The blurs are
+computed on downsampled images, wider blurs on smaller ones.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from oysterbench.render.target import KERNEL_OPTIONS
 wp.set_module_options(KERNEL_OPTIONS)
 
 SHARES = (0.171, 0.488, 0.341)
-WIDTHS = (0.12, 0.71, 2.84)  # of Water.spread_rad: standard deviation along either axis
-REACH = 2.5  # standard deviations to which a blur is summed
-COARSEST = 4  # reduced pictures have 1 / 2 to 1 / 16 of the pixels a side
+WIDTHS = (0.12, 0.71, 2.84)  # standard deviation along either axis, relative to Water.spread_rad
+REACH = 2.5  # truncation of a blur, in standard deviations
+COARSEST = 4  # coarsest level: downsampled images have 1 / 2 to 1 / 16 of the pixels per side
 
 
 class Blur:
-    """Blurs a picture (H, W) of vec3 on the device."""
+    """Blurs an image (H, W) of vec3 on the device."""
 
     def __init__(self, shape: tuple[int, int], focal_px: float, spread_rad: float, device: str) -> None:
         self.device = device
@@ -37,7 +37,7 @@ class Blur:
             self._steps.append((level, kernel, *(wp.zeros(small, dtype=wp.vec3, device=device) for _ in range(3))))
 
     def spread(self, picture: wp.array, blurred: wp.array) -> None:
-        """Write the blurred picture into `blurred`."""
+        """Write the blurred image into `blurred`."""
         levels = []
         for level, kernel, reduced, across, done in self._steps:
             shape = reduced.shape
@@ -50,7 +50,7 @@ class Blur:
 
 @wp.kernel
 def reduce(picture: wp.array2d(dtype=wp.vec3), block: int, reduced: wp.array2d(dtype=wp.vec3)):
-    """Means of blocks of pixels."""
+    """Average blocks of pixels."""
     i, j = wp.tid()
     total = wp.vec3(0.0, 0.0, 0.0)
     rows = wp.min(block, picture.shape[0] - i * block)
@@ -65,7 +65,7 @@ def reduce(picture: wp.array2d(dtype=wp.vec3), block: int, reduced: wp.array2d(d
 def smear(
     picture: wp.array2d(dtype=wp.vec3), weights: wp.array(dtype=wp.float32), axis: int, out: wp.array2d(dtype=wp.vec3)
 ):
-    """Weighted mean along an axis; what lies beyond the border is not known and does not count."""
+    """Take the weighted mean along an axis (0 horizontal, 1 vertical); pixels beyond the border do not count."""
     i, j = wp.tid()
     total = picture[i, j] * weights[0]
     sum = weights[0]
@@ -88,7 +88,7 @@ def smear(
 
 @wp.func
 def enlarged(picture: wp.array2d(dtype=wp.vec3), block: int, i: int, j: int):
-    """A reduced picture at a pixel of the whole one, bilinear."""
+    """Value of a downsampled image at a pixel of the full-size one, interpolated bilinearly."""
     y = wp.clamp((float(i) + 0.5) / float(block) - 0.5, 0.0, float(picture.shape[0] - 1))
     x = wp.clamp((float(j) + 0.5) / float(block) - 0.5, 0.0, float(picture.shape[1] - 1))
     r = wp.min(int(y), picture.shape[0] - 1)
@@ -112,7 +112,7 @@ def join(
     shares: wp.vec3,
     out: wp.array2d(dtype=wp.vec3),
 ):
-    """The mixture of the three blurs."""
+    """Mix the three blurs."""
     i, j = wp.tid()
     total = enlarged(fine, fine_block, i, j) * shares[0]
     total += enlarged(middle, middle_block, i, j) * shares[1]

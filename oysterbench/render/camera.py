@@ -1,4 +1,4 @@
-"""A camera in a world: colour, depth along the axis, classes and instances, and what the picture is made of."""
+"""A camera in a world: colour, depth along the axis, classes and instances, and the layers that make up the image."""
 
 from __future__ import annotations
 
@@ -73,17 +73,17 @@ LAYERS = (
     "transmittance",
 )
 UNLIT = ("depth", "normals", "classes", "instances", "visibility", "dynamic", "flow")
-"""Layers that no light is needed for: without others, they cost a tenth of a picture."""
+"""Layers that need no light: without any others, they cost a tenth of a rendered image."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What a camera sees at one pose.
+    """Image and ground truth of a camera at one pose.
 
     colour (H, W, 3) uint8 RGB; depth (H, W) float32, m along the optical axis, 0 where nothing is within the camera's
-    max_range_m; classes (H, W) uint8 as in recipe.CLASSES; instances (H, W) uint16, 0 for none, one more than the
-    world's last for the vehicle, and from two more on what roams (scene.life). Depth, classes and instances are those
-    of the ray through the pixel's centre.
+    max_range_m; classes (H, W) uint8 as in recipe.CLASSES; instances (H, W) uint16: 0 for none, the world's last id + 1
+    for the vehicle, and from + 2 on for roaming things (scene.life). Depth, classes and instances belong to the ray
+    through the pixel's centre.
     """
 
     colour: NDArray[np.uint8]
@@ -93,14 +93,14 @@ class Frame:
 
 
 def warm_up(device: str = "cpu") -> None:
-    """Compile and load the kernels, into Warp's cache, so that processes started later find them there."""
+    """Compile and load the kernels into Warp's cache, where processes started later find them."""
     start_warp()
     for module in MODULES:
         wp.load_module(module, device=device)
 
 
 class CameraRenderer(ViewTracer):
-    """Renders a world for one camera: what ViewTracer traces as frames and as layers."""
+    """Renders a world for one camera: turns what ViewTracer traces into frames and layers."""
 
     def __init__(
         self,
@@ -134,12 +134,12 @@ class CameraRenderer(ViewTracer):
         passage: Passage = STILL,
         exposure: sensor.Exposure | None = None,
     ) -> Frame:
-        """Frame from the pose T_map_cam (4, 4) of the optical frame in `map`; `generator` gives the sensor's noise.
+        """Render a frame at the pose T_map_cam (4, 4) of the optical frame in `map`; `generator` draws sensor noise.
 
-        time_s moves waves and marine snow. T_map_base: where the vehicle is, for cameras that it does not carry as the
-        recipe says. passage: how the camera moves meanwhile; what moves by itself is where it is at time_s in all
-        rows. Depth, classes and instances are those of each row's own pose, in the middle of its exposure. exposure: as
-        metered now, instead of the recipe's.
+        time_s moves waves and marine snow. T_map_base: pose of the vehicle, for cameras not mounted on it as the recipe
+        says. passage: the camera's motion during the exposure; moving things are where they are at time_s, in all rows.
+        Depth, classes and instances belong to each row's own pose, in the middle of its exposure. exposure: replaces
+        the recipe's, as currently metered.
         """
         exposure = exposure or self.exposure
         self._prepare(T_map_cam, time_s, T_map_base)
@@ -175,7 +175,7 @@ class CameraRenderer(ViewTracer):
     def truth(
         self, T_map_cam: Pose, time_s: float = 0.0
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.uint16]]:
-        """Depth, classes and instances at a pose, as in Frame, without the light: a tenth of a picture's time."""
+        """Depth, classes and instances at a pose, as in Frame, without the light: a tenth of the time of an image."""
         self._place(np.asarray(T_map_cam, dtype=float) @ np.linalg.inv(camera_pose(self.camera)), time_s)
         self._cast(self._view(T_map_cam))
         depth, classes, instances = (array.numpy().copy() for array in self._truth)
@@ -190,18 +190,20 @@ class CameraRenderer(ViewTracer):
         passage: Passage = STILL,
         following: Moment | None = None,
     ) -> dict[str, NDArray[np.generic]]:
-        """What the picture at a pose is made of, each by its name in LAYERS, before lens shading, exposure and noise.
+        """Layers of the image at a pose, by their names in LAYERS, before lens shading, exposure and noise.
 
-        Radiances (H, W, 3) float32, of which 1 is a white matte surface's in full daylight at the surface: `direct`,
-        `forward_scatter`, `backscatter` (of daylight and lamps) and `snow` (what flakes change) add up to `radiance`;
-        `clean` is the same light in the same place without any water. depth, classes, instances: as in
-        Frame. dynamic (H, W) uint8: 1 where something moves by itself, be it the vehicle, and 0 elsewhere; shadows do
-        not count. flow (H, W, 2) float32: px to the right and down that what a pixel shows moves in the picture until
-        the moment `following`; NaN where nothing is, and for what is then behind the camera. normals (H, W, 3)
-        float32: outward unit normals in the optical frame, 0 where nothing is. visibility (N,) float32 by instance
-        number: pixels in which it is seen over those in which it would be if it were alone; NaN for what has none.
-        transmittance (H, W) float32: share in green of a surface's daylight that arrives, sharp or blurred; 0 where
-        nothing is. passage: as for `render`; layers are those of an instant in each row.
+        Radiances (H, W, 3) float32, where 1 is that of a white matte surface in full daylight at the surface: `direct`,
+        `forward_scatter`, `backscatter` (of daylight and lamps) and `snow` (the change made by flakes) add up to
+        `radiance`; `clean` is the same light in the same place without any water. depth, classes, instances: as in
+        Frame. dynamic (H, W) uint8: 1 where something moves by itself, including the vehicle, and 0 elsewhere; shadows
+        do not count. flow (H, W, 2) float32: displacement in px, to the right and down, of the point seen in a pixel
+        until the moment `following`; NaN where there is nothing, and for points that are then behind the camera.
+        normals (H, W, 3) float32: outward unit normals in the optical frame, 0 where there is nothing. visibility (N,)
+        float32 by instance number: pixels in which it is seen over those in which it would be seen on its own; NaN if
+        there are none. transmittance (H, W) float32: share, in green, of a surface's daylight that arrives, sharp or
+        blurred; 0 where there is nothing. passage: as for `render`; layers show a single instant in each row.
+
+        Raises ValueError for unknown names, and for `flow` without `following`.
         """
         unknown = sorted(set(names) - set(LAYERS))
         if unknown:
@@ -240,7 +242,7 @@ class CameraRenderer(ViewTracer):
         return {name: found[name] for name in names}
 
     def _light_layers(self, T_map_cam: Pose, time_s: float, passage: Passage) -> dict[str, NDArray[np.generic]]:
-        """The light that arrives in each pixel, and its parts."""
+        """Layers of the light that arrives in each pixel: radiance and its parts."""
         radiance = self._expose(T_map_cam, time_s, Passage(passage.rows), ideal=True).numpy().copy()
         share = self._blur_share
         direct, forward_scatter, backscatter = (
@@ -259,7 +261,7 @@ class CameraRenderer(ViewTracer):
         }
 
     def _visibility(self, view: CameraView, instances: NDArray[np.uint16]) -> NDArray[np.float32]:
-        """Visible over unhidden pixels (N,) of each instance number, NaN where there are none."""
+        """Visible pixels over unoccluded pixels (N,) by instance number, NaN where there are none."""
         counts = wp.zeros(self._count + 1, dtype=wp.int32, device=self.device)
         inputs = [self._geometry, view]
         wp.launch(visibility.count_unhidden, instances.shape, inputs=inputs, outputs=[counts], device=self.device)

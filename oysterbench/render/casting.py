@@ -1,7 +1,7 @@
-"""Rays against a world: the seabed's relief and skirt, and a tree of boxes over the instances, each in its own frame.
+"""Ray casting into a world: the seabed's relief and skirt, and a tree of boxes over instances, each in its own frame.
 
-Every ray sensor uses these functions. A ray is origin + t * direction; the direction need not have unit length, t
-counts in its lengths.
+Every ray sensor uses these functions. A ray is origin + t * direction; the direction need not have unit length, and t
+is in units of its length.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ RELIEF = wp.constant(-2)
 SKIRT = wp.constant(-3)
 VEHICLE = wp.constant(-4)
 
-FAR_M = wp.constant(150.0)  # past the skirt of every seabed
+FAR_M = wp.constant(150.0)  # beyond the skirt of every seabed
 
 
 @wp.struct
 class Placed:
-    """An instance: a point p in `map` is to_shape * (p - position) in its mesh; rotation and scale are its pose's.
+    """An instance: a point p in `map` is to_shape * (p - position) in its mesh; rotation and scale belong to its pose.
 
-    root: of its mesh's tree in Geometry.library. first_corner: where its mesh's corners start in Geometry.corners.
-    number: in instance images. The rest is for shading.
+    root: root of its mesh's tree in Geometry.library. first_corner: where its mesh's corners start in Geometry.corners.
+    number: id in instance images. The rest is for shading.
     """
 
     to_shape: wp.mat33
@@ -43,10 +43,10 @@ class Placed:
 
 @wp.struct
 class Vehicle:
-    """The rig's body, where it is now: rotation takes base_link into `map`; mesh 0 is none. marks are albedos.
+    """The rig's body at its current pose: rotation from base_link to `map`; mesh 0 for none. marks are albedos.
 
-    radius: of the sphere around the origin that holds it, m; low, high: corners of the box that does. number: in
-    instance images.
+    radius: of the bounding sphere about the origin, m; low, high: corners of the bounding box. number: id in instance
+    images.
     """
 
     mesh: wp.uint64
@@ -63,11 +63,11 @@ class Vehicle:
 
 @wp.struct
 class Geometry:
-    """A world on a device. Corners, points, normals and marks of all library meshes are end to end.
+    """A world on a device. Corners, points, normals and marks of all library meshes are concatenated.
 
-    placed: what stands still, in `tree` and, as Warp's, in `boxes`; then, from first_swaying, the plants that sway, in
-    the tree `swaying`; then, from first_roaming, what roams, in the tree `roaming` (movers.py places these). shaded:
-    where, on a grid over the reef, indexed [y, x], what roams may stand before the sun.
+    placed: instances at rest, in `tree` and, as a Warp tree, in `boxes`; then, from first_swaying, the swaying plants,
+    in the tree `swaying`; then, from first_roaming, roaming things, in the tree `roaming` (placed by movers.py).
+    shaded: cells of a grid over the reef, indexed [y, x], where roaming things may block the sun.
     """
 
     relief: Relief
@@ -97,8 +97,8 @@ class Geometry:
 
 @wp.struct
 class Hit:
-    """Nearest surface: instance is its row, or RELIEF, SKIRT, VEHICLE or NOTHING; u, v weigh the face's first two
-    corners."""
+    """Nearest surface: instance is its row, or RELIEF, SKIRT, VEHICLE or NOTHING; u, v are the weights of the face's
+    first two corners."""
 
     t: wp.float32
     instance: wp.int32
@@ -109,14 +109,14 @@ class Hit:
 
 @wp.func
 def near_vehicle(vehicle: Vehicle, origin: wp.vec3, direction: wp.vec3):
-    """Whether the line of a ray passes the sphere around the vehicle."""
+    """Whether the line of a ray passes through the sphere around the vehicle."""
     across = wp.cross(vehicle.position - origin, direction)
     return wp.dot(across, across) < vehicle.radius * vehicle.radius * wp.dot(direction, direction)
 
 
 @wp.func
 def meets_box(low: wp.vec3, high: wp.vec3, origin: wp.vec3, direction: wp.vec3):
-    """Whether a ray meets a box, by slabs."""
+    """Whether a ray meets a box, by the slab method."""
     enter = wp.float32(0.0)
     leave = wp.float32(FAR_M)
     for axis in range(3):
@@ -132,7 +132,7 @@ def meets_box(low: wp.vec3, high: wp.vec3, origin: wp.vec3, direction: wp.vec3):
 
 @wp.func
 def cast_instance(world: Geometry, i: int, origin: wp.vec3, direction: wp.vec3, max_t: float):
-    """Where a ray meets instance i; NOTHING where it does not before max_t."""
+    """Hit of a ray on instance i; NOTHING if there is none before max_t."""
     hit = Hit()
     hit.t = max_t
     hit.instance = NOTHING
@@ -150,7 +150,7 @@ def cast_instance(world: Geometry, i: int, origin: wp.vec3, direction: wp.vec3, 
 
 @wp.func
 def cast_vehicle(vehicle: Vehicle, origin: wp.vec3, direction: wp.vec3, max_t: float):
-    """Where a ray meets the vehicle, if there is one; NOTHING where it does not before max_t."""
+    """Hit of a ray on the vehicle, if there is one; NOTHING if there is none before max_t."""
     hit = Hit()
     hit.t = max_t
     hit.instance = NOTHING
@@ -172,7 +172,7 @@ def cast_vehicle(vehicle: Vehicle, origin: wp.vec3, direction: wp.vec3, max_t: f
 
 @wp.func
 def cast_surface(world: Geometry, surface: int, origin: wp.vec3, direction: wp.vec3, max_t: float):
-    """Where a ray meets one instance, or the vehicle; NOTHING for all else, and where it does not before max_t."""
+    """Hit of a ray on one instance, or the vehicle; NOTHING for other surfaces, or if there is none before max_t."""
     hit = Hit()
     hit.t = max_t
     hit.instance = NOTHING
@@ -185,7 +185,7 @@ def cast_surface(world: Geometry, surface: int, origin: wp.vec3, direction: wp.v
 
 @wp.func
 def near_roaming(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
-    """Whether a ray passes the box of anything that roams."""
+    """Whether a ray meets the box of any roaming thing before max_t."""
     near = wp.bool(False)
     if world.roaming_count > 0:
         query = wp.bvh_query_ray(world.roaming, origin, direction)
@@ -196,7 +196,7 @@ def near_roaming(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: fl
 
 @wp.func
 def cast_instances(world: Geometry, origin: wp.vec3, direction: wp.vec3, known: Hit, any: int):
-    """The nearest of a hit that is known and the instances on a ray; with `any`, the first that is found."""
+    """Nearest of a known hit and the instances at rest on a ray; with `any`, the first instance found."""
     hit = known
     back = inverse(direction)
     waiting = Waiting()
@@ -246,7 +246,7 @@ def cast_instances(world: Geometry, origin: wp.vec3, direction: wp.vec3, known: 
 
 @wp.func
 def under_roaming(world: Geometry, p: wp.vec3):
-    """False only where nothing that roams can stand between a point and the sun."""
+    """False only if no roaming thing can be between a point and the sun."""
     under = wp.bool(False)
     if world.roaming_count > 0:
         i = int(wp.floor((p[1] - world.shaded_start) / world.shaded_step))
@@ -259,7 +259,7 @@ def under_roaming(world: Geometry, p: wp.vec3):
 
 @wp.func
 def cast_moving(world: Geometry, tree: wp.uint64, first: int, origin: wp.vec3, direction: wp.vec3, nearest: Hit):
-    """The nearest hit of a ray when the rows from `first` on, in a tree of their own, are seen as well."""
+    """Nearest of a known hit and the rows from `first` on, which have their own tree, on a ray."""
     hit = nearest
     query = wp.bvh_query_ray(tree, origin, direction)
     i = wp.int32(0)
@@ -272,7 +272,7 @@ def cast_moving(world: Geometry, tree: wp.uint64, first: int, origin: wp.vec3, d
 
 @wp.func
 def blocked_by_moving(world: Geometry, tree: wp.uint64, first: int, origin: wp.vec3, direction: wp.vec3, max_t: float):
-    """Whether one of the rows from `first` on, in a tree of their own, lies on a ray before max_t."""
+    """Whether any of the rows from `first` on, which have their own tree, lies on a ray before max_t."""
     query = wp.bvh_query_ray(tree, origin, direction)
     i = wp.int32(0)
     while wp.bvh_query_next(query, i, max_t):
@@ -287,7 +287,7 @@ def blocked_by_moving(world: Geometry, tree: wp.uint64, first: int, origin: wp.v
 
 @wp.func
 def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
-    """Nearest hit of a ray."""
+    """Nearest hit of a ray in the world; NOTHING if there is none before max_t."""
     hit = Hit()
     hit.t = max_t
     hit.instance = NOTHING
@@ -350,7 +350,8 @@ def blocked(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float, 
 
 @wp.func
 def blend(normals: wp.array(dtype=wp.vec3), corners: wp.array(dtype=wp.int32), first: int, u: float, v: float):
-    """Vertex normals (or points, or marks) of the face whose corners start at `first`, weighed by u, v, 1 - u - v."""
+    """Mean of the vertex normals (or points, or marks) of the face whose corners start at `first`, with weights u, v
+    and 1 - u - v."""
     a = normals[corners[first]]
     b = normals[corners[first + 1]]
     c = normals[corners[first + 2]]
@@ -369,7 +370,7 @@ def surface_normal(world: Geometry, hit: Hit, p: wp.vec3):
         first = world.placed[hit.instance].first_corner + 3 * hit.face
         local = blend(world.normals, world.corners, first, hit.u, hit.v)
         normal = world.placed[hit.instance].rotation * wp.cw_div(local, world.placed[hit.instance].scale)
-        if world.swaying_count > 0 and hit.instance >= world.first_swaying:  # sheared besides
+        if world.swaying_count > 0 and hit.instance >= world.first_swaying:  # also sheared
             normal = wp.transpose(world.placed[hit.instance].to_shape) * local
     elif hit.instance == VEHICLE:
         body = blend(world.vehicle.normals, world.vehicle.corners, 3 * hit.face, hit.u, hit.v)

@@ -1,8 +1,8 @@
-"""Caustics: what the waves on the surface make of the sun on the bottom.
+"""Caustics: the pattern of sunlight that surface waves focus onto the bottom.
 
-Travelling waves (deep water, omega^2 = g k) refract a grid of rays; the rays land on a level plane at the reef's depth
-and their density there is the irradiance. As every ray lands somewhere in the tile, its mean is 1 exactly. For the
-small slopes of the waves that matter, a ray is moved sideways by depth * (1 - 1 / n) * slope (Airy).
+Travelling waves (deep water, omega^2 = g k) refract a grid of rays; the rays land on a level plane at the reef's depth,
+where their density is the irradiance. As every ray lands somewhere in the tile, its mean is exactly 1. For the small
+slopes of the waves that matter, a ray is displaced sideways by depth * (1 - 1 / n) * slope (Airy).
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from oysterbench.render.water import DEPTHS, IMAGE_CONE_RAD, Water, forward_shar
 wp.set_module_options(KERNEL_OPTIONS)
 
 
-PERIOD_M = 4.0  # the waves repeat: few pictures see as far
-CELLS = 256  # of the tile, a side: 16 mm, about what the sun's disc blurs at 2 m
-RAYS = 512  # a side
+PERIOD_M = 4.0  # with which the waves repeat: few images see as far
+CELLS = 256  # of the tile, per side: 16 mm each, about the blur of the sun's disc at 2 m
+RAYS = 512  # per side
 WAVES = 24
 SHORTEST_M, LONGEST_M = 0.16, 2.0  # waves of the tile; shorter ones focus above the reef and leave no pattern
-SLOPE_SHARE = 0.35  # of the mean square slope of the sea that those waves carry
+SLOPE_SHARE = 0.35  # share of the mean square slope of the sea that is in these waves
 SPREAD_RAD = 0.7  # of the waves' directions about the wind's
 PATTERN_CONE_RAD = 0.1
-"""Sunlight scattered by less still draws the pattern (15 cm wide over 1.5 m); scattered by more it evens it out. What
-is scattered past IMAGE_CONE_RAD is no part of the beam that has a pattern, and here is what lies between."""
-UNIT = wp.constant(64)  # steps between two cells in which a landing place is counted
+"""Sunlight scattered by less than this still draws the pattern (15 cm wide over 1.5 m); scattered by more, it evens it
+out. Light scattered beyond IMAGE_CONE_RAD is not part of the patterned beam, so only the range in between counts."""
+UNIT = wp.constant(64)  # steps per cell in which a landing place is resolved
 
 
 class Waves:
-    """The surface over a reef in time: a fixed set of waves, and the tile of light that they make."""
+    """The water surface over a reef over time: a fixed set of waves, and the tile of light that they produce."""
 
     def __init__(self, recipe: LightRecipe, water: Water, depth_m: float, texture_seed: int, device: str) -> None:
         self.device = device
@@ -46,7 +46,7 @@ class Waves:
         heading = 2 * np.pi * generator.random() + SPREAD_RAD * generator.standard_normal(WAVES)
         self.steps = np.rint(PERIOD_M / lengths[:, None] * np.stack([np.cos(heading), np.sin(heading)], 1)).astype(int)
         self.steps[~self.steps.any(axis=1)] = (2, 0)
-        # Waves of even and odd numbers of crests along x and y apart, for `land`.
+        # Waves sorted by even and odd numbers of crests along x and y, for `land`.
         kinds = 2 * (self.steps[:, 1] & 1) + (self.steps[:, 0] & 1)
         order = np.argsort(kinds, kind="stable")
         self.steps = self.steps[order]
@@ -71,11 +71,11 @@ class Waves:
         self.light.fade_step = float(depths[1])
 
     def move(self, time_s: float) -> None:
-        """Bring the tile to a time."""
+        """Update the tile to a time."""
         if not self.light.on:
             return
         angle = self.phases - self.rates * time_s
-        # The slope of wave w at x is along * cos(k x + angle): its parts with the cosine and the sine of k x.
+        # The slope of wave w at x is along * cos(k x + angle): its coefficients of the cosine and the sine of k x.
         parts = np.concatenate([self.along * np.cos(angle)[:, None], -self.along * np.sin(angle)[:, None]], axis=1)
         moved = wp.array(np.round(parts * self.push, 6).astype(np.float32), dtype=wp.vec4, device=self.device)
         self._counts.zero_()
@@ -103,7 +103,7 @@ def pushed(
     i: int,
     j: int,
 ):
-    """How far waves from `first` to before `end` push the ray of a grid point, in cells."""
+    """Displacement, in cells, of the ray of grid point i, j by the waves from `first` to before `end`."""
     push = wp.vec2(0.0, 0.0)
     for w in range(first, end):
         k = (steps[w, 0] * j + steps[w, 1] * i) & (cosine.shape[0] - 1)
@@ -123,10 +123,10 @@ def land(
     sine: wp.array(dtype=wp.float32),
     counts: wp.array2d(dtype=wp.int32),
 ):
-    """Where the rays of four grid points half a period apart land, shared among cells in whole numbers.
+    """Distribute the rays of four grid points half a period apart among the cells where they land, in integers.
 
-    Sums of whole numbers agree in any order. Half a period on, waves with an odd number of crests have turned their
-    sign and the others have not: so four points share the sums over each kind of waves.
+    Sums of integers agree in any order. Half a period further on, waves with an odd number of crests have changed sign
+    and the others have not, so four points share the sums over each kind of waves.
     """
     i, j = wp.tid()
     n = cosine.shape[0]
@@ -158,7 +158,7 @@ def land(
 
 @wp.kernel
 def soften(counts: wp.array2d(dtype=wp.int32), tile: wp.array2d(dtype=wp.float32)):
-    """Relative irradiance: the counts under a binomial filter of three cells, for the width of the sun."""
+    """Compute relative irradiance: the counts under a binomial filter of three cells, for the width of the sun."""
     i, j = wp.tid()
     n = counts.shape[0]
     total = wp.int32(0)

@@ -1,4 +1,4 @@
-"""Coats of animals as Warp functions: linear albedo of fish by species, and mottles for all else that moves."""
+"""Coats of animals as Warp functions: linear albedo of fish by species, and mottling for everything else that moves."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ TOAD_LIGHT = wp.constant(wp.vec3(0.20, 0.165, 0.095))
 
 @wp.func
 def blended(a: wp.vec3, b: wp.vec3, share: float):
-    """From a to b."""
+    """Linear interpolation from a (share 0) to b (share 1)."""
     return a + (b - a) * share
 
 
 @wp.func
 def mottle(q: wp.vec3, size: float, footprint: float, seed: wp.uint32):
-    """Factor about 1 that varies over `size` m and a third of it; q m in the shape's frame."""
+    """Factor of about 1 that varies over `size` m and a third of it; q: point in the shape's frame, m."""
     coarse = noise3(q / size, seed)
     fine = noise3(q * (3.0 / size), seed + wp.uint32(1))
     return wp.max(0.3, 1.0 + 0.30 * coarse[0] * kept(size, footprint) + 0.18 * fine[0] * kept(0.33 * size, footprint))
@@ -33,7 +33,7 @@ def mottle(q: wp.vec3, size: float, footprint: float, seed: wp.uint32):
 
 @wp.func
 def fish_coat(mark: wp.vec3, colour: wp.vec3, length: float, footprint: float, seed: wp.uint32):
-    """Albedo of a fish; mark: place from nose to tail, from belly to back, and part, as in scene.life.fish."""
+    """Albedo of a fish; mark: position from nose to tail and from belly to back, and part, as in scene.life.fish."""
     along = mark[0]
     up = mark[1]
     part = int(mark[2] + 0.5)
@@ -59,7 +59,7 @@ def fish_coat(mark: wp.vec3, colour: wp.vec3, length: float, footprint: float, s
         spots = step_smoothly(-0.35, 0.45, blots + 0.5 * scales)
         albedo = blended(TOAD_DARK, TOAD_LIGHT, spots)
         albedo = blended(wp.vec3(0.24, 0.21, 0.15), albedo, step_smoothly(-0.9, -0.4, up))
-    else:  # a fin: thin and half clear, with rays
+    else:  # a fin: thin and translucent, with rays
         rays = wp.sin(150.0 * along + 8.0 * up) * kept(0.04 * length, footprint)
         albedo = wp.vec3(0.25, 0.245, 0.20) * (1.0 + 0.25 * rays)
     return wp.cw_mul(albedo, colour)

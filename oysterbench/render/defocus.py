@@ -1,4 +1,4 @@
-"""Defocus: what is nearer or farther than the focus is spread over its circle of confusion, in its pixels' depth."""
+"""Defocus: light from nearer or farther than the focus is spread over its circle of confusion, by depth per pixel."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from oysterbench.render.target import KERNEL_OPTIONS
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-SIDE = 16  # of the tiles in which the largest circle is sought
-LARGEST_PX = 12.0  # radius of a circle
-LEAST_PX = wp.constant(0.5)  # a circle that is not larger stays in its pixel
+SIDE = 16  # of the tiles in which the largest circle is found
+LARGEST_PX = 12.0  # largest radius of a circle
+LEAST_PX = wp.constant(0.5)  # circles of no larger radius stay in their pixel
 
 
 class Defocus:
-    """Spreads pictures (H, W) of vec3 on the device; aperture_m: diameter of the lens' opening."""
+    """Defocuses images (H, W) of vec3 on the device; aperture_m: diameter of the lens aperture."""
 
     def __init__(self, shape: tuple[int, int], focal_px: float, aperture_m: float, focus_m: float, device: str) -> None:
         self.device = device
@@ -27,7 +27,7 @@ class Defocus:
         self._largest = wp.zeros(tiles, dtype=wp.float32, device=device)
 
     def spread(self, picture: wp.array, hits: wp.array, spread: wp.array) -> None:
-        """Write the picture out of focus into `spread`."""
+        """Write the defocused image into `spread`."""
         inputs = [hits, *self._lens]
         wp.launch(find_circles, self.shape, inputs=inputs, outputs=[self.radii], device=self.device)
         largest = [self._largest]
@@ -40,14 +40,14 @@ class Defocus:
 def find_circles(
     hits: wp.array2d(dtype=Hit), scale: float, sharp: float, largest: float, radii: wp.array2d(dtype=wp.float32)
 ):
-    """Radius of each pixel's circle of confusion, px: f A |1 / z - 1 / focus| / 2 (thin lens)."""
+    """Compute the radius of each pixel's circle of confusion, px: f A |1 / z - 1 / focus| / 2 (thin lens)."""
     i, j = wp.tid()
     radii[i, j] = wp.min(scale * wp.abs(1.0 / depth_of(hits, i, j) - sharp), largest)
 
 
 @wp.kernel
 def largest_circle(radii: wp.array2d(dtype=wp.float32), side: int, largest: wp.array2d(dtype=wp.float32)):
-    """The largest radius in a tile and as far around it as a circle may reach."""
+    """Find the largest radius in each tile and as far around it as a circle can reach."""
     i, j = wp.tid()
     best = wp.float32(0.0)
     for row in range(wp.max(i * side - side, 0), wp.min((i + 2) * side, radii.shape[0])):
@@ -65,7 +65,7 @@ def collect(
     side: int,
     spread: wp.array2d(dtype=wp.vec3),
 ):
-    """The mean of the pixels whose circles reach a pixel; those behind it reach it no farther than its own circle."""
+    """Average the pixels whose circles reach a pixel; those behind it reach no farther than its own circle."""
     i, j = wp.tid()
     total = picture[i, j]
     reach = largest[i // side, j // side]

@@ -1,8 +1,8 @@
-"""What lies between an ideal picture and a file: softness of a lens, and what a camera makes of its sensor's picture.
+"""From an ideal image to a file: softness of the lens, and the processing inside a camera.
 
-Cheap cameras smooth what they take for noise, and faint texture with it; draw edges after with an unsharp mask, which
-leaves a bright and a dark seam beside them; and make contrast and colours stronger: on the coded levels, as their
-processors do.
+Cheap cameras smooth what they take for noise, and faint texture with it; sharpen edges with an unsharp mask, which
+leaves a bright and a dark halo beside them; and boost contrast and colours: on the encoded levels, as their processors
+do.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from oysterbench.render.target import KERNEL_OPTIONS
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-REACH = 3.0  # standard deviations to which a blur is summed
-MASK_PX = 1.3  # standard deviation of the blur that an unsharp mask takes away
+REACH = 3.0  # truncation of a blur, in standard deviations
+MASK_PX = 1.3  # standard deviation of the blur that an unsharp mask subtracts
 LUMA = wp.constant(wp.vec3(0.299, 0.587, 0.114))  # ITU-R BT.601
-MIDDLE = wp.constant(118.0)  # level of middle grey, 18 % of the light, by sRGB's gamma
-STEPS_PX = (1, 2)  # between the 5 x 5 taps of the passes of noise reduction
+MIDDLE = wp.constant(118.0)  # level of middle grey, 18 % of the light, in sRGB gamma
+STEPS_PX = (1, 2)  # spacing of the 5 x 5 taps in each pass of noise reduction
 
 
 def processes(camera: CameraRecipe) -> bool:
-    """Whether a camera makes anything of its sensor's picture."""
+    """Whether a camera processes its sensor's image at all."""
     return camera.denoising > 0 or camera.sharpening > 0 or camera.contrast != 1 or camera.saturation != 1
 
 
 def weights_of(sigma_px: float, device: str) -> wp.array:
-    """One side of a normal distribution (n,), its middle first, not normalised: blur.smear divides by its sum."""
+    """One side (n,) of a Gaussian kernel, centre first, not normalised: blur.smear divides by the sum."""
     offsets = np.arange(int(np.ceil(REACH * sigma_px)) + 1)
     weights = np.exp(-((offsets / max(sigma_px, 0.1)) ** 2) / 2)
     return wp.array(np.round(weights, 6).astype(np.float32), dtype=wp.float32, device=device)
 
 
 class Softness:
-    """Blurs pictures (H, W) of vec3 on the device alike everywhere: lens, demosaicing and what rescales video."""
+    """Blurs images (H, W) of vec3 on the device uniformly, as lens, demosaicing and video rescaling do."""
 
     def __init__(self, shape: tuple[int, int], sigma_px: float, device: str) -> None:
         self.device = device
@@ -44,14 +44,14 @@ class Softness:
         self._across = wp.zeros(shape, dtype=wp.vec3, device=device)
 
     def spread(self, picture: wp.array, blurred: wp.array) -> None:
-        """Write the blurred picture into `blurred`."""
+        """Write the blurred image into `blurred`."""
         shape, device = picture.shape, self.device
         wp.launch(smear, shape, inputs=[picture, self._weights, 0], outputs=[self._across], device=device)
         wp.launch(smear, shape, inputs=[self._across, self._weights, 1], outputs=[blurred], device=device)
 
 
 class Developer:
-    """Develops pictures (H, W, 3) of uint8 on the device: what `processes` them is in the camera's recipe."""
+    """Processes images (H, W, 3) of uint8 on the device according to the camera's recipe (see `processes`)."""
 
     def __init__(self, camera: CameraRecipe, device: str) -> None:
         shape = (camera.height, camera.width)
@@ -62,7 +62,7 @@ class Developer:
         self._levels, self._spare = (wp.zeros(shape, dtype=wp.vec3, device=device) for _ in range(2))
 
     def develop(self, colour: wp.array) -> None:
-        """Develop a picture in its place."""
+        """Process an image in place."""
         device, levels, spare = self.device, self._levels, self._spare
         shape = levels.shape
         wp.launch(read_levels, shape, inputs=[colour], outputs=[levels], device=device)
@@ -76,14 +76,15 @@ class Developer:
 
 @wp.kernel
 def read_levels(colour: wp.array3d(dtype=wp.uint8), levels: wp.array2d(dtype=wp.vec3)):
-    """Codes as numbers."""
+    """Convert 8-bit codes to floating-point levels."""
     i, j = wp.tid()
     levels[i, j] = wp.vec3(float(colour[i, j, 0]), float(colour[i, j, 1]), float(colour[i, j, 2]))
 
 
 @wp.kernel
 def denoise(levels: wp.array2d(dtype=wp.vec3), step: int, most: float, smooth: wp.array2d(dtype=wp.vec3)):
-    """Means over 5 x 5 pixels about as bright, by Tukey's biweight of the difference, which ends at `most` levels."""
+    """Average over 5 x 5 pixels of similar brightness, with Tukey's biweight of the difference, cut off at `most`
+    levels."""
     i, j = wp.tid()
     own = wp.dot(levels[i, j], LUMA)
     total = wp.vec3(0.0, 0.0, 0.0)
@@ -110,7 +111,7 @@ def finish(
     saturation: float,
     colour: wp.array3d(dtype=wp.uint8),
 ):
-    """Add to brightness what a blur has taken from it, stretch it about middle grey, move colours away from grey."""
+    """Sharpen the brightness with an unsharp mask, stretch it about middle grey, and move colours away from grey."""
     i, j = wp.tid()
     level = levels[i, j]
     grey = wp.dot(level, LUMA)

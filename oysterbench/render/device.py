@@ -1,4 +1,4 @@
-"""The device that renders: the processor, or a CUDA GPU."""
+"""The device that renders: the CPU, or a CUDA GPU."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from oysterbench.render.target import start_warp
 
 
 def check_device(name: str) -> None:
-    """Raise OysterbenchError unless Warp can compute on the device `cpu`, `cuda` or `cuda:N` of this machine."""
+    """Raise OysterbenchError unless Warp can compute on the named device of this machine: `cpu`, `cuda` or `cuda:N`."""
     if name == "cpu":
         return
     start_warp()

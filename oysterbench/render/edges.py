@@ -1,6 +1,6 @@
-"""Smooth outlines: more rays where surfaces meet, lit by the pixels around that see the same surfaces.
+"""Anti-aliasing: more rays where surfaces meet, lit from the surrounding pixels that see the same surfaces.
 
-As in multisampling on graphics cards, a surface is shaded once a pixel and only what covers it is sampled more often.
+As in multisampling on graphics cards, shading is computed once per pixel and only coverage is sampled more often.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from oysterbench.render.view import CameraView, pixel_ray, pixel_start, ray_star
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-OUTLINE_CONTRAST = wp.constant(0.08)  # relative step in green between two surfaces that asks for more samples
-INNER_CONTRAST = wp.constant(0.45)  # and within one, as at the rim of a shadow
-SAMPLE_U, SAMPLE_V = wp.constant(0.33), wp.constant(0.20)  # of two more samples, either side of the centre, px
+OUTLINE_CONTRAST = wp.constant(0.08)  # relative step in green between two surfaces that requires more samples
+INNER_CONTRAST = wp.constant(0.45)  # and within one surface, as at the edge of a shadow
+SAMPLE_U, SAMPLE_V = wp.constant(0.33), wp.constant(0.20)  # offset of two extra samples from the centre, px
 
 
 @wp.func
 def surface_of(hits: wp.array2d(dtype=Hit), i: int, j: int):
-    """Which surface a pixel sees; the seabed and its skirt are one."""
+    """Surface seen by a pixel; the seabed and its skirt count as one."""
     seen = hits[i, j].instance
     return wp.where(seen == SKIRT, RELIEF, seen)
 
 
 @wp.func
 def plane_at(view: CameraView, t: float, normal: wp.vec3, row: int, column: int, origin: wp.vec3, direction: wp.vec3):
-    """Depth at which a ray meets the plane through what a pixel sees at depth t, within a tenth of that."""
+    """Depth at which a ray meets the tangent plane of what a pixel sees at depth t, clamped to t +- 10 %."""
     p = pixel_start(view, row, column) + pixel_ray(view, row, column) * t
     towards = wp.dot(normal, direction)
     met = t
@@ -46,9 +46,9 @@ def surface_at(
     j: int,
     side: int,
 ):
-    """Which of the surfaces that the four pixels around a sample see lies behind it.
+    """Surface seen by a sample, among those seen by the four pixels around it; side: 1 or -1, which sample.
 
-    The seabed there is taken as flat as where one of them sees it, so that only meshes are asked again.
+    The seabed is taken as the tangent plane where one of these pixels sees it, so that only meshes are tested again.
     """
     u = float(j) + SAMPLE_U * float(side)
     v = float(i) + SAMPLE_V * float(side)
@@ -85,7 +85,7 @@ def surface_at(
 
 @wp.func
 def edge_between(level: wp.array2d(dtype=wp.float32), hits: wp.array2d(dtype=Hit), i: int, j: int, k: int, m: int):
-    """2 where the outline of a surface runs between two pixels, 1 where another edge does, else 0; none too weak."""
+    """2 if the outline of a surface runs between two pixels, 1 if another edge does, 0 for none or a weak one."""
     a = level[i, j]
     b = level[k, m]
     contrast = wp.abs(a - b) / wp.max(wp.max(a, b), 1.0e-6)
@@ -112,10 +112,10 @@ def refine(
     smooth_glow: wp.array2d(dtype=wp.vec3),
     smooth_haze: wp.array2d(dtype=wp.vec3),
 ):
-    """Where an edge runs between neighbours, the mean of the centre and a sample on each side of it, on a slant.
+    """Where an edge runs between neighbours, average the centre with a sample on each side of it, along a slant.
 
-    A sample sees the nearest of the surfaces of the four pixels around it, and takes its light from those that see
-    the same, the more the nearer; where it sees none of them, it does not count.
+    A sample sees the nearest of the surfaces of the four pixels around it and takes its light from those that see the
+    same surface, weighted by proximity; if it sees none of these surfaces, it does not count.
     """
     i, j = wp.tid()
     last_row = level.shape[0] - 1

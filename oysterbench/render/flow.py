@@ -1,4 +1,4 @@
-"""Optical flow: where what a pixel shows is at the next moment, in space and in the picture."""
+"""Optical flow: where the point seen by a pixel is at the next moment, in space and in the image."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from oysterbench.render.view import CameraView, pixel_ray, pixel_start
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-NEAREST_M = 0.01  # before the camera's pupil: what is nearer has no flow
-ROW_STEPS = 4  # in which the row is found that a point comes to lie in, where rows are exposed one after another
+NEAREST_M = 0.01  # in front of the camera's pupil: nearer points have no flow
+ROW_STEPS = 4  # iterations in which the row of a point is found, with a rolling shutter
 
 
 @wp.kernel
@@ -32,8 +32,8 @@ def carry(
     vehicle_position: wp.vec3,
     points: wp.array2d(dtype=wp.vec3),
 ):
-    """Where, in `map`, the points that pixels show are at the next moment: the rows from `first` on as in `moved`, and
-    the vehicle at its next pose; all else stays."""
+    """Find where, in `map`, the points seen by pixels are at the next moment: rows from `first` on are placed as in
+    `moved`, the vehicle is at its next pose, and everything else stays."""
     row, column = wp.tid()
     hit = hits[row, column]
     p = pixel_start(view, row, column) + pixel_ray(view, row, column) * hit.t
@@ -50,7 +50,8 @@ def carry(
 def carried(
     geometry: Geometry, movers: Movers | None, view: CameraView, hits: wp.array, time_s: float, T_map_base: Array
 ) -> wp.array:
-    """Where (H, W) of vec3, in `map`, what the pixels of a view have met is at a time, with the vehicle at a pose."""
+    """Positions (H, W) of vec3, in `map`, of the points hit by the pixels of a view, at time_s and with the vehicle at
+    T_map_base."""
     rows = no_rows() if movers is None else movers.rows_at(time_s)
     points = wp.zeros(hits.shape, dtype=wp.vec3, device=hits.device)
     moved = wp.array(rows, dtype=Placed, device=hits.device)
@@ -65,14 +66,14 @@ def project_motion(
     points: NDArray[np.float32], within: NDArray[np.bool_], following: Moment, camera: CameraRecipe
 ) -> NDArray[np.float32]:
     """Motion (H, W, 2) px from each pixel's centre to where the camera images its point (H, W, 3), m in `map`, in the
-    next picture; NaN outside `within` (H, W), and for what is behind the camera."""
+    next image; NaN outside `within` (H, W), and for points behind the camera."""
     passage = following.passage
     rows, columns = np.nonzero(within)
     aims = points[rows, columns].astype(float)
     poses = np.asarray(following.T_map_cam, dtype=float)[None] if passage.rows is None else passage.rows
     found = np.full((len(rows), 2), np.nan)
     pose = np.full(len(rows), len(poses) // 2)
-    # Each row has a pose of its own, and which row a point comes to lie in depends on that row's.
+    # Each row has its own pose, and the row in which a point appears depends on that pose.
     for _ in range(1 if passage.rows is None else ROW_STEPS):
         T = poses[pose]
         seen = np.einsum("nji,nj->ni", T[:, :3, :3], aims - T[:, :3, 3])

@@ -24,8 +24,8 @@ BOTTOMS = {
 
 @wp.struct
 class Ground:
-    """What the bottom is made of, as in BOTTOMS; cover: share of sediment on what faces up, 0 to 1; drape, turf,
-    grit, burrows, fouling: as in ReefRecipe."""
+    """Composition of the bottom, as in BOTTOMS; cover: share of sediment on upward-facing surfaces, 0 to 1; drape,
+    turf, grit, burrows, fouling: as in ReefRecipe."""
 
     dark: wp.vec3
     light: wp.vec3
@@ -44,14 +44,14 @@ class Ground:
 
 @wp.struct
 class Material:
-    """Linear albedo and unit normal in `map`."""
+    """Material of a surface: linear albedo, and unit normal in `map`."""
 
     albedo: wp.vec3
     normal: wp.vec3
 
 
 def build_ground(reef: ReefRecipe) -> Ground:
-    """The ground of a recipe."""
+    """Build the ground of a recipe."""
     dark, light, silt, bump, flecks, shells, pebbles = BOTTOMS[reef.bottom]
     ground = Ground()
     ground.dark, ground.light, ground.silt = wp.vec3(*dark), wp.vec3(*light), wp.vec3(*silt)
@@ -64,7 +64,7 @@ def build_ground(reef: ReefRecipe) -> Ground:
 
 @wp.func
 def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: wp.uint32):
-    """Sediment with patches, mottles, pebbles and shell hash, at p in `map`."""
+    """Material of the seabed at p in `map`: sediment with patches, mottling, pebbles and shell hash."""
     patches = wp.float32(0.0)
     grain = wp.float32(0.0)
     slope_x = wp.float32(0.0)
@@ -74,7 +74,7 @@ def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: 
     for octave in range(octaves):
         weight = kept(wavelength, footprint)
         if weight > 0.0:
-            # Each octave is turned and shifted, so that no lattice shows.
+            # Each octave is rotated and shifted, so that no lattice shows.
             x = (0.8 * p[0] - 0.6 * p[1]) / wavelength + 17.3 * float(octave)
             y = (0.6 * p[0] + 0.8 * p[1]) / wavelength - 9.1 * float(octave)
             if octave % 2 == 1:
@@ -138,7 +138,7 @@ def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: 
                 colour = PEBBLE * (0.8 + 2.0 * hit[1])
                 colour = colour + (ground.silt - colour) * (0.5 * ground.cover)
             albedo = albedo + (colour * (1.0 + 0.25 * grain) - albedo) * (0.85 * hit[0])
-            # From the grain's turned axes to those of the map.
+            # From the grain's rotated axes to those of the map.
             east = 0.936 * hit[2] + 0.352 * hit[3]
             north = 0.936 * hit[3] - 0.352 * hit[2]
             if layer % 2 == 1:

@@ -1,4 +1,4 @@
-"""What lies and grows on surfaces, as Warp functions: a drape of loose silt, a fur of short algae, specks of shell."""
+"""Deposits and growth on surfaces, as Warp functions: a drape of loose silt, short turf, fouling, specks of shell."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ import warp as wp
 from oysterbench.render.arithmetic import clamped, greater
 from oysterbench.render.noise import fleck, kept, lattice, noise2, noise3, step_smoothly, unit
 
-SMOOTHED = wp.constant(0.90)  # share of a surface's own relief and mottles that a whole drape hides
-FLUFF = wp.constant(0.45)  # share of the grain of settled sediment that a whole drape hides
+SMOOTHED = wp.constant(0.90)  # share of a surface's own relief and mottling that a full drape hides
+FLUFF = wp.constant(0.45)  # share of the grain of settled sediment that a full drape hides
 FUR_GREEN = wp.constant(wp.vec3(0.160, 0.160, 0.085))  # of the short turf that binds some silt
 FUR_BROWN = wp.constant(wp.vec3(0.135, 0.110, 0.070))
 PATCH_M, LOCK_M, HAIR_M = wp.constant(0.030), wp.constant(0.0042), wp.constant(0.0018)  # wavelengths of the fur
 BARNACLE = wp.constant(wp.vec3(0.480, 0.460, 0.410))
-CLUSTER_M = wp.constant(0.028)  # wavelength of where barnacles, tubes and spat have settled
+CLUSTER_M = wp.constant(0.028)  # wavelength of the clusters of barnacles, tubes and spat
 SETTLERS_CELL_M, SPAT_CELL_M = wp.constant(0.011), wp.constant(0.034)
 TUBE = wp.constant(wp.vec3(0.430, 0.405, 0.340))
 TUBE_M, TUBE_BEND_M = wp.constant(0.0009), wp.constant(0.016)  # radius of a worm's tube, and how tightly it winds
 SPAT = wp.constant(wp.vec3(0.300, 0.275, 0.225))
 SPECK_CELL_M = wp.constant(0.005)
-SPECK_DENSITY = wp.constant(0.06)  # of its cells that hold a speck where there is all the grit that there can be
-MOUTH_CELL_M, MOUTHS_M = wp.constant(0.012), wp.constant(0.09)  # of a burrow, and the wavelength of their clusters
-DARK = wp.constant(0.70)  # share of the light that a burrow's mouth swallows
+SPECK_DENSITY = wp.constant(0.06)  # share of cells that hold a speck at maximum grit
+MOUTH_CELL_M, MOUTHS_M = wp.constant(0.012), wp.constant(0.09)  # cell of a burrow, wavelength of their clusters
+DARK = wp.constant(0.70)  # share of the light that a burrow's mouth absorbs
 SPECK = wp.constant(wp.vec3(0.80, 0.79, 0.74))
 
 
 @wp.struct
 class Growth:
-    """A growth at a point: its share of the surface, its albedo, and what it does to the normal, in q's frame."""
+    """Growth at a point: its share of the surface, its albedo, and the gradient that bends the normal, in q's frame."""
 
     cover: wp.float32
     albedo: wp.vec3
@@ -54,7 +54,7 @@ def barnacle(x: float, y: float, cell: float, footprint: float, seed: wp.uint32)
 
 @wp.func
 def foul(q: wp.vec3, share: float, footprint: float, seed: wp.uint32):
-    """Barnacles, worms' tubes and spat on the outside of a shell, in clusters; q in m in its own frame."""
+    """Barnacles, worm tubes and spat in clusters on the outside of a shell; q: point in the shell's frame, m."""
     cluster = noise3(q / CLUSTER_M, seed + wp.uint32(91))
     least = 0.9 - 1.5 * share
     out = Growth()
@@ -83,13 +83,13 @@ def foul(q: wp.vec3, share: float, footprint: float, seed: wp.uint32):
 
 @wp.func
 def lying(drape: float, normal: wp.vec3, uneven: float):
-    """Share of a surface that loose silt covers: all of what faces up, less on walls, little under an overhang."""
+    """Share of a surface covered by loose silt: all if it faces up, less on walls, little under an overhang."""
     return drape * step_smoothly(-0.75, 0.15, normal[2] + 0.25 * uneven + drape - 1.0)
 
 
 @wp.func
 def fur(q: wp.vec3, normal: wp.vec3, share: float, footprint: float, seed: wp.uint32):
-    """Turf on a surface whose normal in `map` is given, q in m in its own frame."""
+    """Turf on a surface with a normal given in `map`; q: point in the surface's own frame, m."""
     patch = noise3(q / PATCH_M, seed + wp.uint32(61))
     lock = noise3(q / LOCK_M, seed + wp.uint32(62))
     hair = noise3(q / HAIR_M, seed + wp.uint32(63))
@@ -109,14 +109,14 @@ def fur(q: wp.vec3, normal: wp.vec3, share: float, footprint: float, seed: wp.ui
 
 @wp.func
 def speck(x: float, y: float, grit: float, footprint: float, seed: wp.uint32):
-    """White specks at x, y, m: their share of a pixel, and how bright they are, 0 to 1."""
+    """White specks at x, y, m: their share of a pixel, and their brightness, 0 to 1."""
     grain = fleck(x, y, SPECK_CELL_M, SPECK_DENSITY * grit, footprint, seed + wp.uint32(71))
     return wp.vec2(grain[0], 0.45 + 0.55 * grain[1])
 
 
 @wp.func
 def mouth(x: float, y: float, burrows: float, footprint: float, seed: wp.uint32):
-    """Mouths of burrows in low mounds, in clusters, at x, y, m: (darkness, slopes in x and y of the mounds)."""
+    """Burrow mouths in low, clustered mounds at x, y, m: (darkness, slopes of the mounds in x and y)."""
     mound = barnacle(x, y, MOUTH_CELL_M, footprint, seed + wp.uint32(81))
     cluster = noise2(x / MOUTHS_M, y / MOUTHS_M, seed + wp.uint32(82))
     there = step_smoothly(0.8 - 1.9 * burrows, 1.0 - 1.9 * burrows, cluster[0]) * kept(0.006, footprint)

@@ -1,4 +1,4 @@
-"""The camera's kernels: trace a ray through every pixel, find its sun and sky, shade it."""
+"""The camera's kernels: trace a ray through every pixel, find how much sun and sky its surface sees, and shade it."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ from oysterbench.render.way import Way, way_to
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-ENDLESS_M = wp.constant(1.0e6)  # of a view ray that meets nothing but water
+ENDLESS_M = wp.constant(1.0e6)  # length of a view ray that meets nothing but water
 SHADOW_M = wp.constant(1.5)  # longest shadow ray: nothing on the bottom is taller than a few decimetres
-SHADED, LIT, SURELY_LIT = wp.constant(0), wp.constant(1), wp.constant(2)  # what is known of the sun in a pixel
-LEAST_SPREAD = wp.constant(0.02)  # of the sun's fan: narrower ones throw sharp shadows
+SHADED, LIT, SURELY_LIT = wp.constant(0), wp.constant(1), wp.constant(2)  # what is known about the sun in a pixel
+LEAST_SPREAD = wp.constant(0.02)  # of the sun's fan: narrower ones cast sharp shadows
 SKY_SPREAD = wp.constant(0.7)
-"""Of scattered light: a wall gets 0.32 and a ceiling 0.10 of what a floor gets, as the discrete ordinates find in types
-3C to 9C."""
-LAMP_SHADOW_M = wp.constant(0.5)  # from a surface: what throws a lamp's shadow on it stands close by
-LEAST_SHADOW = wp.constant(0.03)  # share of a surface's light: less is not missed, and no ray asks whether it arrives
-FAINT = wp.constant(2.0e-5)  # irradiance of a lamp that no picture shows
+"""Spread of scattered light: a wall gets 0.32 and a ceiling 0.10 of what a floor gets, as discrete ordinates give for
+types 3C to 9C."""
+LAMP_SHADOW_M = wp.constant(0.5)  # longest lamp shadow ray: whatever casts a lamp's shadow on a surface is close to it
+LEAST_SHADOW = wp.constant(0.03)  # share of a surface's light below which a shadow is invisible and no ray is cast
+FAINT = wp.constant(2.0e-5)  # irradiance of a lamp too faint to show in any image
 VEHICLE_KIND = wp.constant(wp.uint8(6))
 
 
@@ -67,12 +67,15 @@ def sunlit(
     t: float,
     distance: float,
 ):
-    """SHADED or LIT as a ray towards a part of the sun's light says, at depth t of the picture, or SURELY_LIT."""
-    # Nested, for Warp evaluates both sides of an `and`.
+    """SHADED or LIT, as found by a ray towards part of the sun's light, or SURELY_LIT if no ray is needed.
+
+    t: depth of the point in the image, m; distance: from the camera, m.
+    """
+    # Nested, because Warp evaluates both sides of an `and`.
     seen = wp.uint8(SURELY_LIT)
     roamed = under_roaming(world, p)
     if roamed:
-        seen = wp.uint8(LIT)  # rays of neighbours ask in other directions, and may find one of them
+        seen = wp.uint8(LIT)  # neighbours' rays go in other directions and may hit a roaming thing
     under = wp.bool(False)
     if world.vehicle.mesh != wp.uint64(0):
         under = near_vehicle(world.vehicle, p, towards)
@@ -106,7 +109,8 @@ def sun_share(
     row: int,
     column: int,
 ):
-    """Share of the sun's light that arrives in a pixel: of its fan, which 4 x 4 neighbours hold, if that is wide."""
+    """Share of the sun's light that arrives in a pixel; if the sun's fan is wide, averaged over 4 x 4 neighbours, which
+    together sample the whole fan."""
     own = lit[row, column]
     share = wp.where(own == wp.uint8(SHADED), 0.0, 1.0)
     mixed = wp.bool(False)
@@ -131,8 +135,8 @@ def sun_share(
 
 @wp.struct
 class Signal:
-    """Radiance at the camera: sharp and blurred light of a surface, and light that the water adds. silted: share of the
-    blurred light that silt scatters."""
+    """Radiance at the camera: sharp and blurred light from a surface, and light added by the water. silted: share of
+    the blurred light that was scattered by silt."""
 
     sharp: wp.vec3
     forward_scatter: wp.vec3
@@ -144,7 +148,7 @@ class Signal:
 def shade_material(
     world: Geometry, looks: Looks, view: CameraView, p: wp.vec3, smooth: wp.vec3, direction: wp.vec3, hit: Any
 ):
-    """The material at a hit."""
+    """Material at a hit at point p with smooth normal `smooth`, seen along `direction`."""
     facing = wp.max(-wp.dot(smooth, direction) / wp.length(direction), 0.08)
     footprint = hit.t / (view.focal * wp.sqrt(facing))
     material = Material()
@@ -168,13 +172,14 @@ def shade_material(
 
 @wp.func
 def softened(cosine: float, spread: float):
-    """A cosine as it counts for a source that is spread, with a soft terminator: never quite 0."""
+    """Effective cosine for an extended source, with a soft terminator: never quite 0."""
     return 0.5 * (cosine + wp.sqrt(cosine * cosine + spread * spread))
 
 
 @wp.func
 def day_light(optics: Optics, p: wp.vec3, n: wp.vec3, lit: float, opening: float, way: Way):
-    """Irradiance (3,) of the day on a surface with normal n that sees those shares of sun and sky."""
+    """Irradiance (3,) of daylight on a surface with normal n that sees shares `lit` of the sun and `opening` of the
+    sky."""
     towards = wp.dot(n, optics.sun_direction)
     facing = softened(towards, optics.spread) / softened(optics.sun_direction[2], optics.spread)
     beam = wp.cw_mul(beam_at(optics, p) * optics.sun, way.beam)
@@ -193,9 +198,9 @@ def day_light(optics: Optics, p: wp.vec3, n: wp.vec3, lit: float, opening: float
 
 @wp.func
 def lamp_light(world: Geometry, lamps: Any, p: wp.vec3, n: wp.vec3, smooth: wp.vec3, t: float, least: float):
-    """Irradiance (3,) of all lamps on a surface with normal n, with the shadows that things close by throw.
+    """Irradiance (3,) of all lamps on a surface with normal n, with the shadows cast by things close by.
 
-    least: irradiance in green of a lamp whose shadow would be seen.
+    least: irradiance, in green, of a lamp above which its shadow would be visible.
     """
     light = wp.vec3(0.0, 0.0, 0.0)
     for k in range(lamps.count):
@@ -209,7 +214,7 @@ def lamp_light(world: Geometry, lamps: Any, p: wp.vec3, n: wp.vec3, smooth: wp.v
                 if arriving[1] > least:
                     start = p + smooth * (0.0005 + 0.0005 * t)
                     lit = not blocked(world, start, apart / distance, wp.min(LAMP_SHADOW_M, distance - 0.03), 0)
-                    if lit and world.roaming_count > 0:  # fish throw shadows from farther off
+                    if lit and world.roaming_count > 0:  # fish cast shadows from farther away
                         lit = not blocked_by_moving(
                             world, world.roaming, world.first_roaming, start, apart / distance, distance - 0.03
                         )
@@ -232,9 +237,9 @@ def received_radiance(
     opening: float,
     way: Way,
 ):
-    """What the camera receives along a ray whose nearest hit is given; lit and opening: its sun and its sky there.
+    """Signal that the camera receives along a ray with a given nearest hit.
 
-    way: what varying turbidity does on the way.
+    lit, opening: shares of sun and sky seen at the hit. way: effect of varying turbidity along the path.
     """
     length = wp.length(direction)
     distance = hit.t * length
@@ -267,7 +272,7 @@ def received_radiance(
 
 @wp.func
 def scattered(optics: Optics, view: CameraView, u: float, v: float, distance: float):
-    """Light of the lamps that the water scatters into a ray."""
+    """Lamp light that the water scatters into the ray of pixel u, v over a distance, m."""
     light = wp.vec3(0.0, 0.0, 0.0)
     if optics.lamps.count > 0:
         rows = float(optics.lamps.beams.shape[0] - 1) / float(view.rays.shape[0] - 3)
@@ -286,7 +291,7 @@ def trace(
     classes: wp.array2d(dtype=wp.uint8),
     instances: wp.array2d(dtype=wp.uint16),
 ):
-    """The nearest surface along the ray through the centre of each pixel, and the ground truth there."""
+    """Find the nearest surface along the ray through the centre of each pixel, and the ground truth there."""
     row, column = wp.tid()
     direction = pixel_ray(view, row, column)
     origin = pixel_start(view, row, column)
@@ -326,7 +331,8 @@ def shadow(
     normals: wp.array2d(dtype=wp.vec3),
     lit: wp.array2d(dtype=wp.uint8),
 ):
-    """Whether light reaches each pixel's surface from one direction of the sun's fan of 16: neighbours ask others."""
+    """Find whether light reaches each pixel's surface from one of the 16 directions of the sun's fan; neighbouring
+    pixels test the others."""
     row, column = wp.tid()
     hit = hits[row, column]
     seen = wp.uint8(SURELY_LIT)
@@ -356,7 +362,7 @@ def shade(
     openings: wp.array2d(dtype=wp.float32),
     silted: wp.array2d(dtype=wp.float32),
 ):
-    """Light from each pixel's surface and water, and green of it all for finding edges."""
+    """Compute the light from each pixel's surface and water, and its total in green (`level`) for edge detection."""
     row, column = wp.tid()
     u = float(column)
     v = float(row)

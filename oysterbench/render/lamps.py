@@ -1,8 +1,8 @@
-"""Lamps of the vehicle: what they light, and the beams that the water scatters into the view (single scattering).
+"""Lamps of the vehicle: their illumination, and the beams that the water scatters into the view (single scattering).
 
-The beams are summed on a coarse grid of view rays and ranges (Wronski 2014, "Volumetric fog"), so that every pixel
-reads its own at its own range. Along a ray at distance D from a lamp, the integral of 1 / r^2 over a piece is exact:
-(atan(x1 / D) - atan(x0 / D)) / D; the rest is taken in the middle of the piece.
+The beams are summed on a coarse grid of view rays and ranges (Wronski 2014, "Volumetric fog"), from which every pixel
+reads its value at its own range. Along a ray at distance D from a lamp, the integral of 1 / r^2 over a segment is
+exact: (atan(x1 / D) - atan(x0 / D)) / D; everything else is evaluated at the middle of the segment.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from oysterbench.render.way import interpolate, node_at
 wp.set_module_options(KERNEL_OPTIONS)
 
 
-DAYLIGHT_LUX = 100_000.0  # full sun and sky on level ground: what an irradiance of 1 stands for
-BEAM_PIXELS = 8  # width of a cell of the grid of beams
+DAYLIGHT_LUX = 100_000.0  # full sun and sky on level ground, which an irradiance of 1 stands for
+BEAM_PIXELS = 8  # cell width of the grid of beams
 BEAM_NODES = 32
 LONGEST_BEAM_M = 8.0
 LEFT_NODES = 512
-LEAST_DISTANCE_M = wp.constant(0.02)  # of a view ray from a lamp: its glass
+LEAST_DISTANCE_M = wp.constant(0.02)  # smallest distance of a view ray from a lamp: its glass
 HALF_PI = wp.constant(1.5707963267948966)
 PI = wp.constant(3.141592653589793)
 
 
 def lamp_spread(water: Water) -> Array:
-    """Attenuation (3,) of a lamp's light, 1/m: what is scattered forward still lights the scene."""
+    """Attenuation (3,) of a lamp's light, 1/m; light scattered forward still lights the scene."""
     return water.absorption + (1.0 - forward_share(IMAGE_CONE_RAD)) * water.scattering
 
 
 def build_lamps(
     recipes: Sequence[LampRecipe], factor: float, water: Water, shape: tuple[int, int], device: str
 ) -> Lamps:
-    """Lamps of a rig on a device, not yet placed, for pictures of `shape` (H, W) px."""
+    """Build the lamps of a rig on a device, not yet placed, for images of `shape` (H, W) px; factor: on intensities."""
     lamps = Lamps()
     lamps.count = len(recipes) if factor > 0 else 0
     if not lamps.count:
@@ -69,7 +69,7 @@ def build_lamps(
 
 
 def without_water(lamps: Lamps, device: str) -> Lamps:
-    """The same lamps where there is no water: nothing is lost on the way."""
+    """Return the same lamps without water, so that no light is lost on the way."""
     clear = Lamps()
     clear.count = lamps.count
     if lamps.count:
@@ -81,7 +81,7 @@ def without_water(lamps: Lamps, device: str) -> Lamps:
 
 
 def place_lamps(lamps: Lamps, recipes: Sequence[LampRecipe], T_map_base: Array, device: str) -> None:
-    """Put the lamps where the vehicle at T_map_base (4, 4) has them."""
+    """Place the lamps for a vehicle at T_map_base (4, 4)."""
     positions = np.array([_turn(T_map_base, lamp.position_m) + T_map_base[:3, 3] for lamp in recipes])
     mounts = [Rotation.from_euler("ZY", [lamp.yaw_deg, lamp.pitch_deg], degrees=True).as_matrix() for lamp in recipes]
     axes = np.array([_turn(T_map_base, mount[:, 0]) for mount in mounts])
@@ -90,13 +90,13 @@ def place_lamps(lamps: Lamps, recipes: Sequence[LampRecipe], T_map_base: Array, 
 
 
 def _turn(T: Array, vector: Sequence[float] | Array) -> Array:
-    """A vector (3,) turned by a pose, written out: sums in one order on every processor."""
+    """Rotate a vector (3,) by a pose, written out so that sums have the same order on every processor."""
     return np.asarray(T[:3, 0] * vector[0] + T[:3, 1] * vector[1] + T[:3, 2] * vector[2])
 
 
 @wp.func
 def arc_tangent(x: float):
-    """Abramowitz & Stegun (1964), 4.4.49: within 2e-8 for |x| <= 1; the other half by its complement."""
+    """Arc tangent by Abramowitz & Stegun (1964), 4.4.49: within 2e-8 for |x| <= 1, and by the complement beyond."""
     a = wp.abs(x)
     inside = a
     if a > 1.0:
@@ -119,14 +119,14 @@ def arc_tangent(x: float):
 
 @wp.func
 def phase(cosine: float, g: float):
-    """Henyey-Greenstein phase function, 1/sr, of the cosine of the scattering angle."""
+    """Henyey-Greenstein phase function, 1/sr, at the cosine of the scattering angle."""
     base = 1.0 + g * g - 2.0 * g * cosine
     return (1.0 - g * g) / (4.0 * PI * base * wp.sqrt(base))
 
 
 @wp.kernel
 def sum_beams(view: CameraView, optics: Optics, scattering: wp.vec3, g: float, beams: wp.array3d(dtype=wp.vec3)):
-    """Light scattered into each ray of the grid up to each node of range."""
+    """Sum the lamp light scattered into each ray of the grid up to each range node."""
     row, column = wp.tid()
     lamps = optics.lamps
     field = optics.turbidity

@@ -1,6 +1,6 @@
-"""Lenses: from a pixel to a ray and back, for pinhole, Brown-Conrady, fisheye, and behind a flat port.
+"""Lens models: from a pixel to a ray and back, for pinhole, Brown-Conrady and fisheye, also behind a flat port.
 
-Conventions and coefficients are OpenCV's (`cv2.projectPoints`, `cv2.fisheye.projectPoints`).
+Conventions and coefficients are those of OpenCV (`cv2.projectPoints`, `cv2.fisheye.projectPoints`).
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from oysterbench.scene.rig import PORT_INDEX, camera_matrix
 
 NEWTON_STEPS = 30
 RESIDUAL = 1e-9
-STILL = 1e-13  # a step of it is far below what rays are rounded to
-PORT_STEPS = 8  # of Newton's method, through a port: within 1e-12 then, even for what all but touches the glass
-NEARBY = 1e-6  # step of differences
-RAY_STEP = 2.0**-24  # rays are rounded to it, so that the last bits of a processor's mathematics do not show
+STILL = 1e-13  # steps below this end the iteration: far less than the rounding of rays
+PORT_STEPS = 8  # of Newton's method, through a port: converges to 1e-12, even for points that almost touch the glass
+NEARBY = 1e-6  # step of finite differences
+RAY_STEP = 2.0**-24  # rays are rounded to this, so that the last bits of a processor's mathematics do not show
 
 
 def distort(points: Array, camera: CameraRecipe) -> Array:
-    """Where a lens images points (N, 2) of the plane z = 1, in units of the focal length (N, 2).
+    """Image points (N, 2), in units of the focal length, of points (N, 2) in the plane z = 1.
 
-    Brown 1966 as OpenCV writes it; Kannala & Brandt 2006: theta (1 + k1 theta^2 + ... + k4 theta^8) along the radius.
+    Brown 1966 as in OpenCV; Kannala & Brandt 2006: theta (1 + k1 theta^2 + ... + k4 theta^8) along the radius.
     """
     x, y = points[:, 0], points[:, 1]
     r2 = x * x + y * y
@@ -51,9 +51,9 @@ def distort(points: Array, camera: CameraRecipe) -> Array:
 
 
 def undistort(images: Array, camera: CameraRecipe) -> Array:
-    """The points (N, 2) of the plane z = 1 that a lens images at (N, 2): the inverse of `distort`, by Newton's method.
+    """Points (N, 2) in the plane z = 1 that a lens images at (N, 2): the inverse of `distort`, by Newton's method.
 
-    Raises RecipeError where the lens folds its image over inside the picture.
+    Raises RecipeError where the lens folds its image over inside the frame.
     """
     if camera.lens == "pinhole":
         return images
@@ -84,10 +84,10 @@ def undistort(images: Array, camera: CameraRecipe) -> Array:
 
 @lru_cache(maxsize=4)
 def pixel_rays(camera: CameraRecipe) -> NDArray[np.float32]:
-    """Rays (H + 2, W + 2, 3) float32 in water through the pixels' centres and a border of one pixel around; not to be
-    written to, as they are kept for whoever asks next.
+    """Rays (H + 2, W + 2, 3) float32 in water through the pixels' centres and a border of one pixel; read-only, as they
+    are cached.
 
-    x and y at z = 1 in the optical frame, and z at which the ray meets the optical axis: 0 but behind a flat port
+    x and y at z = 1 in the optical frame, and z at which the ray meets the optical axis: 0 except behind a flat port
     (Snell's law; the port is thin), where every ray has its own centre (Treibitz et al. 2012).
     """
     columns, rows = np.meshgrid(np.arange(-1, camera.width + 1), np.arange(-1, camera.height + 1))
@@ -109,7 +109,7 @@ def pixel_rays(camera: CameraRecipe) -> NDArray[np.float32]:
 
 
 def project(points: Array, camera: CameraRecipe) -> Array:
-    """Pixels (N, 2) of points (N, 3) in the optical frame with z > 0, m, that lie in the water."""
+    """Project points (N, 3), m, in the optical frame, with z > 0 and in the water, to pixels (N, 2)."""
     flat = points[:, :2] / points[:, 2:]
     if camera.port_mm is not None:
         flat = _through_port(points, camera.port_mm * 1e-3)
@@ -118,7 +118,7 @@ def project(points: Array, camera: CameraRecipe) -> Array:
 
 
 def _through_port(points: Array, port: float) -> Array:
-    """Tangents (N, 2) in air of the rays from the pupil that a flat port bends to points (N, 3) in the water."""
+    """Tangents (N, 2), in air, of the rays from the pupil that a flat port refracts to points (N, 3) in the water."""
     radius = np.sqrt((points[:, :2] ** 2).sum(axis=1))
     depth = np.maximum(points[:, 2] - port, 1e-6)
     tangent = radius / points[:, 2]

@@ -15,18 +15,18 @@ from oysterbench.render.lamps import DAYLIGHT_LUX, lamp_spread
 from oysterbench.render.water import IMAGE_CONE_RAD, Water, forward_share
 
 WATER_INDEX = 1.34  # refractive index of sea water
-GREY_ALBEDO = 0.16  # a reef's mean; exposed to GREY_LEVEL at GREY_RANGE_M
+GREY_ALBEDO = 0.16  # mean of a reef; exposed to GREY_LEVEL at GREY_RANGE_M
 GREY_LEVEL = 0.20  # linear; 0.48 after gamma
 GREY_RANGE_M = 1.6
 LAMP_RANGE_M = 1.0  # at which lamps are metered
-GREY_SLOPE = 0.5  # of the ray to it, below the horizon
+GREY_SLOPE = 0.5  # of the ray to the metered reef, below the horizon
 AMBER_BALANCE, GREEN_BALANCE = 0.6, 0.35
-"""How far the fixed white balance goes, in logarithm, from none (0) to neutral grey (1) between amber and blue, and
-between green and magenta. Cameras know lamps and daylight, which differ along the first axis, and leave much of a cast
-along the second: hence the green of water. So the real clips' red is 0.9 to 1.0 of their green."""
-MIXED = [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5]  # Bayer's matrix: neighbours differ most
-LOWEST_LIGHT = 0.3  # cosine with the zenith: little light comes flatter than that
-LEAST_SEEN = 1e-5  # of full daylight: no camera sees in less
+"""Strength of the fixed white balance, in logarithm, from none (0) to neutral grey (1), between amber and blue and
+between green and magenta. Cameras are tuned to lamps and daylight, which differ along the first axis, and leave much of
+a cast along the second: hence the green of water. Accordingly, red is 0.9 to 1.0 of green in the real clips."""
+MIXED = [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5]  # Bayer matrix: neighbours differ most
+LOWEST_LIGHT = 0.3  # cosine with the zenith: little light arrives at flatter angles
+LEAST_SEEN = 1e-5  # relative to full daylight: too dark for any camera
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Light:
 
 
 def build_light(recipe: LightRecipe) -> Light:
-    """Light of a recipe; the sun's ray is bent by Snell's law at a level surface."""
+    """Build the light of a recipe; the sun's ray is refracted by Snell's law at a level surface."""
     azimuth = np.deg2rad(recipe.sun_azimuth_deg)
     horizontal = np.cos(np.deg2rad(recipe.sun_elevation_deg)) / WATER_INDEX  # sin of the zenith angle in water
     vertical = np.sqrt(1.0 - horizontal**2)
@@ -58,11 +58,11 @@ def build_light(recipe: LightRecipe) -> Light:
 def shadow_reach(
     envelope: NDArray[np.floating], ground: NDArray[np.floating], cell: float, fan: NDArray[np.floating], longest: float
 ) -> NDArray[np.bool_]:
-    """Grid cells (M, M) whose seabed something on it may shade; everywhere else no shadow ray is needed.
+    """Mask (M, M) of the grid cells where things may shade the seabed; everywhere else no shadow ray is needed.
 
     envelope, ground (M, M): z of the upper surface with and without things on the bottom, indexed [y, x], m, on a
     grid of `cell` m; fan (N, 3): unit vectors towards the light; longest: length of the shadow rays, m. Conservative by
-    a cell all around.
+    one cell on all sides.
     """
     things = np.where(envelope > ground + 1e-3, envelope, -np.inf)
     tops = ndimage.maximum_filter(things, size=5)
@@ -70,7 +70,7 @@ def shadow_reach(
     tallest = float(np.max(tops - floor, initial=0.0))
     shaded = np.zeros(envelope.shape, dtype=bool)
     rows, columns = np.arange(envelope.shape[0]), np.arange(envelope.shape[1])
-    lifts: dict[tuple[int, int], float] = {}  # by which the lowest ray has risen where it is over a cell that far away
+    lifts: dict[tuple[int, int], float] = {}  # rise of the lowest ray by the time it is over a cell at that offset
     for direction in np.unique(np.asarray(fan, dtype=float), axis=0):
         for distance in np.arange(0.0, longest, cell):
             lift = (distance - cell) * direction[2]
@@ -85,7 +85,7 @@ def shadow_reach(
 
 
 def sky_fan() -> NDArray[np.float32]:
-    """Directions (16, 3) of a hemisphere around z, as dense as their cosine with it, in an order that mixes them."""
+    """Directions (16, 3) in the hemisphere around z, with cosine-weighted density, in an order that mixes them."""
     k = np.arange(16)
     radius, turn = np.sqrt((k + 0.5) / 16), k * np.pi * (3.0 - np.sqrt(5.0))
     fan = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - radius**2)], axis=1)
@@ -93,10 +93,10 @@ def sky_fan() -> NDArray[np.float32]:
 
 
 def sun_fan(light: Light, water: Water, depth_m: float) -> NDArray[np.float32]:
-    """Directions (16, 3) in `map` towards the sun's light at a depth, each of an equal share, mixed as in `sky_fan`.
+    """Directions (16, 3) in `map` towards the sun's light at a depth, with equal shares of it, mixed as in `sky_fan`.
 
-    Of the light that is turned by less than IMAGE_CONE_RAD, exp((F(r) - F(cone)) b z / mu) is turned by less than r, in
-    green: quasi-single scattering, as in Water; F is forward_share.
+    Of the light scattered by less than IMAGE_CONE_RAD, a share exp((F(r) - F(cone)) b z / mu) is scattered by less than
+    r, in green: quasi-single scattering, as in Water; F is forward_share.
     """
     path = float(water.scattering[1]) * depth_m / light.sun_direction[2]
     angles = np.linspace(0.0, IMAGE_CONE_RAD, 200)
@@ -119,7 +119,7 @@ def exposure(
     """Gain (3,) from radiance (white matte surface under unit irradiance = 1) to the sensor's linear scale.
 
     Exposure and white balance of a camera that metered a grey reef at depth_m, GREY_RANGE_M away, and was then locked.
-    daylight: share of full daylight that there is; factor: on the lamps' intensity.
+    daylight: as a share of full daylight; factor: on the lamps' intensity.
     """
     seen = daylight * water.seen(GREY_ALBEDO, depth_m - GREY_RANGE_M * GREY_SLOPE, GREY_RANGE_M, -GREY_SLOPE)
     left = np.exp(-LAMP_RANGE_M * lamp_spread(water)) * water.arriving(depth_m, LAMP_RANGE_M)
@@ -132,6 +132,6 @@ def exposure(
 
 
 def white_balance(seen: Array) -> Array:
-    """Gains (3,) of a camera that sees (3,) on average, up to a factor: part of the way to grey."""
+    """White-balance gains (3,), up to a common factor, for a mean radiance (3,): part of the way to neutral grey."""
     amber, green = np.log(seen[0] / seen[2]) / 2, np.log(seen[1]) - np.log(seen[0] * seen[2]) / 2
     return np.asarray(np.exp([-AMBER_BALANCE * amber, -GREEN_BALANCE * green, AMBER_BALANCE * amber]))

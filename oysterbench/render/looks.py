@@ -1,4 +1,4 @@
-"""What surfaces look like, and what the heights of all that stands on the bottom say about light there."""
+"""Appearance of surfaces, and what the heights of objects on the bottom say about the light there."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from oysterbench.render.ground import Ground
 from oysterbench.render.optics import Optics
 
 CREVICE_M = wp.constant(0.04)
-"""Depth below the envelope at which half of the sky is left: rays into dense beds see that much from 0 to 0.1 m."""
+"""Depth below the envelope at which half of the sky is visible, as rays in dense beds find at depths of 0 to 0.1 m."""
 
 
 @wp.struct
 class Looks:
-    """What surfaces look like. envelope: blurred upper surface of everything, for the darkness of crevices; higher by
-    CREVICE_RISE_M (upload.py) where things stand close, for they hide each other's sky even at its height.
-    reach, near: where on the same grid things may shade the seabed, and where they may hide sky from it.
+    """Appearance of surfaces. envelope: blurred upper surface of everything, for the darkness of crevices; raised by
+    CREVICE_RISE_M (upload.py) where things stand, as they hide each other's sky even at that height. reach, near: where
+    on the same grid things may shade the seabed, and where they may hide sky from it.
     """
 
     seed: wp.uint32
@@ -48,7 +48,7 @@ def openness(looks: Looks, p: wp.vec3):
 
 @wp.func
 def needs_shadow_ray(looks: Looks, optics: Optics, instance: int, p: wp.vec3):
-    """False only where nothing can stand between a point of the seabed and the sun."""
+    """False only if nothing can be between a point of the seabed and the sun."""
     j = int(wp.floor((p[0] - looks.envelope_start) / looks.envelope_step + 0.5))
     i = int(wp.floor((p[1] - looks.envelope_start) / looks.envelope_step + 0.5))
     last = looks.reach.shape[0] - 1
@@ -60,7 +60,7 @@ def needs_shadow_ray(looks: Looks, optics: Optics, instance: int, p: wp.vec3):
 
 @wp.func
 def crowded(looks: Looks, p: wp.vec3):
-    """False only where nothing near a point of the seabed can hide its sky."""
+    """False only if nothing near a point of the seabed can hide sky from it."""
     j = int(wp.floor((p[0] - looks.envelope_start) / looks.envelope_step + 0.5))
     i = int(wp.floor((p[1] - looks.envelope_start) / looks.envelope_step + 0.5))
     last = looks.near.shape[0] - 1

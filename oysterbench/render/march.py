@@ -1,12 +1,12 @@
-"""The march through varying turbidity: along the rays of a coarse grid, as for the lamps' beams (Wronski 2014).
+"""Ray marching through varying turbidity along the rays of a coarse grid, as for the lamps' beams (Wronski 2014).
 
-The light of the day that a view ray gathers is, with a the amounts (own particles, silt) and G their glow,
+The daylight that a view ray gathers is, with a the amounts (own particles, silt) and G their glow,
 
-    sum over pieces of  (G0 + a G) E T ds  +  sky T,        T = T0 exp(-k A), A the sum of a ds
+    sum over segments of  (G0 + a G) E T ds  +  sky T,        T = T0 exp(-k A), A the sum of a ds
 
-where E is daylight as even water and the particles above leave it, T0 what even water leaves of light scattered there,
-and the sky is met at the surface. Over the same sum without particles, that is a factor on the veil of even
-water, which the tables know: so it is 1 exactly where there are none.
+where E is the daylight left by uniform water and the particles above, T0 the share of light scattered there that
+uniform water leaves, and the sky is met at the surface. Divided by the same sum without particles, this gives a factor
+on the veil of uniform water, which is tabulated; it is exactly 1 where there are no particles.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from oysterbench.scene.plumes import SPREADS, Plumes, Puffs
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-CELL_PIXELS = 16  # width of a cell of the grid of rays
+CELL_PIXELS = 16  # cell width of the grid of rays
 NODES = 48  # of range
-SHORTEST_M, LONGEST_M = 2.0, 16.0  # bounds of the range marched over
-OPAQUE = 5.0  # optical depth of even water past which nothing is seen of what the field does
-GRID_M, LEAST_SPREAD = 0.1, 0.75  # cells of silt, and of them the narrowest puff that they hold
-SILT_REACH_M, SILT_REACH = 8.0, 0.7  # from the camera: at most, and of the range marched over
-DARKEST = wp.constant(wp.vec3(1.0e-9, 1.0e-9, 1.0e-9))  # veil that there is anywhere
-LAMP_STEPS = wp.constant(6)  # from a lamp to what it lights
-FAINT = wp.constant(1.0e-9)  # light of a lamp beyond its cone, so that there is a mean of all lamps everywhere
-LEAST_WEIGHT = wp.constant(1.0e-5)  # of a puff in a column of the grid
-DRIFT_SHARE = 1.0  # of the current, by which patches go
+SHORTEST_M, LONGEST_M = 2.0, 16.0  # bounds of the range of the march
+OPAQUE = 5.0  # optical depth of uniform water beyond which the field has no visible effect
+GRID_M, LEAST_SPREAD = 0.1, 0.75  # cell size of the silt grid, and the narrowest spread of a puff in it, in cells
+SILT_REACH_M, SILT_REACH = 8.0, 0.7  # extent of silt around the camera: maximum, and share of the range of the march
+DARKEST = wp.constant(wp.vec3(1.0e-9, 1.0e-9, 1.0e-9))  # added to the veil, so that ratios are defined
+LAMP_STEPS = wp.constant(6)  # from a lamp to the point that it lights
+FAINT = wp.constant(1.0e-9)  # light of a lamp outside its cone, so that a mean over lamps is defined everywhere
+LEAST_WEIGHT = wp.constant(1.0e-5)  # smallest weight with which a puff enters a column of the grid
+DRIFT_SHARE = 1.0  # share of the current with which patches drift
 
 
 class TurbidityField:
-    """A sequence's field for one camera. Without layer, patches and plumes it does nothing."""
+    """Turbidity field of a sequence for one camera. Without layer, patches and plumes it does nothing."""
 
     def __init__(
         self,
@@ -95,7 +95,7 @@ class TurbidityField:
         return wp.array(values.astype(np.float32), dtype=wp.vec3, device=self.device)
 
     def move(self, time_s: float, position: Array) -> None:
-        """To a time, around a camera at position (3,)."""
+        """Update the field to a time, around a camera at position (3,), m in `map`."""
         field = self.field
         if self.even and self.plumes is None:
             return
@@ -108,7 +108,7 @@ class TurbidityField:
         field.on = int(field.silty or not self.even)
 
     def _settle(self, puffs: Puffs, position: Array) -> None:
-        """Puffs near the camera onto the grid, by tables of their separable distribution."""
+        """Rasterise the puffs near the camera onto the grid, from tables of their separable distribution."""
         seen = min(SILT_REACH_M, SILT_REACH * self.field.reach)
         centre, spread, floor, amount = puffs.near(position, seen)
         if not len(amount):
@@ -145,7 +145,7 @@ class TurbidityField:
         )
 
     def march(self, view: CameraView, optics: Optics) -> None:
-        """Along the rays of a view; optics has this field."""
+        """March along the rays of a view; `optics.turbidity` must be this field."""
         field = optics.turbidity
         if optics.lamps.count:
             wp.launch(reach_out, field.lit.shape, inputs=[view, optics], outputs=[field.lit], device=self.device)
@@ -167,14 +167,14 @@ ADD_WEIGHED = """
     float* __restrict to = grid.data[(i * grid.shape[1] + j) * grid.shape[2]].c;
     for (int k = 0; k < count; ++k) to[k] = to[k] + from[k] * weight;
 """
-"""In C++, whose compiler makes vector instructions of the loop, for it knows that the numbers lie end to end."""
+"""In C++, as its compiler vectorises the loop, knowing that the numbers are contiguous."""
 
 
 @wp.func_native(ADD_WEIGHED)
 def add_weighed(
     column: wp.array2d(dtype=wp.vec2), p: int, weight: float, grid: wp.array3d(dtype=wp.vec2), i: int, j: int
 ):
-    """Add row p of `column` (P, Z), weighed, to the line i, j of `grid` (X, Y, Z)."""
+    """Add row p of `column` (P, Z), times a weight, to the line i, j of `grid` (X, Y, Z)."""
     ...
 
 
@@ -187,9 +187,9 @@ def fill(
     last: wp.array(dtype=wp.int32),
     grid: wp.array3d(dtype=wp.vec2),
 ):
-    """Silt at the points of the grid and above them: the sum of the puffs, each a product of functions of x, y, z.
+    """Sum the puffs, each a product of functions of x, y and z, into silt at the grid points and its integral above.
 
-    first, last: of the lines along y that a puff reaches.
+    first, last: range of the lines along y that each puff reaches.
     """
     i = wp.tid()
     for p in range(x.shape[1]):
@@ -202,7 +202,7 @@ def fill(
 
 @wp.func
 def ray_of(view: CameraView, row: int, column: int, rows: int, columns: int):
-    """Place in the picture, px, of a ray of a grid that spans it."""
+    """Column and row in the image, px, of a ray of a grid that spans it."""
     v = float(view.rays.shape[0] - 3) * float(row) / float(rows - 1)
     u = float(view.rays.shape[1] - 3) * float(column) / float(columns - 1)
     return wp.vec2(u, v)
@@ -210,13 +210,14 @@ def ray_of(view: CameraView, row: int, column: int, rows: int, columns: int):
 
 @wp.kernel
 def reach_out(view: CameraView, optics: Optics, lit: wp.array3d(dtype=wp.vec3)):
-    """Amounts between the lamps and each node: the mean by the light that arrives, and what it leaves out."""
+    """Compute the amounts between the lamps and each node: the mean weighted by the light that arrives, and a factor
+    that corrects for using this mean."""
     row, column, node = wp.tid()
     field = optics.turbidity
     place = ray_of(view, row, column, lit.shape[0], lit.shape[1])
     origin = ray_start(view, place[0], place[1])
     direction = wp.normalize(ray_through(view, place[0], place[1]))
-    # Nodes are spread as those of `walk`, of which the last is at infinity.
+    # Nodes are spaced like those of `walk`, whose last one is at infinity.
     fine = float(node) * float(field.along.shape[2] - 1) / float(lit.shape[2] - 1)
     share = wp.min(fine / float(field.along.shape[2] - 2), 1.0)
     p = origin + direction * (field.reach * share * share)
@@ -243,14 +244,14 @@ def reach_out(view: CameraView, optics: Optics, lit: wp.array3d(dtype=wp.vec3)):
 
 @wp.func
 def attenuated(field: Turbidity, amount: wp.vec2, range_step: float, distance: float):
-    """Optical depths (3,) that the amounts on the way to a distance add."""
+    """Optical depths (3,) added by the amounts on the way to a distance, m."""
     column = distance / range_step
     return look_up(field.own_veil, column) * amount[0] + look_up(field.silt_veil, column) * amount[1]
 
 
 @wp.kernel
 def walk(view: CameraView, optics: Optics, along: wp.array3d(dtype=wp.vec2), veil: wp.array3d(dtype=wp.vec3)):
-    """Amounts on the way to each node, and the factor on the veil that they make."""
+    """Compute the amounts on the way to each node, and the factor on the veil that they cause."""
     row, column = wp.tid()
     field = optics.turbidity
     place = ray_of(view, row, column, along.shape[0], along.shape[1])
@@ -300,7 +301,7 @@ def walk(view: CameraView, optics: Optics, along: wp.array3d(dtype=wp.vec2), vei
         start = end
         depth_before = depth
         left_before = left
-    # Past the reach, as there: whatever own particles are, and no silt.
+    # Beyond the reach, own particles stay as they are there, and there is no silt.
     if origin[2] + direction[2] * start < 0.0:
         line = -(origin[2] + direction[2] * start) / optics.depth_step
         light = wp.cw_mul(look_up(optics.daylight, line), left_before)

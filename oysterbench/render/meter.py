@@ -1,4 +1,4 @@
-"""The exposure meter of a camera: a very small picture of the same world, without what flickers, flies and roams."""
+"""The exposure meter of a camera: a very small image of the same world, without caustics, snow and roaming things."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from oysterbench.render.optics import Optics
 from oysterbench.render.tracing import Pose, ViewTracer
 
 COLUMNS, ROWS = 32, 24
-CENTRE = 0.5  # standard deviation of the weight over half of the picture's width and height: centre-weighted
+CENTRE = 0.5  # standard deviation of the centre weighting, relative to half the image's width and height
 
 
 class Meter(ViewTracer):
-    """Meters for a camera with the world that its renderer has on the device."""
+    """Exposure meter for a camera, sharing the world that its renderer has on the device."""
 
     def __init__(self, renderer: ViewTracer) -> None:
         self.__dict__.update(renderer.__dict__)
@@ -29,7 +29,7 @@ class Meter(ViewTracer):
         light, shape = self.recipe.light, (ROWS, COLUMNS)
         self._optics.lamps = lamps.build_lamps(self._lamps, light.lamps, self._water, shape, self.device)
         self._turbidity = self._fill(shape, self.device)
-        if self._movers is not None:  # 30 ms for what fills little of a picture
+        if self._movers is not None:  # they would cost 30 ms and cover little of the image
             self._movers.move(None)
             self._movers = None
         still = dataclasses.replace(light, wind_m_s=0.0)

@@ -1,7 +1,7 @@
-"""What moves by itself, on a device: rows of Geometry.placed that are placed anew for each moment, with own trees.
+"""Moving things on a device: rows of Geometry.placed that are updated for each moment, with their own trees.
 
-Swaying plants keep their tree, whose boxes are fitted anew; what roams has one built anew, for a moment's tree must not
-depend on which moments came before.
+Swaying plants keep their tree, whose boxes are refitted; that of roaming things is rebuilt, because the tree of a
+moment must not depend on which moments came before.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from oysterbench.scene.world import World
 Rows = NDArray[Any]
 """Rows (N,) of the structure Placed."""
 
-MARGIN_M = 1e-4  # of boxes about shapes
-SHADED_CELL_M, SHADED_MARGIN_M = 0.1, 1.0  # of the grid of what roams before the sun, and how far it goes past the reef
-SHADOW_STEPS = 32  # down a direction of the sun
-LEAST_SINE = 0.1  # of the sun's elevation under water: it never stands lower than 40 degrees
+MARGIN_M = 1e-4  # of boxes around shapes
+SHADED_CELL_M, SHADED_MARGIN_M = 0.1, 1.0  # cell of the grid of possible shadows, and its margin around the reef
+SHADOW_STEPS = 32  # along a direction of the sun
+LEAST_SINE = 0.1  # of the sun's elevation under water, which is never below 40 degrees
 
 
 class Meshes:
-    """Where each mesh of a device's library is: roots (K,) of their trees and first_corner (K,)."""
+    """Location of each mesh in a device's library: roots (K,) of their trees and first_corner (K,)."""
 
     def __init__(self, roots: NDArray[np.int32], corner_counts: list[int]) -> None:
         self.roots = roots
         self.first_corner = np.cumsum([0, *corner_counts[:-1]])
 
     def rows(self, instances: Instances, first_shape: int = 0) -> Rows:
-        """Rows of a table whose shapes count from first_shape of the library."""
+        """Rows for a table of instances whose shapes are numbered from first_shape of the library."""
         shapes = instances.shapes + first_shape
         placed = no_rows(len(instances))
         placed["to_shape"] = np.swapaxes(instances.rotations, 1, 2).astype(float) / instances.scales[:, :, None]
@@ -57,17 +57,17 @@ def no_rows(count: int = 0) -> Rows:
 
 
 def _joined(first: Rows, second: Rows) -> Rows:
-    """Rows after rows; numpy's own concatenation would pack them more closely than the device does."""
+    """Concatenate rows; numpy's own concatenation would pack the structure more tightly than the device does."""
     rows = no_rows(len(first) + len(second))
     rows[: len(first)], rows[len(first) :] = first, second
     return rows
 
 
 class Movers:
-    """Moves what moves in a geometry. Its rows are the last: first the plants that sway, then what roams."""
+    """Updates the moving things of a geometry. Their rows are the last ones: swaying plants, then roaming things."""
 
     def __init__(self, geometry: Geometry, world: World, life: Life, meshes: Meshes, rows: Rows, device: str) -> None:
-        """rows (N,): of the world alone; the geometry's are made here."""
+        """Set the geometry's rows and trees of moving things; rows (N,): those of the world alone."""
         self._geometry, self._life, self._meshes, self._device = geometry, life, meshes, device
         self._shapes = len(world.meshes)
         self.first = len(rows) if life.sway is None else int(life.sway.rows[0])
@@ -96,7 +96,7 @@ class Movers:
         self.move(None)
 
     def move(self, time_s: float | None) -> None:
-        """Place everything as it is at a time; with None, plants stand still and nothing roams."""
+        """Place everything for a time, s; with None, plants stand still and nothing roams."""
         moving = _joined(self._still, no_rows(self._roamers)) if time_s is None else self.rows_at(time_s)
         wp.copy(self._geometry.placed, wp.array(moving, dtype=Placed, device=self._device), dest_offset=self.first)
         plants, others = np.split(moving, [len(self._still)])
@@ -113,16 +113,16 @@ class Movers:
             self._roaming.rebuild()
 
     def throw_shadows(self, fan: NDArray[np.float32]) -> None:
-        """From now on, note where shadows may fall; fan (N, 3): unit vectors towards all that throws them."""
+        """From now on, record where shadows may fall; fan (N, 3): unit vectors towards all light that casts them."""
         self._fan = fan.astype(float)
 
     def _shaded(self, lowers: NDArray[np.float64], uppers: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Cells of the grid over the reef that lie under a box, along any direction of the fan."""
+        """Cells of the grid over the reef that may lie in the shadow of a box, along any direction of the fan."""
         middle, radius = 0.5 * (lowers + uppers), 0.5 * float(np.linalg.norm(uppers - lowers, axis=1).max())
         steep = np.maximum(self._fan[:, 2], LEAST_SINE)
         drop = np.maximum(middle[:, 2] - self._lowest, 0.0)
         start = self._geometry.shaded_start
-        # Down each direction, from the middle of a box to the lowest bottom there is; either axis apart is quicker.
+        # Along each direction, from the middle of a box down to the lowest bottom; each axis separately is faster.
         down = drop[:, None] * np.linspace(0, 1, SHADOW_STEPS)
         slant = self._fan[:, :2] / steep[:, None]
         x, y = (
@@ -138,12 +138,12 @@ class Movers:
         return np.asarray(ndimage.maximum_filter(shaded, size=2 * wide + 1))
 
     def rows_at(self, time_s: float) -> Rows:
-        """All moving rows as they are at a time."""
+        """All moving rows for a time, s."""
         plants = self._still.copy()
         if self._life.sway is not None:
             x, y, z = self._life.sway.lean(time_s).astype(float).T
             turn = self._still["to_shape"].astype(float)
-            # Back from the lean, then into the shape: columns of to_shape times the inverse of [[1, 0, x], ...].
+            # First undo the lean, then into the shape: columns of to_shape times the inverse of [[1, 0, x], ...].
             upright = turn[..., 2] - x[:, None] * turn[..., 0] - y[:, None] * turn[..., 1]
             plants["to_shape"][..., 2] = upright / z[:, None]
         if not len(self._life):
@@ -152,7 +152,7 @@ class Movers:
         return _joined(plants, others)
 
     def _leaning(self, plants: Rows, time_s: float | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Boxes of the plants: of their still ones, sheared."""
+        """Boxes of the plants: those at rest, sheared by the lean."""
         assert self._life.sway is not None
         lean = np.array([[0.0, 0.0, 1.0]]) if time_s is None else self._life.sway.lean(time_s).astype(float)
         ends = np.stack([self._low[:, 2], self._high[:, 2]])[..., None] * lean
@@ -164,7 +164,7 @@ class Movers:
         return low + position - MARGIN_M, high + position + MARGIN_M
 
     def _bounds(self, others: Rows) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Boxes of what roams, about the turned boxes of its meshes."""
+        """Boxes of roaming things, enclosing the rotated boxes of their meshes."""
         if not len(others):
             return np.zeros((0, 3)), np.zeros((0, 3))
         shape = np.searchsorted(self._meshes.first_corner, others["first_corner"], side="right") - 1 - self._shapes

@@ -1,7 +1,7 @@
 """Noise as Warp functions: hashes, value noise, scattered grains and packed pebbles.
 
-Only +, -, *, /, sqrt and floor are used: they are exact on every processor, the mathematics library is not. Detail
-finer than a pixel's footprint is faded out, so that far surfaces do not shimmer.
+Only +, -, *, /, sqrt and floor are used, because they are exact on every processor; mathematics libraries are not.
+Detail finer than a pixel's footprint is faded out, so that distant surfaces do not shimmer.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PRIME_Z = wp.constant(wp.uint32(0xC2B2AE3D))
 
 @wp.func
 def scramble(h: wp.uint32):
-    """Integer hash of full avalanche (lowbias32 by C. Wellons, hash-prospector)."""
+    """Integer hash with full avalanche (lowbias32 by C. Wellons, hash-prospector)."""
     h = h ^ (h >> wp.uint32(16))
     h = h * MIX_1
     h = h ^ (h >> wp.uint32(15))
@@ -36,7 +36,7 @@ def lattice(x: int, y: int, z: int, seed: wp.uint32):
 
 @wp.func
 def unit(h: wp.uint32, shift: int):
-    """Byte `shift` of a hash as a number from 0 to 1."""
+    """Byte of a hash that starts at bit `shift`, as a number from 0 to 1."""
     return float((h >> wp.uint32(shift)) & wp.uint32(255)) * (1.0 / 255.0)
 
 
@@ -105,7 +105,7 @@ def noise3(p: wp.vec3, seed: wp.uint32):
 
 @wp.func
 def kept(wavelength: float, footprint: float):
-    """Weight of detail of a wavelength: 0 below 2 footprints (Nyquist), 1 from 4 on."""
+    """Weight of detail of a given wavelength: 0 below 2 footprints (Nyquist), 1 from 4 on."""
     return clamped(0.5 * wavelength / footprint - 1.0, 0.0, 1.0)
 
 
@@ -136,12 +136,12 @@ def fleck(x: float, y: float, cell: float, density: float, footprint: float, see
             scale = 1.0 / wp.sqrt(ax * ax + ay * ay)
             along = (dx * ax + dy * ay) * scale / radius
             across = (dy * ax - dx * ay) * scale / (radius * aspect)
-            # Broken pieces: an ellipse cut by a line.
+            # Broken pieces: ellipses cut by a line.
             cut = 0.15 + 0.9 * unit(g, 4) - 0.8 * along - 0.6 * across
             r = wp.sqrt(along * along + across * across)
             inside = lesser(1.0 - r, cut) * radius * aspect * cell / footprint
             cover = weight * clamped(inside + 0.5, 0.0, 1.0)
-            # A lens that is tilted a little: flat in the middle, falling off at the rim.
+            # A slightly tilted lens: flat in the middle, falling off at the rim.
             fall = -1.6 * r * r * r
             slope = wp.vec2(fall * dx, fall * dy) * (1.0 / (radius + 1.0e-6))
             tilt = wp.vec2(unit(g, 12) - 0.5, unit(g, 20) - 0.5) * 0.7
@@ -151,9 +151,9 @@ def fleck(x: float, y: float, cell: float, density: float, footprint: float, see
 
 @wp.func
 def pebble(x: float, y: float, cell: float, seed: wp.uint32):
-    """The pebble on top at x, y of a packed layer: (height from 0 to 1, its slopes in x and y per cell, tone).
+    """Topmost pebble at x, y in a packed layer: (height from 0 to 1, its slopes in x and y per cell, tone).
 
-    One rounded grain to a cell, jittered, the highest of the neighbourhood shows (Worley 1996, with ellipsoids).
+    One rounded, jittered grain per cell; the highest in the neighbourhood shows (Worley 1996, with ellipsoids).
     """
     fx = wp.floor(x / cell)
     fy = wp.floor(y / cell)

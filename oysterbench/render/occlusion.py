@@ -1,4 +1,5 @@
-"""How much sky a surface sees: one short ray a pixel, and the mean over neighbours on the same surface."""
+"""Ambient occlusion: how much sky a surface sees, from one short ray per pixel, averaged over neighbours on the same
+surface."""
 
 from __future__ import annotations
 
@@ -12,9 +13,9 @@ from oysterbench.render.view import CameraView, pixel_ray, pixel_start
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-PRIOR_RAYS = wp.constant(1.0)  # weight of crevices by height beside rays that were cast
-FAN = wp.constant(16.0)  # rays that a pixel and its neighbours hold
-INTERREFLECTION = wp.constant(0.12)  # light of neighbours in the place of the sky that they hide
+PRIOR_RAYS = wp.constant(1.0)  # weight of the openness estimated from height, in rays
+FAN = wp.constant(16.0)  # rays of a pixel and its neighbours together
+INTERREFLECTION = wp.constant(0.12)  # light reflected by neighbours in place of the sky that they hide
 
 
 @wp.kernel
@@ -28,7 +29,8 @@ def occlude(
     normals: wp.array2d(dtype=wp.vec3),
     open: wp.array2d(dtype=wp.float32),
 ):
-    """One ray of a fan of 16 from each pixel's surface: 4 x 4 neighbours hold a whole fan (Keller & Heidrich 2001)."""
+    """Cast one ray of a fan of 16 from each pixel's surface; 4 x 4 neighbours together cover the whole fan (Keller &
+    Heidrich 2001)."""
     row, column = wp.tid()
     hit = hits[row, column]
     share = wp.float32(1.0)
@@ -62,7 +64,7 @@ def occlude(
 
 @wp.func
 def same_surface(hits: wp.array2d(dtype=Hit), normals: wp.array2d(dtype=wp.vec3), i: int, j: int, k: int, m: int):
-    """Whether two pixels see parts of one surface that lie side by side; False outside of the picture."""
+    """Whether two pixels see adjacent parts of one surface; False outside the image."""
     same = k >= 0 and m >= 0 and k < hits.shape[0] and m < hits.shape[1]
     if same:
         t = hits[i, j].t
@@ -79,7 +81,7 @@ def gathered(
     column: int,
     prior: float,
 ):
-    """Openness from the fan of the neighbours that lie on the same surface; `prior` where they are few."""
+    """Openness from the rays of the neighbours on the same surface, pulled towards `prior` if they are few."""
     hidden = wp.bool(False)
     for di in range(-2, 2):
         for dj in range(-2, 2):

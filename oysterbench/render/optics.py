@@ -1,4 +1,4 @@
-"""Light and water on the device: tables over depth, range and direction, and how kernels read them."""
+"""Light and water on the device: tables over depth, range and direction, and the functions that read them."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from oysterbench.render.noise import noise2, step_smoothly
 from oysterbench.render.tables import look_up, look_up_pair
 from oysterbench.render.turbidity import Turbidity
 
-LAYER_COSINE, LAYER_SINE = wp.constant(0.8253356), wp.constant(0.5646425)  # 0.6 rad: neither rows nor diagonals meet
+LAYER_COSINE, LAYER_SINE = wp.constant(0.8253356), wp.constant(0.5646425)  # 0.6 rad: neither rows nor diagonals align
 LAYER_PATCH_M = wp.constant(1.7)
-LEAST_TRANSMISSION = wp.constant(0.02)  # transmission in green below which a shadow would not be seen
+LEAST_TRANSMISSION = wp.constant(0.02)  # transmission in green below which a shadow would not be visible
 
 
 @wp.struct
 class Caustics:
-    """What waves make of the sun: relative irradiance (N, N) on a level plane, mean 1, repeated every `period` m.
+    """Sunlight focused by waves: relative irradiance (N, N) on a level plane, mean 1, repeated every `period` m.
 
-    fade: 1/m, at which depth takes the contrast away; none: 0 for a flat surface.
+    on: 0 for a flat surface. fade: contrast that is left at depths fade_step m apart.
     """
 
     tile: wp.array2d(dtype=wp.float32)
@@ -30,11 +30,11 @@ class Caustics:
 
 @wp.struct
 class Lamps:
-    """Lamps in `map`: axes are unit vectors; power (3,) is the irradiance on the axis at 1 m, of a clear sky's = 1.
+    """Lamps in `map`: axes are unit vectors; power (3,) is the irradiance on the axis at 1 m over full daylight.
 
-    inner, outer: cosines of the cone's angles between which its edge falls off. left: share (3,) of the light that is
-    left after a distance, of `left_step` m a node. beams (rows, columns, nodes): light that the water scatters into
-    the view from 0 to a range of (node / (nodes - 1))^2 * reach m.
+    inner, outer: cosines of the cone angles between which its edge falls off. left: share (3,) of the light left after
+    a distance, with nodes `left_step` m apart. beams (rows, columns, nodes): light that the water scatters into the
+    view from 0 to a range of (node / (nodes - 1))^2 * reach m.
     """
 
     count: wp.int32
@@ -53,9 +53,10 @@ class Lamps:
 class Optics:
     """Light and water. Tables run over depth, then over range from 0 or over the cosine of the view ray from -1.
 
-    sun, sky, bounce: irradiance just below the surface of the sun and of the sky, and of the bottom on what faces down;
-    beam: the share of the sun's that throws shadows, from the directions of the fan (16,), which are spread by that
-    root mean square of a sine; the rest comes from above like the sky's. shade, shade_m: as in LightRecipe.
+    sun, sky, bounce: irradiance just below the surface from the sun and from the sky, and from the bottom on surfaces
+    that face down; beam: share of the sun's light that casts shadows, from the directions of the fan (16,), whose
+    angles to the sun have sines of root mean square `spread`; the rest comes from above like that of the sky. shade,
+    shade_m: as in LightRecipe.
     """
 
     sun_direction: wp.vec3
@@ -86,7 +87,7 @@ class Optics:
 
 @wp.func
 def filled(saturation: wp.array2d(dtype=wp.vec3), row: float, place: wp.vec3):
-    """Bilinear interpolation of a table, for each channel at a column of its own."""
+    """Interpolate a table bilinearly, each channel at its own column."""
     y = clamped(row, 0.0, float(saturation.shape[0] - 1) - 0.001)
     i = int(y)
     v = y - float(i)
@@ -106,7 +107,7 @@ def filled(saturation: wp.array2d(dtype=wp.vec3), row: float, place: wp.vec3):
 
 @wp.func
 def veiling(optics: Optics, depth: float, distance: float, cosine: float):
-    """Veiling light of the day along a view ray from a camera at a depth."""
+    """Veiling light (3,) from daylight along a view ray from a camera at a depth, m, over a distance, m."""
     row = depth / optics.depth_step
     column = (cosine + 1.0) / optics.cosine_step
     place = look_up_pair(optics.stretch, row, column) * (distance / optics.range_step)
@@ -115,7 +116,7 @@ def veiling(optics: Optics, depth: float, distance: float, cosine: float):
 
 @wp.func
 def look_up_wrapped(tile: wp.array2d(dtype=wp.float32), x: float, y: float):
-    """Bilinear interpolation in a tile that repeats, at a place in cells."""
+    """Interpolate bilinearly in a periodic tile, at x, y in cells."""
     n = tile.shape[0]
     floor_x = wp.floor(x)
     floor_y = wp.floor(y)
@@ -132,10 +133,10 @@ def look_up_wrapped(tile: wp.array2d(dtype=wp.float32), x: float, y: float):
 
 @wp.func
 def caustic(optics: Optics, p: wp.vec3):
-    """Irradiance of the sun at a point over that under a level surface: the place where its ray came in decides.
+    """Irradiance of the sun at a point over that under a level surface, according to where its ray entered the water.
 
-    The tile is laid out twice, turned and shifted, and a slow noise mixes the two: so that its period is not seen. The
-    mixture has the mean and the variance of the tile.
+    The tile is laid out twice, the second time rotated and shifted, and a slowly varying noise mixes the two to hide
+    its period. The mixture has the mean and the variance of the tile.
     """
     share = wp.float32(1.0)
     if optics.caustics.on != 0:
@@ -161,13 +162,13 @@ def caustic(optics: Optics, p: wp.vec3):
 
 @wp.func
 def beam_at(optics: Optics, p: wp.vec3):
-    """Share (3,) of the sun's light that throws shadows at a point."""
+    """Share (3,) of the sun's light that casts shadows at a point."""
     return look_up(optics.beam, -p[2] / optics.depth_step)
 
 
 @wp.func
 def lamp_irradiance(lamps: Lamps, k: int, p: wp.vec3):
-    """Irradiance (3,) of lamp k on a surface at p that faces it, through the water between."""
+    """Irradiance (3,) of lamp k on a surface at p that faces it, through the water in between."""
     apart = p - lamps.positions[k]
     square = wp.max(wp.dot(apart, apart), 1.0e-4)
     distance = wp.sqrt(square)
@@ -182,7 +183,8 @@ def lamp_irradiance(lamps: Lamps, k: int, p: wp.vec3):
 
 @wp.func
 def beam_light(lamps: Lamps, row: float, column: float, distance: float):
-    """Light of the lamps that the water scatters into a view ray of that length, at fractional rows and columns."""
+    """Lamp light (3,) that the water scatters into a view ray of length `distance`, m, at fractional grid row and
+    column."""
     nodes = lamps.beams.shape[2]
     place = float(nodes - 1) * wp.sqrt(clamped(distance / lamps.reach, 0.0, 1.0))
     z = wp.min(place, float(nodes - 1) - 0.001)
@@ -204,7 +206,7 @@ def beam_light(lamps: Lamps, row: float, column: float, distance: float):
 
 @wp.func
 def shadows_lost(optics: Optics, p: wp.vec3, distance: float):
-    """Whether a point is so far that its shadows are not seen."""
+    """Whether a point is too far away for its shadows to be visible."""
     row = -p[2] / optics.depth_step
     column = distance / optics.range_step
     return (
@@ -215,7 +217,7 @@ def shadows_lost(optics: Optics, p: wp.vec3, distance: float):
 
 @wp.func
 def unshaded(optics: Optics, p: wp.vec3):
-    """Share of daylight that reaches a point past what shades it softly: canopies, piers, boats, and the vehicle."""
+    """Share of daylight that reaches a point past sources of soft shade: canopies, piers, boats, and the vehicle."""
     x = (0.8 * p[0] - 0.6 * p[1]) / optics.shade_m
     y = (0.6 * p[0] + 0.8 * p[1]) / optics.shade_m
     wide = noise2(x, y, optics.shade_seed)

@@ -1,4 +1,4 @@
-"""How a camera moves while it takes one picture."""
+"""Motion of a camera while it takes one image."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from oysterbench.recipe import CameraRecipe
 
 @dataclass(frozen=True)
 class Passage:
-    """Poses T_map_cam (4, 4) during a picture whose middle row is exposed around the pose of the picture.
+    """Poses T_map_cam (4, 4) during an image whose middle row is exposed around the pose of the image.
 
     rows (H + 2, 4, 4): at the middle of the exposure of each row, and of one row beyond the first and the last; None
-    where all rows are exposed at once. ends (2, 4, 4): when the shutter opens and closes for the middle row; None where
-    it is open for an instant, and shutter_s for how long it is.
+    if all rows are exposed at once. ends (2, 4, 4): when the shutter opens and closes for the middle row; None if it
+    is open for an instant only. shutter_s: how long it is open.
     """
 
     rows: Array | None = None
@@ -30,7 +30,7 @@ STILL = Passage()
 
 @dataclass(frozen=True)
 class Moment:
-    """A picture to come: its time, where camera and vehicle are then (4, 4), and how the camera moves meanwhile."""
+    """An image to come: its time, the poses (4, 4) of camera and vehicle then, and the camera's motion during it."""
 
     time_s: float
     T_map_cam: Array
@@ -39,13 +39,14 @@ class Moment:
 
 
 def row_times(camera: CameraRecipe) -> Array:
-    """When rows -1 to H are exposed, (H + 2,) s after the middle of the picture: each readout_ms / H after the last."""
+    """Exposure times (H + 2,) of rows -1 to H, s from the middle of the image: each readout_ms / H after the last."""
     rows = np.arange(-1, camera.height + 1)
     return np.asarray((rows - (camera.height - 1) / 2) * (camera.readout_ms * 1e-3 / camera.height))
 
 
 def passage(camera: CameraRecipe, shutter_s: float, poses: Callable[[Array], list[Array]]) -> Passage:
-    """A camera's passage; poses: T_map_cam (4, 4) at times (N,) s after the middle of the picture."""
+    """Build a camera's passage; poses: function that returns T_map_cam (4, 4) at times (N,) s from the middle of the
+    image."""
     rows = np.array(poses(row_times(camera))) if camera.readout_ms else None
     ends = np.array(poses(np.array([-0.5, 0.5]) * shutter_s)) if shutter_s else None
     return Passage(rows, ends, shutter_s)

@@ -1,8 +1,8 @@
-"""What grows and sits on the port: spots of algae and bubbles, far out of focus, fixed in the picture.
+"""Dirt on the port: spots of algae and bubbles, far out of focus, fixed in the image.
 
-A spot of diameter D on the port hides a share of the lens' opening A from each pixel: the overlap of two discs, over
-(D + A) / d of angle at a distance d from the pupil. In the place of what it hides comes the mean light around: most of
-it through a bubble, which scatters rays over a wide angle, little of it from algae. A bubble's rim bends what passes.
+A spot of diameter D on the port hides a share of the lens aperture A from each pixel: the overlap of two discs, over
+an angle of (D + A) / d at a distance d from the pupil. The hidden light is replaced by a share of the mean light
+around: large for a bubble, which scatters rays over a wide angle, small for algae. A bubble's rim bends what passes.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from oysterbench.scene.rig import camera_matrix
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-PUPIL_MM = 1.2  # of the lens' opening, where the recipe has none
-PORT_MM = 15.0  # of the port from the pupil, where the recipe has none
-SMALLEST, LARGEST = 0.3, 3.0  # of a spot's diameter over their mean, which are log-normal
+PUPIL_MM = 1.2  # diameter of the lens aperture, if the recipe has none
+PORT_MM = 15.0  # distance of the port from the pupil, if the recipe has none
+SMALLEST, LARGEST = 0.3, 3.0  # limits of a spot's diameter, which is log-normal, relative to the recipe's
 SPREAD = 0.5  # sigma of the logarithm
 BUBBLES = 0.3  # share of spots that are bubbles
-ALGAE = (0.10, 0.14, 0.05)  # share of the light around that brown and green films send on
+ALGAE = (0.10, 0.14, 0.05)  # share of the light around that brown and green films pass on
 BUBBLE = (0.80, 0.80, 0.80)
-OPAQUE = (0.35, 0.9)  # of a film of algae
-BEND_PX = 4.0  # at most, by the rim of a bubble
+OPAQUE = (0.35, 0.9)  # range of the opacity of a film of algae
+BEND_PX = 4.0  # largest deflection by the rim of a bubble
 BLOCK = 32  # px over which the light around is averaged
 
 
 class PortSpots:
-    """The spots of one camera's port; streams: the branch that they are drawn from."""
+    """Spots on one camera's port; streams: the branch from which they are drawn."""
 
     def __init__(self, camera: CameraRecipe, streams: Streams, device: str) -> None:
         self.device = device
@@ -46,7 +46,7 @@ class PortSpots:
         self._around = wp.zeros(blocks, dtype=wp.vec3, device=device)
 
     def cover(self, picture: wp.array, covered: wp.array) -> None:
-        """Write the picture as seen through the port into `covered`."""
+        """Write the image as seen through the port into `covered`."""
         around = [self._around]
         wp.launch(reduce, self._around.shape, inputs=[picture, BLOCK], outputs=around, device=self.device)
         inputs = [picture, self._around, BLOCK, self._hidden, self._sent, self._bend]
@@ -54,8 +54,8 @@ class PortSpots:
 
 
 def spot_maps(camera: CameraRecipe, generator: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Share (H, W) of a pixel's light that spots hide, share (H, W, 3) of the light around that comes in its place, and
-    the way (H, W, 2), px, by which what is left of its light is bent."""
+    """Share (H, W) of a pixel's light that spots hide, share (H, W, 3) of the light around that replaces it, and
+    deflection (H, W, 2), px, of the remaining light."""
     n = camera.port_spots
     middle = generator.random((n, 2)) * [camera.width, camera.height]
     diameters = camera.port_spot_mm * np.clip(np.exp(SPREAD * generator.standard_normal(n)), SMALLEST, LARGEST)
@@ -80,7 +80,7 @@ def spot_maps(camera: CameraRecipe, generator: np.random.Generator) -> tuple[Arr
 
 
 def disc_overlap(apart: Array, radius: float, opening: float) -> Array:
-    """Share of the area of a disc of radius `opening` that another covers whose centre is that far (N, ...)."""
+    """Share of a disc of radius `opening` that one of radius `radius` covers, at centre distances `apart` (N, ...)."""
     small, large = min(radius, opening), max(radius, opening)
     d = np.clip(apart, large - small + 1e-9, large + small - 1e-9)
     a = np.arccos(np.clip((d**2 + small**2 - large**2) / (2 * d * small), -1, 1))
@@ -100,7 +100,7 @@ def look_through(
     bend: wp.array2d(dtype=wp.vec2),
     covered: wp.array2d(dtype=wp.vec3),
 ):
-    """What is left of a pixel's light, bent, and the light around in the place of the rest."""
+    """Add the remaining, deflected light of each pixel and the light around that replaces the rest."""
     i, j = wp.tid()
     share = hidden[i, j]
     light = picture[i, j]

@@ -1,8 +1,8 @@
-"""The field of daylight in a deep, horizontally uniform water body, by discrete ordinates.
+"""The daylight field in a deep, horizontally uniform water body, by discrete ordinates.
 
-Radiance, averaged over azimuth, of every order of scattering (Chandrasekhar, Radiative Transfer, 1950, ch. 6; Stamnes
+Radiance, averaged over azimuth, of all orders of scattering (Chandrasekhar, Radiative Transfer, 1950, ch. 6; Stamnes
 et al., Applied Optics 27, 1988), for a Henyey-Greenstein phase function truncated by the delta-M method (Wiscombe, J.
-Atmos. Sci. 34, 1977). One wavelength at a time; the surface is level and matched in index, the sky fills Snell's cone.
+Atmos. Sci. 34, 1977). One wavelength at a time; the surface is level and index-matched, the sky fills Snell's cone.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ WATER_SECOND_MOMENT = 2 * 0.835 / 15 / (1 + 0.835 / 3)  # chi_2 of 1 + 0.835 cos
 
 @dataclass(frozen=True)
 class Daylight:
-    """What lights the water: unit downwelling irradiance just below the surface.
+    """Illumination of the water: unit downwelling irradiance just below the surface.
 
     sun_cosine: of the refracted sun's zenith angle; sky: share of the irradiance that comes from the sky.
     """
@@ -35,8 +35,9 @@ class Daylight:
 class Field:
     """Radiance L(z, mu) = sum_k modes[k] exp(-rates[k] z) at depth z, m, along view rays of cosine mu with the zenith.
 
-    A view ray that looks up (mu > 0) meets light that goes down. cosines (2N,) rising; weights (2N,) of the quadrature;
-    modes (N + 1, 2N); rates (N + 1,), 1/m; beam: irradiance of the unscattered sun at z = 0, which decays at rates[-1].
+    A view ray that looks up (mu > 0) meets light travelling down. cosines (2N,), increasing; weights (2N,) of the
+    quadrature; modes (N + 1, 2N); rates (N + 1,), 1/m; beam: irradiance of the unscattered sun at z = 0, which decays
+    at rates[-1].
     """
 
     cosines: Array
@@ -46,7 +47,7 @@ class Field:
     beam: float
 
     def radiance(self, depth_m: Array, cosine: Array) -> Array:
-        """Radiance (D, K) without the sun's own disc, over unit downwelling irradiance at the surface, 1/sr."""
+        """Radiance (D, K), 1/sr, without the sun's own disc, for unit downwelling irradiance at the surface."""
         at_nodes = self._decay(depth_m) @ self.modes
         return np.stack([np.interp(cosine, self.cosines, row) for row in at_nodes])
 
@@ -63,9 +64,9 @@ class Field:
 def solve_daylight(
     absorption: float, scattering: float, asymmetry: float, daylight: Daylight, molecular: float = 0.0
 ) -> Field:
-    """The field in infinitely deep water of one absorption and scattering coefficient, 1/m.
+    """Solve for the field in infinitely deep water with uniform absorption and scattering coefficients, 1/m.
 
-    molecular: the part of scattering, 1/m, that is the water's own and goes to all sides.
+    molecular: the part of the scattering, 1/m, due to the water itself, which is nearly isotropic.
     """
     cosines, weights, basis = _quadrature()
     moments, peak = _moments(asymmetry, molecular / scattering)
@@ -100,8 +101,8 @@ def solve_daylight(
 
 @cache
 def _quadrature() -> tuple[Array, Array, Array]:
-    """Double Gauss: nodes rising from -1 to 1, and weights (2N,), each hemisphere by itself; Legendre's polynomials of
-    degree below 2N at the nodes (2N, 2N)."""
+    """Double Gauss quadrature: nodes increasing from -1 to 1, and weights (2N,), for each hemisphere separately; values
+    (2N, 2N) of the Legendre polynomials of degree below 2N at the nodes."""
     nodes, weights = leggauss(STREAMS)
     half, share = 0.5 * (nodes + 1.0), 0.5 * weights
     cosines = np.concatenate([-half[::-1], half])
@@ -112,13 +113,13 @@ def _quadrature() -> tuple[Array, Array, Array]:
 
 
 def _above(cosine: float, weights: Array) -> Array:
-    """Share (2N,) of each node's interval of cosines that lies above a positive cosine."""
+    """Share (2N,) of each node's interval of cosines that lies above a given positive cosine."""
     tops = np.cumsum(weights) - 1.0
     return np.clip((tops - cosine) / weights, 0.0, 1.0)
 
 
 def _moments(asymmetry: float, molecular: float) -> tuple[Array, float]:
-    """(2l + 1) chi_l for l below 2N, and the share of scattering that delta-M takes as no scattering at all.
+    """Moments (2l + 1) chi_l for l below 2N, and the share of scattering that delta-M treats as no scattering at all.
 
     molecular: share of scattering by water itself, with a phase function 1 + 0.835 cos^2 (Morel 1974).
     """

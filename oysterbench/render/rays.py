@@ -1,4 +1,4 @@
-"""Single rays against a world, for the sensors that hear: what they meet, how far, how steeply, and what it is."""
+"""Single rays cast into a world, for acoustic sensors: range, surface normal, class and instance of what they hit."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from oysterbench.scene.world import World
 wp.set_module_options(KERNEL_OPTIONS)
 
 DIRECTION_STEP = 2.0**-20
-"""Directions are rounded to it, and origins to as many metres, so that the last bits of a CPU's sin() do not show."""
+"""Step to which directions, and origins in metres, are rounded, so that the last bits of a CPU's sin() do not show."""
 
 
 @dataclass(frozen=True)
 class Echoes:
-    """What N rays meet first.
+    """First hits of N rays.
 
-    ranges (N,) float32 m along the ray, inf where there is nothing within reach; normals (N, 3) float32, outward unit
+    ranges (N,) float32 m along the ray, inf if there is nothing within range; normals (N, 3) float32, outward unit
     normals in `map`, 0 for nothing; classes (N,) uint8 as in recipe.CLASSES, 0 for nothing; instances (N,) uint16 as
     in instance images, 0 for the bottom and for nothing.
     """
@@ -39,7 +39,7 @@ class Echoes:
 
 
 class RayCaster:
-    """Casts rays into a world, which goes to the device once. The vehicle is not in it: it carries the sensors."""
+    """Casts rays into a world, uploaded to the device once, without the vehicle, which carries the sensors."""
 
     def __init__(self, world: World, device: str = "cpu", life: Life | None = None) -> None:
         start_warp()
@@ -49,7 +49,7 @@ class RayCaster:
 
     @contextmanager
     def at(self, time_s: float) -> Iterator[None]:
-        """Meanwhile, what moves by itself is where it is at a time; at all others nothing roams and no plant sways."""
+        """Place moving things for a time within the context; outside it, nothing roams and no plant sways."""
         if self._movers is not None:
             self._movers.move(time_s)
         try:
@@ -59,7 +59,7 @@ class RayCaster:
                 self._movers.move(None)
 
     def cast(self, origins: Array, directions: Array, max_range: float) -> Echoes:
-        """Echoes of rays from origins (N, 3) or (3,) m along unit directions (N, 3), in `map`, up to max_range m."""
+        """Cast rays from origins (N, 3) or (3,) m along unit directions (N, 3), in `map`, up to max_range m."""
         rays = np.rint(np.asarray(directions, dtype=float) / DIRECTION_STEP) * DIRECTION_STEP
         starts = np.rint(np.broadcast_to(origins, rays.shape) / DIRECTION_STEP) * DIRECTION_STEP
         n = len(rays)
@@ -93,7 +93,7 @@ def listen(
     classes: wp.array(dtype=wp.uint8),  # type: ignore[valid-type]
     instances: wp.array(dtype=wp.uint16),  # type: ignore[valid-type]
 ):
-    """The nearest surface along each ray."""
+    """Find the nearest surface along each ray."""
     i = wp.tid()
     direction = directions[i]
     hit = cast(world, origins[i], direction, max_range / wp.length(direction))

@@ -1,4 +1,4 @@
-"""Rays against a height field, by a pyramid of maxima (Tevs, Ihrke & Seidel 2008, "Maximum mipmaps")."""
+"""Ray casting into a height field with a pyramid of maxima (Tevs, Ihrke & Seidel 2008, "Maximum mipmaps")."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ TOP = wp.constant(LEVELS - 1)
 
 @wp.struct
 class Relief:
-    """Heights (n + 1, n + 1) in m, indexed [y, x], over the square that starts at (start, start) with n cells.
+    """Heights (n + 1, n + 1) in m, indexed [y, x], over the square that starts at (start, start) with n cells per side.
 
     top: the highest of all, m. highest: maxima over blocks of 1, 2, 4... cells, level after level, row by row; first:
-    where each level starts.
+    where each level starts in it.
     """
 
     heights: wp.array2d(dtype=wp.float32)
@@ -31,7 +31,7 @@ class Relief:
 
 
 def build_relief(heights: NDArray[np.float32], start: float, step: float, device: str) -> Relief:
-    """Relief on a device from heights (n + 1, n + 1) in m on a grid of `step` m."""
+    """Build a relief on a device from heights (n + 1, n + 1) in m on a grid of `step` m."""
     level = np.maximum(np.maximum(heights[:-1, :-1], heights[1:, :-1]), np.maximum(heights[:-1, 1:], heights[1:, 1:]))
     levels = [level]
     for _ in range(LEVELS - 1):
@@ -52,7 +52,7 @@ def build_relief(heights: NDArray[np.float32], start: float, step: float, device
 
 @wp.func
 def bilinear(relief: Relief, x: float, y: float):
-    """Height at (x, y) in cells from the start, clamped to the square."""
+    """Height, m, at (x, y) in cells from the start, clamped to the square."""
     last = float(relief.cells) - 0.001
     cx = clamped(x, 0.0, last)
     cy = clamped(y, 0.0, last)
@@ -67,7 +67,7 @@ def bilinear(relief: Relief, x: float, y: float):
 
 @wp.func
 def over_relief(relief: Relief, p: wp.vec3):
-    """Whether a point lies over or under the square."""
+    """Whether a point lies above or below the square."""
     size = relief.step * float(relief.cells)
     x = p[0] - relief.start
     y = p[1] - relief.start
@@ -86,7 +86,7 @@ def relief_normal(relief: Relief, p: wp.vec3):
 
 @wp.func
 def above(relief: Relief, i: int, j: int, u: float, v: float, z: float):
-    """Height of a point over cell (row i, column j), whose two triangles meet on u = v."""
+    """Height of a point at u, v, z above the ground in cell (row i, column j), whose two triangles meet on u = v."""
     a = relief.heights[i, j]
     d = relief.heights[i + 1, j + 1]
     corner = relief.heights[i, j + 1]
@@ -99,12 +99,12 @@ def above(relief: Relief, i: int, j: int, u: float, v: float, z: float):
 
 @wp.func
 def cast_relief(relief: Relief, origin: wp.vec3, direction: wp.vec3, max_t: float):
-    """First t at which a ray goes below the triangles of the square, or -1."""
+    """First t at which a ray passes below the triangles of the square, or -1 if it does not before max_t."""
     x0 = (origin[0] - relief.start) / relief.step
     y0 = (origin[1] - relief.start) / relief.step
     dx = direction[0] / relief.step
     dy = direction[1] / relief.step
-    # A ray that does not move along an axis crosses none of its lines: a tiny step stands for it.
+    # A ray that does not move along an axis crosses none of its grid lines: substitute a tiny step.
     if wp.abs(dx) < 1.0e-9:
         dx = wp.float32(1.0e-9)
     if wp.abs(dy) < 1.0e-9:
@@ -119,7 +119,7 @@ def cast_relief(relief: Relief, origin: wp.vec3, direction: wp.vec3, max_t: floa
     leave_y = greater(-y0 * inverse_y, (size - y0) * inverse_y)
     t = greater(greater(enter_x, enter_y), 0.0)
     end = lesser(lesser(leave_x, leave_y), max_t)
-    # Nothing can be hit before the ray is as low as the highest ground.
+    # Nothing can be hit before the ray is down to the highest ground.
     if direction[2] < 0.0:
         t = greater(t, (relief.top - origin[2]) / direction[2])
     elif origin[2] > relief.top:
@@ -166,7 +166,7 @@ def cast_relief(relief: Relief, origin: wp.vec3, direction: wp.vec3, max_t: floa
                 after = above(relief, i, j, u, v, origin[2] + direction[2] * out)
                 if after <= 0.0:
                     found = t + (out - t) * greater(before, 0.0) / (greater(before, 0.0) - after + 1.0e-12)
-        # Step to the next node: exactly over the line that is crossed, and along the other axis where the ray is.
+        # Step to the next node: exactly across the line that is crossed, and to the ray's place along the other axis.
         if out_x <= out_y:
             j = line_x
             if dx < 0.0:

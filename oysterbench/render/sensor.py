@@ -1,4 +1,4 @@
-"""The sensor: what a lens leaves to each pixel, exposure and gain, noise, and 8 bits."""
+"""The sensor: vignetting, exposure and gain, noise, and quantisation to 8 bits."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from oysterbench.render.target import KERNEL_OPTIONS
 wp.set_module_options(KERNEL_OPTIONS)
 
 FULL_WELL = 6000.0  # electrons: the variance of shot noise is signal / FULL_WELL
-READ_NOISE = 0.0015  # of full scale, before gain
+READ_NOISE = 0.0015  # relative to full scale, before gain
 GAMMA_LEVELS = 8192
 HOT_PER_S = 6.0  # mean dark signal of a hot pixel over full scale, exponentially distributed: 0.15 in 25 ms
-INSTANT_S = 0.010  # exposure time that hot pixels have where the shutter is open for an instant
+INSTANT_S = 0.010  # exposure time assumed for hot pixels if the shutter is open for an instant
 
 
 def vignette(rays: NDArray[np.float32], camera: CameraRecipe) -> NDArray[np.float32]:
-    """Share of light (H, W) that reaches a pixel: cos^4 of the angle off the axis, as far as the recipe wants it.
+    """Share (H, W) of light that reaches each pixel: cos^4 of the angle from the axis, to the degree that the recipe
+    asks for.
 
-    rays (H + 2, W + 2, 3): as of lens.pixel_rays.
+    rays (H + 2, W + 2, 3): as from lens.pixel_rays.
     """
     inside = rays[1:-1, 1:-1].astype(float)
     cosine2 = 1.0 / (1.0 + inside[..., 0] ** 2 + inside[..., 1] ** 2)
@@ -34,7 +35,7 @@ def vignette(rays: NDArray[np.float32], camera: CameraRecipe) -> NDArray[np.floa
 
 
 def gamma_table() -> NDArray[np.uint8]:
-    """sRGB code (GAMMA_LEVELS,) of equally spaced linear levels (IEC 61966-2-1)."""
+    """sRGB codes (GAMMA_LEVELS,) of equally spaced linear levels from 0 to 1 (IEC 61966-2-1)."""
     linear = np.linspace(0.0, 1.0, GAMMA_LEVELS)
     curve = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return np.round(255 * curve).astype(np.uint8)
@@ -42,8 +43,8 @@ def gamma_table() -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class Exposure:
-    """How a camera takes a picture. shutter_s: time that the shutter is open; 0 is an instant. gain: amplification.
-    scale (3,): from radiance to the linear scale of the sensor, gain and white balance in it."""
+    """Exposure of an image. shutter_s: time for which the shutter is open; 0 for an instant. gain: amplification.
+    scale (3,): factor from radiance to the linear scale of the sensor, including gain and white balance."""
 
     shutter_s: float
     gain: float
@@ -51,9 +52,10 @@ class Exposure:
 
 
 def dark_signal(camera: CameraRecipe, streams: Streams) -> NDArray[np.float32]:
-    """What hot pixels add (H, W, 3), per s and unit gain, each in the colour of its place in a Bayer mosaic (RGGB).
+    """Signal (H, W, 3) added by hot pixels, per s and unit gain, each in the colour of its place in a Bayer mosaic
+    (RGGB).
 
-    Demosaicing spreads it over the neighbours bilinearly.
+    Bilinear demosaicing spreads it over the neighbours.
     """
     shape = (camera.height, camera.width)
     generator = streams.generator("hot_pixels")
@@ -79,7 +81,7 @@ def part(
     forward_scatter: wp.array2d(dtype=wp.vec3),
     soft: wp.array2d(dtype=wp.vec3),
 ):
-    """Move what is to be blurred of the light scattered forward to `soft`: a share, and all that silt scatters."""
+    """Move the part of the forward-scattered light to be blurred to `soft`: a share, and all that silt scatters."""
     i, j = wp.tid()
     moved = forward_scatter[i, j] * (share + (1.0 - share) * silted[i, j])
     forward_scatter[i, j] = forward_scatter[i, j] - moved
@@ -96,9 +98,9 @@ def compose(
     parted: int,
     radiance: wp.array2d(dtype=wp.vec3),
 ):
-    """What arrives in a pixel from surfaces and water.
+    """Compute the radiance that arrives in a pixel from surfaces and water.
 
-    share: of the light scattered forward that is blurred; where `parted`, both parts count in full.
+    share: blurred share of the forward-scattered light; if `parted` is not 0, both parts count in full.
     """
     i, j = wp.tid()
     total = sharp[i, j] + backscatter[i, j]
@@ -113,7 +115,7 @@ def compose(
 
 @wp.kernel
 def add_flakes(snow: wp.array3d(dtype=wp.int32), unit: float, radiance: wp.array2d(dtype=wp.vec3)):
-    """Flakes before a picture: their light, and what they hide, in units."""
+    """Add flakes in front of an image: their light and their opacity, counted in units."""
     i, j = wp.tid()
     hidden = wp.min(float(snow[i, j, 3]) * unit, 1.0)
     light = wp.vec3(float(snow[i, j, 0]), float(snow[i, j, 1]), float(snow[i, j, 2])) * unit
@@ -133,9 +135,9 @@ def apply_sensor_model(
     gamma: wp.array(dtype=wp.uint8),
     colour: wp.array3d(dtype=wp.uint8),
 ):
-    """Exposure, shot and read noise (variance = shot * signal + read^2), clipping, gamma by table, 8 bits.
+    """Apply exposure, shot and read noise (variance = shot * signal + read^2), clipping, gamma by table, and 8 bits.
 
-    dark: what hot pixels add per s of `dark_s`, which is 0 where there are none.
+    dark: signal of hot pixels per s of `dark_s`, which is 0 if there are none.
     """
     row, column = wp.tid()
     signal = wp.cw_mul(radiance[row, column], gain) * vignetting[row, column]

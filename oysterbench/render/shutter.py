@@ -1,8 +1,10 @@
-"""Motion blur: a picture of one instant, gathered along the way that each pixel's surface takes over the picture.
+"""Motion blur: an image of one instant, gathered along the displacement of each pixel's surface in the image.
 
-After McGuire et al. 2012 ("A reconstruction filter for plausible motion blur") and Guertin et al. 2014: where all
-around moves alike, a pixel is the mean along its own way; where something faster is near, what of it lies before the
-pixel and reaches it covers it for a share of the time.
+After McGuire et al. 2012 ("A reconstruction filter for plausible motion blur") and Guertin et al. 2014: where the
+whole neighbourhood moves alike, a pixel is the mean along its own displacement; where something faster is near, the
+part of it that lies in front of the pixel and reaches it covers it for a share of the time.
+
+A `way` is the displacement of a surface in the image, px, from when the shutter opens to when it closes.
 """
 
 from __future__ import annotations
@@ -17,19 +19,19 @@ from oysterbench.render.view import CameraView, pixel_ray, pixel_start, rotation
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-TILES = 40  # across the picture; a way is cut at two tiles, as it is felt in the neighbouring ones
-SHARP_PX = wp.constant(0.25)  # a shorter way is none
-ALIKE_PX = wp.constant(0.75)  # ways that differ less are alike
-STEP_PX = wp.constant(1.5)  # between samples
-LONG_PX = wp.constant(4.0)  # along a longer way, samples are pixels as they are
-SOFT_DEPTH = wp.constant(0.02)  # relative step in depth over which one surface comes to lie before another
-LEAST_WEIGHT = wp.constant(1.0e-6)  # of the pixel itself, where all along its way lies before it
-LEAST_MOVED_M = wp.constant(1.0e-5)  # while the shutter is open: less is rest
-OPEN_WATER_M = wp.constant(50.0)  # where water is seen and nothing else
+TILES = 40  # across the image; a way is limited to two tiles, as only neighbouring tiles take it into account
+SHARP_PX = wp.constant(0.25)  # shorter ways do not blur
+ALIKE_PX = wp.constant(0.75)  # ways that differ by less count as equal
+STEP_PX = wp.constant(1.5)  # spacing of samples
+LONG_PX = wp.constant(4.0)  # along longer ways, samples are not interpolated between pixels
+SOFT_DEPTH = wp.constant(0.02)  # relative step in depth over which one surface comes to be in front of another
+LEAST_WEIGHT = wp.constant(1.0e-6)  # of the pixel itself, if everything along its way lies in front of it
+LEAST_MOVED_M = wp.constant(1.0e-5)  # while the shutter is open: anything less counts as at rest
+OPEN_WATER_M = wp.constant(50.0)  # depth of pixels that see nothing but water
 
 
 class Shutter:
-    """Blurs pictures (H, W) of vec3 on the device by the camera's motion while the shutter is open."""
+    """Blurs images (H, W) of vec3 on the device according to the motion while the shutter is open."""
 
     def __init__(self, shape: tuple[int, int], device: str) -> None:
         self.device = device
@@ -45,7 +47,7 @@ class Shutter:
     ) -> None:
         """Find the way (H, W), px, of each pixel from when the shutter opens to when it closes (Passage.ends).
 
-        then (H, W) of vec3: where in `map` what each pixel sees is when the shutter closes, where things move.
+        then (H, W) of vec3: if things move, where in `map` the point seen by each pixel is when the shutter closes.
         """
         motions = []
         for end in ends:
@@ -61,14 +63,14 @@ class Shutter:
         wp.launch(longest_around, tiles, inputs=[self._longest], outputs=[self._around], device=self.device)
 
     def blur(self, picture: wp.array, hits: wp.array, blurred: wp.array) -> None:
-        """Write the blurred picture into `blurred`."""
+        """Write the blurred image into `blurred`."""
         inputs = [picture, hits, self.ways, self._around, self.side]
         wp.launch(gather, self.shape, inputs=inputs, outputs=[blurred], device=self.device)
 
 
 @wp.func
 def through_lens(view: CameraView, i: int, j: int, dx: float, dy: float):
-    """px by which the slopes of a pixel's ray change by dx, dy: how slopes change from pixel to pixel."""
+    """Displacement in px that changes the slopes of a pixel's ray by dx, dy, from how slopes vary between pixels."""
     across = (view.rays[i + 1, j + 2] - view.rays[i + 1, j]) * 0.5
     down = (view.rays[i + 2, j + 1] - view.rays[i, j + 1]) * 0.5
     area = across[0] * down[1] - across[1] * down[0]
@@ -77,7 +79,7 @@ def through_lens(view: CameraView, i: int, j: int, dx: float, dy: float):
 
 @wp.func
 def cut(way: wp.vec2, longest: float):
-    """A way, no longer than that."""
+    """Limit a way to a length, px."""
     length = wp.length(way)
     if length > longest:
         way = way * (longest / length)
@@ -95,7 +97,8 @@ def find_ways(
     longest: float,
     ways: wp.array2d(dtype=wp.vec2),
 ):
-    """The way of what each pixel sees, if it rests. turn, shift: from the camera's axes now into those at the ends."""
+    """Find the way of the point seen by each pixel if it is at rest. turn, shift: from the camera's frame now into
+    those when the shutter opens and closes."""
     i, j = wp.tid()
     hit = hits[i, j]
     way = wp.vec2(0.0, 0.0)
@@ -123,7 +126,7 @@ def add_own_ways(
     longest: float,
     ways: wp.array2d(dtype=wp.vec2),
 ):
-    """Add what things move by themselves, evenly while the shutter is open; then: where they are when it closes."""
+    """Add the motion of moving things, uniform while the shutter is open; then: where they are when it closes."""
     i, j = wp.tid()
     hit = hits[i, j]
     if hit.instance >= 0:
@@ -143,7 +146,7 @@ def add_own_ways(
 
 @wp.kernel
 def longest_way(ways: wp.array2d(dtype=wp.vec2), side: int, longest: wp.array2d(dtype=wp.vec2)):
-    """The longest way in each tile."""
+    """Find the longest way in each tile."""
     i, j = wp.tid()
     best = wp.vec2(0.0, 0.0)
     for row in range(i * side, wp.min((i + 1) * side, ways.shape[0])):
@@ -155,7 +158,7 @@ def longest_way(ways: wp.array2d(dtype=wp.vec2), side: int, longest: wp.array2d(
 
 @wp.kernel
 def longest_around(longest: wp.array2d(dtype=wp.vec2), around: wp.array2d(dtype=wp.vec2)):
-    """The longest way in each tile and its eight neighbours."""
+    """Find the longest way in each tile and its eight neighbours."""
     i, j = wp.tid()
     best = wp.vec2(0.0, 0.0)
     for row in range(wp.max(i - 1, 0), wp.min(i + 2, longest.shape[0])):
@@ -167,7 +170,7 @@ def longest_around(longest: wp.array2d(dtype=wp.vec2), around: wp.array2d(dtype=
 
 @wp.func
 def between(picture: wp.array2d(dtype=wp.vec3), u: float, v: float):
-    """A picture at a place, px, bilinear."""
+    """Value of an image at column u and row v, px, interpolated bilinearly."""
     x = wp.clamp(u, 0.0, float(picture.shape[1] - 1) - 0.001)
     y = wp.clamp(v, 0.0, float(picture.shape[0] - 1) - 0.001)
     i = int(y)
@@ -180,13 +183,13 @@ def between(picture: wp.array2d(dtype=wp.vec3), u: float, v: float):
 
 @wp.func
 def depth_of(hits: wp.array2d(dtype=Hit), i: int, j: int):
-    """Depth in a pixel, m."""
+    """Depth of a pixel, m; that of open water where it sees no surface."""
     return wp.where(hits[i, j].instance == NOTHING, OPEN_WATER_M, wp.min(hits[i, j].t, OPEN_WATER_M))
 
 
 @wp.func
 def in_front(hits: wp.array2d(dtype=Hit), depth: float, x: float, y: float):
-    """How far, from 0 to 1, the surface at a place, px, lies before a depth, m."""
+    """Degree, from 0 to 1, to which the surface at a place, px, lies in front of a depth, m."""
     row = wp.clamp(int(y + 0.5), 0, hits.shape[0] - 1)
     column = wp.clamp(int(x + 0.5), 0, hits.shape[1] - 1)
     other = depth_of(hits, row, column)
@@ -195,7 +198,7 @@ def in_front(hits: wp.array2d(dtype=Hit), depth: float, x: float, y: float):
 
 @wp.func
 def covers(ways: wp.array2d(dtype=wp.vec2), x: float, y: float, distance: float):
-    """Whether, from 0 to 1, the surface at a place, px, comes as far as a distance, px, on its own way."""
+    """Degree, from 0 to 1, to which the surface at a place, px, covers a distance, px, on its own way."""
     row = wp.clamp(int(y + 0.5), 0, ways.shape[0] - 1)
     column = wp.clamp(int(x + 0.5), 0, ways.shape[1] - 1)
     return wp.clamp(0.5 * wp.length(ways[row, column]) - distance + 0.5, 0.0, 1.0)
@@ -210,7 +213,7 @@ def gather(
     side: int,
     blurred: wp.array2d(dtype=wp.vec3),
 ):
-    """The mean of a pixel over the exposure."""
+    """Compute the mean of each pixel over the exposure."""
     i, j = wp.tid()
     u = float(j)
     v = float(i)
@@ -235,7 +238,7 @@ def gather(
                     total += between(picture, u + own[0] * at, v + own[1] * at)
             total = total * step
         else:
-            # What is here, without what lies before it; and over that what comes before it for a share of the time.
+            # The surface here, without what lies in front of it, overlaid by what passes in front for a share of time.
             depth = depth_of(hits, i, j)
             here = picture[i, j] * LEAST_WEIGHT
             seen = LEAST_WEIGHT

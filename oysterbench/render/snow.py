@@ -1,6 +1,6 @@
-"""Marine snow: flakes that are fixed in a slowly moving water, lit by day and lamps, drawn as discs out of focus.
+"""Marine snow: flakes fixed in slowly moving water, lit by daylight and lamps, drawn as out-of-focus discs.
 
-Space is a grid whose cells each hold a Poisson number of flakes at hashed places: the same flake is in the next frame.
+Space is a grid whose cells each hold a Poisson number of flakes at hashed places, so that flakes persist across frames.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from oysterbench.scene.rig import camera_matrix
 wp.set_module_options(KERNEL_OPTIONS)
 
 
-SMALLEST_M, LARGEST_M = 0.0004, 0.003  # diameters; numbers fall with their cube (Jackson et al. 1997)
-NEAREST_M = 0.06  # nearer flakes are too far out of focus to be seen
+SMALLEST_M, LARGEST_M = 0.0004, 0.003  # diameters; number density falls with their cube (Jackson et al. 1997)
+NEAREST_M = 0.06  # nearer flakes are too far out of focus to be visible
 FARTHEST_M = 2.5
-PUPIL_M = 0.0012  # diameter of the lens' opening
+PUPIL_M = 0.0012  # diameter of the lens aperture, if the recipe has none
 PER_CELL = 1.5  # mean number of flakes in a cell
 MOST_PER_CELL = 8
-SINKING_M_S = 0.0008  # tens of metres a day (Alldredge & Silver 1988)
-DRIFT_M_S = 0.02  # of a slow current
+SINKING_M_S = 0.0008  # tens of metres per day (Alldredge & Silver 1988)
+DRIFT_M_S = 0.02  # speed of a slow current
 ALBEDO = wp.constant(0.45)  # of a flake, matte
-HIDING = wp.constant(0.4)  # share of what is behind it that a flake hides: it is a loose web
-FORWARD = wp.constant(0.7)  # asymmetry of what it scatters of a lamp's light
-MATTE = wp.constant(0.7)  # share of its light that it sends all ways
+HIDING = wp.constant(0.4)  # opacity of a flake, which is a loose web
+FORWARD = wp.constant(0.7)  # asymmetry of its scattering of a lamp's light
+MATTE = wp.constant(0.7)  # share of a lamp's light that it reflects like a matte ball
 LEAST_RADIUS_PX = 0.75  # of a disc: a pixel's own extent
-SOFT_RIM = wp.constant(0.5)  # width of a disc's rim over its radius
-SMALL_RADIUS_PX = wp.constant(2.0)  # of discs that are drawn round and soft
+SOFT_RIM = wp.constant(0.5)  # width of a disc's rim relative to its radius
+SMALL_RADIUS_PX = wp.constant(2.0)  # below this radius, discs are drawn with a soft profile
 LARGEST_RADIUS_PX = 24.0
-LONGEST_WAY_PX = 64.0  # that a flake takes along either axis in one exposure or readout
-UNIT = 2.0**-20  # step in which light is counted: sums of any order agree
+LONGEST_WAY_PX = 64.0  # largest displacement of a flake along either axis in one exposure or readout
+UNIT = 2.0**-20  # quantum in which light is accumulated, so that sums in any order agree
 
 
 class Snow:
-    """The flakes of a water, and their light in pictures of one camera."""
+    """Flakes in the water, and their light in the images of one camera."""
 
     def __init__(self, per_m3: float, camera: CameraRecipe, water: Water, texture_seed: int, device: str) -> None:
         self.per_m3 = per_m3
@@ -75,7 +75,7 @@ class Snow:
         corners = np.concatenate([_turn(rotation, corners), np.zeros((1, 3))]) + place
         low, high = (np.floor(f(axis=0) / self.cell).astype(np.int64) for f in (corners.min, corners.max))
         axes = [np.arange(a - 1, b + 2) for a, b in zip(low, high, strict=True)]
-        # Along each axis of the grid apart, for sums over all cells: in one order on every processor.
+        # Each axis of the grid separately, so that sums over all cells have the same order on every processor.
         grid = [(axis + 0.5) * self.cell - place[k] for k, axis in enumerate(axes)]
         x, y, z = (
             (grid[0][:, None] * rotation[0, k] + grid[1] * rotation[1, k])[:, :, None] + grid[2] * rotation[2, k]
@@ -100,7 +100,7 @@ class Snow:
             key = _scramble(key + np.uint32(axis + 1))
             offsets[:, axis] = _unit(key)
         key = _scramble(key + np.uint32(7))
-        # Numbers over a diameter fall with its square: a density of d^-3, by inversion.
+        # Numbers above a diameter fall with its square: a density of d^-3, sampled by inversion.
         sizes = SMALLEST_M / np.sqrt(1.0 - _unit(key) * (1.0 - (SMALLEST_M / LARGEST_M) ** 2))
         places = _turn(rotation.T, (cells[owner] + offsets) * self.cell - place)
         distance2 = (places**2).sum(axis=1)
@@ -117,7 +117,7 @@ class Snow:
         time_s: float,
         passage: Passage = STILL,
     ) -> None:
-        """Draw the flakes before the surfaces of `depth` (H, W) into `light`."""
+        """Draw the flakes in front of the surfaces at `depth` (H, W), m, into `light`."""
         assert self.light is not None
         self.light.zero_()
         places, sizes = self.flakes(T_map_cam, rays, time_s)
@@ -150,7 +150,7 @@ class Snow:
         )
 
     def _way(self, ends: Array, T_map_cam: Array, places: Array) -> Array:
-        """How far (N, 2), px, places (N, 3) in the optical frame go while the camera goes from one pose to another."""
+        """Image displacement (N, 2), px, of places (N, 3) in the optical frame as the camera moves between `ends`."""
         seen = []
         for end in ends:
             motion = np.round(np.linalg.inv(end) @ T_map_cam, 9)
@@ -160,13 +160,14 @@ class Snow:
         return np.asarray(np.clip(seen[1] - seen[0], -LONGEST_WAY_PX, LONGEST_WAY_PX))
 
     def _rolled(self, rows: Array, T_map_cam: Array, places: Array, heights: Array) -> Array:
-        """How much (N, 2), px, flakes at those heights in the picture have moved when their rows are exposed."""
+        """Image displacement (N, 2), px, of flakes at heights (N,) in the image by the time their rows are exposed."""
         way = self._way(rows[[0, -1]], T_map_cam, places) / (len(rows) - 1)
         late = (np.clip(heights, 0, self.camera.height) - (self.camera.height - 1) / 2) / (1 - way[:, 1])
         return np.asarray(way * late[:, None])
 
     def _streaks(self, ends: Array, T_map_cam: Array, columns: Array, places: Array) -> tuple[Array, Array]:
-        """Discs in a row instead of each disc, along its way over the exposure, and their places."""
+        """Replace each disc with a row of discs along its displacement during the exposure; return these and their
+        places."""
         way = self._way(ends, T_map_cam, places)
         parts = np.ceil(np.sqrt((way**2).sum(axis=1)) / np.maximum(1.5 * columns[:, 2], 1.0)).astype(int) + 1
         owner = np.repeat(np.arange(len(parts)), parts)
@@ -178,7 +179,7 @@ class Snow:
 
 
 def _turn(rotation: Array, points: Array) -> Array:
-    """Points (N, 3) turned, written out: sums in one order on every processor."""
+    """Rotate points (N, 3), written out so that sums have the same order on every processor."""
     x, y, z = points[:, 0, None], points[:, 1, None], points[:, 2, None]
     return np.asarray(x * rotation[:, 0] + y * rotation[:, 1] + z * rotation[:, 2])
 
@@ -209,7 +210,7 @@ def draw(
     unit: float,
     light: wp.array3d(dtype=wp.int32),
 ):
-    """A flake: its light and what it hides, spread over its disc (column, row, radius in px, share that it covers)."""
+    """Draw a flake: its light and opacity, spread over its disc (column, row, radius in px, share that it covers)."""
     k = wp.tid()
     disc = discs[k]
     place = places[k]
@@ -218,7 +219,7 @@ def draw(
     p = view.position + direction * distance
     across = disc[0] / float(depth.shape[1] - 1)
     way = way_to(optics, across, disc[1] / float(depth.shape[0] - 1), distance, p)
-    # A matte ball in light from the upper half of all directions sends back half of it.
+    # A matte ball lit from the upper hemisphere reflects half of the light.
     lit = look_up(optics.daylight, -p[2] / optics.depth_step) * (0.5 * (optics.sun + optics.sky))
     lit = wp.cw_mul(lit, way.day)
     for lamp in range(optics.lamps.count):
@@ -248,7 +249,7 @@ def draw(
         for j in range(left, right + 1):
             dx = float(j) - disc[0]
             dy = float(i) - disc[1]
-            # Soft at its rim, or, when it is small, all over: as dense as a disc of that radius.
+            # Soft at the rim or, if small, throughout, with the same total as a disc of that radius.
             rim = wp.max(1.0, SOFT_RIM * radius)
             inside = wp.clamp((radius + 0.5 * rim - wp.sqrt(dx * dx + dy * dy)) / rim, 0.0, 1.0)
             if radius < SMALL_RADIUS_PX:

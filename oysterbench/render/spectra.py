@@ -1,6 +1,6 @@
-"""Spectra at WAVELENGTHS: what water and its constituents absorb and scatter, daylight, a camera's response.
+"""Spectra at WAVELENGTHS: absorption and scattering of water and its constituents, daylight, a camera's response.
 
-Arrays run over WAVELENGTHS in their last axis; coefficients are in 1/m.
+The last axis of arrays runs over WAVELENGTHS; coefficients are in 1/m.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.recipe import WaterRecipe
 
 WAVELENGTHS: Array = np.arange(400.0, 701.0, 10.0)
-"""nm, (31,)"""
+"""Wavelengths (31,), nm."""
 
 # fmt: off
 WATER_ABSORPTION: Array = np.array(
@@ -24,7 +24,7 @@ WATER_ABSORPTION: Array = np.array(
         0.2224, 0.2644, 0.2755, 0.2916, 0.3108, 0.340, 0.410, 0.439, 0.465, 0.516, 0.624,
     ]
 )
-"""Pure water, 1/m (Pope & Fry, Applied Optics 36, 1997, table 3)."""
+"""Absorption of pure water, 1/m (Pope & Fry, Applied Optics 36, 1997, table 3)."""
 
 DAYLIGHT: Array = np.array(
     [
@@ -50,27 +50,28 @@ JERLOV: dict[str, tuple[tuple[float, float, float], tuple[float, float, float], 
     "7C": ((0.578, 0.195, 0.620), (1.64, 2.35, 3.43), (0.63, 0.46, 0.89)),
     "9C": ((0.621, 0.348, 1.06), (2.17, 3.12, 4.56), (0.76, 0.63, 1.6)),
 }
-"""Absorption and scattering after Solonenko & Mobley (Applied Optics 54, 2015) as public simulators carry them;
+"""Absorption and scattering after Solonenko & Mobley (Applied Optics 54, 2015), as used in public simulators;
 Kd: Austin & Petzold 1984 (I to 1C), Jerlov 1976 (3C to 9C)."""
 
 TABLE_WAVELENGTHS = np.array([650.0, 550.0, 450.0])
 RED_TABLE_OFFSET = 0.120
-"""1/m by which the table's absorption at 650 nm exceeds pure water in its clearest type. Its red is that of pure water
-near 678 nm, and is more than Kd, which cannot be; its own steps from type to type are kept, over pure water at 650."""
+"""Excess, 1/m, of the table's absorption at 650 nm in its clearest type over pure water. The table's red is that of
+pure water near 678 nm and exceeds Kd, which is impossible; its steps from type to type are kept, above pure water at
+650 nm."""
 
 CDOM_SLOPE = 0.0176  # 1/nm, dissolved matter (Babin et al., J. Geophys. Res. 108, 2003, mean of European coasts)
 NAP_SLOPE = 0.0110  # 1/nm, non-algal particles (Babin et al. 2003: 0.0123 +- 0.0013; Chesapeake: Tzortziou 2006, 0.011)
 REFERENCE_NM = 440.0
 SCATTERING_NM = 550.0
-PURE_SCATTERING = 0.0019  # 1/m at 550 nm: what sea water itself scatters, as in type I
+PURE_SCATTERING = 0.0019  # 1/m at 550 nm: scattering by sea water itself, close to that of type I
 SECCHI_CONSTANT = 1.45
 
 
 @dataclass(frozen=True)
 class Constituents:
-    """What is in the water. cdom, nap, algae: absorption at 440 nm, 1/m; scattering: of particles at 550 nm, 1/m.
+    """Constituents of water. cdom, nap, algae: absorption at 440 nm, 1/m; scattering: by particles at 550 nm, 1/m.
 
-    Scattering falls as the wavelength to the power -slope.
+    Scattering is proportional to the wavelength to the power -slope.
     """
 
     cdom: float
@@ -80,11 +81,11 @@ class Constituents:
     slope: float = 1.0
 
     def absorption(self) -> Array:
-        """a (31,), 1/m: pure water, dissolved matter, algae and other particles."""
+        """Absorption a (31,), 1/m, of pure water, dissolved matter, algae and other particles."""
         return WATER_ABSORPTION + np.array([self.cdom, self.nap, self.algae]) @ absorbers(WAVELENGTHS)
 
     def scatter(self) -> Array:
-        """b (31,), 1/m: a power law of the wavelength."""
+        """Scattering b (31,), 1/m: a power law of the wavelength."""
         return self.scattering * (SCATTERING_NM / WAVELENGTHS) ** self.slope
 
 
@@ -93,12 +94,13 @@ CHESAPEAKE: dict[str, tuple[Constituents, float]] = {
     "chesapeake-mid": (Constituents(cdom=0.65, nap=0.25, algae=0.65, scattering=6.5, slope=0.9), 1.2),
     "chesapeake-turbid": (Constituents(cdom=0.90, nap=0.60, algae=0.90, scattering=12.0, slope=0.8), 0.65),
 }
-"""Mixtures of the size measured in the bay (Tzortziou et al., Estuarine, Coastal and Shelf Science 68, 2006), to be
-scaled as a whole to a Secchi depth in m: relatively more mineral matter, the more turbid."""
+"""Mixtures of the magnitude measured in the bay (Tzortziou et al., Estuarine, Coastal and Shelf Science 68, 2006), each
+to be scaled as a whole to a Secchi depth in m; the more turbid, the higher the share of mineral matter."""
 
 
 def water_constituents(recipe: WaterRecipe) -> Constituents:
-    """Constituents of a recipe's water: its type, times its turbidity, plus what is added, scaled to a Secchi depth."""
+    """Constituents of a recipe's water: its type, particles times its turbidity, plus additions, scaled to a Secchi
+    depth if one is given."""
     kind = recipe.type or recipe.jerlov or "pure"
 
     if kind in CHESAPEAKE:
@@ -119,8 +121,8 @@ def water_constituents(recipe: WaterRecipe) -> Constituents:
 
 
 def scale_to_secchi(water: Constituents, secchi_m: float) -> Constituents:
-    """So much of a mixture that a Secchi disc vanishes at secchi_m."""
-    from scipy.optimize import brentq  # a third of a second, for commands that render nothing
+    """Scale a mixture so that a Secchi disc vanishes at secchi_m."""
+    from scipy.optimize import brentq  # imported late: takes a third of a second, even if nothing is rendered
 
     def scaled(factor: float) -> Constituents:
         parts = {name: getattr(water, name) * factor for name in ("cdom", "nap", "algae", "scattering")}
@@ -130,7 +132,7 @@ def scale_to_secchi(water: Constituents, secchi_m: float) -> Constituents:
 
 
 def secchi_depth(water: Constituents) -> float:
-    """Depth at which a white disc vanishes, m: 1.45 / Kd, with Kd of the light that the eye sees best.
+    """Depth at which a white disc vanishes, m: 1.45 / Kd, with Kd averaged over the eye's sensitivity to daylight.
 
     Poole & Atkins 1929 in the form used for Chesapeake Bay; Kd after Kirk (Limnol. Oceanogr. 29, 1984).
     """
@@ -139,12 +141,13 @@ def secchi_depth(water: Constituents) -> float:
 
 
 def diffuse_attenuation(a: Array, b: Array, sun_cosine: float = 0.85) -> Array:
-    """Kd, 1/m, over the sunlit layer: sqrt(a^2 + G a b) / mu0, G = 0.425 mu0 - 0.19 (Kirk 1984, eqs. 9 and 14)."""
+    """Diffuse attenuation Kd, 1/m, over the sunlit layer: sqrt(a^2 + G a b) / mu0, G = 0.425 mu0 - 0.19 (Kirk 1984,
+    eqs. 9 and 14)."""
     return np.sqrt(a * a + (0.425 * sun_cosine - 0.19) * a * b) / sun_cosine
 
 
 def molecular_scattering() -> Array:
-    """Scattering of pure sea water (31,), 1/m, to all sides alike: 0.00288 at 500 nm (Morel 1974)."""
+    """Scattering of pure sea water (31,), 1/m, nearly isotropic: 0.00288 at 500 nm (Morel 1974)."""
     return 0.00288 * (500.0 / WAVELENGTHS) ** 4.32
 
 
@@ -162,7 +165,7 @@ def absorbers(wavelengths: Array) -> Array:
 
 
 def band(wavelengths: Array, centre: float, width: float) -> Array:
-    """A Gaussian of unit height; width is its standard deviation, nm."""
+    """Gaussian of unit height; width is its standard deviation, nm."""
     return np.exp(-0.5 * ((wavelengths - centre) / width) ** 2)
 
 
@@ -172,7 +175,7 @@ def jerlov_constituents(kind: str) -> Constituents:
     Absorption above that of pure water: non-negative least squares of relative residuals over the three absorbers;
     scattering: a straight line in logarithms.
     """
-    from scipy.optimize import nnls  # as brentq
+    from scipy.optimize import nnls  # imported late, like brentq
 
     a, b, _ = (np.array(row) for row in JERLOV[kind])
     a[0] -= RED_TABLE_OFFSET
@@ -184,9 +187,9 @@ def jerlov_constituents(kind: str) -> Constituents:
 
 
 def camera_response() -> Array:
-    """Response (3, 31) of a generic colour camera to red, green and blue, each summing to 1.
+    """Response (3, 31) of a generic colour camera in red, green and blue, each summing to 1.
 
-    Bands in the middle of the 28 cameras of Jiang et al. (WACV 2013); red keeps the small second lobe that lets it see
+    Bands typical of the 28 cameras of Jiang et al. (WACV 2013); red keeps the small second lobe through which it sees
     green light where all red has been absorbed.
     """
     red = band(WAVELENGTHS, 605, 28) + 0.10 * band(WAVELENGTHS, 535, 30)
@@ -197,11 +200,11 @@ def camera_response() -> Array:
 
 
 def camera_weights() -> Array:
-    """Share (3, 31) of each wavelength in a channel's signal from a white surface just below the water's surface."""
+    """Share (3, 31) of each wavelength in a channel's signal from a white object just below the water's surface."""
     weights = camera_response() * DAYLIGHT
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
 def luminosity() -> Array:
-    """Photopic luminous efficiency (31,) in Gaussian form (after CIE 1924; peak 555 nm)."""
+    """Photopic luminous efficiency (31,) as a Gaussian (after CIE 1924; peak 555 nm)."""
     return band(WAVELENGTHS, 557, 42)

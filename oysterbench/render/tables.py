@@ -9,7 +9,7 @@ from oysterbench.render.arithmetic import clamped
 
 @wp.func
 def look_up(table: wp.array(dtype=wp.vec3), place: float):
-    """Linear interpolation at a fractional index, clamped."""
+    """Interpolate a table linearly at a fractional index, clamped."""
     last = table.shape[0] - 1
     inside = clamped(place, 0.0, float(last) - 0.001)
     i = int(inside)
@@ -18,7 +18,7 @@ def look_up(table: wp.array(dtype=wp.vec3), place: float):
 
 @wp.func
 def look_up_pair(table: wp.array2d(dtype=wp.vec3), row: float, column: float):
-    """Bilinear interpolation at fractional indices, clamped; exact where all values are one."""
+    """Interpolate a table bilinearly at fractional indices, clamped; exact where all values are one."""
     y = clamped(row, 0.0, float(table.shape[0] - 1) - 0.001)
     x = clamped(column, 0.0, float(table.shape[1] - 1) - 0.001)
     i = int(y)

@@ -1,4 +1,4 @@
-"""Warp, and what its kernels are compiled for: one arithmetic on every processor."""
+"""Start-up of Warp, and compiler options of its kernels for the same arithmetic on every processor."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import warp as wp
 
 COMPILER_FLAGS = "-mllvm=-inline-threshold=100000 -mllvm=-inline-cold-callsite-threshold=100000"
 if platform.machine() in ("x86_64", "AMD64"):
-    # One target for all: a host's own instructions are no faster here, and a cache of kernels may be shared by hosts.
+    # One target for all: native instructions are no faster here, and hosts can share a kernel cache.
     COMPILER_FLAGS += " -target-cpu x86-64-v2"
 
-# No fused or reordered arithmetic: then every processor makes the same bytes.
+# No fused or reordered arithmetic, so that every processor produces the same bytes.
 KERNEL_OPTIONS: dict[str, Any] = {
     "cpu_compiler_flags": COMPILER_FLAGS,
     "fuse_fp": False,
@@ -25,7 +25,7 @@ KERNEL_OPTIONS: dict[str, Any] = {
 
 
 def start_warp() -> None:
-    """Start Warp without its greeting, and without its native warning where there is no CUDA driver."""
+    """Start Warp without its greeting, and without its native warning if there is no CUDA driver."""
     wp.config.log_level = wp.LOG_ERROR
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)

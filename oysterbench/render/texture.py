@@ -1,7 +1,7 @@
-"""Procedural surfaces as Warp functions: what shells, stones, plants and sponges look like; the bottom is `ground.py`.
+"""Procedural surfaces of shells, stones, plants and sponges as Warp functions; the bottom is in `ground.py`.
 
-Albedo is linear. Everything is made of the noise in `noise.py`, which is exact on every processor and fades out below
-a pixel's footprint.
+Albedo is linear. Everything is built from the noise in `noise.py`, which is exact on every processor and fades out
+below a pixel's footprint.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ DEBRIS = wp.constant(wp.uint8(CLASS_NUMBERS["debris"]))
 TETHER = wp.constant(wp.uint8(CLASS_NUMBERS["tether"]))
 
 INSIDE = wp.constant(wp.vec3(0.560, 0.535, 0.480))
-FILLED = wp.constant(0.85)  # share of a shell's ridges that sediment levels where it covers all
+FILLED = wp.constant(0.85)  # share of a shell's ridges that sediment levels at full cover
 SCAR = wp.constant(wp.vec3(0.190, 0.130, 0.180))
-FILM = wp.constant(wp.vec3(0.105, 0.110, 0.050))  # of algae on what sees light
+FILM = wp.constant(wp.vec3(0.105, 0.110, 0.050))  # of algae on lit surfaces
 
 
 @wp.func
@@ -45,9 +45,9 @@ def shell(
     footprint: float,
     seed: wp.uint32,
 ):
-    """A shell's surface: growth bands, stains, fouling, a chalky margin, a pale inside, silt on what faces up.
+    """Surface of a shell: growth bands, stains, fouling, a chalky margin, a pale inside, silt where it faces up.
 
-    q: point in the shell's frame in m; mark: growth, inside and scar as in scene.oyster; height: of the shell, m.
+    q: point in the shell's frame, m; mark: growth, inside and scar as in scene.oyster; height: of the shell, m.
     """
     coarse = noise3(q / 0.034, seed)
     value = float(coarse[0] * kept(0.034, footprint))
@@ -63,7 +63,7 @@ def shell(
             gradient += wp.vec3(n[1], n[2], n[3]) * (0.50 * weight)
         wavelength *= 0.5
     outside = 1.0 - clamped(mark[1], 0.0, 1.0)
-    # Bands of a season and, finer, of a spring tide, along the margins that the shell had.
+    # Seasonal bands and finer ones of spring tides, along the shell's former margins.
     age = mark[0] * height
     radial = wp.vec3(q[0], 1.6 * q[1], 0.0)
     radial = radial / (wp.length(radial) + 1.0e-6)
@@ -71,12 +71,12 @@ def shell(
     band = phase - wp.floor(phase)
     finer = age / 0.0031 + 0.6 * coarse[0] + 0.7 * fine
     ridge = finer - wp.floor(finer)
-    # A lamella rises gently and breaks off; not every one is as strong along all of its rim.
+    # A lamella rises gently and breaks off; its strength varies along its rim.
     wide = kept(0.0080, footprint) * outside
     close = kept(0.0031, footprint) * outside
     strong = clamped(0.6 + 0.9 * coarse[3], 0.0, 1.3)
     brink = step_smoothly(0.62, 0.80, band) * (1.0 - step_smoothly(0.90, 1.0, band))
-    # Sediment stays where the surface is flat and rough, and fills what the shell has grown.
+    # Sediment stays where the surface is flat and rough, and fills the shell's relief.
     settled = normal[2] + 0.45 * value + 0.40 * fine + silt + 1.7 * ground.cover - 1.6
     cover = step_smoothly(0.15, 0.95, settled)
     dust = ground.cover * (0.25 + 0.35 * silt) * (0.75 + 0.25 * normal[2])
@@ -146,7 +146,7 @@ def stone(
     footprint: float,
     seed: wp.uint32,
 ):
-    """A stone's surface: mottled, speckled, filmed and silted from above; q in the stone's frame in m."""
+    """Surface of a stone: mottled, speckled, with an algal film, and silted from above; q: in the stone's frame, m."""
     value = wp.float32(0.0)
     gradient = wp.vec3(0.0, 0.0, 0.0)
     wavelength = wp.float32(0.07)
@@ -170,7 +170,7 @@ def stone(
 
 @wp.func
 def plant(mark: wp.vec3, normal: wp.vec3, colour: wp.vec3, ground: Ground, footprint: float, seed: wp.uint32):
-    """A blade: mark is the share of its length, its own tone and the place across; older towards the tip."""
+    """Surface of a blade, older towards the tip; mark: share of its length, its own tone and the position across."""
     n = noise2(mark[0] * 9.0, mark[1] * 37.0, seed)
     weight = kept(0.02, footprint)
     albedo = colour * (0.65 + 0.6 * mark[1]) * (1.0 + 0.3 * n[0] * weight)
@@ -187,7 +187,7 @@ def plant(mark: wp.vec3, normal: wp.vec3, colour: wp.vec3, ground: Ground, footp
 def sponge(
     q: wp.vec3, normal: wp.vec3, rotation: wp.mat33, colour: wp.vec3, ground: Ground, footprint: float, seed: wp.uint32
 ):
-    """A sponge's surface: fleshy, with pores; q in its frame in m."""
+    """Surface of a sponge: fleshy, with pores; q: point in its frame, m."""
     a = noise3(q / 0.011, seed)
     b = noise3(q / 0.0031, seed + wp.uint32(1))
     wide = kept(0.011, footprint)
@@ -216,7 +216,7 @@ def instance_material(
     footprint: float,
     seed: wp.uint32,
 ):
-    """The material of an instance of class `kind` at q, m in its own frame."""
+    """Material of an instance of class `kind` at a point q, m, in its own frame."""
     material = Material()
     if kind == OYSTER or kind == HASH:  # noqa: SIM109 - Warp has no `in`
         material = shell(q, mark, height, normal, rotation, colour, silt, ground, footprint, seed)

@@ -1,4 +1,4 @@
-"""A view of a world on the device: the light that arrives in each pixel of a camera, and what it comes from."""
+"""A view of a world on the device: the light that arrives in each pixel of a camera, and the surface it comes from."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ from oysterbench.scene.world import World
 Pose = NDArray[np.float64]
 
 SHADE_SEED = 0x5AADE
-DEPTH_MARGIN_M = 3.0  # of the water's tables below the mean bottom
+DEPTH_MARGIN_M = 3.0  # extent of the water's tables below the mean bottom
 
 
 class ViewTracer:
-    """Traces views of a world for one camera; the world goes to the device once.
+    """Traces views of a world for one camera; the world is uploaded to the device once.
 
-    rig: the vehicle that carries the camera, with its lamps and body; without it there are none. life: what moves by
-    itself. seconds: processor time that each stage has taken so far.
+    rig: the vehicle that carries the camera, with its lamps and body; if None, there are neither. life: things that
+    move by themselves. seconds: processor time spent in each stage so far.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class ViewTracer:
         self._allocate()
 
     def _prepare(self, T_map_cam: Pose, time_s: float, T_map_base: Pose | None) -> None:
-        """Move waves, lamps and vehicle to their places."""
+        """Update waves, turbidity, lamps, vehicle and moving things for a camera pose and time."""
         if T_map_base is None:
             T_map_base = np.asarray(T_map_cam, dtype=float) @ np.linalg.inv(camera_pose(self.camera))
         T_map_base = np.round(T_map_base, 9)
@@ -104,7 +104,7 @@ class ViewTracer:
             self._clear.lamps.axes = self._optics.lamps.axes
 
     def _place(self, T_map_base: Pose, time_s: float) -> None:
-        """Move the vehicle and what moves by itself to their places."""
+        """Place the vehicle and the moving things for a time."""
         if self._movers is not None:
             with self._timed("movers"):
                 self._movers.move(time_s)
@@ -130,8 +130,8 @@ class ViewTracer:
         return view
 
     def _expose(self, T_map_cam: Pose, time_s: float, passage: Passage, ideal: bool = False) -> wp.array:
-        """What arrives at the sensor (H, W) vec3, and the truth of it in its place. ideal: by a lens that is sharp
-        everywhere, a shutter that opens for an instant, and a clean port."""
+        """Radiance at the sensor, (H, W) of vec3; the ground truth is left in `_truth`. ideal: with a lens that is
+        sharp everywhere, a shutter that opens for an instant, and a clean port."""
         view = self._view(T_map_cam, passage)
         self._trace(view, self._optics)
         device, shape = self.device, self._radiance.shape
@@ -180,7 +180,7 @@ class ViewTracer:
         return seen
 
     def _trace(self, view: CameraView, optics: Optics) -> None:
-        """Cast, shade and refine the picture of a view into sharp, forward_scatter and backscatter."""
+        """Cast, shade and refine the image of a view into sharp, forward_scatter and backscatter."""
         shape, device = self._radiance.shape, self.device
         scene = [self._geometry, self._looks, optics, view]
         surfaces = [self._hits, self._normals]
@@ -209,7 +209,7 @@ class ViewTracer:
             wp.launch(edges.refine, shape, inputs=inputs, outputs=outputs, device=device)
 
     def _cast(self, view: CameraView) -> None:
-        """The nearest surface in each pixel of a view."""
+        """Find the nearest surface in each pixel of a view."""
         with self._timed("primary rays"):
             outputs = [self._hits, self._normals, *self._truth]
             inputs = [self._geometry, view]
@@ -219,7 +219,7 @@ class ViewTracer:
         return wp.vec3(0.0, 0.0, 0.0) if optics is self._clear else self._water_scattering
 
     def _light(self, world: World, recipe: SequenceRecipe, plumes: Plumes | None) -> None:
-        """Tables of water and light, what moves in them, and what lens and port do to them."""
+        """Build tables of water and light, their moving parts, and the effects of lens and port."""
         device, camera = self.device, self.camera
         light = build_light(recipe.light)
         daylight = Daylight(float(light.sun_direction[2]), light.sky)
@@ -252,7 +252,7 @@ class ViewTracer:
             self._defocus = defocus.Defocus(shape, *lens, device)
 
     def _allocate(self) -> None:
-        """Pictures on the device."""
+        """Allocate the images on the device."""
         shape = (self.camera.height, self.camera.width)
 
         def picture(kind: type) -> wp.array:

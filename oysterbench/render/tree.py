@@ -1,7 +1,7 @@
-"""Trees of boxes, four to a node: a ray meets the boxes of a node, and the triangles of a leaf, side by side.
+"""Trees of boxes, four per node: a ray is tested against the boxes of a node, or the triangles of a leaf, in parallel.
 
-Wide and shallow as of Dammertz, Hanika & Keller (2008, "Shallow bounding volume hierarchies for fast SIMD ray
-tracing"), split at medians along the longest axis; triangles as of Woop, Benthin & Wald (2013, "Watertight
+Wide and shallow as in Dammertz, Hanika & Keller (2008, "Shallow bounding volume hierarchies for fast SIMD ray
+tracing"), split at medians along the longest axis; triangles as in Woop, Benthin & Wald (2013, "Watertight
 ray/triangle intersection").
 """
 
@@ -17,15 +17,16 @@ from numpy.typing import NDArray
 from oysterbench.scene.mesh import Mesh
 
 WIDTH = 4
-MARGIN = 1e-6  # of boxes, of their size: for rounding
+MARGIN = 1e-6  # margin of boxes for rounding, relative to their coordinates
 
 
 @dataclass(frozen=True)
 class Forest:
-    """Trees over items that lie end to end.
+    """Trees over items stored consecutively.
 
-    planes (6 N, 4) float32: of each node the low and the high sides of its four boxes along x, y and z. children (N, 4)
-    int32: a node, or -1 - leaf. roots (M,) int32: first node of each tree. leaves (L, leaf) int32: items, -1 for none.
+    planes (6 N, 4) float32: for each node, the low and the high sides of its four boxes along x, y and z. children
+    (N, 4) int32: a node, or -1 - leaf. roots (M,) int32: root node of each tree. leaves (L, leaf) int32: items, -1 for
+    none.
     """
 
     planes: NDArray[np.float32]
@@ -36,8 +37,8 @@ class Forest:
 
 @wp.struct
 class Library:
-    """Meshes on a device, each a tree. triangles (9 L,): x, y, z of the corners of a leaf's four; faces (4 L,): which
-    of its mesh each is."""
+    """Meshes on a device, each with a tree. triangles (9 L,): x, y, z of the three corners of the four triangles of
+    each leaf; faces (4 L,): index of each triangle in its mesh."""
 
     planes: wp.array(dtype=wp.vec4)
     children: wp.array(dtype=wp.vec4i)
@@ -47,14 +48,14 @@ class Library:
 
 @wp.struct
 class Tree:
-    """A tree on a device, as in Forest, whose leaves are single items: child -1 - item."""
+    """A tree on a device, as in Forest, whose leaves are single items: a child is a node, or -1 - item."""
 
     planes: wp.array(dtype=wp.vec4)
     children: wp.array(dtype=wp.vec4i)
 
 
 def build_forest(low: NDArray[np.float32], high: NDArray[np.float32], counts: list[int], leaf: int) -> Forest:
-    """Trees over boxes from low (N, 3) to high (N, 3), counts of them to each, with up to `leaf` to a leaf."""
+    """Build trees over boxes from low (N, 3) to high (N, 3), counts[k] of them in tree k and up to `leaf` per leaf."""
     order = np.arange(len(low))
     centre = low.astype(float) + high
     size = np.array(counts)
@@ -95,7 +96,7 @@ def build_forest(low: NDArray[np.float32], high: NDArray[np.float32], counts: li
 
 
 def _places(start: NDArray[np.int64], size: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Places of all items of runs that are not empty, and the run of each."""
+    """Positions of all items of non-empty runs, and the run to which each belongs."""
     owner = np.repeat(np.arange(len(size)), size)
     return start[owner] + np.arange(len(owner)) - (np.cumsum(size) - size)[owner], owner
 
@@ -103,7 +104,8 @@ def _places(start: NDArray[np.int64], size: NDArray[np.int64]) -> tuple[NDArray[
 def _halve(
     start: NDArray[np.int64], size: NDArray[np.int64], order: NDArray[np.int64], centre: NDArray[np.float64], leaf: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Halves of runs of `order`, in whole leaves, sorted in place along the longest axis; what fits a leaf stays."""
+    """Halve runs of `order` in whole leaves, sorting them in place along the longest axis; runs that fit into a leaf
+    stay whole. Returns start and size of the halves."""
     wide = size > leaf
     if wide.any():
         place, owner = _places(start[wide], size[wide])
@@ -118,7 +120,7 @@ def _halve(
 
 
 def upload_tree(low: NDArray[np.float32], high: NDArray[np.float32], device: str) -> Tree:
-    """A tree over boxes from low (N, 3) to high (N, 3) on a device."""
+    """Build a tree over boxes from low (N, 3) to high (N, 3) on a device."""
     forest = build_forest(low, high, [len(low)], 1)
     children = forest.children.copy()
     children[children < 0] = -1 - forest.leaves[-1 - children[children < 0], 0]
@@ -130,7 +132,7 @@ def upload_tree(low: NDArray[np.float32], high: NDArray[np.float32], device: str
 
 @lru_cache(maxsize=1)
 def upload_library(meshes: tuple[Mesh, ...], device: str) -> tuple[Library, NDArray[np.int32]]:
-    """Meshes on a device, and the root (M,) of each one's tree: once for all cameras and sonars of a reef."""
+    """Meshes on a device, uploaded once for all cameras and sonars of a reef, and the roots (M,) of their trees."""
     corners = np.concatenate([mesh.vertices[mesh.faces] for mesh in meshes])
     counts = [len(mesh.faces) for mesh in meshes]
     forest = build_forest(corners.min(axis=1), corners.max(axis=1), counts, WIDTH)

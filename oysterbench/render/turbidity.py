@@ -1,7 +1,7 @@
-"""Turbidity that varies: what the layer, the patches and the plumes add to the water at a point, on the device.
+"""Varying turbidity: what the layer, the patches and the plumes add to the water at a point, on the device.
 
-Amounts are two: `own`, the share by which the water's own particles are more (layer and patches, closed forms), and
-`silt`, attenuation in green of the plumes, 1/m (a grid over the part of the view that has any).
+There are two amounts: `own`, the relative excess of the water's own particles (layer and patches, in closed form), and
+`silt`, the attenuation in green of the plumes, 1/m (a grid over the part of the view that has any).
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ HALVINGS = wp.constant(1.0 / 64.0)
 
 @wp.struct
 class Turbidity:
-    """The field at a time, and along the rays of a view. on: 0 for even water, where nothing else is read.
+    """The field at one time, and along the rays of a view. on: 0 for uniform water, for which nothing else is read.
 
     Layer: own particles are 1 + excess * exp(-height * fade) times as many at a height over z = bottom. Patches: that
-    times 1 + contrast * noise(x, y), with `frequency` 1/m, after the current has carried them `drift` m. Plumes: grid
-    (X, Y, Z) of silt (attenuation 1/m, and its integral upwards) from `corner`, `cell` m apart; silty: 0 for none.
+    times 1 + contrast * noise(x, y), with `frequency` 1/m, after the current has carried them by `drift` m. Plumes:
+    grid (X, Y, Z) of silt (attenuation 1/m, and its integral upwards) from `corner`, with a spacing of `cell` m; silty:
+    0 for none.
 
-    Per unit of either, as of admixture.Admixture: direct, image, veil (R,), spread, scattering, dimming (D,), glow (D,
-    K); of even water: image, glow (D, K), left (R,) and sky (K,). Per ray and node of range: along (R, C, N), amounts
-    of own and silt to there; veil (R, C, N), the factor on the veil; lit (R, C, N), amounts of own and silt between the
-    lamps and there, and a factor on what they leave. blurring: share of scattering that takes light out of the pattern
-    of caustics, and not out of the beam.
+    Per unit of either, as in admixture.Admixture: direct, image, veil (R,), spread, scattering, dimming (D,), glow (D,
+    K); of uniform water: image, glow (D, K), left (R,) and sky (K,). Per ray and node of range: along (R, C, N),
+    amounts of own and silt up to there; veil (R, C, N), factor on the veil; lit (R, C, N), amounts of own and silt
+    between the lamps and there, and a factor on the light they leave. blurring: share of scattering that takes light
+    out of the pattern of caustics but not out of the beam.
     """
 
     on: wp.int32
@@ -68,7 +69,7 @@ class Turbidity:
 
 @wp.func
 def decay(x: float):
-    """exp(-x) by a series of x / 64 raised to the 64th power: within 1e-5 of 1, and the same on every processor."""
+    """exp(-x) from a series in x / 64 raised to the 64th power: accurate to 1e-5, and the same on every processor."""
     t = wp.clamp(x, -8.0, 64.0) * HALVINGS
     y = 1.0 - t * (1.0 - t * (0.5 - t * (0.16666667 - t * (0.041666667 - t * 0.0083333333))))
     y = y * y
@@ -102,7 +103,7 @@ def mean_decays(x: wp.vec3):
 
 @wp.func
 def patch(field: Turbidity, x: float, y: float):
-    """Factor of the patches on the water's own particles."""
+    """Factor by which the patches multiply the water's own particles at x, y, m."""
     factor = wp.float32(1.0)
     if field.contrast > 0.0:
         u = (x - field.drift[0]) * field.frequency
@@ -138,7 +139,7 @@ def silt_at(field: Turbidity, p: wp.vec3):
 
 @wp.func
 def amounts(field: Turbidity, p: wp.vec3):
-    """Own and silt at a point, and the integrals of both from there up to the surface."""
+    """Amounts of own and silt at a point, and the integrals of both from there up to the surface."""
     height = wp.max(p[2] - field.bottom, 0.0)
     below = wp.max(-p[2], 0.0)
     factor = patch(field, p[0], p[1])
@@ -150,19 +151,19 @@ def amounts(field: Turbidity, p: wp.vec3):
 
 @wp.func
 def dimming(field: Turbidity, amount: wp.vec4, row: float):
-    """Optical depth (3,) of the amounts above for daylight, at a row of the tables over depth."""
+    """Optical depth (3,), for daylight, of the amounts above a point, at a row of the tables over depth."""
     return look_up(field.own_dimming, row) * amount[2] + look_up(field.silt_dimming, row) * amount[3]
 
 
 @wp.func
 def dimmed(field: Turbidity, amount: wp.vec4, row: float):
-    """Share (3,) of the daylight that the amounts above leave at a row of the tables over depth."""
+    """Share (3,) of the daylight that the amounts above a point leave, at a row of the tables over depth."""
     return decays(dimming(field, amount, row))
 
 
 @wp.func
 def unbeamed(field: Turbidity, amount: wp.vec4, row: float, sun_cosine: float):
-    """Of the sun's share of the daylight that throws shadows, what still does under the amounts above: the beam loses
-    what is scattered out of the image on its slanted way, all light together less."""
+    """Factor (3,) by which the amounts above a point reduce the share of daylight that casts shadows: the beam loses
+    what is scattered out of the image along its slanted path, while all the light together loses less."""
     lost = (field.own_spread * amount[2] + field.silt_spread * amount[3]) / sun_cosine - dimming(field, amount, row)
     return decays(wp.vec3(wp.max(lost[0], 0.0), wp.max(lost[1], 0.0), wp.max(lost[2], 0.0)))

@@ -1,4 +1,4 @@
-"""A world, its looks and its optics on a device."""
+"""Upload of a world, its appearance and its optics to a device."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from oysterbench.scene.world import World
 
 CREVICE_BLUR_CELLS = 2.0
 CREVICE_RISE_M = 0.02
-LEAF_TRIANGLES = 4  # of Warp's trees: measured best
+LEAF_TRIANGLES = 4  # per leaf of Warp's trees: fastest in measurements
 VEHICLE_MARGIN_M = 1e-3  # of the box around it
 LEAST_SUN = 1e-6
-SWAY_M = REACH * GRASS_M[1]  # that tips sway at most
-CLEAR_BOUNCE = 0.16  # albedo of the bottom as seen by a surface that faces down
+SWAY_M = REACH * GRASS_M[1]  # largest displacement of swaying tips
+CLEAR_BOUNCE = 0.16  # albedo of the bottom as seen by a downward-facing surface
 
 
 def upload_geometry(world: World, device: str, life: Life | None = None) -> tuple[Geometry, Movers | None, list[Any]]:
-    """The world's arrays, meshes and tree of boxes on the device, what moves in it if there is life, and what must be
-    kept as long as they are used."""
+    """Upload a world's arrays, meshes and tree of boxes; return them, the moving things (None without life), and the
+    objects that must be kept alive as long as these are used."""
     instances = world.instances
     terrain = world.terrain
     shapes = (*world.meshes, *(() if life is None else life.meshes))
@@ -77,7 +77,8 @@ def upload_geometry(world: World, device: str, life: Life | None = None) -> tupl
 
 
 def upload_vehicle(mesh: Mesh | None, number: int, device: str) -> tuple[Vehicle, list[Any]]:
-    """A rig's body on the device, not yet placed; mesh 0 for none. number: in instance images."""
+    """Upload a rig's body, not yet placed; return it (mesh 0 for none) and the objects that must be kept alive with it.
+    number: id in instance images."""
     vehicle = Vehicle()
     if mesh is None:
         return vehicle, []
@@ -94,9 +95,9 @@ def upload_vehicle(mesh: Mesh | None, number: int, device: str) -> tuple[Vehicle
 
 
 def upload_looks(world: World, recipe: SequenceRecipe, fan: NDArray[np.float32], device: str) -> Looks:
-    """What surfaces look like, and where on the reef shadows and hidden sky are to be looked for.
+    """Appearance of surfaces, and where on the reef to test for shadows and occluded sky.
 
-    fan (N, 3): unit vectors towards all that throws shadows.
+    fan (N, 3): unit vectors towards all light that casts shadows.
     """
     looks = Looks()
     looks.seed = world.texture_seed
@@ -123,9 +124,9 @@ def upload_looks(world: World, recipe: SequenceRecipe, fan: NDArray[np.float32],
 def upload_optics(
     water: Water, light: Light, fan: NDArray[np.float32], recipe: SequenceRecipe, steepest: float, device: str
 ) -> Optics:
-    """Tables of water and daylight, without lamps and caustics.
+    """Upload tables of water and daylight, without lamps and caustics.
 
-    fan (16, 3): as of light.sun_fan; steepest: slope of the seabed (rise over run).
+    fan (16, 3): as from light.sun_fan; steepest: largest slope of the seabed (rise over run).
     """
 
     def table(values: NDArray[np.float64]) -> wp.array:
@@ -152,7 +153,7 @@ def upload_optics(
 
 
 def without_water(optics: Optics, device: str) -> Optics:
-    """The same light where there is no water: every share that arrives is 1, and nothing is added on the way."""
+    """Return the same light without water: all of it arrives, and nothing is added on the way."""
     clear = Optics()
     for name in (
         "sun_direction",

@@ -1,4 +1,4 @@
-"""A camera's place and rays on the device: one pose for the whole picture, or one for each of its rows."""
+"""A camera's pose and rays on the device: one pose for the whole image, or one for each of its rows."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from oysterbench.render.arithmetic import clamped
 
 @wp.struct
 class CameraView:
-    """A camera: rotation takes its optical axes into `map`.
+    """A camera; rotation: from its optical frame to `map`.
 
-    rays (H + 2, W + 2): x and y at z = 1 of the ray through a pixel, and z where it starts, with a border of a pixel
-    (lens.pixel_rays); focal, px, gives a pixel's width. Where `rolling` is not 0, row r is seen from positions[r + 1]
-    and rotations[r + 1], (H + 2,) each, and `position` and `rotation` are those of the middle of the picture.
+    rays (H + 2, W + 2): x and y at z = 1 of the ray through a pixel, and z where it starts, with a border of one pixel
+    (lens.pixel_rays); focal, px, gives a pixel's width. If `rolling` is not 0, row r is seen from positions[r + 1] and
+    rotations[r + 1], (H + 2,) each, and `position` and `rotation` are those of the middle of the image.
     """
 
     position: wp.vec3
@@ -29,7 +29,7 @@ class CameraView:
 
 @wp.func
 def ray_at(view: CameraView, u: float, v: float):
-    """The ray of a place in the picture, px, between those of its neighbours."""
+    """Ray (x, y, start z) at column u and row v in the image, px, interpolated between pixels."""
     x = clamped(u + 1.0, 0.0, float(view.rays.shape[1] - 1) - 0.001)
     y = clamped(v + 1.0, 0.0, float(view.rays.shape[0] - 1) - 0.001)
     i = int(y)
@@ -42,7 +42,7 @@ def ray_at(view: CameraView, u: float, v: float):
 
 @wp.func
 def rotation_at(view: CameraView, v: float):
-    """The camera's rotation when a place of height v in the picture, px, is exposed."""
+    """The camera's rotation when row v of the image, px, is exposed."""
     rotation = view.rotation
     if view.rolling != 0:
         y = clamped(v + 1.0, 0.0, float(view.rotations.shape[0] - 1) - 0.001)
@@ -53,7 +53,7 @@ def rotation_at(view: CameraView, v: float):
 
 @wp.func
 def position_at(view: CameraView, v: float):
-    """The camera's position in `map`, m, when a place of height v in the picture, px, is exposed."""
+    """The camera's position in `map`, m, when row v of the image, px, is exposed."""
     position = view.position
     if view.rolling != 0:
         y = clamped(v + 1.0, 0.0, float(view.positions.shape[0] - 1) - 0.001)
@@ -64,14 +64,14 @@ def position_at(view: CameraView, v: float):
 
 @wp.func
 def ray_through(view: CameraView, u: float, v: float):
-    """Direction in `map` through a place in the picture, of unit length along the optical axis: t is depth."""
+    """Direction in `map` through column u and row v in the image, of unit length along the optical axis: t is depth."""
     ray = ray_at(view, u, v)
     return rotation_at(view, v) * wp.vec3(ray[0], ray[1], 1.0)
 
 
 @wp.func
 def ray_start(view: CameraView, u: float, v: float):
-    """Where on the optical axis the ray of a place in the picture starts, in `map`, m."""
+    """Point on the optical axis, in `map`, m, where the ray through column u and row v of the image starts."""
     start = position_at(view, v)
     if view.port != 0:
         start = start + rotation_at(view, v) * wp.vec3(0.0, 0.0, ray_at(view, u, v)[2])
@@ -90,7 +90,7 @@ def pixel_ray(view: CameraView, row: int, column: int):
 
 @wp.func
 def pixel_start(view: CameraView, row: int, column: int):
-    """Where on the optical axis the ray of a pixel starts, in `map`, m."""
+    """Point on the optical axis, in `map`, m, where the ray of a pixel starts."""
     start = view.position
     if view.rolling != 0:
         start = view.positions[row + 1]

@@ -1,4 +1,4 @@
-"""How many pixels an instance would fill if nothing were before it, and how much light the water lets through."""
+"""Number of pixels that an instance would cover if nothing occluded it, and transmittance of the water."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def count_moving(
     end: float,
     counts: wp.array(dtype=wp.int32),
 ):
-    """Count, for a ray, what moves on its way; of things in pieces each piece."""
+    """Count the moving things met by a ray; each piece of a composite thing counts."""
     query = wp.bvh_query_ray(tree, origin, direction)
     i = wp.int32(0)
     while wp.bvh_query_next(query, i, end):
@@ -38,7 +38,7 @@ def count_moving(
 
 @wp.kernel
 def count_unhidden(world: Geometry, view: CameraView, counts: wp.array(dtype=wp.int32)):
-    """Pixels in which each instance would be seen if it were alone."""
+    """Count the pixels in which each instance would be seen if it were on its own."""
     row, column = wp.tid()
     origin = pixel_start(view, row, column)
     direction = pixel_ray(view, row, column)
@@ -64,7 +64,7 @@ def count_unhidden(world: Geometry, view: CameraView, counts: wp.array(dtype=wp.
 
 @wp.kernel
 def transmit(view: CameraView, optics: Optics, hits: wp.array2d(dtype=Hit), arriving: wp.array2d(dtype=wp.float32)):
-    """Share in green of the daylight of each pixel's surface that arrives; 0 for none."""
+    """Share, in green, of the daylight from each pixel's surface that arrives; 0 where there is no surface."""
     row, column = wp.tid()
     hit = hits[row, column]
     share = wp.float32(0.0)

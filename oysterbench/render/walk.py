@@ -1,4 +1,4 @@
-"""Rays through trees of boxes (tree.py): which child of a node is nearest, which triangle of a leaf is hit."""
+"""Traversal of trees of boxes (tree.py) by rays: the nearest child of a node, the triangle hit in a leaf."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import warp as wp
 from oysterbench.render.arithmetic import greater, lesser
 from oysterbench.render.tree import Library
 
-MISSED = wp.constant(3.0e38)  # in place of the depth of a box that a ray does not meet
+MISSED = wp.constant(3.0e38)  # stands for the depth of a box that a ray does not meet
 NO_FACE = wp.constant(-1)
-STEEPEST = wp.constant(1.0e-12)  # a ray that does not move along an axis is taken to move by that
-ROUNDING = wp.constant(1.0000005)  # of depths, so that no box is missed for it (Ize 2013)
+STEEPEST = wp.constant(1.0e-12)  # replaces smaller components of a ray's direction
+ROUNDING = wp.constant(1.0000005)  # factor on depths, so that no box is missed through rounding (Ize 2013)
 
-Waiting = wp.types.vector(length=40, dtype=wp.int32)  # nodes and leaves: three a level
+Waiting = wp.types.vector(length=40, dtype=wp.int32)  # stack of nodes and leaves: three per level
 Depths = wp.types.vector(length=40, dtype=wp.float32)
 
 
 @wp.struct
 class Struck:
-    """Nearest triangle: its depth, its number in its mesh or NO_FACE, and the weights of its first two corners."""
+    """Nearest triangle: its depth, its index in its mesh or NO_FACE, and the weights of its first two corners."""
 
     t: wp.float32
     face: wp.int32
@@ -28,7 +28,7 @@ class Struck:
 
 @wp.func
 def inverse(direction: wp.vec3):
-    """1 over each part of a direction."""
+    """Reciprocal of each component of a direction."""
     x = wp.where(wp.abs(direction[0]) < STEEPEST, STEEPEST, direction[0])
     y = wp.where(wp.abs(direction[1]) < STEEPEST, STEEPEST, direction[1])
     z = wp.where(wp.abs(direction[2]) < STEEPEST, STEEPEST, direction[2])
@@ -37,13 +37,13 @@ def inverse(direction: wp.vec3):
 
 @wp.func
 def greater_of_each(a: wp.vec4, b: wp.vec4):
-    """The greater of each pair."""
+    """Element-wise maximum."""
     return wp.vec4(greater(a[0], b[0]), greater(a[1], b[1]), greater(a[2], b[2]), greater(a[3], b[3]))
 
 
 @wp.func
 def lesser_of_each(a: wp.vec4, b: wp.vec4):
-    """The lesser of each pair."""
+    """Element-wise minimum."""
     return wp.vec4(lesser(a[0], b[0]), lesser(a[1], b[1]), lesser(a[2], b[2]), lesser(a[3], b[3]))
 
 
@@ -70,20 +70,20 @@ BOX_DEPTHS = """
     }
     return depths;
 """
-"""In C++: of this loop the compiler makes instructions for four numbers, of the same with Warp's vectors for two."""
+"""In C++, as the compiler turns this loop into instructions on four numbers, but Warp's vectors into ones on two."""
 
 
 @wp.func_native(f"const float missed = {MISSED}f, rounding = {ROUNDING}f;{BOX_DEPTHS}")
 def box_depths(planes: wp.array(dtype=wp.vec4), node: int, start: wp.vec3, inverse: wp.vec3, max_t: float) -> wp.vec4:
-    """Depth at which a ray enters each of the four boxes of a node; MISSED where it does not before max_t."""
+    """Depth at which a ray enters each of the four boxes of a node; MISSED if it does not before max_t."""
     ...
 
 
 @wp.func
 def strike(library: Library, leaf: int, start: wp.vec3, direction: wp.vec3, nearest: Struck):
-    """The nearest of what is known and the four triangles of a leaf.
+    """Nearest of a known hit and the four triangles of a leaf on a ray.
 
-    The ray is sheared onto its longest axis; products of edges, with signs that agree for both triangles at an edge.
+    The ray is sheared onto its longest axis; edge functions have signs that agree for both triangles at an edge.
     """
     size = wp.vec3(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2]))
     z = wp.where(size[0] > size[1], wp.where(size[0] > size[2], 0, 2), wp.where(size[1] > size[2], 1, 2))
@@ -127,7 +127,7 @@ def strike(library: Library, leaf: int, start: wp.vec3, direction: wp.vec3, near
 
 @wp.func
 def strike_mesh(library: Library, root: int, start: wp.vec3, direction: wp.vec3, max_t: float, any: int):
-    """The nearest triangle of a mesh on a ray before max_t; with `any`, the first that is found."""
+    """Nearest triangle of a mesh on a ray before max_t; with `any`, the first one found."""
     found = Struck()
     found.t = max_t
     found.face = NO_FACE

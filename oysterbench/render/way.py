@@ -1,4 +1,4 @@
-"""What varying turbidity does to light on its way along a view ray: read from the grid that render/march.py fills."""
+"""Effect of varying turbidity on light along a view ray, read from the grid that render/march.py fills."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from oysterbench.render.turbidity import amounts, decay, decays, dimmed, unbeame
 
 @wp.struct
 class Way:
-    """From a point to the camera, over what even water does.
+    """Factors on light from a point to the camera, relative to uniform water.
 
-    direct, image (3,): shares of the sharp and of all of a surface's light; unsilted: share of all of it, in green,
-    that no silt has scattered; day, lamps (3,): shares of the light that gets there; beam (3,): of the share of the
-    day's that throws shadows, what still does; pattern: what is left of the contrast of caustics; veil (3,):
-    factor on the veil.
+    direct, image (3,): shares that arrive of the sharp and of all of a surface's light; unsilted: share of all of it,
+    in green, that silt has not scattered; day, lamps (3,): shares of daylight and lamp light that reach the point; beam
+    (3,): factor on the share of daylight that casts shadows; pattern: remaining contrast of caustics; veil (3,): factor
+    on the veil.
     """
 
     direct: wp.vec3
@@ -33,7 +33,7 @@ class Way:
 
 @wp.func
 def interpolate(grid: Any, y: float, x: float, z: float):
-    """Trilinear interpolation at fractional indices."""
+    """Interpolate a grid trilinearly at fractional indices."""
     i = wp.min(int(y), grid.shape[0] - 2)
     j = wp.min(int(x), grid.shape[1] - 2)
     k = wp.min(int(z), grid.shape[2] - 2)
@@ -49,7 +49,7 @@ def interpolate(grid: Any, y: float, x: float, z: float):
 
 @wp.func
 def node_at(nodes: int, reach: float, distance: float):
-    """Fractional node of a distance: they grow with its root up to the reach, and the last one is at infinity."""
+    """Fractional node of a distance: proportional to its root up to the reach; the last node is at infinity."""
     last = float(nodes - 2)
     place = last * wp.sqrt(wp.clamp(distance / reach, 0.0, 1.0))
     if distance > reach:
@@ -59,8 +59,8 @@ def node_at(nodes: int, reach: float, distance: float):
 
 @wp.func
 def way_to(optics: Optics, across: float, down: float, distance: float, p: wp.vec3):
-    """The way from a point so far along the ray at those shares (0 to 1) of the picture's columns and rows, at p
-    in `map`."""
+    """Way from a point p in `map` to the camera, `distance` m along the ray at relative image position across, down (0
+    to 1)."""
     field = optics.turbidity
     way = Way()
     way.direct = wp.vec3(1.0, 1.0, 1.0)

@@ -1,4 +1,4 @@
-"""Clumps: oysters grown on one another, each cemented at its hinge to an older one, rising where there is room."""
+"""Clumps: oysters grown on one another, each cemented by its hinge to an older one, rising where there is room."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.terrain import Terrain
 
 CLUMP_LIMITS = (3, 15)
-SIZE_SHAPE = 5.0  # of the gamma distribution of clump sizes
-PUSHES = 14  # rounds in which neighbouring clumps make room for one another
+SIZE_SHAPE = 5.0  # shape parameter of the gamma distribution of clump sizes
+PUSHES = 14  # iterations in which neighbouring clumps push one another apart
 PATCH_M = 5.0  # wavelength of bare and covered patches
-TRIES = 12  # places tried for each oyster
+TRIES = 12  # candidate places for each oyster
 CLUMPS_AT_ONCE = 256  # bounds the memory that growing needs
-TURNS = 5  # in which the clumps of a reef take their next oyster, at least
+TURNS = 5  # smallest number of turns over which the clumps of a reef add their next oyster
 SET = 0.045  # depth to which a hinge is set into its host, in heights
-SITES = (0.05, 0.45)  # growth of the host where hinges settle: near its base, away from its living margin
-OVERLAP = 4.0  # cost of a probe at the middle of another shell
-LOW = 1.5  # cost of settling a height higher
-CANOPY_M, TALL = 0.060, 12.0  # oysters rarely stand higher than this over the bottom; cost of standing twice as high
-RISE, STAND_OFF, SPREAD, WANDER = 1.0, 0.40, 0.30, 0.36  # weights of up, host's normal, outward and chance
+SITES = (0.05, 0.45)  # growth mark of the host where hinges settle: near its base, away from its living margin
+OVERLAP = 4.0  # cost of a probe at the centre of another shell
+LOW = 1.5  # cost of settling one shell height higher
+CANOPY_M, TALL = 0.060, 12.0  # oysters rarely rise higher than this above the bottom; cost of rising twice as high
+RISE, STAND_OFF, SPREAD, WANDER = 1.0, 0.40, 0.30, 0.36  # weights of up, host's normal, outward and random direction
 ERECT_M = 0.045  # larger shells are too heavy to stand as steeply
-LIVING = slice(3, None)  # probes that the bottom must not cover: all but those next to the hinge
+LIVING = slice(3, None)  # probe points that the bottom must not cover: all but those next to the hinge
 
 
 @dataclass(frozen=True)
 class Growth:
-    """Oysters of all clumps: positions (N, 3) m and rotations (N, 3, 3) in `map`; hosts (N,), row or -1."""
+    """Oysters of all clumps: positions (N, 3) m and rotations (N, 3, 3) in `map`; hosts (N,), row of the host or -1."""
 
     positions: Array
     rotations: Array
@@ -42,7 +42,8 @@ class Growth:
 
 
 def clump_sizes(count: int, mean: float, generator: np.random.Generator) -> NDArray[np.int64]:
-    """Sizes (K,) of clumps that hold `count` oysters, 3 to 15 each but for the last, or as near as the mean allows."""
+    """Draw sizes (K,) of clumps that hold `count` oysters in total: 3 to 15 each but for a single small one, with wider
+    limits where the mean requires them."""
     if count == 0:
         return np.zeros(0, dtype=np.int64)
     low, high = min(CLUMP_LIMITS[0], round(mean)), max(CLUMP_LIMITS[1], round(1.5 * mean))
@@ -53,7 +54,7 @@ def clump_sizes(count: int, mean: float, generator: np.random.Generator) -> NDAr
     last = int(np.searchsorted(np.cumsum(sizes), count))
     sizes = sizes[: last + 1]
     sizes[-1] -= sizes.sum() - count
-    # A rest too small for a clump of its own joins the smallest ones.
+    # A remainder too small for a clump of its own is distributed over the smallest clumps.
     if len(sizes) > 1 and sizes[-1] < low:
         left, sizes = int(sizes[-1]), sizes[:-1]
         order = np.argsort(sizes, kind="stable")
@@ -63,9 +64,10 @@ def clump_sizes(count: int, mean: float, generator: np.random.Generator) -> NDAr
 
 
 def clump_centres(count: int, side: float, spacing: float, patchiness: float, generator: np.random.Generator) -> Array:
-    """Centres (K, 2), m: the parents of a Thomas process (1949) that avoid bare patches and, where they can, another.
+    """Draw clump centres (K, 2), m: the parents of a Thomas process (1949) that avoid bare patches and, where possible,
+    one another.
 
-    spacing: distance at which neighbours push one another away, m. patchiness: 0 for none, 1 for hard edges.
+    spacing: distance below which neighbours repel one another, m. patchiness: 0 for none, 1 for hard edges.
     """
     half = side / 2
     centres = generator.uniform(-half, half, (3 * count + 1, 2))
@@ -99,10 +101,10 @@ def grow_clumps(
     terrain: Terrain,
     generator: np.random.Generator,
 ) -> Growth:
-    """Grow clumps on founders that lie where they are, each oyster where it has room among all that are there.
+    """Grow clumps on founders already in place, putting each oyster where it has room among those already there.
 
-    sizes (K,): the rows of a clump follow one another, its founder first; founders: poses (N, ...) of which only
-    those rows count; shapes (N,), scales (N, 3): of all oysters.
+    sizes (K,): the rows of a clump are consecutive, its founder first; founders: poses (N, ...), of which only the
+    founders' rows matter; shapes (N,), scales (N, 3): of all oysters.
     """
     n = len(shapes)
     positions, rotations = founders.positions.copy(), founders.rotations.copy()
@@ -114,7 +116,7 @@ def grow_clumps(
         growing = first[sizes > step]
         generator_of_step = np.random.Generator(np.random.Philox(key=generator.integers(0, 2**63, 2, dtype=np.uint64)))
         settled = grove.crowd(placed)
-        # Every so many clumps apart: those that grow at once cannot see one another's new oyster.
+        # Take clumps at a stride, as those that grow in the same turn cannot see one another's new oyster.
         parts = max(TURNS, len(growing) // CLUMPS_AT_ONCE + 1)
         fresh: list[NDArray[np.int64]] = []
         for k in range(parts):
@@ -129,7 +131,7 @@ def grow_clumps(
 
 @dataclass(frozen=True)
 class _Grove:
-    """All clumps while they grow: poses (N, ...) that are filled in row by row, and what the rows are."""
+    """All clumps while they grow: poses (N, ...) filled in row by row, and the shapes and scales of the rows."""
 
     positions: Array
     rotations: Array
@@ -140,18 +142,18 @@ class _Grove:
     terrain: Terrain
 
     def crowd(self, rows: NDArray[np.int64]) -> Crowd:
-        """The oysters of some rows, which have their places."""
+        """Index of the oysters in rows that have already been placed."""
         return Crowd(self.positions[rows], self.rotations[rows], self.scales[rows])
 
     @cached_property
     def sites(self) -> list[NDArray[np.intp]]:
-        """For each shell, the vertices on which hinges settle."""
+        """For each shell, indices of the vertices on which hinges may settle."""
         low, high = SITES
         marks = [mesh.marks for mesh in self.meshes]
         return [np.flatnonzero((m[:, 0] > low) & (m[:, 0] < high) & (m[:, 1] < 0.5)) for m in marks]
 
     def add(self, step: int, first: NDArray[np.int64], crowds: Sequence[Crowd], generator: np.random.Generator) -> None:
-        """Add oyster number `step` to the clumps that begin at rows `first` (A,), at the best of TRIES places."""
+        """Add oyster number `step` to the clumps that start at rows `first` (A,), at the best of TRIES places."""
         a = len(first)
         scale = self.scales[first + step]
         height = scale[:, 0]
@@ -164,7 +166,7 @@ class _Grove:
         axis = STAND_OFF * normal + SPREAD * outward + WANDER * generator.standard_normal((a, TRIES, 3))
         axis[..., 2] += RISE * np.minimum((ERECT_M / height[:, None]) ** 0.5, 1.0)
         axis /= np.maximum(_length(axis), 1e-9)
-        # The flat valve faces out of the clump, more or less, as pages of a book that falls open.
+        # The flat valve faces roughly out of the clump, like the pages of a book that falls open.
         facing = outward + 0.6 * generator.standard_normal((a, TRIES, 3))
         across = np.cross(facing, axis)
         across /= np.maximum(_length(across), 1e-9)
@@ -187,7 +189,10 @@ class _Grove:
         self.hosts[first + step] = host[row, best]
 
     def _contacts(self, host: NDArray[np.int64], chance: Array) -> tuple[Array, Array]:
-        """Points (A, T, 3) on the outsides of hosts (A, T), in `map`, and the normals there."""
+        """Points (A, T, 3) on the outsides of the hosts in rows (A, T), m in `map`, and the unit normals there.
+
+        chance (A, T) from 0 to 1 selects a vertex among the host's `sites`.
+        """
         points, normals = np.empty((*host.shape, 3)), np.empty((*host.shape, 3))
         shape = self.shapes[host]
         for k in np.unique(shape):

@@ -1,4 +1,4 @@
-"""What lies and grows between the oysters: stones, rocks, broken shell, plants, and sponges on shells and stones."""
+"""Objects between and on the oysters: stones, rocks, broken shell, plants, and sponges on shells and stones."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from oysterbench.scene.terrain import Terrain
 
 STONE_RADIUS_M = (0.02, 0.11)
 ROCK_RADIUS_M = (0.10, 0.20)
-STONE_SINK = (0.25, 0.6)  # of the stone's radius
+STONE_SINK = (0.25, 0.6)  # depth in the bottom, in stone radii
 FRAGMENT_M = (0.008, 0.035)
 GRASS_M = (0.12, 0.32)  # length of a tuft's longest blade
 ALGAE_M = (0.05, 0.13)
-TUFTS_PER_M2 = 45.0  # where plants cover the bottom
+TUFTS_PER_M2 = 45.0  # where plants cover the bottom completely
 FOOTPRINT_CELL_M = 0.02
-TAKEN = 20.0  # loss of a place that something hard covers, in units of the strength of a meadow
+TAKEN = 20.0  # penalty for a place covered by something hard, in units of a meadow's strength
 MEADOW_M = 3.0  # wavelength of plant patches
 SPONGE_M = (0.006, 0.022)
 SPONGE_COLOURS = ((0.32, 0.19, 0.08), (0.27, 0.24, 0.13), (0.26, 0.12, 0.08), (0.22, 0.23, 0.12))
 
 
 def place_stones(reef: ReefRecipe, terrain: Terrain, library: Library, streams: Streams) -> Instances:
-    """Stones of a reef, uniform over its square; small ones are many."""
+    """Place the stones of a reef uniformly over its square; small ones are the most frequent."""
     return _stones("stone", reef.stones, STONE_RADIUS_M, reef, terrain, library, streams.generator("stones"))
 
 
 def place_rocks(reef: ReefRecipe, terrain: Terrain, library: Library, streams: Streams) -> Instances:
-    """Rocks of a reef, 0.2 to 0.4 m across."""
+    """Place the rocks of a reef, 0.2 to 0.4 m across."""
     return _stones("rock", reef.rocks, ROCK_RADIUS_M, reef, terrain, library, streams.generator("rocks"))
 
 
 def place_fragments(
     reef: ReefRecipe, terrain: Terrain, library: Library, oysters: Instances, streams: Streams
 ) -> Instances:
-    """Broken shell: half of it about the oysters, half anywhere."""
+    """Place broken shell: half of it around the oysters, half anywhere."""
     generator = streams.generator("fragments")
     half = reef.size_m / 2
     n = round(reef.hash_per_m2 * reef.size_m**2)
@@ -75,7 +75,7 @@ def place_fragments(
 
 
 def place_plants(reef: ReefRecipe, terrain: Terrain, library: Library, hard: Instances, streams: Streams) -> Instances:
-    """Tufts of seagrass and algae, in meadows that leave bare ground between them; few root in what is hard."""
+    """Place tufts of seagrass and algae in meadows with bare ground between them; few root on hard objects."""
     generator = streams.generator("plants")
     half = reef.size_m / 2
     n = round(TUFTS_PER_M2 * reef.plant_cover * reef.size_m**2)
@@ -110,7 +110,7 @@ def place_plants(reef: ReefRecipe, terrain: Terrain, library: Library, hard: Ins
 
 
 def place_sponges(reef: ReefRecipe, library: Library, hosts: Instances, streams: Streams) -> Instances:
-    """Sponges on the upper sides of oysters and stones; `hosts` begin the world's table."""
+    """Place sponges on the upper sides of oysters and stones; `hosts` must be the first rows of the world's table."""
     generator = streams.generator("sponges")
     n = round(reef.sponges_per_m2 * reef.size_m**2) if len(hosts) else 0
     host = generator.integers(0, max(len(hosts), 1), n)
@@ -163,7 +163,7 @@ def _stones(
 
 
 def _covered(places: Array, things: Instances, meshes: Sequence[Mesh]) -> NDArray[np.bool_]:
-    """Which places (N, 2) lie under or on a thing, to a cell of FOOTPRINT_CELL_M."""
+    """Mask (N,) of the places (N, 2) that lie under or on a thing, to within a cell of FOOTPRINT_CELL_M."""
     if not len(things) or not len(places):
         return np.zeros(len(places), dtype=bool)
     corner = np.floor(places.min(axis=0) / FOOTPRINT_CELL_M).astype(np.int64)
@@ -180,7 +180,10 @@ def _covered(places: Array, things: Instances, meshes: Sequence[Mesh]) -> NDArra
 def upper_sides(
     hosts: Instances, host: NDArray[np.int64], meshes: Sequence[Mesh], chance: Array
 ) -> tuple[Array, Array]:
-    """A point (N, 3) of each host's surface that faces up, in `map`, and the normal there."""
+    """Upward-facing surface points (N, 3), m in `map`, of the hosts in rows `host` (N,), and the normals (N, 3) there.
+
+    chance (N,) from 0 to 1 selects a vertex among the host's most upward-facing third.
+    """
     points, normals = np.empty((len(host), 3)), np.empty((len(host), 3))
     for k, row in enumerate(host):
         mesh, rotation = meshes[hosts.shapes[row]], hosts.rotations[row].astype(float)
@@ -194,7 +197,7 @@ def upper_sides(
 
 
 def _upright(normals: Array) -> Array:
-    """Rotations (N, 3, 3) that take z to unit normals (N, 3)."""
+    """Rotations (N, 3, 3) that map z to unit normals (N, 3)."""
     side = np.cross(normals, np.where(np.abs(normals[:, :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     return np.stack([side, np.cross(normals, side), normals], axis=-1)

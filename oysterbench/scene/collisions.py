@@ -1,4 +1,4 @@
-"""Whether a shell about to be placed would stand in others: points of the one against ellipsoids about the others."""
+"""Overlap of a shell about to be placed with others: probe points of the one against ellipsoids around the others."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from scipy.spatial import cKDTree
 from oysterbench.core.geometry import Array
 from oysterbench.scene.instances import Instances
 
-ELLIPSOID = (np.array([0.50, 0.0, -0.05]), np.array([0.50, 0.33, 0.15]))  # a shell: centre, half axes, in heights
-REACH = 0.52  # of a shell from its ellipsoid's centre, in heights
+ELLIPSOID = (np.array([0.50, 0.0, -0.05]), np.array([0.50, 0.33, 0.15]))  # of a shell: centre, half axes, in heights
+REACH = 0.52  # extent of a shell from its ellipsoid's centre, in heights
 
 
 class Crowd:
-    """Shells that lie where they are, found by place: positions (N, 3) m, rotations (N, 3, 3), scales (N, 3) m."""
+    """Spatial index of placed shells: positions (N, 3) m, rotations (N, 3, 3), scales (N, 3) m."""
 
     def __init__(self, positions: Array, rotations: Array, scales: Array) -> None:
         self._positions, self._rotations, self._scales = positions, rotations, scales
@@ -24,16 +24,17 @@ class Crowd:
 
     @classmethod
     def of(cls, instances: Instances) -> Crowd:
-        """The shells of a table."""
+        """Build the index from an instance table."""
         return cls(*(values.astype(float) for values in (instances.positions, instances.rotations, instances.scales)))
 
     def overlap(self, positions: Array, rotations: Array, scales: Array) -> Array:
-        """How deep shells (C, ...) would stand in the crowd (C,): 0 for free, each probe at another's centre adds 1."""
+        """Overlap (C,) of shells (C, ...) with the crowd: 0 if free; each probe point at another shell's centre adds
+        1."""
         total = np.zeros(len(positions))
         if self._tree is None or not len(positions):
             return total
         centres = _centres(positions, rotations, scales)
-        # The reach is a matter of speed alone: pairs at its edge do not touch, so their last bits decide nothing.
+        # The reach only saves time: pairs at its edge do not touch, so their last bits do not matter.
         reach = REACH * scales[:, 0]
         pairs = cKDTree(centres).sparse_distance_matrix(
             self._tree, float(reach.max()) + self._widest, output_type="ndarray"
@@ -48,12 +49,12 @@ class Crowd:
 
 
 def probe_points(positions: Array, rotations: Array, scales: Array) -> Array:
-    """Points (N, P, 3) of shells that should lie in nothing else, m."""
+    """Probe points (N, P, 3), m, of shells that should not lie inside anything else."""
     return np.asarray(np.einsum("nij,npj->npi", rotations, PROBES * scales[:, None]) + positions[:, None])
 
 
 def total_overlap(crowds: Sequence[Crowd], positions: Array, rotations: Array, scales: Array) -> Array:
-    """Crowd.overlap (C,) over several crowds."""
+    """Sum of Crowd.overlap (C,) over several crowds."""
     return np.asarray(np.sum([crowd.overlap(positions, rotations, scales) for crowd in crowds], axis=0))
 
 
@@ -63,7 +64,7 @@ def _centres(positions: Array, rotations: Array, scales: Array) -> Array:
 
 
 def _probes() -> Array:
-    """Points (P, 3) in a shell of height 1 that should lie in no other; its hinge may."""
+    """Points (P, 3) in a shell of height 1 that should lie in no other shell; its hinge may."""
     x, y = np.meshgrid([0.3, 0.55, 0.8, 0.98], [-0.25, 0.0, 0.25], indexing="ij")
     flat = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     return np.concatenate([flat, [[0.45, 0.0, -0.15], [0.45, 0.0, 0.06]]])

@@ -1,4 +1,4 @@
-"""One oyster as a file: watertight, in metres, with a colour at each vertex."""
+"""Export of a single oyster to a file: watertight, in metres, with vertex colours."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from oysterbench.scene.oyster import STATES, build_oyster
 from oysterbench.scene.reef import SIZE_LIMITS_M, draw_heights
 
 SUFFIXES = (".glb", ".obj", ".stl", ".ply")
-MEDIAN_M = 0.085  # shell height, where none is asked for
+MEDIAN_M = 0.085  # median shell height, if no size is given
 BROWN, GREY, PALE, INSIDE, SCAR = (
     np.array(colour)
     for colour in ((0.17, 0.14, 0.09), (0.24, 0.23, 0.20), (0.50, 0.47, 0.40), (0.64, 0.62, 0.57), (0.22, 0.15, 0.20))
@@ -27,13 +27,13 @@ BROWN, GREY, PALE, INSIDE, SCAR = (
 def export_oyster(
     seed: int, path: str | Path, size_mm: float | None = None, state: str = "live"
 ) -> dict[str, float | int | bool]:
-    """Write the oyster of a seed as GLB, OBJ, STL or PLY, by the path's suffix; whole or not at all.
+    """Write the oyster of a seed as GLB, OBJ, STL or PLY, according to the path's suffix; the write is atomic.
 
-    size_mm: shell height; drawn from the seed where it is not given. state: one of STATES. The frame is the shell's
-    own (origin at the umbo, x to the bill, z out of the right valve), in metres.
+    size_mm: shell height; drawn from the seed if not given. state: one of STATES. The frame is the shell's own (origin
+    at the umbo, x to the bill, z out of the right valve), in metres.
 
-    Returns height_m, length_m, width_m of the closed shell or single valve, volume_m3 that it displaces (of a live
-    one with what is in it), triangles, watertight. Raises RecipeError for a bad value.
+    Returns height_m, length_m and width_m of the closed shell or single valve, volume_m3 that it displaces (for a live
+    oyster including its contents), triangles, watertight. Raises RecipeError for an invalid value.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -75,7 +75,7 @@ def export_oyster(
 
 
 def _albedo(mesh: Mesh, generator: np.random.Generator) -> NDArray[np.float64]:
-    """Linear albedo (V, 3) of clean shell: bands of growth outside, pale with a dark scar inside."""
+    """Linear albedo (V, 3) of a clean shell: growth bands outside, pale with a dark scar inside."""
     growth, inside, scar = (mesh.marks[:, k, None].astype(float) for k in range(3))
     mix = generator.uniform(0.2, 0.8)
     bands = 0.5 + 0.5 * np.sin(2 * np.pi * generator.uniform(7, 12) * growth + generator.uniform(0, 6))
@@ -86,5 +86,5 @@ def _albedo(mesh: Mesh, generator: np.random.Generator) -> NDArray[np.float64]:
 
 
 def _srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:
-    """sRGB of linear values from 0 to 1 (IEC 61966-2-1)."""
+    """Convert linear values from 0 to 1 to sRGB (IEC 61966-2-1)."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

@@ -1,4 +1,4 @@
-"""Placed meshes: a table of instances, and letting things down onto the relief."""
+"""Placed meshes: a table of instances, and lowering things onto the relief."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from oysterbench.scene.mesh import Mesh, round_positions
 from oysterbench.scene.terrain import Terrain
 
 CLASS_NUMBERS = {name: number for number, name in CLASSES.items()}
-ROWS_AT_ONCE = 512  # bounds the memory that placing needs
+ROWS_AT_ONCE = 512  # bounds the memory needed for placing
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Instances:
 
     ids (N,) uint16 from 1; classes (N,) uint8 as in recipe.CLASSES; shapes (N,) int32, index of the mesh; positions
     (N, 3) m and rotations (N, 3, 3); scales (N, 3) m per unit of the mesh; colours (N, 3) linear albedo; silt (N,)
-    share of an upward face that is covered with silt; sunk (N,) m by which the lowest point is below the seabed, for
-    what rests on it; hosts (N,) uint16, id of what the instance grows on, 0 for the seabed.
+    share of an upward face that is covered with silt; sunk (N,) depth (m) of the lowest point below the seabed, for
+    instances that rest on it; hosts (N,) uint16, id of the instance that this one grows on, 0 for the seabed.
     """
 
     ids: NDArray[np.uint16]
@@ -43,11 +43,11 @@ class Instances:
         return len(self.ids)
 
     def take(self, chosen: NDArray[np.generic]) -> Instances:
-        """The instances at an index or mask."""
+        """Select instances by index array or mask."""
         return Instances(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
 
     def vertices(self, meshes: Sequence[Mesh], index: int) -> Array:
-        """Vertices (V, 3) of one instance in `map`, m."""
+        """Vertices (V, 3) of the instance in row `index`, in `map`, m."""
         local = meshes[self.shapes[index]].vertices * self.scales[index].astype(float)
         return np.asarray(np.einsum("ij,vj->vi", self.rotations[index].astype(float), local) + self.positions[index])
 
@@ -63,7 +63,7 @@ def make_instances(
     sunk: Array | None = None,
     hosts: NDArray[np.integer] | None = None,
 ) -> Instances:
-    """A table with ids from 1, its values rounded so that every processor makes the same."""
+    """Table of instances with ids from 1, its values rounded so that they are the same on every processor."""
     n = len(shapes)
     return Instances(
         ids=np.arange(1, n + 1).astype(np.uint16),
@@ -80,7 +80,7 @@ def make_instances(
 
 
 def join_instances(parts: Sequence[Instances]) -> Instances:
-    """Several tables as one, with ids renumbered from 1; hosts count in the whole."""
+    """Join tables into one, with ids renumbered from 1; hosts must already be ids in the joint table."""
     values = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Instances)}
     values["ids"] = np.arange(1, len(values["ids"]) + 1).astype(np.uint16)
     return Instances(**values)
@@ -89,9 +89,9 @@ def join_instances(parts: Sequence[Instances]) -> Instances:
 def placed_vertices(
     meshes: Sequence[Mesh], instances: Instances, hulls: bool = False
 ) -> Iterator[tuple[NDArray[np.intp], Array]]:
-    """Rows (n,) of instances that share a shape, and their vertices (n, V, 3) in `map`, m; all rows come once.
+    """Yield rows (n,) of instances that share a shape, with their vertices (n, V, 3) in `map`, m; each row occurs once.
 
-    hulls: only the vertices of the convex hulls, which are enough for boxes and for letting things down.
+    hulls: only the vertices of the convex hulls, which suffice for boxes and for lowering things onto the relief.
     """
     for shape, mesh in enumerate(meshes):
         rows = np.flatnonzero(instances.shapes == shape)
@@ -100,7 +100,7 @@ def placed_vertices(
         points = (mesh.vertices[mesh.hull] if hulls else mesh.vertices).astype(float)
         for chosen in np.array_split(rows, len(rows) // ROWS_AT_ONCE + 1):
             if len(chosen):
-                # Written out: as fast as a matrix product, and without its order of sums, which depends on the CPU.
+                # Written out: as fast as a matrix product, whose order of summation depends on the CPU.
                 matrix = instances.rotations[chosen].astype(float) * instances.scales[chosen, None]
                 placed = np.empty((len(chosen), len(points), 3))
                 for axis in range(3):
@@ -110,7 +110,7 @@ def placed_vertices(
 
 
 def rest(instances: Instances, terrain: Terrain, meshes: Sequence[Mesh]) -> Instances:
-    """Let each mesh down at its x, y until its lowest point, over the relief below it, is `sunk` m deep."""
+    """Lower each instance at its x, y until, relative to the relief below, its lowest point is `sunk` m deep."""
     positions = instances.positions.copy()
     for chosen, vertices in placed_vertices(meshes, instances, hulls=True):
         ground = terrain.height(vertices[..., 0], vertices[..., 1])
@@ -121,7 +121,7 @@ def rest(instances: Instances, terrain: Terrain, meshes: Sequence[Mesh]) -> Inst
 
 
 def lean_with(terrain: Terrain, places: Array, rotations: Array, reach: float) -> Array:
-    """Rotations (N, 3, 3) given over level ground, leant with the slope that the ground has over `reach` m."""
+    """Tilt rotations (N, 3, 3), given for level ground, with the slope at places (N, 2), taken over +-`reach` m."""
     x, y = places.T
     slope_x = (terrain.height(x + reach, y) - terrain.height(x - reach, y)) / (2 * reach)
     slope_y = (terrain.height(x, y + reach) - terrain.height(x, y - reach)) / (2 * reach)

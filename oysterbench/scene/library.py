@@ -1,4 +1,4 @@
-"""The library of a world: every mesh that its instances may use, each from a stream of its own."""
+"""The library of a world: every mesh that its instances may use, each drawn from its own random stream."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from oysterbench.scene.props import build_fragment, build_sponge, build_stone
 SHELLS = {"live": 28, "box": 6, "left valve": 6, "right valve": 5}
 PROPS = {"stone": 10, "rock": 5, "fragment": 10, "tuft": 10, "sponge": 6, "bunch": 6, "strand": 8}
 ROCK_SUBDIVISIONS = 4
-BROAD_SHARE = 0.4  # share of the tufts that are broad algae, not seagrass
-THREADS_FROM = 0.5  # share of the strands that are blades; the others are stalks and threads
+BROAD_SHARE = 0.4  # share of the tuft meshes that are broad algae, not seagrass
+THREADS_FROM = 0.5  # share of the strand meshes that are blades; the others are stalks and threads
 
 
 @dataclass(frozen=True)
 class Library:
-    """Shells, from round to slender within each state, then what else the recipe asks for.
+    """Shells, from round to slender within each state, followed by the other meshes that the recipe needs.
 
-    first: where the meshes of each kind begin.
+    first: index of the first mesh of each kind; count: number of meshes of each kind.
     """
 
     shells: tuple[Shell, ...]
@@ -36,17 +36,17 @@ class Library:
 
     @cached_property
     def meshes(self) -> tuple[Mesh, ...]:
-        """All meshes, in the order that Instances.shapes counts."""
+        """All meshes, in the order indexed by Instances.shapes."""
         return (*(shell.mesh for shell in self.shells), *self.props)
 
     def pick(self, kind: str, share: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Indices (N,) of meshes of a kind; share (N,) from 0 to 1 runs through them in their order."""
+        """Indices (N,) of meshes of a kind, selected by share (N,), which runs through them in order from 0 to 1."""
         count = self.count[kind]
         return self.first[kind] + np.clip((share * count).astype(np.int64), 0, count - 1)
 
 
 def build_library(reef: ReefRecipe, streams: Streams) -> Library:
-    """The meshes that a recipe needs."""
+    """Build the meshes that a recipe needs."""
     first, count, shells = {}, dict(SHELLS), 0
     for state, number in SHELLS.items():
         first[state], shells = shells, shells + number
@@ -69,7 +69,8 @@ def build_library(reef: ReefRecipe, streams: Streams) -> Library:
 
 @lru_cache(maxsize=2)
 def build_shells(streams: Streams) -> tuple[Shell, ...]:
-    """All shells. They depend on no recipe: reefs of the same streams share them, and their trees on a device."""
+    """Build all shells. They do not depend on the recipe: reefs with the same streams share them, and their search
+    trees on a device."""
     return tuple(
         build_oyster(streams.generator("shell", state, k), state, (k + 0.5) / number)[1]
         for state, number in SHELLS.items()
@@ -79,12 +80,12 @@ def build_shells(streams: Streams) -> tuple[Shell, ...]:
 
 @lru_cache(maxsize=2 * len(PROPS))
 def build_props(kind: str, streams: Streams) -> tuple[Mesh, ...]:
-    """All meshes of a kind, shared likewise."""
+    """Build all meshes of a kind, shared in the same way as the shells."""
     return tuple(_build_prop(kind, k, streams.generator(kind, k)) for k in range(PROPS[kind]))
 
 
 def _build_prop(kind: str, k: int, generator: np.random.Generator) -> Mesh:
-    """One of a kind, the k-th."""
+    """Build the k-th mesh of a kind."""
     if kind == "stone":
         return build_stone(generator)
     if kind == "rock":

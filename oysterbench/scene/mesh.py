@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 POSITION_STEP_M = 2.0**-20
-"""Vertices are rounded to this step (about 1 um), so that the last bits of a CPU's sin() or exp() do not show."""
+"""Vertices are rounded to this step (about 1 um), so that differences in the last bits of sin() or exp() between CPUs
+do not show."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """Triangles: vertices (V, 3) float32, faces (F, 3) int32 counter-clockwise from outside, normals (V, 3) float32.
 
-    marks (V, 3) float32: what the material depends on besides the place; on shells growth, inside and scar.
+    marks (V, 3) float32: what the material depends on besides position; for shells: growth, inside and scar.
     """
 
     vertices: NDArray[np.float32]
@@ -33,14 +34,14 @@ class Mesh:
 
 
 def round_positions(positions: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Positions (...,) rounded to POSITION_STEP_M, float32."""
+    """Round positions (...,) to POSITION_STEP_M, as float32."""
     return (np.round(positions / POSITION_STEP_M) * POSITION_STEP_M).astype(np.float32)
 
 
 def build_mesh(
     vertices: NDArray[np.float64], faces: NDArray[np.integer], marks: NDArray[np.floating] | None = None
 ) -> Mesh:
-    """Mesh with area-weighted vertex normals, from vertices (V, 3), faces (F, 3) and marks (V, 3) or none."""
+    """Build a mesh with area-weighted vertex normals from vertices (V, 3), faces (F, 3) and optional marks (V, 3)."""
     rounded = round_positions(vertices)
     corners = rounded.astype(float)[faces]
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -55,7 +56,7 @@ def build_mesh(
 
 
 def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
-    """Several meshes as one, without merging vertices."""
+    """Join meshes into one, without merging vertices."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]
     return Mesh(

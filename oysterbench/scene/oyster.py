@@ -1,8 +1,8 @@
 """Shells of the eastern oyster: stacked slices of two B-splines each, skinned into a watertight mesh.
 
 The shell's own frame: origin at the umbo (hinge), x to the bill (shell height, 1 unit), y along the shell's length,
-z through its width; the cupped left valve lies at -z, the flat right valve at +z. A slice of a closed shell is the
-outside of either valve; a slice of a single valve is its outside and its inside.
+z through its width; the cupped left valve lies at -z, the flat right valve at +z. The two splines of a slice are the
+outsides of both valves for a closed shell, the outside and the inside for a single valve.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from oysterbench.core.geometry import Array
 from oysterbench.scene.mesh import Mesh, build_mesh, join_meshes
 
 SLICES = 44
-POINTS = 18  # of one spline in a slice
+POINTS = 18  # per spline of a slice
 CONTROL_POINTS = 15
 DEGREE = 3
 STATES = ("live", "box", "left valve", "right valve")
 LIVE_GAPE_RAD = (0.05, 0.11)
 BOX_GAPE_RAD = (0.35, 1.15)
-GAPING_SHARE = 0.25  # of live oysters
-SCAR = (0.62, 0.22, 0.13, 0.17)  # muscle scar: centre along s and across, and its half axes
+GAPING_SHARE = 0.25  # share of live oysters that gape
+SCAR = (0.62, 0.22, 0.13, 0.17)  # muscle scar: centre along s and across, then its half axes
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,10 @@ class ShellShape:
 
 @dataclass(frozen=True)
 class Shell:
-    """A shell of the library, of height 1: its mesh, its state and what is measured of it.
+    """A shell of the library, of height 1: its mesh, its state and its measurements.
 
-    extent: height, length and width of the closed shell or the single valve. volume: that it displaces, of the closed
-    shell for a live oyster, of the shell's own matter for a dead one.
+    extent: height, length and width of the closed shell or the single valve. volume: displaced volume, of the closed
+    shell for a live oyster, of the shell material alone for a dead one.
     """
 
     mesh: Mesh
@@ -63,7 +63,7 @@ class Shell:
 
 
 def draw_shape(generator: np.random.Generator, slenderness: float = 0.5, state: str = "live") -> ShellShape:
-    """A shape of Crassostrea virginica, about 3 : 2 : 1 in height, length, width (Galtsoff 1964, ch. 2).
+    """Draw a shape of Crassostrea virginica, about 3 : 2 : 1 in height, length, width (Galtsoff 1964, ch. 2).
 
     slenderness: 0 for the rounded, folded shells of hard ground, 1 for the long ones of clumps and soft bottom.
     """
@@ -90,7 +90,7 @@ def draw_shape(generator: np.random.Generator, slenderness: float = 0.5, state: 
 
 
 def build_shell(shape: ShellShape, generator: np.random.Generator, state: str = "live") -> Shell:
-    """Watertight shell of height 1 in one of STATES; `generator` gives its irregularities."""
+    """Build a watertight shell of height 1 in one of STATES; `generator` supplies its irregularities."""
     surface = _Surface(shape, generator)
     outside = {"left": surface.left(), "right": surface.right()}
     closed = surface.skin(outside["left"], outside["right"], (0.0, 0.0))
@@ -103,7 +103,7 @@ def build_shell(shape: ShellShape, generator: np.random.Generator, state: str = 
     else:
         left = surface.skin(outside["left"], surface.left_inside(), (0.0, 1.0))
         right = surface.skin(surface.right_inside(), outside["right"], (1.0, 0.0))
-        # The box is held by its hinge: the right valve turns about y through the umbo, away from the left one.
+        # The valves are joined at the hinge: the right one rotates about y through the umbo, away from the left one.
         mesh = join_meshes([left, _turned(right, shape.gape)])
     whole = closed if state in ("live", "box") else mesh
     height, length, width = (float(extent) for extent in np.ptp(whole.vertices.astype(float), axis=0))
@@ -111,13 +111,13 @@ def build_shell(shape: ShellShape, generator: np.random.Generator, state: str = 
 
 
 def build_oyster(seed_generator: np.random.Generator, state: str, slenderness: float) -> tuple[ShellShape, Shell]:
-    """A shape drawn from a stream, and its shell."""
+    """Draw a shape from a random generator and build its shell."""
     shape = draw_shape(seed_generator, slenderness, state)
     return shape, build_shell(shape, seed_generator, state)
 
 
 class _Surface:
-    """The valves of one shape on a grid of slices s (S, 1) and places across a (1, C), from margin to margin."""
+    """Valves of a shape on a grid of slices s (S, 1) and positions a (1, C) across, from margin to margin."""
 
     def __init__(self, shape: ShellShape, generator: np.random.Generator) -> None:
         self.shape = shape
@@ -133,10 +133,10 @@ class _Surface:
         self.lumps = self._waves(2, self.s, self.y / shape.length)
 
     def _grow(self, generator: np.random.Generator) -> None:
-        """Outline, growth (share of the shell's life at which a point was the margin) and its fan of radii.
+        """Set the outline, growth (share of the shell's life at which a point was on the margin) and the fan of radii.
 
-        Shells grow from the umbo in similar figures (Raup 1966): the margin of age t is the outline scaled by t, so a
-        point (x, y) is as old as t = x / u, where the outline has the point's slope, w(u) / u = y / x.
+        Shells grow from the umbo in similar figures (Raup 1966): the margin at age t is the outline scaled by t, so a
+        point (x, y) has age t = x / u, where the outline has the same slope as the point, w(u) / u = y / x.
         """
         shape = self.shape
         u = np.linspace(1e-3, 1, 400)
@@ -155,13 +155,13 @@ class _Surface:
         self.y = self.a * np.where(left, half[0], half[1])
         self.growth = np.where(left, growth[0], growth[1])
         self.fan = np.where(left, -fan[0], fan[1])
-        # Seasons differ: the ridges' ages are a random walk, and each margin was ragged in its own way.
+        # Seasons differ: the ages of the ridges form a random walk, and their heights vary.
         steps = generator.gamma(4.0, 1.0, int(np.ceil(shape.ridges)) + 1)
         self._ages = np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
         self._rises = generator.uniform(0.4, 1.4, len(steps))
 
     def _waves(self, kind: int, x: Array, y: Array) -> Array:
-        """Smooth irregularity of about unit size, one of four."""
+        """Smooth irregularity of about unit amplitude; kind: which of the four independent ones."""
         total = np.zeros(np.broadcast(x, y).shape)
         for k in range(8):
             frequency = 2.0 + 1.7 * k
@@ -171,7 +171,7 @@ class _Surface:
         return total / 1.4
 
     def _lamellae(self, kind: int) -> Array:
-        """Growth ridges, 0 to about 1: each season's rim lies over the last like a roof tile, a rise, then a step."""
+        """Growth ridges (S, C), 0 to about 1: each season overlaps the last like a roof tile, a rise and a step."""
         age = self.growth * (1 + 0.02 * self.shape.roughness * self._waves(kind, 2.5 * self.fan, self.growth))
         season = np.clip(np.searchsorted(self._ages, age, side="right") - 1, 0, len(self._rises) - 1)
         start, end = self._ages[season], self._ages[season + 1]
@@ -182,7 +182,7 @@ class _Surface:
 
     @property
     def margin(self) -> Array:
-        """z (S, C) of the surface in which the margins of both valves meet, waved by the radial folds."""
+        """z (S, C) of the surface where the margins of the two valves meet, undulating with the radial folds."""
         shape = self.shape
         fold = np.cos(np.pi * shape.folds * self.fan * (1 + 0.12 * self.lumps) + 7 * shape.ridges)
         return shape.fold_height * self.growth**2 * fold + 0.010 * shape.roughness * self.growth**4 * self.lumps
@@ -194,7 +194,7 @@ class _Surface:
         return self.margin - shape.cup * self.arch - shape.ridge_height * self._lamellae(2) + uneven
 
     def left_inside(self) -> Array:
-        """z (S, C) of the inside of the left valve: smooth, deepest under the umbo's third."""
+        """z (S, C) of the inside of the left valve: smooth, deepest towards the umbo."""
         shape = self.shape
         return self.margin - (shape.cup - shape.wall) * self.arch * (1 - 0.25 * self.s) + 0.004 * self.arch
 
@@ -211,7 +211,7 @@ class _Surface:
         return self.margin + (shape.lid + 0.03) * self.arch - wall - 0.01 * self.arch
 
     def skin(self, lower: Array, upper: Array, inside: tuple[float, float]) -> Mesh:
-        """Mesh between two sets of splines that share their ends; `inside` says which of them is a valve's inside.
+        """Build the mesh between two sets of splines that share their ends; inside: 1 for a valve's inside, else 0.
 
         Marks (V, 3): growth, inside (0 or 1), muscle scar (0 to 1).
         """
@@ -236,19 +236,19 @@ class _Surface:
         return build_mesh(vertices, _faces(len(ring), ring.shape[1]), all_marks)
 
     def _bent(self, ring: Array) -> Array:
-        """Points (S, P, 3) of rings (S, P, 2) in y, z: turned and shifted along the shell, the bill rounded."""
+        """Points (S, P, 3) of rings (S, P, 2) in y, z, twisted and shifted along the shell, with the bill rounded."""
         shape, s = self.shape, self.s
         turn = shape.twist * (s - 0.3)
         y = np.cos(turn) * ring[..., 0] - np.sin(turn) * ring[..., 1] + shape.curve * np.sin(0.8 * np.pi * s)
         z = np.sin(turn) * ring[..., 0] + np.cos(turn) * ring[..., 1] + shape.bend * np.sin(np.pi * s)
-        # Growth lines are arcs about the umbo, and the bill is frayed.
+        # Growth lines are arcs around the umbo, and the bill is frayed.
         across = ring[..., 0] / shape.length
         frayed = 0.02 * shape.roughness * self._waves(1, 0.0 * across, 2.5 * across) * s**3
         return np.stack([s * (1 + frayed - 0.35 * (1 - s) * across**2), y, z], axis=-1)
 
 
 def _splines(values: Array, parameter: Array) -> Array:
-    """Clamped cubic B-splines over [0, 1] with control values (S, C), at parameters (P,): (S, P)."""
+    """Evaluate clamped cubic B-splines over [0, 1] with control values (S, C) at parameters (P,): (S, P)."""
     count = values.shape[1]
     inner = np.linspace(0, 1, count - DEGREE + 1)
     knots = np.concatenate([np.zeros(DEGREE), inner, np.ones(DEGREE)])
@@ -256,7 +256,7 @@ def _splines(values: Array, parameter: Array) -> Array:
 
 
 def _turned(mesh: Mesh, angle: float) -> Mesh:
-    """A valve opened by an angle about the hinge."""
+    """Return a valve opened by an angle, rad, about the hinge."""
     x, y, z = mesh.vertices.astype(float).T
     cosine, sine = np.cos(angle), np.sin(angle)
     turned = np.column_stack([cosine * x - sine * z, y, sine * x + cosine * z])
@@ -264,13 +264,13 @@ def _turned(mesh: Mesh, angle: float) -> Mesh:
 
 
 def _volume(mesh: Mesh) -> float:
-    """Enclosed volume, by the divergence theorem."""
+    """Enclosed volume of a mesh, by the divergence theorem."""
     a, b, c = np.moveaxis(mesh.vertices.astype(float)[mesh.faces], 1, 0)
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
 
 
 def _faces(rings: int, points: int) -> NDArray[np.int64]:
-    """Faces (F, 3) over `rings` closed rings of `points` vertices, with a pole before and a pole after them."""
+    """Faces (F, 3) over `rings` closed rings of `points` vertices each, with a pole vertex before and after them."""
     here = np.arange(points)
     there = (here + 1) % points
     start = 1 + points * np.arange(rings - 1)[:, None]

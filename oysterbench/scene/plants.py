@@ -1,4 +1,4 @@
-"""Tufts of plants: ribbons of seagrass, and broad algae with lobed, ruffled laminae about a midrib; all watertight."""
+"""Plant meshes: seagrass ribbons, broad algae with lobed, ruffled laminae about a midrib, filaments; all watertight."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from oysterbench.scene.mesh import Mesh, build_mesh, join_meshes
 
 BLADE_RINGS, FROND_RINGS = 12, 15
 ACROSS = np.array([-1.0, -0.68, -0.36, -0.12, 0.0, 0.12, 0.36, 0.68, 1.0])  # columns of a lamina, dense at its midrib
-FROND_WIDTH = (0.20, 0.42)  # of its length
+FROND_WIDTH = (0.20, 0.42)  # relative to its length
 BLADE_WIDTH = (0.012, 0.022)
 FILAMENTS, FILAMENT_RINGS = (70, 100), 6
-FILAMENT_WIDTH = (0.016, 0.046)  # of its length: a lock of many threads, which are too fine to be drawn one by one
+FILAMENT_WIDTH = (0.016, 0.046)  # relative to length: a lock of many threads, too fine to be drawn one by one
 STRAND_RINGS = 14
-STRAND_WIDTH, THREAD_WIDTH = (0.016, 0.034), (0.005, 0.010)  # of its length
+STRAND_WIDTH, THREAD_WIDTH = (0.016, 0.034), (0.005, 0.010)  # relative to length
 
 
 @dataclass(frozen=True)
 class _Course:
-    """The course of a blade from its root: s (R,) from 0 to 1, middle (R, 3), and unit-ish directions across the blade
-    in its plane, wide (R, 3), and out of it, thick (R, 3).
+    """Centre line of a blade from its root: s (R,) from 0 to 1, middle (R, 3), and directions of about unit length
+    across the blade, in its plane, wide (R, 3), and out of it, thick (R, 3).
     """
 
     length: float
@@ -33,9 +33,9 @@ class _Course:
 
 
 def build_tuft(generator: np.random.Generator, broad: bool) -> Mesh:
-    """Tuft of plants, its longest blade about 1, rooted at z = 0: ribbons of seagrass, or broad algae.
+    """Build a tuft of plants, rooted at z = 0, its longest blade about 1 long: seagrass ribbons, or broad algae.
 
-    Marks: share of the blade's length, the blade's tone, place across.
+    Marks: share of the blade's length, the blade's tone, position across the blade.
     """
     blades = int(generator.integers(5, 10)) if broad else int(generator.integers(12, 25))
     lean = generator.uniform(0, 2 * np.pi)  # the current bends all blades one way
@@ -43,13 +43,13 @@ def build_tuft(generator: np.random.Generator, broad: bool) -> Mesh:
 
 
 def build_bunch(generator: np.random.Generator) -> Mesh:
-    """Bunch of filamentous algae about 1 long, rooted at z = 0: locks of threads that waver. Marks as a tuft's."""
+    """Build a bunch of filamentous algae about 1 long, rooted at z = 0: wavering locks of threads. Marks: see tufts."""
     lean, tone = generator.uniform(0, 2 * np.pi), generator.uniform(0.3, 0.8)
     return join_meshes([_filament(generator, lean, tone) for _ in range(int(generator.integers(*FILAMENTS)))])
 
 
 def build_strand(generator: np.random.Generator, thread: bool) -> Mesh:
-    """Dead blade of eelgrass, or a stalk or thread, 1 long, that lies on z = 0 along x. Marks as a tuft's."""
+    """Build a dead eelgrass blade, or a stalk or thread, 1 long, lying on z = 0 along x. Marks as for tufts."""
     s = np.linspace(0, 1, STRAND_RINGS)
     bend = generator.uniform(-0.9, 0.9) + generator.uniform(-1.6, 1.6) * s
     step = 1.0 / (STRAND_RINGS - 1)
@@ -71,7 +71,7 @@ def build_strand(generator: np.random.Generator, thread: bool) -> Mesh:
 
 
 def _filament(generator: np.random.Generator, lean: float, tone: float) -> Mesh:
-    """A lock: a flat tube of four corners, widest past its middle; nearly of its bunch's tone."""
+    """Lock of threads: a flat four-sided tube, widest beyond its middle, with nearly the tone of its bunch."""
     heading = lean + 1.1 * generator.standard_normal()
     course = _course(generator, FILAMENT_RINGS, heading, generator.uniform(0.2, 0.7))
     swell = np.sin(np.pi * (0.12 + 0.80 * course.s**0.8))[:, None]
@@ -82,7 +82,7 @@ def _filament(generator: np.random.Generator, lean: float, tone: float) -> Mesh:
 
 
 def _blade(generator: np.random.Generator, lean: float) -> Mesh:
-    """A ribbon: a flat tube of four corners."""
+    """Ribbon of seagrass: a flat four-sided tube."""
     course = _course(generator, BLADE_RINGS, lean + 0.7 * generator.standard_normal(), generator.uniform(0.05, 0.3))
     half = 0.5 * course.length * generator.uniform(*BLADE_WIDTH) * np.sqrt(1.02 - course.s**4)[:, None]
     wide, thick = half * course.wide, 0.12 * half * course.thick
@@ -91,7 +91,8 @@ def _blade(generator: np.random.Generator, lean: float) -> Mesh:
 
 
 def _frond(generator: np.random.Generator, lean: float) -> Mesh:
-    """A lamina: narrow at its stalk, lobed along its margins, which are longer than its middle and so ruffled."""
+    """Lamina of a broad alga: narrow at its stalk, lobed along its margins, which are longer than its middle and
+    therefore ruffled."""
     course = _course(generator, FROND_RINGS, lean + 1.6 * generator.standard_normal(), generator.uniform(0.02, 0.12))
     s, a = course.s[:, None], ACROSS[None, :]
     width = course.length * generator.uniform(*FROND_WIDTH)
@@ -104,7 +105,7 @@ def _frond(generator: np.random.Generator, lean: float) -> Mesh:
     ruffle = np.sin(2 * np.pi * ruffles * s + np.where(a < 0, *generator.uniform(0, 2 * np.pi, 2)))
     cup = generator.uniform(-0.25, 0.35)
     z = width * outline * (0.17 * ruffle * np.abs(a) ** 1.6 + 0.5 * cup * a**2)
-    # The midrib thins out towards the tip; the margins are closed by the columns that both sides share.
+    # The midrib thins towards the tip; the margins are closed by the columns shared by both sides.
     skin = width * (0.012 * (1 - np.abs(a)) + 0.035 * np.exp(-((a / 0.12) ** 2)) * (1 - 0.8 * s)) * np.sqrt(outline)
     upper, lower = z + skin, z - skin
     across = np.concatenate([y, y[:, -2:0:-1]], axis=1)[..., None]
@@ -115,7 +116,8 @@ def _frond(generator: np.random.Generator, lean: float) -> Mesh:
 
 
 def _course(generator: np.random.Generator, rings: int, heading: float, waver: float) -> _Course:
-    """Course of a blade: up from its root and bending over to a heading, wavering to its sides, slowly turning."""
+    """Draw the centre line of a blade: rising from its root, bending over to a heading, wavering sideways and slowly
+    twisting."""
     length = generator.uniform(0.45, 1.0)
     s = np.linspace(0, 1, rings)
     rise = np.pi / 2 - generator.uniform(0.05, 0.5) - generator.uniform(0.2, 1.3) * s**1.5
@@ -138,7 +140,7 @@ def _course(generator: np.random.Generator, rings: int, heading: float, waver: f
 
 
 def _skinned(course: _Course, offsets: Array, place: Array, tone: float) -> Mesh:
-    """A closed mesh of rings (R, P, 3) about a course; place (P,): across the blade, 0 to 1."""
+    """Closed mesh over rings at offsets (R, P, 3) from a course; place (P,): position across the blade, 0 to 1."""
     rings, points = offsets.shape[:2]
     vertices = (course.middle[:, None] + offsets).reshape(-1, 3)
     ends = course.middle[[0, -1]]

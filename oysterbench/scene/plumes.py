@@ -1,8 +1,8 @@
 """Plumes of silt over soft bottom, as puffs that drift, spread and settle: a pure function of path, site and time.
 
-Thrusters erode where the stress of their jets on the bottom is above a critical one; there and in bursts of the current
-silt rises until the water over the bottom is as thick as the recipe says. A puff is a normal distribution above a level
-floor that reflects it (image method: Fischer et al. 1979, ch. 2.3), less what has settled through the floor.
+Thrusters erode the bottom where the bed stress of their jets exceeds a critical value; there, and in bursts of the
+current, silt rises until the water over the bottom is as turbid as the recipe says. A puff is a normal distribution
+above a level floor that reflects it (image method: Fischer et al. 1979, ch. 2.3), less what has settled through it.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from oysterbench.scene.path.itinerary import KNOT_S
 from oysterbench.scene.path.thrust import STEP_S, thrust
 from oysterbench.scene.waves import Waves, build_waves
 
-JET_DECAY = 6.2  # of a round jet's axial speed over U0 D / x (Albertson et al. 1950; Rajaratnam 1976)
+JET_DECAY = 6.2  # axial speed of a round jet over U0 D / x (Albertson et al. 1950; Rajaratnam 1976)
 JET_DIAMETER_M = 0.076  # of a T200 thruster
-BED_FRICTION = 0.01  # times D / h: of a propeller's jet on the bed (Maynord 2000, UMRS ENV report 33)
-EDGE_SHARE = 0.1  # of level thrust, whose jets sweep the bottom with their edges only
-THRUSTER_BELOW_M = 0.1  # the body's origin
+BED_FRICTION = 0.01  # times D / h: friction of a propeller's jet on the bed (Maynord 2000, UMRS ENV report 33)
+EDGE_SHARE = 0.1  # share of the horizontal thrust that counts: its jets sweep the bottom with their edges only
+THRUSTER_BELOW_M = 0.1  # depth of the thrusters below the body's origin
 WATER_KG_M3 = 1020.0
 
-EMIT_STEPS = 10  # of the thrust, between puffs of the wash
+EMIT_STEPS = 10  # thrust steps between puffs of the wash
 WASH_PUFFS, BURST_PUFFS = 2, 10
-WASH_M = 0.35  # by which a jet throws silt sideways before it slows down
-SPREADS = 3.5  # standard deviations of a puff that are counted
-RISE = 0.8  # of a plume's size: height to which it is thrown up
-RISE_S = 1.0  # in which a puff comes up
+WASH_M = 0.35  # distance to which a jet throws silt sideways before slowing down
+SPREADS = 3.5  # extent of a puff that is counted, in standard deviations
+RISE = 0.8  # height to which a plume is thrown up, relative to its size
+RISE_S = 1.0  # time in which a puff rises
 LONGEST_S = 240.0
-UPSTREAM_S, UPSTREAM_M = 60.0, 10.0  # of the current, from beside the reef, and at most: silt comes from there too
-FAINTEST = 0.05  # 1/m in its middle, below which a puff is forgotten
+UPSTREAM_S, UPSTREAM_M = 60.0, 10.0  # margin around the reef (drift time, maximum) from which silt can arrive
+FAINTEST = 0.05  # attenuation at its centre, 1/m, below which a puff is dropped
 MIRROR_NODES, MIRROR_WEIGHTS = leggauss(8)
 
 
 class Puffs(NamedTuple):
-    """Puffs at a time: centre (N, 3) m in `map`, spread (N,) m (standard deviation along each axis), floor (N,) m (z
+    """Puffs at one time: centre (N, 3) m in `map`, spread (N,) m (standard deviation along each axis), floor (N,) m (z
     of the bottom that mirrors them), amount (N,) m^2 (attenuation in green, 1/m, times volume)."""
 
     centre: Array
@@ -55,12 +55,12 @@ class Puffs(NamedTuple):
     amount: Array
 
     def near(self, place: Array, distance: float) -> Puffs:
-        """Those that reach within a distance of a place (3,), m."""
+        """Puffs that reach to within a distance (m) of a place (3,), m in `map`."""
         chosen = np.linalg.norm(self.centre - place, axis=1) < distance + SPREADS * self.spread
         return Puffs(*(values[chosen] for values in self))
 
     def attenuation(self, points: Array) -> Array:
-        """Attenuation (M,) that they add at points (M, 3), 1/m."""
+        """Attenuation (M,), 1/m, that the puffs add at points (M, 3), m in `map`."""
         away = points[:, None] - self.centre
         mirrored = points[:, None, 2] - (2 * self.floor - self.centre[:, 2])
         level = np.exp(-0.5 * (away[..., 0] ** 2 + away[..., 1] ** 2) / self.spread**2)
@@ -70,9 +70,9 @@ class Puffs(NamedTuple):
 
 @dataclass(frozen=True)
 class Plumes:
-    """All puffs of a sequence. born (N,) s; place (N, 3) m in `map`, spread, floor (N,) m, amount (N,) m^2 at birth.
+    """All puffs of a sequence. born (N,) s; place (N, 3) m in `map`, spread, floor (N,) m and amount (N,) m^2 at birth.
 
-    times (T,) s, drift (T, 2) m: how far the current has carried the water since times[0].
+    times (T,) s, drift (T, 2) m: displacement of the water by the current since times[0].
     """
 
     recipe: PlumesRecipe
@@ -86,7 +86,7 @@ class Plumes:
     waves: Waves
 
     def at(self, time_s: float) -> Puffs:
-        """The puffs that are there at a time."""
+        """Puffs that exist at time_s."""
         age = time_s - self.born
         alive = np.flatnonzero((age > 0) & (age < LONGEST_S))
         age, born = age[alive], self.born[alive]
@@ -102,7 +102,8 @@ class Plumes:
         return Puffs(*(np.round(x[seen], 7) for x in (place, spread, floor, amount)))
 
     def _left(self, alive: NDArray[np.intp], age: Array) -> Array:
-        """Share of the silt that has not settled: through the floor goes settling speed times what is just above it."""
+        """Share of the silt that has not settled yet: the flux through the floor is the settling speed times the
+        concentration just above it."""
         speed = self.recipe.settling_mm_s * 1e-3
         then = 0.5 * age[:, None] * (1 + MIRROR_NODES)
         spread2 = self.spread[alive, None] ** 2 + 2 * self.recipe.diffusivity_m2_s * then
@@ -120,7 +121,7 @@ def _rise(age: Array) -> Array:
 
 
 def build_plumes(recipe: SequenceRecipe, path: Path, ground_height: Height, streams: Streams) -> Plumes | None:
-    """The plumes of a sequence, or None where its recipe has none."""
+    """Build the plumes of a sequence; None if its recipe has none."""
     plan = recipe.water.plumes
     if not plan.attenuation:
         return None
@@ -144,7 +145,7 @@ def build_plumes(recipe: SequenceRecipe, path: Path, ground_height: Height, stre
 
 
 def _grown(plumes: Plumes, born: Array, place: Array, floor: Array, spread: Array, attenuation: Array) -> Plumes:
-    """With more puffs, of an attenuation (N,) 1/m each in its middle, without what the bottom mirrors."""
+    """Return the plumes with puffs added, of attenuation (N,) 1/m at their centres without their mirror images."""
     amount = attenuation * (np.sqrt(2 * np.pi) * spread) ** 3
     return dataclasses.replace(
         plumes,
@@ -157,7 +158,7 @@ def _grown(plumes: Plumes, born: Array, place: Array, floor: Array, spread: Arra
 
 
 def _burst(plumes: Plumes, recipe: SequenceRecipe, thickest: float, ground: Height, rng: np.random.Generator) -> Plumes:
-    """Silt that current, waves and animals raise: a Poisson process over reef, surroundings and time."""
+    """Add silt raised by current, waves and animals: a Poisson process over reef, surroundings and time."""
     plan = plumes.recipe
     size = recipe.reef.size_m + 2 * min(UPSTREAM_S * recipe.site.current_m_s, UPSTREAM_M)
     span = recipe.duration_s + LONGEST_S
@@ -189,8 +190,8 @@ def _wash(
     ground: Height,
     rng: np.random.Generator,
 ) -> Plumes:
-    """Silt that thrusters raise at times (N,), from a position (N, 3) by a force (N, 3) N, both in `map`: only as much
-    as is not there yet."""
+    """Add silt raised by the thrusters at times (N,) s, at positions (N, 3) m and with forces (N, 3) N, both in `map`:
+    only as much as is still missing there."""
     plan = plumes.recipe
     height = position[:, 2] - ground(position[:, 0], position[:, 1])
     excess = np.maximum(bed_stress(force, height) / plan.critical_pa - 1.0, 0.0)
@@ -211,11 +212,11 @@ def _wash(
 
 
 def bed_stress(force: Array, height: Array) -> Array:
-    """Stress (N,) Pa on the bottom of the jets of thrusters whose force (N, 3) N in `map` drives a vehicle that is
-    `height` (N,) m over it.
+    """Bed stress (N,) Pa of the jets of thrusters that exert a force (N, 3) N, in `map`, on a vehicle `height` (N,) m
+    above the bottom.
 
-    A force F makes a jet of speed U0 = sqrt(F / (rho A)), on the bottom of JET_DECAY U0 D / h; its stress is
-    C rho U^2 / 2 with C = BED_FRICTION D / h. Thrust up blows down.
+    A force F makes a jet of speed U0 = sqrt(F / (rho A)), which is JET_DECAY U0 D / h at the bottom; its stress is
+    C rho U^2 / 2 with C = BED_FRICTION D / h. Upward thrust blows down.
     """
     on_bottom = np.maximum(force[:, 2], 0.0) + EDGE_SHARE * np.linalg.norm(force[:, :2], axis=1)
     below = np.maximum(height - THRUSTER_BELOW_M, JET_DIAMETER_M)

@@ -1,4 +1,4 @@
-"""Shapes on the bottom that are not oysters: stones, pieces of shell, sponges; all watertight."""
+"""Shapes of non-oyster objects on the bottom: stones, pieces of shell, sponges; all watertight."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FRAGMENT_CORNERS = 11
 
 
 def build_stone(generator: np.random.Generator, subdivisions: int = SUBDIVISIONS) -> Mesh:
-    """Stone of mean radius about 1: a sphere cut by rounded facets, squeezed along z and worn unevenly."""
+    """Build a stone of mean radius about 1: a sphere cut by rounded facets, squeezed along z and worn unevenly."""
     directions, faces = _sphere(subdivisions)
     normals = generator.standard_normal((LUMPS, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -26,7 +26,7 @@ def build_stone(generator: np.random.Generator, subdivisions: int = SUBDIVISIONS
 
 
 def build_sponge(generator: np.random.Generator) -> Mesh:
-    """Sponge of radius about 1 on a surface at z = 0: a few lobes grown into one."""
+    """Build a sponge of radius about 1 on a surface at z = 0: a few lobes merged into one."""
     directions, faces = _sphere(SUBDIVISIONS)
     lobes = generator.standard_normal((7, 3))
     lobes[:, 2] = np.abs(lobes[:, 2])
@@ -40,7 +40,8 @@ def build_sponge(generator: np.random.Generator) -> Mesh:
 
 
 def build_fragment(generator: np.random.Generator) -> Mesh:
-    """Piece of broken shell, about 1 across: a bent plate with a jagged rim; marked as shell, one side its inside."""
+    """Build a piece of broken shell about 1 across: a bent plate with a jagged rim, marked as shell with one side as
+    its inside."""
     n = FRAGMENT_CORNERS
     angle = 2 * np.pi * (np.arange(n) + generator.uniform(-0.35, 0.35, n)) / n
     radius = 0.5 * np.exp(0.22 * generator.standard_normal(n))
@@ -74,7 +75,7 @@ def _sphere(subdivisions: int) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _bumps(directions: Array, count: int, low: float, high: float, generator: np.random.Generator) -> Array:
-    """Smooth noise (V,) of about unit size over directions (V, 3)."""
+    """Smooth noise (V,) of about unit amplitude over directions (V, 3)."""
     waves = generator.standard_normal((count, 3))
     waves *= (generator.uniform(low, high, count) / np.linalg.norm(waves, axis=1))[:, None]
     phases = generator.uniform(0, 2 * np.pi, count)
@@ -82,7 +83,7 @@ def _bumps(directions: Array, count: int, low: float, high: float, generator: np
 
 
 def _facets(directions: Array, normals: Array, distances: Array) -> Array:
-    """Radius (V,) of a unit ball cut by planes: a smooth minimum (p-norm) over the planes and the ball."""
+    """Radius (V,) of a unit ball cut by planes: a smooth minimum (p-norm) of the planes and the ball."""
     cosines = np.maximum(np.einsum("vi,li->vl", directions, normals), 0.0) / distances
     sharpness = 14.0
     return np.asarray((np.sum(cosines**sharpness, axis=1) + 1.0) ** (-1.0 / sharpness))

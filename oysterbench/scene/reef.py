@@ -1,4 +1,4 @@
-"""The oysters of a reef: their states and sizes, their clumps, and the valves that lie loose between them."""
+"""The oysters of a reef: their states and sizes, their clumps, and the loose valves between them."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ __all__ = ["CLASS_NUMBERS", "Instances", "place_oysters"]
 
 SIZE_SPREAD = 0.28  # standard deviation of ln(height)
 SIZE_LIMITS_M = (0.0249, 0.172)  # the range measured in 1122 Virginia oysters
-CLUMP_SPACING = 0.75  # of clumps' centres, in heights and roots of their size
-SINK_HEIGHTS_M = (0.04, 0.10)  # shell heights between which founders sink ever deeper,
-STANDING_SINK, LYING_SINK = (0.10, 0.60), (0.03, 0.15)  # by these, in heights: reefs gather sediment as they age
-MOST_SUNK = 0.65  # of the height at which a founder stands: enough of each one shows
-THICKNESS = np.array([1.0, 0.55, 0.22])  # of a shell along its axes at least, in heights
+CLUMP_SPACING = 0.75  # of clump centres, in shell heights times the square root of the clump size
+SINK_HEIGHTS_M = (0.04, 0.10)  # range of shell heights over which founders sink increasingly deep,
+STANDING_SINK, LYING_SINK = (0.10, 0.60), (0.03, 0.15)  # to these depths, in heights: ageing reefs gather sediment
+MOST_SUNK = 0.65  # largest sunk share of a founder's standing height: enough of each remains visible
+THICKNESS = np.array([1.0, 0.55, 0.22])  # lower bound of a shell's extent along its axes, in heights
 STANDING_FOUNDERS = {"sand": 0.45, "mud": 0.70, "gravel": 0.35, "shell": 0.50}
-SOFT = {"sand": 0.10, "mud": 0.35, "gravel": 0.0, "shell": 0.0}  # more slender on soft bottom
+SOFT = {"sand": 0.10, "mud": 0.35, "gravel": 0.0, "shell": 0.0}  # added slenderness: larger on soft bottom
 VALVE_SPREAD = 1.7  # standard deviation of loose valves about a clump, in heights
 STRAY_VALVES = 0.25  # share of loose valves that lie anywhere
-VALVE_TRIES, VALVE_TURNS = 12, 4  # places tried for each; turns in which valves are laid, the later seeing the earlier
-VALVE_RISE_M = 0.008  # of a lying valve's hinge over the bottom
+VALVE_TRIES, VALVE_TURNS = 12, 4  # places tried for each; rounds of laying valves, each avoiding those of earlier ones
+VALVE_RISE_M = 0.008  # height of a lying valve's hinge above the bottom
 SLOPE_REACH_M = 0.03
 
 
 def place_oysters(reef: ReefRecipe, terrain: Terrain, library: Library, streams: Streams) -> Instances:
-    """Oysters of a reef: those of the clumps, clump by clump, then the loose valves."""
+    """Place the oysters of a reef: those of the clumps, clump by clump, then the loose valves."""
     generator = streams.generator("oysters")
     n = reef.oyster_count
     loose = int(generator.binomial(n, reef.valve_share)) if n else 0
@@ -51,7 +51,7 @@ def place_oysters(reef: ReefRecipe, terrain: Terrain, library: Library, streams:
 
 
 def draw_heights(median_m: float, count: int, generator: np.random.Generator) -> Array:
-    """Shell heights (N,), m: log-normal, cut at SIZE_LIMITS_M."""
+    """Draw shell heights (N,), m, from a log-normal distribution truncated at SIZE_LIMITS_M."""
     low, high = ndtr(np.log(np.array(SIZE_LIMITS_M) / median_m) / SIZE_SPREAD)
     heights: Array = median_m * np.exp(SIZE_SPREAD * ndtri(low + (high - low) * generator.random(count)))
     return np.clip(heights, *SIZE_LIMITS_M)
@@ -65,14 +65,14 @@ def state_names(library: Library, oysters: Instances) -> list[str]:
 def _clumped(
     reef: ReefRecipe, terrain: Terrain, library: Library, sizes: NDArray[np.int64], centres: Array, streams: Streams
 ) -> Instances:
-    """Oysters of the clumps; each clump's first lies on the bottom, the others grow on older ones."""
+    """Place the oysters of the clumps; the first of each clump lies on the bottom, the others grow on older ones."""
     generator = streams.generator("clumps", "oysters")
     n = int(sizes.sum())
     clump = np.repeat(np.arange(len(sizes)), sizes)
     first = np.cumsum(sizes) - sizes
     order = np.arange(n) - np.repeat(first, sizes)
     heights = draw_heights(reef.oyster_size_mm * 1e-3, n, generator)
-    # The founders are the oldest: within a clump the sizes fall, more or less.
+    # The founders are the oldest: within a clump, sizes roughly decrease.
     rank = np.lexsort((-heights * np.exp(0.35 * generator.standard_normal(n)), clump))
     heights = heights[rank]
     boxes = generator.random(n) < reef.box_share / max(1 - reef.valve_share, 1e-9)
@@ -128,7 +128,7 @@ def _loose(
     clumped: Instances,
     streams: Streams,
 ) -> Instances:
-    """Single valves lying about the clumps, either side up, each at the freest of a few places."""
+    """Place single valves around the clumps, either side up, each at the freest of several candidate places."""
     generator = streams.generator("valves")
     half = reef.size_m / 2
     heights = draw_heights(reef.oyster_size_mm * 1e-3, n, generator)
@@ -143,7 +143,7 @@ def _loose(
     left = generator.random(n) < 0.5
     share = generator.random(n)
     shapes = np.where(left, library.pick("left valve", share), library.pick("right valve", share))
-    # A cupped valve lies more stably with its hollow down, but either is seen.
+    # A cupped valve lies more stably with its hollow down, but both occur.
     over = generator.random(n) < 0.5
     rotations = _turned(
         generator.uniform(-np.pi, np.pi, n),
@@ -151,7 +151,7 @@ def _loose(
         np.where(over, np.pi, 0.0) + 0.12 * generator.standard_normal(n),
     )
     scales = heights[:, None] * np.column_stack([np.ones(n), np.exp(0.08 * generator.standard_normal((n, 2)))])
-    # At rest on level ground, nearly: what it would stand in is told by its place, not by its slope.
+    # Roughly at rest on level ground: overlap with others depends on the place, hardly on the slope.
     lying = np.concatenate([tries, terrain.height(tries[..., 0], tries[..., 1])[..., None] + VALVE_RISE_M], axis=2)
     places = np.zeros((n, 2))
     crowds = [Crowd.of(clumped)]
@@ -182,13 +182,13 @@ def _loose(
 
 
 def _turned(heading: Array, rise: Array, roll: Array) -> Array:
-    """Rotations (N, 3, 3) of shells that point along a heading, rise and roll about their long axis, rad."""
+    """Rotations (N, 3, 3) of shells from heading, rise above the horizontal and roll about the long axis, (N,) rad."""
     angles = np.column_stack([heading, -rise, roll])
     return Rotation.from_euler("ZYX", angles).as_matrix().reshape(len(heading), 3, 3)
 
 
 def _shell_colours(n: int, white: Array, generator: np.random.Generator) -> Array:
-    """Linear albedo (N, 3) of shells: grey-brown to dirty white, a few dark; `white` (N,) bleaches dead ones."""
+    """Linear albedo (N, 3) of shells: grey-brown to dirty white, a few dark; `white` (N,): bleaching of dead ones."""
     brown, grey, pale = np.array([0.17, 0.135, 0.09]), np.array([0.22, 0.21, 0.185]), np.array([0.50, 0.47, 0.40])
     mix = generator.dirichlet([1.6, 1.6, 0.7], n)
     colours = mix[:, :1] * brown + mix[:, 1:2] * grey + mix[:, 2:] * pale

@@ -10,24 +10,24 @@ from oysterbench.core.geometry import Array, transform
 from oysterbench.recipe import CameraRecipe
 
 R_FORWARD_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Turns an optical frame (z forward, x right, y down) into x forward, y left, z up (REP 103)."""
+"""Rotation from an optical frame (z forward, x right, y down) to x forward, y left, z up (REP 103)."""
 
 
 def camera_pose(recipe: CameraRecipe) -> Array:
-    """T_base_cam (4, 4) of the optical frame."""
+    """Pose T_base_cam (4, 4) of the camera's optical frame in base_link."""
     mount = Rotation.from_euler("ZY", [recipe.yaw_deg, recipe.pitch_deg], degrees=True).as_matrix()
     return transform(mount @ R_FORWARD_OPTICAL, recipe.position_m)
 
 
 PORT_INDEX = 1.33
-"""Refractive index of water against air at a flat port."""
+"""Refractive index of water relative to air at a flat port."""
 
 
 def camera_matrix(recipe: CameraRecipe) -> Array:
-    """Pinhole matrix (3, 3) in px; the centre of the first pixel is at (0, 0). Behind a flat port, that in air.
+    """Pinhole matrix (3, 3) in px; the centre of the first pixel is at (0, 0). Behind a flat port: the matrix in air.
 
-    The picture's half width spans half of hfov_deg, for a Brown-Conrady lens before its distortion. Raises RecipeError
-    when so wide a view does not fit behind a flat port, or a fisheye's coefficients turn it inside out.
+    Half the image width spans half of hfov_deg, for a Brown-Conrady lens before distortion. Raises RecipeError when
+    the field of view is too wide for a flat port, or when a fisheye's coefficients turn the image inside out.
     """
     half = np.radians(recipe.hfov_deg) / 2
     if recipe.port_mm is not None:

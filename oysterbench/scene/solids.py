@@ -1,4 +1,4 @@
-"""Closed solids of one colour that machines are put together from; a mesh's marks hold its linear albedo."""
+"""Closed solids of a single colour from which machines are assembled; a mesh's marks hold its linear albedo."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from oysterbench.scene.mesh import Mesh, build_mesh
 
 Colour = tuple[float, float, float]
 
-SIDES = 28  # of what is round
-EDGE_STEPS = 4  # over a quarter of a rounded edge
+SIDES = 28  # around a circular cross-section
+EDGE_STEPS = 4  # per quarter circle of a rounded edge
 
 
 def tube(start: ArrayLike, end: ArrayLike, radius: float, colour: Colour) -> Mesh:
-    """A cylinder between two points, with lids, its rims hard."""
+    """Capped cylinder between two points, with hard rims."""
     begin, stop = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
     length = float(np.linalg.norm(stop - begin))
     return _turned(begin, stop - begin, [(0.0, 0.0), (radius, 0.0), (radius, length), (0.0, length)], colour)
 
 
 def ring(centre: ArrayLike, axis: ArrayLike, outer: float, inner: float, length: float, colour: Colour) -> Mesh:
-    """A duct about an axis: a tube with a wall between two radii, m."""
+    """Duct about an axis: a tube whose wall lies between two radii, m."""
     direction = np.asarray(axis, dtype=float)
     half = 0.5 * length
     profile = [(inner, -half), (outer, -half), (outer, half), (inner, half), (inner, -half)]
@@ -35,7 +35,7 @@ def ring(centre: ArrayLike, axis: ArrayLike, outer: float, inner: float, length:
 def dome(
     centre: ArrayLike, radius: float, colour: Colour, axes: Sequence[Array] | None = None, whole: bool = False
 ) -> Mesh:
-    """Half a ball that bulges along x, or along `axes` (its three half axes in units of the radius), or the whole."""
+    """Hemisphere that bulges along x, or along `axes` (three half axes in units of the radius); `whole`: full ball."""
     u, v, w = (np.asarray(a, dtype=float) for a in (axes if axes is not None else np.eye(3)))
     steps = 6 if whole else 9
     polar = np.linspace(0.0, np.pi if whole else 0.5 * np.pi, steps)
@@ -49,7 +49,7 @@ def dome(
 
 
 def bent_tube(path: Array, radius: float, colour: Colour, sides: int = 8) -> Mesh:
-    """A hose along points (N, 3), m."""
+    """Hose along points (N, 3), m."""
     along = np.gradient(path, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(along, [0.0, 1.0, 0.0])
@@ -62,7 +62,7 @@ def bent_tube(path: Array, radius: float, colour: Colour, sides: int = 8) -> Mes
 
 
 def rounded_box(centre: ArrayLike, size: ArrayLike, radius: float, colour: Colour) -> Mesh:
-    """A box with edges and corners rounded to a radius, m: a ball pulled apart along its three middle planes."""
+    """Box with edges and corners rounded to a radius, m: a ball pulled apart along its three mid-planes."""
     half = 0.5 * np.asarray(size, dtype=float) - radius
     quarter = np.linspace(0.0, 0.5 * np.pi, EDGE_STEPS + 1)
     turn = np.concatenate([quarter + 0.5 * np.pi * k for k in range(4)])
@@ -80,18 +80,18 @@ def rounded_box(centre: ArrayLike, size: ArrayLike, radius: float, colour: Colou
 
 
 def plate(outline: Array, y: float, thickness: float, colour: Colour) -> Mesh:
-    """A flat sheet across y, of an outline (N, 2) in x and z that is star-shaped about its mean, m; its rims hard."""
+    """Flat sheet normal to y with hard rims; outline (N, 2) in x and z, m, star-shaped about its mean."""
     middle = outline.mean(axis=0)
     levels = (y - 0.5 * thickness, y + 0.5 * thickness)
     place = [np.column_stack([outline[:, 0], np.full(len(outline), level), outline[:, 1]]) for level in levels]
     lids = [np.array([[middle[0], level, middle[1]]]) for level in levels]
-    # Each rim twice: for the lid's normals and for the wall's.
+    # Each rim twice: once for the lid's normals, once for the wall's.
     points = np.concatenate([lids[0], place[0], place[0], place[1], place[1], lids[1]])
     return _closed(points, _stack(4, len(outline), walls=(1,)), colour)
 
 
 def _turned(origin: Array, axis: Array, profile: Sequence[tuple[float, float]], colour: Colour) -> Mesh:
-    """A solid of revolution: profile of (radius, way along the axis), corners hard; open at neither end."""
+    """Solid of revolution, closed at both ends, from a profile of (radius, distance along the axis); hard corners."""
     along = axis / np.linalg.norm(axis)
     across = np.cross(along, [0.0, 0.0, 1.0] if abs(along[2]) < 0.9 else [1.0, 0.0, 0.0])
     across /= np.linalg.norm(across)
@@ -114,7 +114,7 @@ def _turned(origin: Array, axis: Array, profile: Sequence[tuple[float, float]], 
 
 
 def _stack(rings: int, sides: int, walls: Sequence[int] | None = None) -> NDArray[np.int64]:
-    """Faces over rings of points between a first and a last point; walls: rings after which there is one, or all."""
+    """Faces over rings of points between a first and a last point; walls: rings followed by a wall (default all)."""
     here = np.arange(sides)
     there = (here + 1) % sides
     faces = [np.column_stack([np.zeros(sides, int), 1 + there, 1 + here])]
@@ -132,7 +132,7 @@ def _stack(rings: int, sides: int, walls: Sequence[int] | None = None) -> NDArra
 
 
 def _closed(points: Array, faces: NDArray[np.int64], colour: Colour) -> Mesh:
-    """A mesh of one colour whose faces look outwards."""
+    """Mesh of a single colour with outward-facing faces."""
     a, b, c = (points[faces[:, k]] for k in range(3))
     inward = np.einsum("fi,fi->", a - points.mean(axis=0), np.cross(b - a, c - a)) < 0
     return build_mesh(points, faces[:, ::-1] if inward else faces, np.tile(colour, (len(points), 1)))

@@ -1,6 +1,6 @@
-"""Shells of more than one kind: the spread of proportions and colours over reefs, ages and what has grown on them.
+"""Variety of shells: the spread of proportions and colours across reefs, ages and fouling.
 
-Shells are round on hard ground and slender in mud and in clumps (Galtsoff 1964, ch. 2); outsides are white, grey,
+Shells are round on hard ground and slender in mud and in clumps (Galtsoff 1964, ch. 2); their outsides are white, grey,
 yellow, green, purple and near black.
 """
 
@@ -21,17 +21,17 @@ TINTS = (
     (0.07, 0.065, 0.06),  # black, from under mud
     (0.24, 0.19, 0.12),  # rust
 )
-"""Linear albedo."""
+"""Tints of shells, linear albedo."""
 
 
 def vary_proportions(scales: Array, spread: float, generator: np.random.Generator) -> Array:
-    """Scales (N, 3) of shells, of which length and width are drawn wider."""
+    """Return scales (N, 3) of shells with lengths and widths varied in proportion to `spread`."""
     factors = np.exp(PROPORTIONS * spread * generator.standard_normal((len(scales), 2)))
     return np.asarray(scales * np.column_stack([np.ones(len(scales)), np.clip(factors, 0.6, 1.6)]))
 
 
 def vary_colours(colours: Array, spread: float, generator: np.random.Generator) -> Array:
-    """Colours (N, 3), linear albedo, of which some are tinted, each by another share."""
+    """Return colours (N, 3), linear albedo, some of them tinted to different degrees; `spread` scales how many."""
     n = len(colours)
     tints = np.array(TINTS)[generator.integers(0, len(TINTS), n)] * np.exp(0.15 * generator.standard_normal((n, 1)))
     share = generator.beta(2.5, 1.5, n) * (generator.random(n) < TINTED * spread)

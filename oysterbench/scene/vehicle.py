@@ -11,7 +11,7 @@ from oysterbench.scene.solids import bent_tube, dome, plate, ring, rounded_box, 
 BLUE, BLACK, GREY = (0.02, 0.10, 0.42), (0.025, 0.025, 0.03), (0.30, 0.31, 0.32)
 FLOAT_BLUE, GLASS, YELLOW = (0.04, 0.17, 0.45), (0.10, 0.12, 0.13), (0.55, 0.42, 0.03)
 
-# Outline (x, z) of a side panel, m: a tall bow and stern, cut in at the feet.
+# Outline (x, z) of a side panel, m: bow and stern are tall, with cut-outs at the feet.
 SIDE_PANEL = (
     (-0.22, -0.125),
     (0.17, -0.125),
@@ -29,10 +29,10 @@ LAMPS_Y_M = (-0.12, 0.12)
 
 
 def build_vehicle(rig: RigRecipe, with_tether: bool = True) -> Mesh | None:
-    """The rig's body in base_link, m, with albedos as marks; None for a rig without one. with_tether: with a stiff bow
-    of it at its stern.
+    """Build the rig's body in base_link, m, with albedos as marks; None for a rig without a body. with_tether: add a
+    stiff bend of tether at the stern.
 
-    Sizes after the maker's drawing of the BlueROV2: 457 x 338 x 254 mm, a 4-inch and a 3-inch tube along x.
+    Dimensions follow the maker's drawing of the BlueROV2: 457 x 338 x 254 mm, a 4-inch and a 3-inch tube along x.
     """
     if rig.vehicle == "none":
         return None
@@ -41,11 +41,11 @@ def build_vehicle(rig: RigRecipe, with_tether: bool = True) -> Mesh | None:
 
 
 def _frame() -> list[Mesh]:
-    """Two side panels with round windows, a bottom plate, cross members and feet."""
+    """Frame: two side panels with round windows, a bottom plate, cross members and feet."""
     parts = []
     for y in (-0.163, 0.163):
         parts.append(plate(np.array(SIDE_PANEL), y, 0.010, BLACK))
-        # The windows cannot be cut out of a closed sheet: a grey disc behind a rim reads as one.
+        # Windows cannot be cut out of a closed sheet: a rim mounted on it reads as one.
         for x, z, radius in SIDE_HOLES:
             outer = np.copysign(abs(y) + 0.0055, y)
             parts.append(ring((x, outer, z), (0.0, 1.0, 0.0), radius, radius - 0.006, 0.004, BLUE))
@@ -56,13 +56,13 @@ def _frame() -> list[Mesh]:
 
 
 def _floats() -> list[Mesh]:
-    """Four fairings of foam above the frame, with rounded edges."""
+    """Four foam fairings with rounded edges above the frame."""
     places = [(x, y) for x in (-0.125, 0.125) for y in (-0.105, 0.105)]
     return [rounded_box((x, y, 0.083), (0.175, 0.108, 0.070), 0.018, FLOAT_BLUE) for x, y in places]
 
 
 def _tubes() -> list[Mesh]:
-    """The watertight tube with its dome and end cap, and the battery's tube below it."""
+    """Watertight tube with its dome and end cap, and the battery tube below it."""
     return [
         tube((-0.15, 0.0, 0.035), (0.14, 0.0, 0.035), 0.057, GREY),
         *(tube((x, 0.0, 0.035), (x + 0.014, 0.0, 0.035), 0.062, BLACK) for x in (-0.158, 0.134)),
@@ -107,7 +107,7 @@ def _thruster(centre: tuple[float, float, float], axis: tuple[float, float, floa
 
 
 def _lamps() -> list[Mesh]:
-    """Lamps under the bow, each with a bright window, behind the point from which the rig's light comes."""
+    """Lamps under the bow, each with a bright window, placed behind the rig's light source."""
     parts = []
     for y in LAMPS_Y_M:
         parts.append(tube((0.175, y, -0.092), (0.222, y, -0.102), 0.021, BLACK))
@@ -118,7 +118,7 @@ def _lamps() -> list[Mesh]:
 
 
 def _tether() -> list[Mesh]:
-    """A tether that leaves the stern in a slack bow and rises."""
+    """Tether that leaves the stern in a slack bend and rises."""
     t = np.linspace(0.0, 1.0, 36)
     x = -0.17 - 0.10 * np.sin(0.5 * np.pi * t) - 0.12 * t**2
     y = 0.02 - 0.30 * t**2 + 0.05 * np.sin(7 * t) * t

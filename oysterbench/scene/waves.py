@@ -1,4 +1,4 @@
-"""Waves over the site, as a sum of small sines: what the surface does, how the water below moves, how it presses."""
+"""Waves at the site as a sum of small sines: surface elevation, motion of the water below, and dynamic pressure."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
 
 COMPONENTS = 64
-"""Sines in the sum: with frequencies at random inside their bands the sum does not repeat itself."""
+"""Number of sines in the sum; as their frequencies are random within their bands, the sum does not repeat itself."""
 
 CUT = 4.0
-"""Highest frequency over that of the peak: 99.5 % of the spectrum's energy lies below."""
+"""Highest frequency, relative to that of the peak: 99.5 % of the spectrum's energy lies below it."""
 
 NEWTON_STEPS = 8
-"""Of the dispersion relation: from Eckart's guess, five reach the last bits at any depth."""
+"""Newton steps on the dispersion relation: from Eckart's approximation, five converge to the last bits at any depth."""
 
 
 @dataclass(frozen=True)
 class Waves:
     """Linear (Airy) waves over a bottom at `depth_m`, each component with phase theta = k . x - omega t + phase.
 
-    amplitude (M,) m, omega (M,) rad/s, wavenumber (M, 2) rad/m along x and y of `map`, phase (M,) rad; no component
+    amplitude (M,) m, omega (M,) rad/s, wavenumber (M, 2) rad/m along x and y of `map`, phase (M,) rad; no components
     in a calm (M = 0). Positions are (N, 3) m in `map`, times (N,) s from the start of the sequence. Formulas: Dean &
-    Dalrymple 1991, chapters 3 and 4. They hold between bottom and mean surface: heights beyond count as those.
+    Dalrymple 1991, chapters 3 and 4. They hold between bottom and mean surface; heights beyond are clamped to these.
     """
 
     depth_m: float
@@ -37,7 +37,7 @@ class Waves:
     phase: Array
 
     def elevation(self, position: Array, times_s: Array) -> Array:
-        """Height (N,) m of the surface above z = 0, over x, y of the positions."""
+        """Height (N,) m of the surface above z = 0, at the positions' x, y."""
         total = np.zeros(len(times_s))
         for amplitude, theta, _ in self._components(position, times_s):
             total += amplitude * np.cos(theta)
@@ -53,7 +53,7 @@ class Waves:
         return total
 
     def displacement(self, position: Array, times_s: Array) -> Array:
-        """Displacement (N, 3) m of the water that rests at the positions: the integral of its velocity over time."""
+        """Displacement (N, 3) m of the water whose rest positions are given: the integral of its velocity over time."""
         total = np.zeros((len(times_s), 3))
         for index, (amplitude, theta, (along, upright, _)) in enumerate(self._components(position, times_s)):
             total[:, :2] -= (amplitude * along * np.sin(theta))[:, None] * self._heading(index)
@@ -61,7 +61,7 @@ class Waves:
         return total
 
     def head(self, position: Array, times_s: Array) -> Array:
-        """Dynamic pressure (N,) as metres of water: over density * GRAVITY, positive below a crest."""
+        """Dynamic pressure (N,) as head in metres of water: divided by density * GRAVITY, positive below a crest."""
         total = np.zeros(len(times_s))
         for amplitude, theta, (_, _, pressing) in self._components(position, times_s):
             total += amplitude * pressing * np.cos(theta)
@@ -71,7 +71,8 @@ class Waves:
         return np.asarray(self.wavenumber[index] / np.linalg.norm(self.wavenumber[index]))
 
     def _components(self, position: Array, times_s: Array) -> Iterator[tuple[float, Array, tuple[Array, Array, Array]]]:
-        """Amplitude, theta (N,) and the three factors of depth (N,), one component at a time: hours fit in memory."""
+        """Yield amplitude, theta (N,) and the three depth factors (N,) of each component in turn, so that hours of data
+        fit in memory."""
         z = np.clip(position[:, 2], -self.depth_m, 0.0)
         for amplitude, omega, k, phase in zip(self.amplitude, self.omega, self.wavenumber, self.phase, strict=True):
             theta = position[:, :2] @ k - omega * times_s + phase
@@ -79,17 +80,17 @@ class Waves:
 
 
 def build_waves(site: SiteRecipe, depth_m: float, streams: Streams) -> Waves:
-    """The waves of a site over a bottom at depth_m: the same for all that feel them, from streams at "site", "waves".
+    """Build the waves of a site over a bottom at depth_m, from the stream "site", "waves": the same for all users.
 
     Pierson-Moskowitz spectrum by significant height and peak period (Bretschneider 1959), whose energy below omega is
     Hs^2 / 16 exp(-1.25 (omega_p / omega)^4): each component has an equal share of it, from a band of its own.
-    Directions spread by cos^2 about the main one (ITTC 2002).
+    Directions spread as cos^2 about the mean direction (ITTC 2002).
     """
     n = COMPONENTS if site.wave_height_m else 0
     rng = streams.generator("site", "waves")
     share = (np.arange(n) + rng.random(n)) / COMPONENTS * np.exp(-1.25 / CUT**4)
     omega = 2 * np.pi / site.wave_period_s * (1.25 / -np.log(share)) ** 0.25
-    # A spread of density cos^2 has a sine of density sqrt(1 - s^2).
+    # If the angle has a density of cos^2, its sine s has a density of sqrt(1 - s^2).
     heading = np.radians(site.wave_to_deg) + np.arcsin(2 * rng.beta(1.5, 1.5, n) - 1)
     wavenumber = dispersion(omega, depth_m)[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
     amplitude = np.full(n, site.wave_height_m / np.sqrt(8 * COMPONENTS))
@@ -97,7 +98,7 @@ def build_waves(site: SiteRecipe, depth_m: float, streams: Streams) -> Waves:
 
 
 def dispersion(omega: Array, depth_m: float) -> Array:
-    """Wavenumbers (M,) rad/m with omega^2 = g k tanh(k h), omega (M,) rad/s, by Newton's method."""
+    """Solve omega^2 = g k tanh(k h) for the wavenumbers k (M,) rad/m by Newton's method; omega (M,) rad/s."""
     deep = omega**2 / GRAVITY
     k = deep / np.sqrt(np.tanh(deep * depth_m))  # Eckart 1952, within 5 %
     for _ in range(NEWTON_STEPS):

@@ -1,4 +1,4 @@
-"""What grows on shells and stones in summer, and what drifts in and stays: filamentous algae, dead blades, stalks."""
+"""Plants that grow on shells and stones in summer or drift in and stay: filamentous algae, dead blades, stalks."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ BUNCH_PATCH_M = 0.5  # wavelength of the patches in which bunches of one colour 
 GREEN, BROWN = (0.050, 0.120, 0.014), (0.095, 0.055, 0.025)  # linear albedo
 STRAND_M = (0.04, 0.25)
 STRAND_COLOURS = ((0.055, 0.075, 0.020), (0.100, 0.070, 0.030), (0.070, 0.035, 0.020), (0.200, 0.165, 0.090))
-BLADE_SHARE = 0.4  # of the strands; the others are stalks and threads
-LIES_AT = 0.6  # quantile of the surface below a strand at which it lies: it bends over what is low
+BLADE_SHARE = 0.4  # share of blades among the strands; the others are stalks and threads
+LIES_AT = 0.6  # quantile of the surface below a strand at which it lies: it drapes over low objects
 
 
 def place_algae(reef: ReefRecipe, library: Library, hosts: Instances, streams: Streams) -> Instances:
-    """Bunches of filamentous algae on the upper sides of oysters and stones, in patches; `hosts` begin the table."""
+    """Place bunches of filamentous algae in patches on the upper sides of oysters and stones; `hosts` must be the first
+    rows of the world's table."""
     generator = streams.generator("algae")
     n = round(reef.algae_per_m2 * reef.size_m**2) if len(hosts) else 0
     host = _patchy(hosts, n, generator)
@@ -51,7 +52,8 @@ def place_algae(reef: ReefRecipe, library: Library, hosts: Instances, streams: S
 def place_litter(
     reef: ReefRecipe, library: Library, lines: Array, solid: NDArray[np.float32], streams: Streams
 ) -> Instances:
-    """Blades, stalks and threads that lie on whatever is highest; solid (M, M): that height on grid lines (M,), m."""
+    """Place blades, stalks and threads on the highest surface below them; solid (M, M): its height on grid lines (M,),
+    m."""
     generator = streams.generator("litter")
     half = reef.size_m / 2
     n = round(reef.litter_per_m2 * reef.size_m**2)
@@ -79,7 +81,7 @@ def place_litter(
 
 
 def _patchy(hosts: Instances, n: int, generator: np.random.Generator) -> NDArray[np.int64]:
-    """Rows (n,) of hosts, more where a wave of patches is high."""
+    """Draw n rows of hosts, with a higher density where a patchiness field is high."""
     if not n:
         return np.zeros(0, dtype=np.int64)
     waves = generator.standard_normal((6, 2)) * 2 * np.pi / BUNCH_PATCH_M

@@ -55,29 +55,29 @@ class World:
 
     @property
     def oysters(self) -> Instances:
-        """The oysters' rows of the instance table."""
+        """Rows of the instance table that are oysters."""
         return self.of_class("oyster")
 
     @property
     def stones(self) -> Instances:
-        """The stones' rows of the instance table."""
+        """Rows of the instance table that are stones."""
         return self.of_class("stone")
 
     def of_class(self, name: str) -> Instances:
-        """The rows of the instance table that are of a class of recipe.CLASSES."""
+        """Rows of the instance table that belong to a class of recipe.CLASSES."""
         return self.instances.take(self.of_class_mask(name))
 
     def of_class_mask(self, name: str) -> NDArray[np.bool_]:
-        """Which rows (N,) of the instance table are of a class of recipe.CLASSES."""
+        """Mask (N,) of the rows of the instance table that belong to a class of recipe.CLASSES."""
         return np.asarray(self.instances.classes == CLASS_NUMBERS[name])
 
     def oyster_table(self) -> pd.DataFrame:
-        """The truth about each oyster, a row each.
+        """Ground truth of the oysters, one row each.
 
-        id: as in instance images. state: as in oyster.STATES. host: id of the oyster that it grows on, 0 for the
+        id: as in instance images. state: as in oyster.STATES. host: id of the oyster on which it grows, 0 for the
         bottom. height_m, length_m, width_m: of the closed shell or the single valve, along its own axes. volume_m3:
-        that it displaces (a live one's with what is in it, a dead one's of its shell alone). x, y, z: of its umbo in
-        `map`, m. qx, qy, qz, qw: from the shell's frame (x to the bill, z out of the right valve) to `map`.
+        displaced volume (including the contents of a live oyster; the shell alone of a dead one). x, y, z: position of
+        the umbo in `map`, m. qx, qy, qz, qw: from the shell's frame (x to the bill, z out of the right valve) to `map`.
         """
         import pandas as pd
 
@@ -101,8 +101,8 @@ class World:
 
     @cached_property
     def boxes(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Lower and upper corners (N, 3) of the instances' boxes in `map`, m, a hair wider than the shapes; not to be
-        written to, as every camera and sonar takes them."""
+        """Lower and upper corners (N, 3) of the instances' bounding boxes in `map`, m, slightly wider than the shapes;
+        read-only, as all cameras and sonars share them."""
         lowers = np.empty((len(self.instances), 3), dtype=np.float32)
         uppers = np.empty_like(lowers)
         for chosen, vertices in placed_vertices(self.meshes, self.instances, hulls=True):
@@ -112,11 +112,11 @@ class World:
         return lowers, uppers
 
     def ground_height(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """z of the bare seabed at x, y (m, `map`), m; bilinear on the mesh's grid."""
+        """Height z (m) of the bare seabed at x, y (m, `map`), interpolated bilinearly on the mesh's grid."""
         return self.terrain.height(x, y)
 
     def obstacle_height(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Upper bound of z of seabed, oysters and all else but plants at x, y (m, `map`), m.
+        """Upper bound (m) of the height z of the seabed and everything on it except plants, at x, y (m, `map`).
 
         Conservative: the highest point within about two cells (5 cm on reefs up to 50 m) counts.
         """
@@ -127,14 +127,14 @@ class World:
 
     @cached_property
     def _highest_around(self) -> NDArray[np.float32]:
-        """The solid envelope widened by a cell each way, so that interpolating it never cuts a tip off."""
+        """Solid envelope dilated by one cell in each direction, so that interpolation never cuts off a tip."""
         return ndimage.maximum_filter(self.solid, size=3)
 
 
 def build_world(recipe: SequenceRecipe, streams: Streams) -> World:
-    """The world of a sequence; the same recipe and streams give the same arrays.
+    """Build the world of a sequence; the same recipe and streams give the same arrays.
 
-    Raises RecipeError when everything together does not fit the instance ids.
+    Raises RecipeError when there are more instances than instance ids.
     """
     reef = recipe.reef
     _check_count(reef, recipe.name)
@@ -168,7 +168,7 @@ def build_world(recipe: SequenceRecipe, streams: Streams) -> World:
 
 
 def _check_count(reef: ReefRecipe, name: str) -> None:
-    """Refuse a crowd before the time to build it is spent."""
+    """Refuse a recipe with too many instances before time is spent on building them."""
     area = reef.size_m**2
     scattered = reef.hash_per_m2 + reef.sponges_per_m2 + reef.algae_per_m2 + reef.litter_per_m2
     count = reef.oyster_count + reef.stones + reef.rocks + round(scattered * area)
@@ -187,8 +187,8 @@ def _crowded(name: str, count: int) -> str:
 def _envelope(
     size: float, terrain: Terrain, meshes: tuple[Mesh, ...], instances: Instances
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Grid lines (M,) and the highest surface near each grid point (M, M), from the vertices of all instances."""
-    margin = 0.3  # shells on the reef's border reach over it
+    """Grid lines (M,), m, and height (M, M), m, of the highest surface near each grid point, from all vertices."""
+    margin = 0.3  # shells on the reef's border overhang it
     cell = max(ENVELOPE_CELL_M, size / MAX_ENVELOPE_CELLS)
     count = int(np.ceil((size + 2 * margin) / cell)) + 1
     lines: NDArray[np.float64] = (np.arange(count, dtype=float) - (count - 1) / 2) * cell

@@ -1,4 +1,4 @@
-"""Parts that bodies are put together from: skins over rings, limbs, and thin blades; all closed."""
+"""Parts from which bodies are assembled: skins over rings, limbs, and thin blades; all closed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from oysterbench.scene.mesh import Mesh, build_mesh
 
 
 def skin(rings: Array, ends: Array, marks: Array, end_marks: Array) -> Mesh:
-    """A closed skin over rings (R, P, 3) of points between two end points (2, 3), with marks (R, P, 3) and (2, 3)."""
+    """Closed skin over rings (R, P, 3) of points between two end points (2, 3), with marks (R, P, 3) and (2, 3)."""
     count, sides = rings.shape[:2]
     here = np.arange(sides)
     there = (here + 1) % sides
@@ -31,7 +31,7 @@ def skin(rings: Array, ends: Array, marks: Array, end_marks: Array) -> Mesh:
 
 
 def limb(path: Array, radii: Array, mark: tuple[float, float, float], sides: int = 6) -> Mesh:
-    """A limb along points (N, 3), of radii (N,); round, with pointed ends."""
+    """Limb of circular section along points (N, 3), of radii (N,), with pointed ends."""
     along = np.gradient(path, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     span = path[-1] - path[0]
@@ -47,7 +47,7 @@ def limb(path: Array, radii: Array, mark: tuple[float, float, float], sides: int
 
 
 def ball(centre: Array, half_axes: Array, mark: tuple[float, float, float], sides: int = 10) -> Mesh:
-    """An ellipsoid of half axes (3,) along x, y, z."""
+    """Ellipsoid with half axes (3,) along x, y, z."""
     polar = np.linspace(0, np.pi, sides // 2 + 2)[1:-1]
     turn = 2 * np.pi * np.arange(sides) / sides
     x = np.cos(polar)[:, None] * np.ones(sides)
@@ -58,8 +58,8 @@ def ball(centre: Array, half_axes: Array, mark: tuple[float, float, float], side
 
 
 def blade(root: Array, tip: Array, thick: Array, root_marks: Array, tip_marks: Array) -> Mesh:
-    """A thin sheet between two edges (N, 3) each, half as thick as `thick` (3,) or (N, 3) at its root, thin at its
-    tip; with marks (N, 3) along both."""
+    """Thin sheet between two edges (N, 3), with half thickness `thick` (3,) or (N, 3) at its root and 0.3 times that at
+    its tip; with marks (N, 3) along both edges."""
     rings = np.stack([root - thick, root + thick, tip + 0.3 * thick, tip - 0.3 * thick], axis=1)
     marks = np.stack([root_marks, root_marks, tip_marks, tip_marks], axis=1)
     ends = rings[[0, -1]].mean(axis=1)
@@ -67,7 +67,7 @@ def blade(root: Array, tip: Array, thick: Array, root_marks: Array, tip_marks: A
 
 
 def outward(points: Array, faces: NDArray[np.integer], marks: Array) -> Mesh:
-    """The closed mesh with its faces turned so that its volume is positive."""
+    """Closed mesh with faces oriented so that its volume is positive."""
     a, b, c = (points[faces[:, k]] - points.mean(axis=0) for k in range(3))
     volume = np.einsum("fi,fi->", a, np.cross(b, c))
     return build_mesh(points, faces[:, ::-1] if volume < 0 else faces, marks)

@@ -1,4 +1,4 @@
-"""Who is there: schools, fish, crabs and debris drawn from their streams, each to be met on the path."""
+"""Cast of a dive: schools, fish, crabs and debris drawn from their streams, each to be encountered on the path."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.path import Path
 from oysterbench.scene.waves import Waves
 
-AHEAD_M, ASIDE_M = (0.8, 1.8), 0.5  # of the vehicle: where things are met
+AHEAD_M, ASIDE_M = (0.8, 1.8), 0.5  # where things are encountered, relative to the vehicle
 SCHOOL_LOOP_M, FISH_LOOP_M, CRAB_LOOP_M = (1.2, 2.5), (0.8, 2.0), (0.25, 0.7)  # radii of courses
 SCHOOL_HEIGHT_M, FISH_HEIGHT_M = (0.25, 0.7), (0.10, 0.5)  # over the ground's bound
-TOADFISH_SHARE, TOADFISH_HEIGHT = 0.2, 0.05  # of the fish alone; its height over the ground in lengths
+TOADFISH_SHARE, TOADFISH_HEIGHT = 0.2, 0.05  # share of the solitary fish; height over the ground in lengths
 CRAB_WIDTH_M, CRAB_SPEED_M_S = (0.05, 0.14), (0.03, 0.10)
 DEBRIS_M = {"leaf": (0.04, 0.10), "grass": (0.12, 0.35), "film": (0.08, 0.25)}  # lengths
 DEBRIS_HEIGHT_M = (0.05, 0.8)
-CURRENT_NEAR_BOTTOM = 0.8  # of the mean, within a metre of the bottom (law of the wall)
+CURRENT_NEAR_BOTTOM = 0.8  # relative to the mean current, within a metre of the bottom (law of the wall)
 
 
 @dataclass(frozen=True)
 class Company:
-    """A group, and its meshes: what they are called among those of all groups, and how they are made."""
+    """A group and its meshes: their name, unique among the meshes of all groups, and the function that builds them."""
 
     group: Group
     meshes: tuple[str, Callable[[], list[Mesh]]]
@@ -44,14 +44,14 @@ class Company:
 
 @dataclass(frozen=True)
 class _Meeting:
-    """The dive as those who are met on it need it."""
+    """What is needed of a dive to place encounters: its duration, half the side of the free square, the vehicle."""
 
     duration_s: float
     half_m: float
     vehicle: Vehicle
 
     def place(self, share: float, generator: np.random.Generator) -> tuple[float, Array]:
-        """A time, about a share of the dive, and a place x, y (2,) before the vehicle then, inside the reef."""
+        """Time, s, at a share of the dive, and a place x, y (2,), m, in front of the vehicle then, inside the reef."""
         time = float(np.clip(share, 0.02, 0.98)) * self.duration_s
         position, rotation = self.vehicle(np.array([time]))
         ahead = rotation[0, :2, 0] / max(float(np.linalg.norm(rotation[0, :2, 0])), 1e-6)
@@ -62,7 +62,7 @@ class _Meeting:
     def course(
         self, share: float, loop_m: tuple[float, float], speed: float, rest: tuple[float, float], streams: Streams
     ) -> Course:
-        """A course that is met; rest: swing and period (s) of its speed."""
+        """Draw a course that crosses the vehicle's way; rest: swing and period (s) of its speed."""
         generator = streams.generator("course")
         time, place = self.place(share, generator)
         radius = min(generator.uniform(*loop_m), 0.6 * self.half_m)
@@ -70,7 +70,7 @@ class _Meeting:
 
 
 def gather(recipe: SequenceRecipe, ground: Ground, path: Path, waves: Waves, streams: Streams) -> list[Company]:
-    """All groups of a recipe's life."""
+    """Draw all groups of a recipe's life."""
 
     def vehicle(times_s: Array) -> tuple[Array, Array]:
         motion = path.at(np.clip(times_s, 0.0, recipe.duration_s))
@@ -89,7 +89,7 @@ def gather(recipe: SequenceRecipe, ground: Ground, path: Path, waves: Waves, str
 
 
 def _share(k: int, count: int, generator: np.random.Generator) -> float:
-    """When the k-th of several is met, as a share of the dive: spread evenly, at random within its part."""
+    """When the k-th of several is encountered, as a share of the dive: spread evenly, at random within its part."""
     return float((k + generator.random()) / count)
 
 
@@ -148,7 +148,7 @@ def _alone(life: LifeRecipe, k: int, dive: _Meeting, ground: Ground, streams: St
 
 
 def _fish_colours(n: int, generator: np.random.Generator) -> Array:
-    """Factors (N, 3) on a coat's albedo."""
+    """Draw factors (N, 3) on a coat's albedo."""
     return np.asarray(np.exp(0.08 * generator.standard_normal((n, 1)) + 0.03 * generator.standard_normal((n, 3))))
 
 
@@ -164,7 +164,7 @@ def _crab(life: LifeRecipe, k: int, dive: _Meeting, ground: Ground, streams: Str
 
 
 def _debris(recipe: SequenceRecipe, dive: _Meeting, ground: Ground, waves: Waves, streams: Streams) -> list[Company]:
-    """Pieces by kind: a group each."""
+    """Draw the debris, one group per kind."""
     to = np.radians(recipe.site.current_to_deg)
     current = CURRENT_NEAR_BOTTOM * recipe.site.current_m_s * np.array([np.cos(to), np.sin(to)])
     n = recipe.life.debris
@@ -205,7 +205,7 @@ def _flotsam_meshes(kind: str, streams: Streams) -> tuple[str, Callable[[], list
 
 
 def _tether(life: LifeRecipe, dive: _Meeting, ground: Ground, waves: Waves, generator: np.random.Generator) -> Company:
-    """The boat lies where the dive begins, a few metres off; at some time of the dive the slack hangs ahead."""
+    """Draw the tether: the boat lies a few metres from the start of the dive; at some time the slack hangs ahead."""
     start = dive.vehicle(np.zeros(1))[0][0, :2]
     away = generator.uniform(0, 2 * np.pi)
     anchor = start + generator.uniform(1.5, 4.0) * np.array([np.cos(away), np.sin(away)])

@@ -1,4 +1,5 @@
-"""Where something is bound for: closed loops over the reef, run at a speed that varies, past a place at a time."""
+"""Courses of animals: closed loops over the reef, followed at a varying speed and passing a given place at a given
+time."""
 
 from __future__ import annotations
 
@@ -10,13 +11,13 @@ from scipy.interpolate import CubicSpline
 from oysterbench.core.geometry import Array
 
 POINTS = 240  # of a loop
-BULGES = (0.22, 0.10)  # of its radius, in waves of two and three around it
+BULGES = (0.22, 0.10)  # relative variation of its radius, with two and three waves around it
 
 
 @dataclass(frozen=True)
 class Course:
-    """A loop and the way run along it: x, y (m) by a spline over the way s (m), and s(t) = start + speed * (t + swing
-    / rhythm * sin(rhythm t + phase)), whose speed is between 1 - swing and 1 + swing times the mean one.
+    """A loop and the motion along it: x, y (m) as a spline over the path length s (m), and s(t) = start + speed * (t +
+    swing / rhythm * sin(rhythm t + phase)), less its value at 0, with a speed of 1 - swing to 1 + swing times the mean.
     """
 
     track: CubicSpline
@@ -27,16 +28,16 @@ class Course:
     phase: float
 
     def way(self, times_s: Array) -> Array:
-        """Way (N,) m run at times (N,)."""
+        """Path length (N,) m at times (N,) s."""
         wave = np.sin(self.rhythm * times_s + self.phase) - np.sin(self.phase)
         return np.asarray(self.start_m + self.speed_m_s * (times_s + self.swing / self.rhythm * wave))
 
     def at(self, way: Array) -> Array:
-        """x, y (..., 2) m at ways (...,)."""
+        """x, y (..., 2) m at path lengths (...,) m."""
         return np.asarray(self.track(way))
 
     def heading(self, way: Array) -> Array:
-        """Unit direction (..., 2) at ways (...,)."""
+        """Unit direction (..., 2) at path lengths (...,) m."""
         direction = self.track(way, 1)
         return np.asarray(direction / np.linalg.norm(direction, axis=-1, keepdims=True))
 
@@ -51,9 +52,9 @@ def build_course(
     half_m: float,
     generator: np.random.Generator,
 ) -> Course:
-    """A loop of about radius_m that passes `place` (2,) at a time, within -half_m to half_m of the origin.
+    """Draw a loop of about radius_m that passes `place` (2,) at time_s, inside the square from -half_m to half_m.
 
-    place must lie within that square. swing and period_s: of the speed.
+    place must lie in that square. swing and period_s: relative amplitude and period of the speed's variation.
     """
     angle = np.linspace(0, 2 * np.pi, POINTS + 1)
     phases = generator.uniform(0, 2 * np.pi, 2)

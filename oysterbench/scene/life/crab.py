@@ -1,4 +1,4 @@
-"""A blue crab (Callinectes sapidus), 1 across from spine to spine along y, at a phase of its gait, on z = 0.
+"""Mesh of a blue crab (Callinectes sapidus) at a phase of its gait, 1 across from spine to spine along y, on z = 0.
 
 Marks: linear albedo.
 """
@@ -12,7 +12,7 @@ from oysterbench.scene.life.bodies import ball, limb, skin
 from oysterbench.scene.mesh import Mesh, join_meshes
 
 PHASES = 8  # of the gait
-STRIDE = 0.5  # widths that a cycle of the legs carries
+STRIDE = 0.5  # widths travelled per cycle of the legs
 SHELL, BELLY, LEG, BLUE, RED, PALE = (
     (0.085, 0.090, 0.045),
     (0.42, 0.40, 0.36),
@@ -21,11 +21,11 @@ SHELL, BELLY, LEG, BLUE, RED, PALE = (
     (0.30, 0.070, 0.035),
     (0.34, 0.36, 0.36),
 )
-LIFT = 0.17  # of the shell's middle over the bottom
+LIFT = 0.17  # height of the shell's middle above the bottom
 
 
 def build_crab(phase: float) -> Mesh:
-    """The crab at a phase (rad): it walks to its left, its legs in two alternating sets."""
+    """Build the crab at a phase (rad): it walks to its left, moving its legs in two alternating sets."""
     parts = [_shell()]
     for side in (1.0, -1.0):
         parts += _claw(side)
@@ -37,7 +37,7 @@ def build_crab(phase: float) -> Mesh:
 
 
 def _shell() -> Mesh:
-    """The carapace: broad, with a row of teeth in front and a long spine on each side."""
+    """Carapace: broad, with a row of teeth in front and a long spine on each side."""
     turn = 2 * np.pi * np.arange(40) / 40
     x, y = np.cos(turn), np.sin(turn)
     spine = np.exp(-(((np.abs(turn - np.pi * np.where(turn > np.pi, 1.5, 0.5))) / 0.14) ** 2))
@@ -57,7 +57,7 @@ def _shell() -> Mesh:
 
 
 def _claw(side: float) -> list[Mesh]:
-    """An arm, a hand and its two fingers, held before the body."""
+    """Claw: an arm, a hand and its two fingers, held in front of the body."""
     arm = np.array([[0.14, 0.25, LIFT - 0.02], [0.24, 0.42, LIFT], [0.33, 0.40, LIFT + 0.01]])
     hand = np.array([[0.33, 0.40, LIFT + 0.01], [0.40, 0.32, LIFT + 0.01], [0.45, 0.26, LIFT]])
     upper = np.array([[0.45, 0.26, LIFT + 0.015], [0.505, 0.185, LIFT + 0.02], [0.53, 0.12, LIFT + 0.005]])
@@ -72,7 +72,7 @@ def _claw(side: float) -> list[Mesh]:
 
 
 def _leg(side: float, k: int, phase: float) -> Mesh:
-    """A walking leg: hip, knee and a foot that swings along y and is lifted on its way forward."""
+    """Walking leg: hip, knee and a foot that swings along y and is lifted on its forward swing."""
     x = 0.10 - 0.11 * k
     swing = 0.09 * np.cos(phase)
     lift = 0.05 * max(np.sin(phase), 0.0)
@@ -85,7 +85,7 @@ def _leg(side: float, k: int, phase: float) -> Mesh:
 
 
 def _paddle(side: float) -> list[Mesh]:
-    """The last leg, a flat oar."""
+    """Last leg, ending in a flat paddle."""
     path: Array = np.array([[-0.18, 0.24, LIFT - 0.02], [-0.27, 0.36, LIFT + 0.01], [-0.33, 0.42, LIFT]])
     mirror = np.array([1.0, side, 1.0])
     oar = ball(np.array([-0.37, side * 0.45, LIFT]), np.array([0.055, 0.035, 0.008]), BLUE, 8)

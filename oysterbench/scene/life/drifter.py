@@ -1,4 +1,4 @@
-"""Debris: it drifts with the current and the waves, wanders a little and tumbles."""
+"""Debris, which drifts with the current and the waves, wanders a little and tumbles."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from oysterbench.scene.waves import Waves
 
 @dataclass(frozen=True)
 class Debris:
-    """Pieces, each at its place (M, 3) m (z over the ground's bound) at its time (M,) s. current (2,) m/s. wander (3,
-    M, 3): amplitude m, rate rad/s, phase. spin (M, 3) rad/s, tilt (M, 4): quaternions at time 0. form (M,)."""
+    """Pieces of debris, each at its place (M, 3) m (z over the ground's bound) at its time (M,) s. current (2,) m/s.
+    wander (3, M, 3): amplitude m, rate rad/s, phase. spin (M, 3) rad/s, tilt (M, 4): quaternions at time 0. form (M,):
+    index of its mesh."""
 
     kind: str
     colours: Array

@@ -1,6 +1,7 @@
-"""Fish of an estuary, of length 1 along x, nose forward, back up, bent as they are at a phase of their tail beat.
+"""Meshes of estuarine fish, of length 1 along x, nose forward, back up, bent according to a phase of the tail beat.
 
-Marks: place along the body from nose (0) to tail (1), place from belly (-1) to back (1), and part: FIN, EYE, or a coat.
+Marks: position along the body from nose (0) to tail (1), position from belly (-1) to back (1), and part: FIN, EYE, or a
+coat.
 """
 
 from __future__ import annotations
@@ -14,20 +15,20 @@ from oysterbench.core.geometry import Array
 from oysterbench.scene.life.bodies import ball, blade, skin
 from oysterbench.scene.mesh import Mesh, build_mesh, join_meshes
 
-PHASES = 12  # of a tail beat, in which each fish has a shape of its own
+PHASES = 12  # of a tail beat, each with its own mesh
 RINGS, SIDES = 15, 12
 FIN, EYE, SILVER, BARRED, MOTTLED = 0.0, 1.0, 2.0, 3.0, 4.0
 WAVELENGTH = 0.95  # of the wave that runs down the body, in lengths (Videler & Hess 1984: mackerel 1.0, saithe 0.9)
-BEAT = (0.02, -0.08, 0.16)  # its half amplitude over the place along the body (ibid., fitted: 0.1 at the tail)
-STRIDE = 0.65  # lengths that a beat carries (Bainbridge 1958; Videler & Wardle 1991: 0.6 to 0.8)
+BEAT = (0.02, -0.08, 0.16)  # its half amplitude as a polynomial along the body (ibid., fitted: 0.1 at the tail)
+STRIDE = 0.65  # lengths travelled per beat (Bainbridge 1958; Videler & Wardle 1991: 0.6 to 0.8)
 
 
 @dataclass(frozen=True)
 class Form:
-    """A species: half height and half width of the body over its place, in lengths; its fins; its coat.
+    """A species: half height and half width of the body over the position along it, in lengths; its fins; its coat.
 
-    tail: half height of the tail fin, and by how much its middle is cut in. dorsals, anals: (from, to, height) each.
-    pectoral: length of its two side fins. stiff: share of the beat that its body makes.
+    tail: half height of the tail fin, and how deeply its middle is notched. dorsals, anals: (from, to, height) each.
+    pectoral: length of the two side fins. stiff: share of the full beat that the body makes.
     """
 
     place: tuple[float, ...]
@@ -77,7 +78,7 @@ FORMS = {
 
 
 def build_fish(species: str, phase: float) -> Mesh:
-    """A fish of a species at a phase (rad) of its beat; the same triangles for any phase."""
+    """Build a fish of a species at a phase (rad) of its tail beat; the triangles are the same for every phase."""
     form = FORMS[species]
     mesh = join_meshes([_body(form), *_fins(form), *_eyes(form)])
     points = mesh.vertices.astype(float)
@@ -88,7 +89,7 @@ def build_fish(species: str, phase: float) -> Mesh:
 
 
 def _half(form: Form, along: Array) -> tuple[Array, Array]:
-    """Half height and half width of the body (N,) at places (N,)."""
+    """Half height and half width (N,) of the body at positions (N,) along it."""
     height, width = (PchipInterpolator(form.place, values)(along) for values in (form.height, form.width))
     return height, width
 
@@ -97,7 +98,7 @@ def _body(form: Form) -> Mesh:
     along = form.place[-1] * (1 - np.cos(np.linspace(0.12, np.pi, RINGS))) / 2
     height, width = _half(form, along)
     turn = 2 * np.pi * np.arange(SIDES) / SIDES
-    # Flanks are flat and the back is narrow: |y| falls as the fourth root, not as the second, does.
+    # Flanks are flat and the back is narrow: |y| = |cos|^0.8, not |cos|.
     y = np.sign(np.cos(turn)) * np.abs(np.cos(turn)) ** 0.8
     z = np.sin(turn)
     rings = np.stack(
@@ -123,7 +124,7 @@ def _fins(form: Form) -> list[Mesh]:
 
 
 def _tail(form: Form) -> Mesh:
-    """The tail fin, its rear edge cut in (or, with a negative cut, rounded)."""
+    """Tail fin with a notched rear edge (rounded for a negative cut)."""
     half, cut = form.tail
     start = form.place[-1] - 0.03
     height = float(_half(form, np.array([start]))[0][0])
@@ -136,7 +137,7 @@ def _tail(form: Form) -> Mesh:
 
 
 def _fin(form: Form, side: float, begin: float, end: float, height: float) -> Mesh:
-    """A fin on the back (side 1) or under the belly (side -1); highest at its front, leaning back."""
+    """Fin on the back (side 1) or under the belly (side -1), highest near its front and leaning back."""
     place = np.linspace(begin, end, 6)
     body = _half(form, place)[0]
     rise = height * np.array([0.55, 1.0, 0.95, 0.8, 0.65, 0.4])
@@ -147,7 +148,7 @@ def _fin(form: Form, side: float, begin: float, end: float, height: float) -> Me
 
 
 def _pectoral(form: Form, side: float) -> Mesh:
-    """A side fin behind the gills, spread out and back."""
+    """Side fin behind the gills, spread outwards and back."""
     place = form.place[2] + 0.04
     height, width = (float(value[0]) for value in _half(form, np.array([place])))
     share = np.linspace(-1, 1, 5)

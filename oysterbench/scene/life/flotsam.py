@@ -1,4 +1,5 @@
-"""What drifts: fallen leaves, torn blades of grass, strips of film; each 1 long along x. And a piece of tether."""
+"""Meshes of drifting things: fallen leaves, torn blades of grass, strips of film, each 1 long along x; and a piece of
+tether."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ CABLE, CABLE_SIDES = (0.55, 0.42, 0.03), 10  # albedo
 
 
 def build_flotsam(kind: str, generator: np.random.Generator) -> Mesh:
-    """A bent and twisted sheet. Marks: linear albedo."""
+    """Build a bent and twisted sheet of one of KINDS. Marks: linear albedo."""
     s = np.linspace(0, 1, POINTS)
     if kind == "leaf":
         half = 0.22 * np.sin(np.pi * s**0.8) ** 0.8 + 0.01
@@ -37,7 +38,7 @@ def build_flotsam(kind: str, generator: np.random.Generator) -> Mesh:
 
 
 def build_cable() -> Mesh:
-    """A piece of a cable of length and radius 1 along x, to be stretched; a little longer, so that pieces overlap."""
+    """Build a piece of cable of length and radius 1 along x, to be scaled; slightly longer, so that pieces overlap."""
     turn = 2 * np.pi * np.arange(CABLE_SIDES) / CABLE_SIDES
     rings = np.stack([np.column_stack([np.full(CABLE_SIDES, x), np.cos(turn), np.sin(turn)]) for x in (-0.02, 1.02)])
     ends = np.array([[-0.03, 0.0, 0.0], [1.03, 0.0, 0.0]])

@@ -1,4 +1,4 @@
-"""All that moves by itself over a reef, as a table of instances at any time, and who they are."""
+"""Everything that moves by itself over a reef: a table of instances at any time, and a list of the things."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Life:
-    """What moves by itself. groups: of things that belong together, with the first of their meshes each; meshes: theirs
-    all. first_id: of the first thing in instance images. sway: of the plants, None where they stand still."""
+    """Things that move by themselves. groups: of things that belong together; firsts: index of each group's first mesh
+    in `meshes`. first_id: id of the first thing in instance images. sway: of the plants, None if they stand still."""
 
     groups: tuple[Group, ...]
     firsts: tuple[int, ...]
@@ -39,11 +39,12 @@ class Life:
     sway: Sway | None
 
     def __len__(self) -> int:
-        """Rows of its table."""
+        """Number of rows of the instance table."""
         return sum(len(group.colours) for group in self.groups)
 
     def at(self, time_s: float) -> Instances:
-        """The moving things at a time, in `map`, shapes counted in `meshes`; the same rows at any time."""
+        """Instances of the moving things at time_s, in `map`; shapes index `meshes`; the rows are the same at any
+        time."""
         states = [group.at(time_s) for group in self.groups]
         rotations = np.concatenate([state.rotations for state in states])
         n = len(rotations)
@@ -63,7 +64,7 @@ class Life:
 
     @property
     def count(self) -> int:
-        """Things: of a tether's pieces one."""
+        """Number of things; all pieces of a tether count as one."""
         return sum(int(group.ids.max()) + 1 for group in self.groups)
 
     @property
@@ -74,8 +75,9 @@ class Life:
         return np.concatenate([start + g.ids for start, g in zip(starts, self.groups, strict=True)]).astype(np.uint16)
 
     def table(self) -> pd.DataFrame:
-        """Who moves, a row each. id: as in instance images; class; kind: species or material; group: number of its
-        school, alone in it or not; size_m: length of fish and debris, width of crabs, of the tether its radius."""
+        """Table of the moving things, one row each. id: as in instance images; class; kind: species or material; group:
+        number of its group, even if alone in it; size_m: length of fish and debris, width of crabs, radius of the
+        tether."""
         import pandas as pd
 
         rows = []
@@ -89,8 +91,8 @@ class Life:
         return pd.DataFrame(rows, columns=["id", "class", "kind", "group", "size_m"])
 
     def poses(self, times_s: Array, stamps_ns: NDArray[np.int64]) -> pd.DataFrame:
-        """Where they are at times (N,) s, a row for each thing and stamp: stamp_ns, id; x, y, z m, qx, qy, qz, qw: of
-        its frame in `map` (x to the nose, z to the back). Of a tether, its first piece's: the stern's end."""
+        """Poses at times (N,) s, one row per thing and stamp: stamp_ns, id; x, y, z m, qx, qy, qz, qw: pose of the
+        thing's frame in `map` (x to the nose, z to the back). For a tether, that of its first piece, at the stern."""
         import pandas as pd
 
         tables = []
@@ -110,16 +112,16 @@ class Life:
 
 
 def moving_classes(recipe: SequenceRecipe) -> list[int]:
-    """Numbers of the classes that move by themselves in a sequence: the vehicle's, life's, and plants' where they
-    sway."""
+    """Numbers of the classes that move by themselves in a sequence: animals and drifting things, the vehicle, and
+    plants if they sway."""
     moving = [*LIFE_CLASSES, CLASS_NUMBERS["vehicle"]]
     return [*moving, CLASS_NUMBERS["plant"]] if recipe.life.sway else moving
 
 
 def build_life(recipe: SequenceRecipe, world: World, path: Path, streams: Streams) -> Life | None:
-    """What moves by itself in a sequence, None for nothing; the same recipe and streams give the same.
+    """Build what moves by itself in a sequence, None if nothing does; the same recipe and streams give the same result.
 
-    Raises RecipeError where there are more things than the instance ids hold.
+    Raises RecipeError if there are more things than instance ids.
     """
     life = recipe.life
     if not life.moves and not life.sway:

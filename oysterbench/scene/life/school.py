@@ -1,4 +1,4 @@
-"""Fish, in a school or alone: each keeps its place about a leader on a course, with small motions of its own."""
+"""Fish, in schools or alone: each keeps its place relative to a leader on a course, with small motions of its own."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from oysterbench.scene.life.fish import PHASES, STRIDE
 from oysterbench.scene.life.ground import Ground
 from oysterbench.scene.life.states import State, Vehicle, turned
 
-STEP_S = 0.1  # of differences, from which fish have their heading
-WANDER_LENGTHS = 0.35  # own motion about the place in the school
-WANDER_SPEED = 0.25  # and its speed at most, over the school's
+STEP_S = 0.1  # step of the finite differences that give the fish their heading
+WANDER_LENGTHS = 0.35  # amplitude of a fish's own motion about its place in the school, in body lengths
+WANDER_SPEED = 0.25  # and largest speed of that motion, relative to the school's
 WANDER_PERIODS_S = (2.0, 6.0)
 ROLL_S = 0.25  # roll over rate of turn
-STEEPEST = 0.45  # climb over way
-FLIGHT_M, FLIGHT_REACH_M = 0.45, 0.7  # fish keep that far off the vehicle's middle, and begin to give way from there
-SURFACE_M = 0.12  # least depth
+STEEPEST = 0.45  # steepest climb, vertical over horizontal speed
+FLIGHT_M, FLIGHT_REACH_M = 0.45, 0.7  # push away from the vehicle's centre, and distance over which it decays
+SURFACE_M = 0.12  # smallest depth
 
 
 @dataclass(frozen=True)
 class School:
-    """places (M, 3): ahead of the leader, to its left and above it, m. lengths (M,) m. height: of the leader over the
-    ground's bound, m. wander (M, 3, 3): amplitude, rate (rad/s) and phase along each axis. first: of its meshes.
+    """School of M fish. places (M, 3): ahead of the leader, to its left and above it, m. lengths (M,) m. height_m: of
+    the leader over the ground's bound. wander (3, M, 3): amplitude (m), rate (rad/s) and phase along each axis. beat
+    (M,): phase of the tail beat, 0 to 1.
     """
 
     kind: str
@@ -77,7 +78,8 @@ class School:
 
 
 def give_way(points: Array, vehicle: Array, ground: Ground) -> Array:
-    """Points (T, M, 3), z over the ground's bound, off the vehicle (T, 3), with z in `map` and in the water."""
+    """Return points (T, M, 3), given with z over the ground's bound, with z in `map`, pushed away from the vehicle
+    (T, 3) and kept in the water above the ground."""
     points = points.copy()
     points[..., 2] += ground.bound(points[..., 0], points[..., 1])
     apart = points - vehicle[:, None]
@@ -90,7 +92,7 @@ def give_way(points: Array, vehicle: Array, ground: Ground) -> Array:
 
 
 def school_places(count: int, half_axes: tuple[float, float, float], generator: np.random.Generator) -> Array:
-    """Places (N, 3) in an ellipsoid, each the farthest of a few from those before (Mitchell's best candidates)."""
+    """Draw places (N, 3) in an ellipsoid, each the candidate farthest from those before (Mitchell's best candidate)."""
     axes = np.array(half_axes)
     places = np.zeros((count, 3))
     for k in range(count):
@@ -102,7 +104,7 @@ def school_places(count: int, half_axes: tuple[float, float, float], generator: 
 
 
 def draw_wander(count: int, lengths: Array, speed: float, generator: np.random.Generator) -> Array:
-    """Amplitude m, rate rad/s and phase (3, N, 3) of each fish's own motion."""
+    """Draw amplitude (m), rate (rad/s) and phase of each fish's own motion, (3, N, 3); speed: the school's, m/s."""
     period = generator.uniform(*WANDER_PERIODS_S, (count, 3))
     rate = 2 * np.pi / period
     amplitude = np.minimum(WANDER_LENGTHS * lengths[:, None], WANDER_SPEED * speed / rate)

@@ -1,4 +1,4 @@
-"""How moving things are at a moment, and how they are turned."""
+"""States of moving things at one time, and their orientation."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array
 
 Vehicle = Callable[[Array], tuple[Array, Array]]
-"""Position (N, 3) m and rotation (N, 3, 3) of the vehicle at times (N,) s."""
+"""Function that returns position (N, 3) m and rotation (N, 3, 3) of the vehicle at times (N,) s."""
 
 
 @dataclass(frozen=True)
 class State:
-    """M things at a moment: forms (M,), which of a thing's own meshes it has; positions (M, 3) m, rotations (M, 3, 3)
-    and scales (M, 3), as in Instances."""
+    """State of M things at one time: forms (M,), index among a thing's own meshes; positions (M, 3) m, rotations
+    (M, 3, 3) and scales (M, 3), as in Instances."""
 
     forms: NDArray[np.int64]
     positions: Array
@@ -27,8 +27,8 @@ class State:
 
 
 class Group(Protocol):
-    """Things of a kind that belong together. kind: species or material; colours (M, 3): factors on albedos; ids (M,):
-    which rows are one thing, from 0."""
+    """Things of one kind that belong together. kind: species or material; colours (M, 3): factors on albedos; ids (M,):
+    number from 0 of the thing to which each row belongs."""
 
     @property
     def class_name(self) -> str: ...
@@ -43,7 +43,7 @@ class Group(Protocol):
 
 
 def turned(forward: Array, roll: Array) -> Array:
-    """Rotations (N, 3, 3) of bodies that look along forward (N, 3), rolled (N,) rad to the right about it."""
+    """Rotations (N, 3, 3) of bodies that face along forward (N, 3), rolled (N,) rad to the right about it."""
     x = forward / np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-9)
     left = np.column_stack([-x[:, 1], x[:, 0], np.zeros(len(x))])
     left /= np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-9)

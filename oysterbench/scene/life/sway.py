@@ -1,4 +1,4 @@
-"""Plants in the surge: each leans with the water's displacement at its place, so that all do in phase over metres."""
+"""Plants in the surge: each leans with the water's displacement at its place, so they sway in phase over metres."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from oysterbench.scene.waves import Waves, build_waves, depth_factors, dispersio
 from oysterbench.scene.world import World
 
 REACH = 0.75
-"""Of a plant's height: how far its tips go at most, when the water goes farther (Luhar & Nepf 2016: blades shorter than
-the water's excursion are stretched out by it and wait)."""
+"""Largest displacement of a plant's tips, relative to its height, when the water moves farther (Luhar & Nepf 2016:
+blades shorter than the water's excursion are stretched out by it and wait)."""
 
-LEAST_M = 1e-4  # displacement of a wave at the bottom that no blade shows
+LEAST_M = 1e-4  # a wave's displacement at the bottom below which it is ignored
 
 
 @dataclass(frozen=True)
 class Sway:
-    """The plants of a world that sway: rows (P,) of its instances, heights (P,) m, and the water over them.
+    """The swaying plants of a world: rows (P,) of its instances, heights (P,) m, and the motion of the water over them.
 
-    sine, cosine (P, K): of each component's phase at each plant; drift (K, 2) m: its amplitude at the bottom along x
-    and y, times the share that the plants take; omega (K,) rad/s.
+    sine, cosine (P, K): of each wave component's phase at each plant; drift (K, 2) m: its amplitude at the bottom along
+    x and y, times the share that the plants follow; omega (K,) rad/s.
     """
 
     rows: NDArray[np.int64]
@@ -38,7 +38,7 @@ class Sway:
     omega: Array
 
     def water(self, time_s: float) -> Array:
-        """Displacement (P, 2) m of the water at the plants, times the share that they take."""
+        """Displacement (P, 2) m of the water at the plants, times the share that they follow."""
         # sin(phase - omega t), as in Waves.displacement.
         at, of = np.cos(self.omega * time_s)[:, None], np.sin(self.omega * time_s)[:, None]
         return np.asarray(
@@ -46,20 +46,20 @@ class Sway:
         )
 
     def tips(self, time_s: float) -> Array:
-        """Displacement (P, 2) m of the highest tips, from where they are in still water."""
+        """Displacement (P, 2) m of the highest tips from their positions in still water."""
         moved = self.water(time_s)
         reach = REACH * self.heights[:, None]
         return np.asarray(moved / np.sqrt(1 + (moved / reach) ** 2))
 
     def lean(self, time_s: float) -> NDArray[np.float32]:
-        """Where the upright unit vector goes (P, 3): tips move sideways and, as blades do not stretch, down."""
+        """Image (P, 3) of the upright unit vector: tips move sideways and, as blades do not stretch, down."""
         aside = self.tips(time_s) / self.heights[:, None]
         up = np.sqrt(np.maximum(1 - (aside**2).sum(axis=1), 0.05))
         return round_positions(np.column_stack([aside, up]))
 
 
 def build_sway(world: World, recipe: SequenceRecipe, waves: Waves) -> Sway | None:
-    """The sway of a world's plants under waves; None where nothing sways."""
+    """Build the sway of a world's plants under waves; None if nothing sways."""
     plants = np.flatnonzero(world.of_class_mask("plant"))
     life = recipe.life
     if not life.sway or not len(plants) or not len(waves.omega):
@@ -78,7 +78,8 @@ def build_sway(world: World, recipe: SequenceRecipe, waves: Waves) -> Sway | Non
 
 
 def life_waves(recipe: SequenceRecipe, streams: Streams) -> Waves:
-    """The waves that move plants and drifters: the site's, or a far swell whose surge at the bottom life states."""
+    """Waves that move plants and drifters: the site's, or a distant swell whose surge at the bottom is given in
+    `recipe.life`."""
     life, site, depth = recipe.life, recipe.site, recipe.reef.depth_m
     if life.surge_m:
         # Linear waves of height H have a displacement of amplitude H / (2 sinh kh) at the bottom.

@@ -1,4 +1,4 @@
-"""The tether: from the vehicle's stern to the surface; it trails behind, and its slack hangs out to a side."""
+"""The tether, from the vehicle's stern to the surface; it trails behind, and its slack hangs out to one side."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from oysterbench.scene.waves import Waves
 PIECES = 60
 RADIUS_M = 0.0038  # of a neutrally buoyant tether for small ROVs (maker's data sheet: 7.6 mm across)
 STERN = np.array([-0.19, 0.02, 0.05])  # in base_link
-LAG_S = 9.0  # by which its far end follows: what has been pulled through water lies where the vehicle was
-TURN_S = 70.0  # period in which the slack's side goes round
-SLACKEST = 0.22  # share of the tether at which it hangs out farthest
-SAG = 0.8  # of the slack: how far it hangs down
+LAG_S = 9.0  # delay with which its far end follows: a tether pulled through water lies where the vehicle was
+TURN_S = 70.0  # period with which the direction of the slack rotates
+SLACKEST = 0.22  # share of the tether's length at which it hangs out farthest
+SAG = 0.8  # how far the slack hangs down, relative to slack_m
 
 
 @dataclass(frozen=True)
 class Tether:
-    """anchor (2,) m: x and y of the boat. slack_m: how far the slack hangs out. phase: of its side, rad, at time 0."""
+    """Tether of the vehicle. anchor (2,) m: x and y of the boat. slack_m: how far the slack hangs out. phase: its
+    direction at time 0, rad."""
 
     colours: Array
     anchor: Array
@@ -52,7 +53,7 @@ class Tether:
 
     def nodes(self, time_s: float) -> Array:
         """Points (PIECES + 1, 3) m of the tether from the stern to the surface."""
-        share = np.linspace(0, 1, PIECES + 1) ** 1.5  # pieces are short where it is bent
+        share = np.linspace(0, 1, PIECES + 1) ** 1.5  # pieces are shorter where the tether bends
         position, rotation = self.vehicle(time_s - LAG_S * share**2)
         trailing = position + rotation @ STERN
         rise = share[:, None] ** 1.6

@@ -1,4 +1,4 @@
-"""Crabs: they walk sideways over the bottom, with rests."""
+"""Crabs, which walk sideways over the bottom with rests."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from oysterbench.scene.life.crab import PHASES, STRIDE
 from oysterbench.scene.life.ground import Ground
 from oysterbench.scene.life.states import State
 
-REACH = 0.35  # of the width: where the feet feel for the ground
+REACH = 0.35  # distance from the centre at which the feet touch the ground, relative to the width
 
 
 @dataclass(frozen=True)
 class Crab:
-    """A crab of a width, m."""
+    """Crab of width `width_m` that walks along a course over the ground."""
 
     colours: Array
     course: Course

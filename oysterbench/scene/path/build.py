@@ -1,4 +1,4 @@
-"""The path of a sequence, from its recipe: where it leads, the bottom, what pushes the vehicle off, how it leans."""
+"""The path of a sequence, from its recipe: the route, following the bottom, disturbances, and how the vehicle leans."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from oysterbench.scene.path.motion import Path
 from oysterbench.scene.waves import build_waves
 
 TERRAIN_SMOOTHING_S = 1.0
-"""An ROV follows the bottom through its altimeter and its own inertia, not stone by stone."""
+"""Smoothing of the bottom's profile: an ROV follows it through its altimeter and its own inertia, not stone by
+stone."""
 
-SPOT_CELL_M, SPOT_CELLS = 0.1, 5  # of the map on which spots are found, and cells of a side that are a spot
-SPOT_ROOM = 0.8  # of the room that there is: looking past a spot, a camera still sees reef
+SPOT_CELL_M, SPOT_CELLS = 0.1, 5  # cell of the map on which spots are found, and side of a spot in cells
+SPOT_ROOM = 0.8  # share of the available room that is used: looking past a spot, a camera still sees reef
 
 
 def build_path(recipe: SequenceRecipe, ground_height: Height, obstacle_height: Height, streams: Streams) -> Path:
-    """The path of a sequence over its reef.
+    """Build the path of a sequence over its reef.
 
-    ground_height, obstacle_height: z (m) in `map` of the bare bottom, and of the top of what lies on it, at x, y.
-    With `path.lift` the vehicle rises over what it would come too close to.
+    ground_height, obstacle_height: z (m) in `map` of the bare bottom, and of the top of the objects on it, at x, y.
+    With `path.lift`, the vehicle rises over obstacles to which it would otherwise come too close.
 
     Raises RecipeError where the path would come closer to an obstacle than `path.clearance_m`, leave the reef, or break
     the surface.
     """
-    times = np.arange(0.0, recipe.duration_s + 1.0, KNOT_S)  # past the end, so that the end is like the rest
+    times = np.arange(0.0, recipe.duration_s + 1.0, KNOT_S)  # beyond the end, to avoid end effects
     plan, site = recipe.path, recipe.site
     under_way = times - plan.rest_s
     begun = ramp(under_way if plan.resting == "still" else times + plan.ramp_s, plan.ramp_s)[:, None]  # held until then
@@ -74,7 +75,7 @@ def _path(times: Array, position: Array, attitude: Array, recipe: SequenceRecipe
 def nominal_path(
     recipe: SequenceRecipe, clock_s: Array, ground_height: Height, obstacle_height: Height, streams: Streams
 ) -> NominalPath:
-    """The nominal path that the recipe asks for, at clock (N,) s of full pace."""
+    """Nominal path that the recipe specifies, at clock (N,), seconds at full pace."""
     plan = recipe.path
     if plan.kind == "loop":
         rng = streams.generator("path", "loop")
@@ -87,7 +88,7 @@ def nominal_path(
 
 
 def itinerary(plan: PathRecipe, seconds: float, streams: Streams) -> Itinerary:
-    """The itinerary of a path that is none of the closed curves, for at least so many seconds where it goes on."""
+    """Build the itinerary of any kind of path but a loop; if it repeats, for at least so many seconds."""
     heading, rng = np.radians(plan.heading_deg), streams.generator("path", plan.kind)
     pace = Pace(plan.altitude_m, plan.speed_m_s, np.radians(plan.turn_rate_deg_s))
     match plan.kind:
@@ -114,7 +115,7 @@ def itinerary(plan: PathRecipe, seconds: float, streams: Streams) -> Itinerary:
 def find_spots(
     recipe: SequenceRecipe, ground_height: Height, obstacle_height: Height, rng: np.random.Generator
 ) -> routes.Places:
-    """Places (x, y m) to inspect: drawn from where most stands on the bottom, with room to go round them."""
+    """Draw places (x, y m) to inspect from where the relief is highest, with room to circle them."""
     plan = recipe.path
     half = SPOT_ROOM * (recipe.reef.size_m / 2 - 2 * plan.sway_m - plan.stand_off_m)
     lines = np.linspace(-half, half, 2 * int(np.ceil(half / SPOT_CELL_M)) + 1)
@@ -124,6 +125,6 @@ def find_spots(
 
 
 def _given(value: float | None) -> float:
-    """A key that `recipe.path.check_path` has found to be there."""
+    """Return the value of a key whose presence `recipe.path.check_path` has already verified."""
     assert value is not None
     return value

@@ -1,4 +1,4 @@
-"""Room around the path: nothing within the clearance of the body, no way off the reef, none through the surface."""
+"""Clearance of the path: no obstacle within the body's clearance, never off the reef, never through the surface."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from oysterbench.scene.path.motion import Path
 Height = Callable[[Array, Array], Array]
 
 STEP_M = 0.0125
-"""Way between two checks, at full speed: half a cell of the finest map of obstacles."""
+"""Distance between two checks at full speed: half a cell of the finest obstacle map."""
 
-RING_M = 0.1  # between the rings that the surroundings are sampled on
+RING_M = 0.1  # spacing of the rings on which the surroundings are sampled
 MAX_RINGS = 8
 DIRECTIONS = 16
 
 LIFT_SMOOTHING_S = 0.6
-REACH = 4.0  # standard deviations that the lift's Gaussian goes to
-SPARE_M = 1e-3  # of a lift, for what the spline does between its knots
+REACH = 4.0  # truncation of the lift's Gaussian, in standard deviations
+SPARE_M = 1e-3  # margin added to a lift, for deviations of the spline between its knots
 
 
 def lowest(x: Array, y: Array, obstacle_height: Height, clearance_m: float) -> Array:
-    """Lowest z (N,) m at x, y at which a ball of radius clearance_m about the body touches nothing.
+    """Lowest z (N,) m at x, y at which a ball of radius clearance_m around the body touches nothing.
 
-    obstacle_height: of the highest surface at x, y, m in `map`. Where that is h at a distance r, the ball's centre
-    has to be at h + sqrt(clearance^2 - r^2) at least.
+    obstacle_height: height of the highest surface at x, y, m in `map`. Where that is h at a distance r, the ball's
+    centre has to be at h + sqrt(clearance^2 - r^2) or higher.
     """
     floor = np.asarray(obstacle_height(x, y), dtype=float) + clearance_m
     rings = min(int(np.ceil(clearance_m / RING_M)), MAX_RINGS)
@@ -44,16 +44,16 @@ def lowest(x: Array, y: Array, obstacle_height: Height, clearance_m: float) -> A
 
 
 def check_times(recipe: SequenceRecipe) -> Array:
-    """Times (N,) s at which a path is checked."""
+    """Times (N,) s at which the path of a recipe is checked."""
     step = min(KNOT_S / 2, STEP_M / recipe.path.speed_m_s)
     return np.arange(0.0, recipe.duration_s, step)
 
 
 def lift(path: Path, knots: Array, recipe: SequenceRecipe, obstacle_height: Height) -> Array:
-    """How much (K,) m the path has to be higher at its knots (K,) s to keep its clearance.
+    """Lift (K,) m that the path needs at its knots (K,) s to keep its clearance.
 
-    What is missing is carried over the reach of a Gaussian before and after, and then smoothed by it: a mean of values
-    of which none is less than what is missing here.
+    The missing height is extended over the reach of a Gaussian before and after, and then smoothed with it: the result
+    is a mean of values none of which is less than the height missing there.
     """
     times = check_times(recipe)
     position = path.position(times)
@@ -70,7 +70,7 @@ def lift(path: Path, knots: Array, recipe: SequenceRecipe, obstacle_height: Heig
 
 
 def check_clearance(path: Path, recipe: SequenceRecipe, obstacle_height: Height) -> None:
-    """RecipeError where the path leaves the reef, comes closer to a thing than its clearance or breaks the surface."""
+    """Raise RecipeError if the path leaves the reef, violates its clearance to an obstacle or breaks the surface."""
     position = path.position(check_times(recipe))
     half = recipe.reef.size_m / 2
     out = np.abs(position[:, :2]).max(axis=1)

@@ -1,4 +1,4 @@
-"""What moves the vehicle besides its will: its own sway, an opening manoeuvre, waves, current, drag and inertia."""
+"""Unplanned and added motion of the vehicle: its own sway, an opening manoeuvre, waves, current, drag and inertia."""
 
 from __future__ import annotations
 
@@ -17,30 +17,31 @@ SWAY_PERIODS_S = (2.2, 3.4, 5.3)
 """Periods of a station-keeping ROV's motion; the shorter ones carry most of the acceleration."""
 
 EXCITATION_PERIODS_S = (2.0, 2.9, 4.1)
-EXCITATION_S, EXCITATION_EDGE_S = 8.0, 2.0  # length of the opening manoeuvre, and of its soft begin and end
+EXCITATION_S, EXCITATION_EDGE_S = 8.0, 2.0  # length of the opening manoeuvre, and of its soft start and end
 EXCITATION_M, EXCITATION_RAD = 0.08, np.radians(6.0)  # amplitudes
 
 GUST_PERIODS_S = (13.0, 29.0, 61.0)
 GUST_SHARE = 0.2
-"""Of the mean current: largest variation, per axis. Tidal streams near the bottom have a turbulence of about 0.1."""
+"""Largest variation per axis, relative to the mean current. Tidal streams near the bottom have a turbulence of about
+0.1."""
 
-SLOWEST_SHARE = 0.5  # of the speed: way through the water that the crab angle reckons with in a following current
-CRAB_SMOOTHING_S = 1.0  # of the helm, which follows gusts with delay
+SLOWEST_SHARE = 0.5  # lowest speed through the water, relative to the path's, assumed by crab() in a following current
+CRAB_SMOOTHING_S = 1.0  # smoothing by the helm, which follows gusts with a delay
 
 
-STOP_EVERY_S, STOP_S = 75.0, (2.0, 6.0)  # between stops to look at something, on average, and how long they last
-PACE_PERIODS_S, PACE_SHARE = (9.0, 19.0, 43.0), 0.4  # of a speed that no stick holds, and its largest variation
-HEADING_S, HEADING_RAD = (3.0, 9.0), np.radians(5.0)  # between corrections, and standard deviation of what they undo
+STOP_EVERY_S, STOP_S = 75.0, (2.0, 6.0)  # mean interval between stops to look at something, and their duration
+PACE_PERIODS_S, PACE_SHARE = (9.0, 19.0, 43.0), 0.4  # of the speed, which no pilot holds steady; largest variation
+HEADING_S, HEADING_RAD = (3.0, 9.0), np.radians(5.0)  # between corrections, and standard deviation of the drift undone
 ALTITUDE_S, ALTITUDE_M = (6.0, 15.0), 0.08
 CORRECTION_S, STICK_S = 0.9, 0.3  # length of a correction, and smoothing by the thrusters
-"""Together with a nominal speed of 0.2 m/s and turns of up to 12 deg/s these give the speeds and rates of turn of
+"""Together with a nominal speed of 0.2 m/s and turns of up to 12 deg/s, these reproduce the speeds and rates of turn of
 divers and towed rigs: medians of 0.09 to 0.23 m/s and 4 to 7 deg/s, 95 % below 0.16 to 0.34 m/s and 12 to 17 deg/s
 (from the reference trajectories of Rahman et al. 2022, SVIn2)."""
 
 
 @dataclass(frozen=True)
 class HandFlown:
-    """What a human at the sticks adds: pace (N,), a factor on the speed; heading (N,) rad and altitude (N,) m besides
+    """Deviations due to a human pilot: pace (N,), a factor on the speed; heading (N,) rad and altitude (N,) m, added to
     the nominal ones."""
 
     pace: Array
@@ -48,7 +49,7 @@ class HandFlown:
     altitude: Array
 
     def clock(self, steady_s: Array) -> Array:
-        """Seconds (N,) of full pace, from those (N,) at a steady one."""
+        """Seconds (N,) at full pace, from those (N,) at a steady pace."""
         if np.all(self.pace == 1.0):
             return steady_s
         return np.concatenate([steady_s[:1], steady_s[0] + np.cumsum(self.pace[1:] * np.diff(steady_s))])
@@ -68,11 +69,11 @@ HULL = Hull()
 """Wu 2018, `6-DoF modelling and control of a remotely operated vehicle`, tables of added mass and damping."""
 
 LEAN_LIMIT_RAD = np.radians(35.0)
-LEAN_SMOOTHING_S = 0.5  # a quarter of the hull's period of pitch and roll
+LEAN_SMOOTHING_S = 0.5  # a quarter of the hull's pitch and roll period
 
 
 def sines(times: Array, periods_s: tuple[float, ...], rng: np.random.Generator) -> Array:
-    """(N,) sum of sines of about these periods with random phases and weights that sum to one."""
+    """Sum (N,) of sines of approximately the given periods, with random phases and weights that sum to one."""
     total = np.zeros(len(times))
     weights = rng.dirichlet(np.full(len(periods_s), 4.0))
     for weight, period in zip(weights, periods_s, strict=True):
@@ -83,17 +84,17 @@ def sines(times: Array, periods_s: tuple[float, ...], rng: np.random.Generator) 
 
 
 def sway(times: Array, begun: Array, plan: PathRecipe, streams: Streams) -> Array:
-    """(N, 6) displacement x, y, z m and yaw, pitch, roll rad of a vehicle that hovers, to the share begun (N, 1)."""
+    """Displacement (N, 6) x, y, z m and yaw, pitch, roll rad of a hovering vehicle, scaled by begun (N, 1), 0 to 1."""
     motion = np.column_stack([sines(times, SWAY_PERIODS_S, streams.generator("path", "sway", k)) for k in range(6)])
     motion *= begun
     return np.hstack([plan.sway_m * motion[:, :3], np.radians(plan.tilt_deg) * motion[:, 3:]])
 
 
 def excitation(times: Array, plan: PathRecipe, streams: Streams) -> Array:
-    """(N, 6) displacement x, y, z m and yaw, pitch, roll rad of the opening manoeuvre, from rest and to rest.
+    """Displacement (N, 6) x, y, z m and yaw, pitch, roll rad of the opening manoeuvre, from rest and to rest.
 
-    Turns and translations about all axes over a few seconds make scale, gravity and biases observable to a filter that
-    starts from images and inertial samples alone (Martinelli 2014).
+    Rotations and translations about all axes over a few seconds make scale, gravity and biases observable for a filter
+    initialised from images and IMU samples alone (Martinelli 2014).
     """
     motion = np.zeros((len(times), 6))
     if plan.excitation:
@@ -106,10 +107,10 @@ def excitation(times: Array, plan: PathRecipe, streams: Streams) -> Array:
 
 
 def hand_flown(times: Array, plan: PathRecipe, streams: Streams) -> HandFlown:
-    """Stops, drifts and corrections at times (N,) s, of `plan.hand_flown` times the usual size; from time 0 on.
+    """Stops, drifts and corrections at times (N,) s, from time 0 on, scaled by `plan.hand_flown`.
 
-    Heading and altitude drift off evenly until they are noticed, and are then brought back within CORRECTION_S; the
-    speed wanders, and the vehicle stops now and then.
+    Heading and altitude drift at a constant rate until the drift is noticed and then corrected within CORRECTION_S; the
+    speed wanders, and the vehicle stops occasionally.
     """
     n, size = len(times), plan.hand_flown
     if not size:
@@ -127,7 +128,8 @@ def hand_flown(times: Array, plan: PathRecipe, streams: Streams) -> HandFlown:
 
 
 def drift(times: Array, every_s: tuple[float, float], rng: np.random.Generator) -> Array:
-    """(N,) saw teeth from time 0 on: even drifts to normal values of unit variance, and back within CORRECTION_S."""
+    """Sawtooth (N,) from time 0 on: linear drifts to normally distributed values of unit variance, each undone within
+    CORRECTION_S; every_s: shortest and longest drift."""
     count = int(max(times[-1], 0.0) / every_s[0]) + 2
     noticed = np.cumsum(rng.uniform(*every_s, count))
     corners = np.column_stack([noticed, noticed + CORRECTION_S])
@@ -137,7 +139,7 @@ def drift(times: Array, every_s: tuple[float, float], rng: np.random.Generator) 
 
 
 def current(times: Array, site: SiteRecipe, streams: Streams) -> tuple[Array, Array]:
-    """Mean current (2,) and its variation (N, 2) in m/s along x and y of `map`."""
+    """Mean current (2,) and its variation (N, 2) at times (N,) s, in m/s along x and y of `map`."""
     to = np.radians(site.current_to_deg)
     mean = site.current_m_s * np.array([np.cos(to), np.sin(to)])
     gusts = [sines(times, GUST_PERIODS_S, streams.generator("path", "gusts", axis)) for axis in range(2)]
@@ -145,10 +147,10 @@ def current(times: Array, site: SiteRecipe, streams: Streams) -> tuple[Array, Ar
 
 
 def crab(heading: Array, water: Array, speed: float) -> Array:
-    """Angles (N,) rad, to the left positive, that the bow is turned by so that the track stays along `heading` (N,).
+    """Crab angles (N,) rad, positive to the left, by which the bow is turned to keep the track along `heading` (N,).
 
-    water (N, 2) m/s: the current. The way through the water is the track's velocity less the current; in a following
-    current that angle is bounded by reckoning with SLOWEST_SHARE of the speed at least.
+    water (N, 2) m/s: the current. The velocity through the water is the track's velocity minus the current; in a
+    following current the angle is bounded by assuming at least SLOWEST_SHARE of the speed.
     """
     ahead = water[:, 0] * np.cos(heading) + water[:, 1] * np.sin(heading)
     left = -water[:, 0] * np.sin(heading) + water[:, 1] * np.cos(heading)
@@ -159,10 +161,10 @@ def crab(heading: Array, water: Array, speed: float) -> Array:
 def lean(times: Array, track: Array, yaw: Array, water: Array, share: float) -> tuple[Array, Array]:
     """Pitch and roll (N,) rad of a hull whose thrust acts below its centre of drag and weight.
 
-    track (N, 2) m: x and y; yaw (N,) rad; water (N, 2) m/s. Thrust holds drag and inertia, F = (m + m_a) a + (d_1 +
-    d_2 |u|) u per axis with u through the water; the moment of its lever is held by weight over the righting arm,
-    tan(angle) = share * F / (m g), where `share` is lever over righting arm. So the bow goes down when it gains way
-    or makes way, and the hull leans into its turns.
+    track (N, 2) m: x and y; yaw (N,) rad; water (N, 2) m/s. Thrust balances drag and inertia, F = (m + m_a) a + (d_1 +
+    d_2 |u|) u per axis, with u the velocity through the water; the moment of its lever is balanced by the weight over
+    the righting arm, tan(angle) = share * F / (m g), where `share` is lever over righting arm. The bow therefore goes
+    down when the vehicle accelerates or moves ahead, and the hull leans into its turns.
     """
     spline = make_interp_spline(times, track, k=5)
     cos, sin = np.cos(yaw), np.sin(yaw)

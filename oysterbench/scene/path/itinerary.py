@@ -1,4 +1,4 @@
-"""Itineraries: places to be at, one after the other, and the smooth path through them within the vehicle's limits."""
+"""Itineraries: places to visit one after the other, and the smooth path through them within the vehicle's limits."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ KNOT_S = 0.1
 """Spacing of the splines' knots: 20 times shorter than the shortest period of the vehicle's own motion."""
 
 SMOOTHING_S = 0.5
-"""Standard deviation in time of the Gaussian that rounds corners off: a thruster's and a hull's delay. Being a mean
-over time it makes nothing faster, and shifts nothing farther than 0.4 of it times the change of velocity."""
+"""Standard deviation in time of the Gaussian that rounds off corners: the delay of thrusters and hull. As a mean over
+time it makes nothing faster, and shifts nothing farther than 0.4 of it times the change of velocity."""
 
-REACH = 4.0  # standard deviations that the Gaussian goes to
+REACH = 4.0  # truncation of the Gaussian, in standard deviations
 
 
 @dataclass(frozen=True)
 class NominalPath:
     """A nominal path at N times: x, y m in `map`, altitude m over the bottom, heading rad (from east,
-    counter-clockwise, unwrapped) and the share to which the bow points along the path, each (N,)."""
+    counter-clockwise, unwrapped) and the degree (0 to 1) to which the bow points along the path, each (N,)."""
 
     x: Array
     y: Array
@@ -42,14 +42,14 @@ class Pace:
 
 
 class Itinerary:
-    """States in the order of their visit, each at the earliest time that speed and rate of turn allow.
+    """States in the order in which they are visited, each at the earliest time that speed and rate of turn allow.
 
-    A state (5,) is x m, y m, altitude m, heading rad, and 1 where the bow points along the path, 0 where it looks at
+    A state (5,) is x m, y m, altitude m, heading rad, and 1 if the bow points along the path or 0 if it points at
     something.
     """
 
     def __init__(self, start: Array, pace: Pace) -> None:
-        """Begin at a state (5,)."""
+        """Start at a state (5,)."""
         self.pace = pace
         self.elapsed = 0.0  # s
         self.state = np.array(start, dtype=float)
@@ -57,29 +57,29 @@ class Itinerary:
         self._durations: list[Array] = []
 
     def through(self, states: Array, speed: float | None = None) -> None:
-        """Visit states (K, 5); each heading is reached by the shorter turn, half a turn to the left."""
+        """Visit states (K, 5); each heading is reached by the shorter turn, and half a turn is made to the left."""
         states = np.array(states, dtype=float)
         before = np.vstack([self.state, states[:-1]])
         turns = np.pi - np.mod(np.pi - (states[:, 3] - before[:, 3]), 2 * np.pi)
-        # The last bits of half a turn differ between processors; its side must not.
+        # The last bits of half a turn differ between processors; its direction must not.
         turns = np.where(turns < 1e-6 - np.pi, turns + 2 * np.pi, turns)
         states[:, 3] = self.state[3] + np.cumsum(turns)
         away = np.linalg.norm(states[:, :3] - before[:, :3], axis=1)
         self._append(states, np.maximum(away / (speed or self.pace.speed), np.abs(turns) / self.pace.turn_rate))
 
     def line(self, place: Array, altitude: float) -> None:
-        """Turn on the spot to the course of a straight line, and follow it to its end, x and y (2,) m."""
+        """Turn on the spot to the course of a straight line and follow it to its end point, x and y (2,) m."""
         away = place - self.state[:2]
         if np.hypot(*away) > 1e-6:
             self.turn(float(np.arctan2(away[1], away[0])), along=True)
         self.through(np.array([[*place, altitude, *self.state[3:]]]))
 
     def turn(self, heading: float, along: bool = False) -> None:
-        """Turn on the spot."""
+        """Turn on the spot to a heading, rad."""
         self.through(np.array([[*self.state[:3], heading, float(along)]]))
 
     def wait(self, seconds: float) -> None:
-        """Hover."""
+        """Hover for some seconds."""
         self._append(self.state[None].copy(), np.array([seconds]))
 
     def _append(self, states: Array, durations: Array) -> None:
@@ -91,16 +91,17 @@ class Itinerary:
             self.elapsed += float(durations.sum())
 
     def nominal_path(self, clock: Array) -> NominalPath:
-        """The smoothed path at clock (N,) s of full pace, not falling, from 0; it hovers where it ends."""
+        """Smoothed path at clock (N,), seconds at full pace, non-decreasing from 0; it hovers at its end."""
         states = np.concatenate(self._states)
         times = np.concatenate([[0.0], np.cumsum(np.concatenate([[], *self._durations]))])
         return NominalPath(*smooth(times, states, float(clock[-1]))(clock).T)
 
 
 def smooth(times: Array, states: Array, end: float) -> BSpline:
-    """Spline over 0 to `end` s of the states (M, K) at times (M,) s, linear between them, after a Gaussian in time.
+    """Spline over 0 to `end` s through the states (M, K) at times (M,) s, interpolated linearly and then smoothed in
+    time with a Gaussian.
 
-    Before its first state the path is carried back along its first leg, so that it begins where that does.
+    Before its first state the path is extended backwards along its first leg, so that smoothing leaves its start.
     """
     lead = int(np.ceil(REACH * SMOOTHING_S / KNOT_S))
     steps = np.arange(-lead, int(np.ceil(end / KNOT_S)) + lead + 2)
@@ -121,6 +122,6 @@ def ramp(times: Array, ramp_s: float) -> Array:
 
 
 def clock(times: Array, ramp_s: float) -> Array:
-    """Integral (N,) s of the ramp over time: seconds of full pace. The path begins at rest, without acceleration."""
+    """Integral (N,) s of the ramp over time: seconds at full pace. The path starts at rest, without acceleration."""
     grown = np.clip(times / ramp_s, 0.0, 1.0)
     return ramp_s * (grown**6 - 3 * grown**5 + 2.5 * grown**4) + np.maximum(times - ramp_s, 0.0)

@@ -1,4 +1,4 @@
-"""Motion of the vehicle: splines that are smooth enough to be differentiated by hand into what an IMU feels."""
+"""Motion of the vehicle: splines smooth enough to be differentiated analytically into what an IMU measures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Motion:
     """State of the body at N times. World frame `map`, body frame `base_link`.
 
     position (N, 3) m, velocity (N, 3) m/s, acceleration (N, 3) m/s^2: of the body's origin, in the world frame.
-    rotation (N, 3, 3): body to world. rate (N, 3) rad/s, rate_dot (N, 3) rad/s^2: of the body against the world,
+    rotation (N, 3, 3): body to world. rate (N, 3) rad/s, rate_dot (N, 3) rad/s^2: of the body relative to the world,
     in the body frame.
     """
 
@@ -32,14 +32,14 @@ class Motion:
 @dataclass(frozen=True)
 class Path:
     """Quintic splines of x, y, z (m) and yaw, pitch, roll (rad; intrinsic z y x) over time (s): four times
-    continuously differentiable, so that accelerations and rates are exact derivatives and not differences."""
+    continuously differentiable, so that accelerations and rates are exact derivatives rather than differences."""
 
     position: BSpline
     attitude: BSpline
     duration_s: float
 
     def at(self, times_s: Array) -> Motion:
-        """Motion at times (N,) in s from the start."""
+        """Motion at times (N,) s from the start."""
         velocity, acceleration = self.position.derivative(1), self.position.derivative(2)
         angles = self.attitude(times_s)
         rates = self.attitude.derivative(1)(times_s)
@@ -61,9 +61,9 @@ class Path:
 
 
 def body_rates(angles: Array, rates: Array, accelerations: Array) -> tuple[Array, Array]:
-    """Body rate and its derivative, both (N, 3) in the body frame, from yaw, pitch, roll (N, 3) and derivatives.
+    """Body rate and its derivative, both (N, 3) in the body frame, from yaw, pitch, roll (N, 3) and their derivatives.
 
-    The kinematics of z-y-x Euler angles (Fossen 2011, eq. 2.28), and their time derivative.
+    Kinematics of z-y-x Euler angles (Fossen 2011, eq. 2.28), and their time derivative.
     """
     _, pitch, roll = angles.T
     yaw_1, pitch_1, roll_1 = rates.T

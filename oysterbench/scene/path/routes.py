@@ -1,4 +1,4 @@
-"""Routes: what each kind of path is, as places in their order. `loop` is a closed curve without corners to round."""
+"""Routes: each kind of path as an ordered list of places. `loop` is a closed curve without corners to round off."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from oysterbench.scene.path.itinerary import SMOOTHING_S, Itinerary, Pace
 
 ARC_STEP_RAD = np.radians(5.0)
 CURVE_STEP_M = 0.05
-LOOK_S = 2 * SMOOTHING_S  # at a yaw that was turned to, so that smoothing leaves it as it is
-SLOW = 0.4  # of the speed: close to a spot that is inspected
-WANDER_CHORD = (0.2, 0.6)  # of the extent: shortest and longest legs of a free path
-MEMORY = 40  # places that a free path may come back to
+LOOK_S = 2 * SMOOTHING_S  # time spent at a waypoint's yaw, so that smoothing does not change it
+SLOW = 0.4  # share of the speed used close to an inspected spot
+WANDER_CHORD = (0.2, 0.6)  # shortest and longest legs of a free path, relative to the extent
+MEMORY = 40  # number of places that a free path may revisit
 SHARPEST_TURN = np.radians(120.0)  # between two legs of a free path
 
 Places = list[tuple[float, float]]
 Curve = tuple[Array, Array]
-"""Places (K, 2) m along a curve, and its tangents (K, 2) there."""
+"""Places (K, 2) m along a curve, and its tangents (K, 2) at these."""
 
 
 def loop(radius_m: float, travelled_m: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """x, y (m) and heading (rad, unwrapped) at travelled_m (N,) along a closed loop around the origin."""
+    """x, y (m) and heading (rad, unwrapped) at distances travelled_m (N,) along a closed loop around the origin."""
     start, bend = rng.uniform(0.0, 2 * np.pi, 2)
     turn = rng.choice([-1.0, 1.0])
     angle = np.linspace(0.0, 2 * np.pi, 4001)
-    # An ellipse-like and a three-lobed term: curvature changes along the path, so that no part is a plain circle.
+    # An elliptic and a three-lobed term: curvature changes along the path, so that no part is a plain circle.
     radius = radius_m * (1 + LOOP_RIPPLE * (0.6 * np.sin(2 * angle + bend) + 0.4 * np.sin(3 * angle)))
     curve = np.column_stack([radius * np.cos(start + turn * angle), radius * np.sin(start + turn * angle)])
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
@@ -40,10 +40,10 @@ def loop(radius_m: float, travelled_m: Array, rng: np.random.Generator) -> tuple
 def lanes(
     length_m: float, width_m: float, spacing_m: float, heading: float, centre: tuple[float, float], cross: bool
 ) -> list[Curve]:
-    """Parallel lanes from the right of the centre to its left, with half circles at their ends.
+    """Parallel lanes from the right of the centre to its left, joined by half circles at their ends.
 
-    The first runs along `heading`, the next against it, and so on; with `cross` a second set runs across them, from
-    that of its corners which is nearest.
+    The first lane runs along `heading` (rad), the next against it, and so on; with `cross`, a second set runs across
+    them, starting from its nearest corner.
     """
     turned = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
     sets = [_meander(length_m, width_m, spacing_m)]
@@ -56,7 +56,7 @@ def lanes(
 
 
 def _meander(length_m: float, width_m: float, spacing_m: float) -> Curve:
-    """Lanes along the first axis, from the lowest of the second to the highest, about the origin."""
+    """Lanes parallel to the first axis, in increasing order along the second, centred on the origin."""
     count = int(np.floor(width_m / spacing_m + 1e-9)) + 1
     turn = np.arange(ARC_STEP_RAD, np.pi - 1e-9, ARC_STEP_RAD)
     bulge = spacing_m / 2 * np.column_stack([np.sin(turn), 1 - np.cos(turn)])
@@ -74,7 +74,7 @@ def _meander(length_m: float, width_m: float, spacing_m: float) -> Curve:
 
 
 def survey(sets: list[Curve], pace: Pace, repeat: bool, seconds: float) -> Itinerary:
-    """Along curves, one after the other; with `repeat` back and forth until `seconds` are over."""
+    """Itinerary along curves, one after the other; with `repeat`, back and forth until `seconds` have elapsed."""
     back = [(places[::-1], -tangents[::-1]) for places, tangents in reversed(sets)]
     itinerary = _begin(sets[0], pace)
     rounds = 0
@@ -95,7 +95,8 @@ def orbit(
     seconds: float,
     rng: np.random.Generator,
 ) -> Itinerary:
-    """A lap on each circle, outwards and back in, from a seeded angle to a seeded side until `seconds` are over."""
+    """Itinerary of one lap per circle, outwards and back in, until `seconds` have elapsed; starting angle and direction
+    of rotation are drawn from `rng`."""
     angle, side = float(rng.uniform(0.0, 2 * np.pi)), float(rng.choice([-1.0, 1.0]))
     facing = np.pi if inward else side * np.pi / 2
     laps = [_unsmoothed(radius, pace) for radius in radii_m]
@@ -117,7 +118,7 @@ def orbit(
 
 
 def _unsmoothed(radius: float, pace: Pace) -> float:
-    """Radius of a circle that the smoothing in time shrinks to `radius`: by exp(-(omega sigma)^2 / 2)."""
+    """Radius of a circle that the smoothing in time shrinks to `radius`, by a factor of exp(-(omega sigma)^2 / 2)."""
     wider = radius
     for _ in range(50):
         omega = min(pace.speed / wider, pace.turn_rate)
@@ -135,14 +136,14 @@ def inspection(
     seconds: float,
     rng: np.random.Generator,
 ) -> Itinerary:
-    """Round the spots (x, y m) until `seconds` are over.
+    """Itinerary that visits the spots (x, y m) in turn until `seconds` have elapsed.
 
-    At each: come near slowly and down to `close`, look at it from `stand_off`, go round it to look from all sides, and
-    rise again.
+    At each: approach slowly and descend to the altitude `close`, look at it from the distance `stand_off`, circle it to
+    look from all `sides`, hovering for hover_s each time, and rise again.
     """
     out = float(np.hypot(*spots[0]))
     inside = -np.array(spots[0]) / out if out > 0.1 else np.array([1.0, 0.0])
-    start = np.array(spots[0]) + min(2 * stand_off + 1.0, out + stand_off) * inside  # never far past the middle
+    start = np.array(spots[0]) + min(2 * stand_off + 1.0, out + stand_off) * inside  # never far beyond the centre
     itinerary = Itinerary(np.array([*start, pace.altitude, np.arctan2(-inside[1], -inside[0]), 1.0]), pace)
     visit = 0
     while itinerary.elapsed <= seconds:
@@ -169,17 +170,17 @@ def inspection(
 
 
 def _look_at(itinerary: Itinerary, spot: Array, angles: Array, away: float, altitude: float, speed: float) -> None:
-    """Go round a spot by angles (K,), facing it."""
+    """Move around a spot through angles (K,) rad at a distance `away`, facing it."""
     n = len(angles)
     on = spot + away * np.column_stack([np.cos(angles), np.sin(angles)])
     itinerary.through(np.column_stack([on, np.full(n, altitude), angles + np.pi, np.zeros(n)]), speed)
 
 
 def dense_spots(relief: Array, lines: Array, count: int, apart_m: float, rng: np.random.Generator) -> Places:
-    """`count` places (x, y m) drawn from the tenth of a grid where most stands on the bottom, each next the nearest.
+    """Draw `count` places (x, y m) from the tenth of a grid with the highest relief, as a nearest-neighbour tour.
 
-    relief (N, N) m, indexed [y, x], on grid lines (N,) m: mean height of what stands there. They lie at least apart_m
-    from each other as long as the reef has such places, then nearer by and by.
+    relief (N, N) m, indexed [y, x], on grid lines (N,) m: mean height of objects above the bottom. The places are at
+    least apart_m from one another as long as the reef has such places; then the distance is reduced step by step.
     """
     order = np.argsort(-np.round(relief, 4), axis=None, kind="stable")[: max(relief.size // 10, count)]
     rows, columns = np.unravel_index(rng.permutation(order), relief.shape)
@@ -205,11 +206,11 @@ def waypoints(
     repeat: bool,
     seconds: float,
 ) -> Itinerary:
-    """Through places [x, y, (altitude m, (yaw deg))] in straight lines, the bow along them.
+    """Itinerary in straight lines through places [x, y, (altitude m, (yaw deg))], with the bow along the lines.
 
     Each is passed within 0.15 s of full speed: at 30 deg/s within 0.03 s, or 1.2 cm at 0.4 m/s. At a place with yaw the
-    vehicle turns to it, for a moment; between two such places the heading goes evenly from the one yaw to the other.
-    With `repeat` round and round until `seconds` are over.
+    vehicle briefly turns to it; between two such places the heading changes evenly from one yaw to the other.
+    With `repeat`, over and over until `seconds` have elapsed.
     """
 
     def state(place: tuple[float, ...]) -> Array:
@@ -245,10 +246,10 @@ def wander(
     seconds: float,
     rng: np.random.Generator,
 ) -> Itinerary:
-    """A free path in a square about the origin: a smooth curve along places of which some are met again.
+    """Itinerary of a free path in a square about the origin: a smooth curve along places, some of them revisited.
 
     The places are the control points of a uniform quadratic B-spline, so that the curve stays inside their hull (de
-    Boor 2001, ch. IX) and touches the middle of each leg: wherever it takes the same leg it is at the same place.
+    Boor 2001, ch. IX) and touches the middle of each leg: whenever it takes the same leg, it passes the same place.
     """
     places = _ramble(extent_m, revisit, pace.speed * seconds, rng)
     curve = BSpline(np.arange(len(places) + 3, dtype=float), places, 2)
@@ -263,7 +264,7 @@ def wander(
 
 
 def _ramble(extent_m: float, revisit: float, length_m: float, rng: np.random.Generator) -> Array:
-    """Places (K, 2) m, new and known ones, whose legs are so much longer than length_m that the curve is as well."""
+    """Draw places (K, 2) m, new and known ones, whose legs are long enough for the curve to be longer than length_m."""
     half = extent_m / 2
     shortest, longest = WANDER_CHORD[0] * extent_m, WANDER_CHORD[1] * extent_m
     places = [rng.uniform(-half, half, 2)]
@@ -276,7 +277,7 @@ def _ramble(extent_m: float, revisit: float, length_m: float, rng: np.random.Gen
             for some in (known, new)
         ]
         again, pick = rng.random() < revisit, rng.random()
-        # In a corner nothing may fit: from there a place past the middle is always far enough.
+        # In a corner nothing may fit; from there, a place on the far side of the centre is always far enough.
         choices = next((some for some in (fitting if again else fitting[1:]) if len(some)), -0.3 * here[None])
         places.append(choices[int(pick * len(choices))])
         course = places[-1] - here
@@ -291,13 +292,13 @@ def _bend(before: Array, after: Array) -> float:
 
 
 def _begin(curve: Curve, pace: Pace) -> Itinerary:
-    """At the first place of a curve, the bow along it."""
+    """Start an itinerary at the first place of a curve, with the bow along it."""
     places, tangents = curve
     return Itinerary(np.array([*places[0], pace.altitude, _courses(tangents)[0], 1.0]), pace)
 
 
 def _follow(itinerary: Itinerary, curve: Curve) -> None:
-    """Along a curve, the bow along it."""
+    """Extend an itinerary along a curve, with the bow along it."""
     places, tangents = curve
     n = len(places)
     states = np.column_stack([places, np.full(n, itinerary.pace.altitude), _courses(tangents), np.ones(n)])

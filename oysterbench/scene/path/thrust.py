@@ -1,4 +1,4 @@
-"""What the thrusters do: the share of full throttle that a path takes, against drag, inertia and buoyancy."""
+"""Thrusters: the share of full throttle that a path requires, against drag, inertia and buoyancy."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from oysterbench.scene.path.motion import Path
 from oysterbench.scene.waves import build_waves
 
 BOLLARD_N = (88.0, 88.0, 69.0)
-"""Greatest thrust ahead, aside and upright: 9, 9 and 7 kgf (Blue Robotics, data of the BlueROV2)."""
+"""Largest forward, lateral and vertical thrust: 9, 9 and 7 kgf (Blue Robotics, data of the BlueROV2)."""
 
 HEAVE_ADDED_KG, HEAVE_LINEAR, HEAVE_QUADRATIC = 14.57, 5.18, 36.99
-"""Of the upright axis, beside those of `HULL` (Wu 2018)."""
+"""Added mass and damping along the vertical axis, complementing those of `HULL` (Wu 2018)."""
 
-TRIM_N = 2.0  # buoyancy that an ROV is trimmed to, so that it comes up when power fails: 0.2 kgf
-MOTOR_S = 0.15  # time constant of propellers
+TRIM_N = 2.0  # buoyancy to which an ROV is trimmed, so that it surfaces if power fails: 0.2 kgf
+MOTOR_S = 0.15  # time constant of the propellers
 STEP_S = 0.05
 
 
@@ -36,17 +36,19 @@ class Throttle:
         return np.interp(times_s, self.times_s, self.shares)
 
     def turns(self, times_s: Array) -> Array:
-        """Integral (M,) s of the share since the start: turns of what turns once a second at full throttle."""
+        """Integral (M,) s of the share since the start: revolutions of a propeller that does one per second at full
+        throttle."""
         steps = 0.5 * (self.shares[1:] + self.shares[:-1]) * np.diff(self.times_s)
         return np.asarray(np.interp(times_s, self.times_s, np.concatenate([[0.0], np.cumsum(steps)])))
 
 
 def throttle(path: Path, recipe: SequenceRecipe, streams: Streams) -> Throttle:
-    """The throttle that keeps a BlueROV2 on its path; streams: those of the sequence.
+    """Throttle that keeps a BlueROV2 on its path; streams: those of the sequence.
 
-    Thrust goes with the square of the propellers' rate, and that with the throttle: s^2 = |F / F_max|.
+    Thrust is proportional to the square of the propellers' rate, which is proportional to the throttle:
+    s^2 = |F / F_max|.
     """
-    from scipy.signal import lfilter  # half a second for every worker, most of whom need none
+    from scipy.signal import lfilter  # imported late: takes each worker half a second, and most do not need it
 
     times = np.arange(0.0, recipe.duration_s + STEP_S, STEP_S)
     force = thrust(path, recipe, streams, times)
@@ -57,10 +59,10 @@ def throttle(path: Path, recipe: SequenceRecipe, streams: Streams) -> Throttle:
 
 
 def thrust(path: Path, recipe: SequenceRecipe, streams: Streams, times: Array) -> Array:
-    """Force (N, 3) N of the thrusters on the body, along its axes, at times (N,) s, STEP_S apart.
+    """Force (N, 3) N of the thrusters on the body, in the body frame, at times (N,) s, STEP_S apart.
 
-    F = (m + m_a) (a - a_w) + (d_1 + d_2 |u|) u per axis of the body, with u through the water, which moves with current
-    and waves, a_w its acceleration, and the trim.
+    F = (m + m_a) (a - a_w) + (d_1 + d_2 |u|) u per axis of the body, less the trim along z, with u the velocity through
+    the water, which moves with current and waves, and a_w the water's acceleration.
     """
     motion = path.at(times)
     water = np.zeros((len(times), 3))
