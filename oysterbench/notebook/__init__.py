@@ -1,1 +1,1 @@
-"""What is typed in a notebook: a split by its name, the score of two files, and how the machine is."""
+"""Functions for use in a notebook: open a split by its name, score two files, map oysters, check the machine."""

@@ -1,4 +1,4 @@
-"""Oysters on the ground along a path, each once, from what is at hand in a notebook."""
+"""Map of the oysters along a path, each counted once, for use in a notebook."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ def oyster_map(
     depth: str | None = None,
     **settings: Any,
 ) -> OysterMap:
-    """Lay the oysters of a sequence's pictures on the ground, and count each once.
+    """Map the oysters in a sequence's images to the ground, and count each once.
 
     Parameters
     ----------
     sequence : Sequence or path
-        Whose pictures they are.
+        Sequence with the images.
     trajectory : Trajectory or path
         Poses of the vehicle (base_link), at any stamps.
     masks : path, optional
-        Where there are oysters in the pictures: a folder, .npz or COCO file, as `oysterbench map --masks` reads them;
-        the truth of a rendered sequence by default.
+        Masks of the oysters in the images: a folder, .npz or COCO file, as read by `oysterbench map --masks`; by
+        default the ground truth of a rendered sequence.
     camera : str, optional
-        Which took the pictures; the first by default.
+        Camera that took the images; the first by default.
     depth : str, optional
-        Where depths come from: stereo, motion, plane, or layer, which is the truth; what the sequence allows without
-        the truth by default.
+        Source of depths: stereo, motion, plane, or layer, which is the ground truth; by default the best that the
+        sequence allows without ground truth.
     **settings
         Fields of `oysterbench.mapping.MapSettings`, such as ``cell_m=0.5``.
 
@@ -54,11 +54,11 @@ def oyster_map(
     Raises
     ------
     oysterbench.core.errors.TrajectoryError
-        The poses are of another time than the pictures.
+        The poses do not cover the time of the images.
     oysterbench.core.errors.LabelError
-        The masks are not of this camera's pictures, or no oyster is in any.
+        The masks are not of this camera's images, or none has an oyster.
     oysterbench.core.errors.SequenceError
-        There is no such camera, or no depth can be had.
+        There is no such camera, or depths cannot be obtained.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What is shown while something long goes on: a bar in a terminal or a notebook, and lines elsewhere; on stderr."""
+"""Progress of long operations: a bar in a terminal or a notebook, and lines elsewhere; on stderr."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from importlib.util import find_spec
 from oysterbench.core.text import printable
 
 Progress = Callable[[int, int], None]
-"""Called with what is done, and what there is to do."""
+"""Called with the amount done, and the total."""
 
 TELL_S = 300.0
-"""Between two lines on the progress, at most."""
+"""Longest time between two lines of progress, s."""
 
 
 def say(text: object) -> None:
-    """A message to the user, on stderr."""
+    """Print a message to the user on stderr."""
     print(printable(str(text)), file=sys.stderr, flush=True)
 
 
 @contextmanager
 def frames_bar(title: str, unit: str = "frames") -> Iterator[Progress]:
-    """A progress bar in a terminal or a notebook, else a line at every tenth or few minutes; with the time left.
+    """Show a progress bar in a terminal or a notebook, else a line at every tenth or few minutes; with the time left.
 
-    Nothing is shown before it is told of anything.
+    Nothing is shown before the first call of the yielded function.
     """
     from rich.console import Console
     from rich.progress import (
@@ -39,7 +39,7 @@ def frames_bar(title: str, unit: str = "frames") -> Iterator[Progress]:
     )
 
     console = Console(stderr=True)
-    # In Jupyter a bar is drawn by ipywidgets, where there are such.
+    # In Jupyter, ipywidgets draws the bar, where that is installed.
     if not console.is_terminal and not (console.is_jupyter and find_spec("ipywidgets")):
         yield plain_progress(title, unit)
         return
@@ -47,7 +47,7 @@ def frames_bar(title: str, unit: str = "frames") -> Iterator[Progress]:
     with Progress(*columns, TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), console=console) as bar:
 
         def update(done: int, total: int) -> None:
-            if not bar.tasks:  # begun with what was there before, so that it does not count as fast work
+            if not bar.tasks:  # starts from what was there before, which must not count as fast work
                 bar.add_task(title, total=total, completed=done)
             bar.update(bar.tasks[0].id, completed=done, total=total)
 
@@ -55,7 +55,7 @@ def frames_bar(title: str, unit: str = "frames") -> Iterator[Progress]:
 
 
 def plain_progress(title: str, unit: str = "frames") -> Progress:
-    """Progress as lines: at every tenth, and every few minutes."""
+    """Report progress in lines: at every tenth, and every few minutes."""
     first, told, began, at = -1, -1, 0.0, 0.0
 
     def tell(done: int, total: int) -> None:
@@ -74,7 +74,7 @@ def plain_progress(title: str, unit: str = "frames") -> Progress:
 
 
 def in_words(seconds: float) -> str:
-    """A time in words: 50 s, 12 min, 3 h 20 min.
+    """A duration as text: 50 s, 12 min, 3 h 20 min.
 
     >>> in_words(50), in_words(720), in_words(12000)
     ('50 s', '12 min', '3 h 20 min')

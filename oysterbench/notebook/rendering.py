@@ -1,4 +1,4 @@
-"""The sequence files of a split, rendered where they are not there yet, and what is shown meanwhile."""
+"""Rendering of the missing sequence files of a split, and what is shown meanwhile."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from oysterbench.recipe import SequenceRecipe, SplitRecipe
 
 TOLD_FROM_S = 60.0
-"""What rendering will take is said before it begins, from so much on."""
+"""Expected rendering time, s, from which it is announced beforehand."""
 
 
 def render_files(
@@ -29,11 +29,11 @@ def render_files(
     quiet: bool = False,
     topics: tuple[str, ...] = (),
 ) -> dict[str, Path]:
-    """The sequence files of a split, rendered with a progress bar where they are not there yet.
+    """Return the sequence files of a split, by name, after rendering the missing ones with a progress bar.
 
-    quiet: show nothing. topics: patterns; then smaller files with no other topics, in a folder of their own, cut from
-    the complete ones where these are there. Raises MachineError, with what to type, where what renders is not
-    installed, and SequenceError where smaller files would lie among the complete ones.
+    quiet: show nothing. topics: patterns; makes smaller files with no other topics, in a folder of their own, cut from
+    complete ones where those exist. Raises MachineError, which says what to type, where the renderer is not installed,
+    and SequenceError where smaller files would be put among complete ones.
     """
     from oysterbench.simulation import cost
     from oysterbench.simulation.generate import check_workers, default_workers, generate_split, share_left
@@ -60,12 +60,12 @@ def render_files(
 
 
 def _wait(folder: Path) -> None:
-    """Say what is waited for: one process at a time renders into a folder, with as many workers as it is given."""
+    """Tell the user about the wait: only one process at a time renders into a folder, with its own workers."""
     say(f"{folder}: waiting for another process that renders into this folder")
 
 
 def check_renderer(wanted: str) -> None:
-    """Raise MachineError, with what to type, where what renders is not installed. wanted: begins the sentence"""
+    """Raise MachineError, which says what to type, where the renderer is not installed. wanted: start of the message"""
     if find_spec("warp") is None:
         raise MachineError(
             f"{wanted} rendering is not installed: pip install 'oysterbench[render]'; or set a hub that has it "
@@ -74,7 +74,7 @@ def check_renderer(wanted: str) -> None:
 
 
 def _missing(split: SplitRecipe, folder: Path, names: tuple[str, ...]) -> list[SequenceRecipe]:
-    """The sequences that are asked for and not there yet."""
+    """Sequences that are requested and do not exist yet."""
     from oysterbench.simulation.generate import sequence_files
 
     files = sequence_files(split, folder)
@@ -83,7 +83,7 @@ def _missing(split: SplitRecipe, folder: Path, names: tuple[str, ...]) -> list[S
 
 
 def _folder(split: SplitRecipe, folder: Path | None, salt: bytes, topics: tuple[str, ...]) -> Path:
-    """Where the files go: as it is given, or under the home; smaller ones never among the complete ones."""
+    """Folder for the files: as given, or under the home folder; never that of complete files for smaller ones."""
     from oysterbench.sequence.cut import topics_folder
     from oysterbench.simulation.generate import split_folder
 
@@ -100,7 +100,7 @@ def _folder(split: SplitRecipe, folder: Path | None, salt: bytes, topics: tuple[
 def _cut_from_complete(
     split: SplitRecipe, folder: Path, names: tuple[str, ...], salt: bytes, topics: tuple[str, ...]
 ) -> None:
-    """Make the smaller files of sequences that are there complete: rendering them again would take much longer."""
+    """Cut smaller files from complete ones that exist: rendering them again would take much longer."""
     from oysterbench.sequence.cut import cut_to
     from oysterbench.simulation.generate import check_made_by, digest, sequence_files, split_folder
     from oysterbench.simulation.jobs import wanted_topics
@@ -114,7 +114,7 @@ def _cut_from_complete(
 
 
 def _announce(split: SplitRecipe, missing: list[SequenceRecipe], workers: int, seconds: float) -> None:
-    """Say what rendering will take, where it is minutes."""
+    """Announce how long rendering will take, if it is more than TOLD_FROM_S."""
     if seconds > TOLD_FROM_S:
         what = missing[0].name if len(missing) == 1 else f"{len(missing)} sequences"
         on = f"{workers} worker{'s' if workers > 1 else ''}"

@@ -1,4 +1,4 @@
-"""The score of an estimated trajectory, of files or of what is in memory."""
+"""Scoring of an estimated trajectory, from files or from memory."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from oysterbench.evaluate.slam.inputs import Poses, open_pair
 from oysterbench.sequence.types import Sequence
 
 OF_TRUTH = "truth_"
-"""Begins an option that says how the file of the truth is read."""
+"""Prefix of the options that say how the file of the ground truth is read."""
 
 
 def score(truth: Poses | Sequence, estimate: Poses, **options: Any) -> SlamResult:
-    """Score an estimated trajectory against the true one.
+    """Score an estimated trajectory against the ground truth.
 
     Parameters
     ----------
     truth : path, Trajectory or Sequence
-        True poses of the body: a sequence that holds its truth, or its file; a file in TUM, EuRoC, KITTI, CSV, .npz,
+        True poses of the body: a sequence with its ground truth, or its file; a file in TUM, EuRoC, KITTI, CSV, .npz,
         MCAP or rosbag format; poses in memory.
     estimate : path or Trajectory
-        Estimated poses. What usually goes wrong in files (units, order of quaternions, frames, clocks) is looked for,
-        and done, said or refused; poses in memory are taken as they are.
+        Estimated poses. Files are checked for common mistakes (units, quaternion order, frames, clocks), which are
+        corrected, reported or refused; poses in memory are taken as they are.
     **options
         Fields of `SlamSettings`, such as ``align="se3"`` (none, origin, se3, posyaw, sim3, scale) or
-        ``time_offset_s="estimate"``; and of `ReadOptions`, such as ``quaternion="wxyz"``, of the estimate's file,
-        or with ``truth_`` before them, as in ``truth_unit="mm"``, of the truth's.
+        ``time_offset_s="estimate"``; and of `ReadOptions`, such as ``quaternion="wxyz"``, for the estimate's file, or
+        with the prefix ``truth_``, as in ``truth_unit="mm"``, for that of the ground truth.
 
     Returns
     -------
     SlamResult
-        ``metrics``: plain numbers by key; ``notes``: what should be known of them; ``summary()``: a table.
+        ``metrics``: plain numbers by key; ``notes``: remarks on them; ``summary()``: a table.
 
     Raises
     ------
     oysterbench.core.errors.TrajectoryError
-        A number would mean nothing: no common time, poses that cannot be read, an alignment that is not determined.
+        The score would be meaningless: no common time, unreadable poses, or an undetermined alignment.
     oysterbench.core.errors.OptionError
         There is no such option.
 
@@ -73,7 +73,7 @@ def score(truth: Poses | Sequence, estimate: Poses, **options: Any) -> SlamResul
 
 
 def _check_poses(role: str, poses: object) -> None:
-    """Raise TrajectoryError for what is neither the path of a file nor a Trajectory."""
+    """Raise TrajectoryError for anything but the path of a file or a Trajectory."""
     if not isinstance(poses, str | os.PathLike | Trajectory):
         raise TrajectoryError(
             f"{role}: expected the path of a file, or oysterbench.Trajectory(stamps_ns, positions, quaternions) of "
@@ -82,7 +82,7 @@ def _check_poses(role: str, poses: object) -> None:
 
 
 def _sequence_at(path: str | os.PathLike[str]) -> Sequence | None:
-    """The sequence at a path; None where there is none, as of other recordings and files of poses."""
+    """Open the sequence at a path; None where there is none, as for other recordings and files of poses."""
     if not os.fspath(path).endswith(".mcap") and not (Path(path) / "mav0").is_dir():
         return None
     from oysterbench.sequence import open_sequence
@@ -94,7 +94,10 @@ def _sequence_at(path: str | os.PathLike[str]) -> Sequence | None:
 
 
 def _sorted_out(options: Mapping[str, Any]) -> tuple[SlamSettings, ReadOptions, ReadOptions]:
-    """Settings of the evaluator, and how the files of the estimate and the truth are read."""
+    """Split options into settings of the evaluator, and reading options of the estimate's and the ground truth's file.
+
+    Raises OptionError for an unknown one.
+    """
     scoring = {field.name for field in fields(SlamSettings)}
     reading = {field.name for field in fields(ReadOptions)}
     known = [*scoring, *reading, *(f"{OF_TRUTH}{name}" for name in reading)]

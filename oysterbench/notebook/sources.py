@@ -1,4 +1,4 @@
-"""Where the files of a split come from: a folder, this machine's renderer, or a hub; each file when it is asked for."""
+"""Sources of the files of a split: a folder, the renderer of this machine, or a hub; each file on demand."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ NO_HUB = "no hub is set (OYSTERBENCH_HUB, or hub.toml in the home folder)"
 
 
 class Source(ABC):
-    """The sequence files of a split.
+    """Source of the sequence files of a split.
 
     name, version, track, about: of the split; about is a sentence
-    names:  of its sequences, in order
+    names:  names of its sequences, in order
     recipe: what it is rendered from; None where only files are known
     """
 
@@ -39,21 +39,21 @@ class Source(ABC):
 
     @abstractmethod
     def here(self, name: str) -> Path | None:
-        """The file of a sequence, where it is on this machine and whole."""
+        """File of a sequence, or None where it is not on this machine or not complete."""
 
     def size_bytes(self, name: str) -> int | None:
-        """Of the file of a sequence; None where that is not known before it is here."""
+        """Size of the file of a sequence; None where it is unknown until the file is here."""
         path = self.here(name)
         return path.stat().st_size if path is not None else None
 
     @abstractmethod
     def get(self, names: Sequence[str], workers: int | None, quiet: bool) -> None:
-        """Have the files of sequences that are not here. Raises OysterbenchError where that fails; what was begun is
-        gone on with the next time."""
+        """Get the files of sequences that are not here. Raises OysterbenchError where that fails; the next call resumes
+        what was started."""
 
 
 class FolderSource(Source):
-    """Sequence files that are in a folder, and nothing else."""
+    """Sequence files in a folder, and nothing else."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.name = folder, folder.resolve().name
@@ -72,7 +72,7 @@ class FolderSource(Source):
 
 
 class HubSource(Source):
-    """A split that only a hub knows, in this version."""
+    """A split that, in this version, only a hub has."""
 
     def __init__(self, hub: Hub, manifest: Manifest) -> None:
         self._hub, self._manifest = hub, manifest
@@ -93,7 +93,7 @@ class HubSource(Source):
 
 
 class RecipeSource(Source):
-    """A split that is rendered from its recipe, or the same from a hub where one is set."""
+    """A split that is rendered from its recipe, or downloaded from a hub where one is set."""
 
     def __init__(self, recipe: SplitRecipe) -> None:
         self.recipe = recipe
@@ -108,7 +108,7 @@ class RecipeSource(Source):
 
     @property
     def folder(self) -> Path:
-        """Where its rendered files are kept."""
+        """Folder of its rendered files."""
         from oysterbench.simulation.generate import split_folder
 
         assert self.recipe is not None
@@ -119,7 +119,7 @@ class RecipeSource(Source):
         return path if path.is_file() else self._downloaded(name)
 
     def _downloaded(self, name: str) -> Path | None:
-        """From a folder of its own, as of a hub whose files another version of this program made."""
+        """File of a sequence from a separate folder, as for a hub whose files another version of this program made."""
         from oysterbench.hub.verify import kept_manifest
 
         for folder in sorted((home() / "splits" / self.name).glob(f"{self.version}-*")):
@@ -151,9 +151,9 @@ class RecipeSource(Source):
 
 
 def find_source(name: str | Path) -> Source:
-    """The files of a split, by its name (NAME or NAME@VERSION), the path of a recipe, or that of a folder.
+    """Find the source of a split, by its name (NAME or NAME@VERSION), the path of a recipe, or that of a folder.
 
-    Raises RecipeError for a name that neither this oysterbench nor the hub that is set knows.
+    Raises RecipeError for a name that neither this version of oysterbench nor the hub that is set knows.
     """
     from oysterbench.recipe import load_split, split_names
 
@@ -175,7 +175,7 @@ def find_source(name: str | Path) -> Source:
 
 
 def hub_here(quiet: bool = True) -> Hub | None:
-    """The hub that is set; None where none is."""
+    """Hub that is set; None without one."""
     from oysterbench.hub.settings import hub_key, hub_places
 
     places = hub_places()
@@ -187,7 +187,7 @@ def hub_here(quiet: bool = True) -> Hub | None:
 
 
 def fetch(hub: Hub, manifest: Manifest, folder: Path, names: Sequence[str], quiet: bool) -> None:
-    """Have files of a manifest in a folder. Raises HubError where it has no such sequence, or none comes whole."""
+    """Download files of a manifest into a folder. Raises HubError for an unknown sequence or a failed download."""
     from oysterbench.hub.download import choose, download
 
     entries = choose(manifest, names)
@@ -201,7 +201,7 @@ def fetch(hub: Hub, manifest: Manifest, folder: Path, names: Sequence[str], quie
 
 
 def _whole(manifest: Manifest, folder: Path, name: str) -> Path | None:
-    """A file of a manifest that is in a folder: it appeared there when every byte was checked."""
+    """File of a manifest in a folder, or None: files appear there only once every byte has been checked."""
     entry, path = manifest.find(f"{name}.mcap"), folder / f"{name}.mcap"
     try:
         return path if entry is not None and path.stat().st_size == entry.size else None

@@ -1,4 +1,4 @@
-"""A split by its name: its sequences, each rendered or downloaded when it is first asked for."""
+"""A split, opened by its name: its sequences, each rendered or downloaded on first use."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ ON_A_CARD = ("duration_s", "difficulty", "water_type", "secchi_m", "light", "den
 
 
 class Split:
-    """The sequences of a split, in order; each is had when it is first asked for, and opened anew each time.
+    """The sequences of a split, in order; each is rendered or downloaded on first use, and opened anew each time.
 
     Attributes
     ----------
     name, version, track : str
-        Of the split; version and track are empty where only a folder of files is known.
+        Those of the split; version and track are empty where only a folder of files is known.
     about : str
-        What it is, in a sentence.
+        Description of the split, in a sentence.
     names : tuple of str
-        Of its sequences, in order.
+        Names of its sequences, in order.
     recipe : SplitRecipe or None
-        What it is rendered from; None where only its files are known.
+        Recipe that it is rendered from; None where only its files are known.
 
     Examples
     --------
@@ -50,7 +50,7 @@ class Split:
     >>> split[1:3].names
     ('val-02', 'val-03')
 
-    Sequences come by number or by name, and are rendered, or downloaded where a hub is set, on first use, as in
+    Sequences are indexed by number or by name, and are rendered, or downloaded where a hub is set, on first use, as in
     `oysterbench.split("slam-mini")["mini-01"]`. A folder of sequence files is a split, too:
 
     >>> for sequence in oysterbench.split("."):
@@ -66,27 +66,27 @@ class Split:
 
     @property
     def name(self) -> str:
-        """Of the split."""
+        """Name of the split."""
         return self._source.name
 
     @property
     def version(self) -> str:
-        """Of the split; empty of a folder."""
+        """Version of the split; empty for a folder."""
         return self._source.version
 
     @property
     def track(self) -> str:
-        """What it is made for; empty of a folder."""
+        """Track that the split is made for; empty for a folder."""
         return self._source.track
 
     @property
     def about(self) -> str:
-        """What it is, in a sentence."""
+        """Description of the split, in a sentence."""
         return self._source.about
 
     @property
     def recipe(self) -> SplitRecipe | None:
-        """What it is rendered from."""
+        """Recipe that the split is rendered from; None where only its files are known."""
         return self._source.recipe
 
     def __len__(self) -> int:
@@ -105,7 +105,7 @@ class Split:
     def __getitem__(self, which: slice) -> Split: ...
 
     def __getitem__(self, which: int | str | slice) -> Sequence | Split:
-        """A sequence by its number or name, rendered or downloaded where it is not here; or a part of the split."""
+        """Open a sequence by its number or name, rendered or downloaded if missing; or take a slice of the split."""
         if isinstance(which, slice):
             return Split(self._source, self.names[which], self._workers, self._quiet)
         from oysterbench.sequence import open_sequence
@@ -124,14 +124,14 @@ class Split:
         return self.names[which]
 
     def fetch(self, *names: str, workers: int | None = None) -> dict[str, Path]:
-        """Have files here that are not yet, all of them by default, and say where they are.
+        """Get the files that are not here yet, of all sequences by default, and return their paths.
 
-        Rendered, or downloaded where a hub is set. What is interrupted, even killed, is gone on with the next time.
+        They are rendered, or downloaded where a hub is set. What was interrupted, even by a kill, is resumed.
 
         Parameters
         ----------
         *names : str
-            Of sequences; all by default.
+            Names of sequences; all by default.
         workers : int, optional
             Processes that render; one per core by default.
 
@@ -143,7 +143,7 @@ class Split:
         Raises
         ------
         oysterbench.OysterbenchError
-            There is no such sequence, no room, no network, or nothing that renders.
+            There is no such sequence, no disk space, no network, or no renderer.
         """
         wanted = [self._name(name) for name in names or self.names]
         missing = [name for name in wanted if self._source.here(name) is None]
@@ -154,19 +154,19 @@ class Split:
 
     @property
     def here(self) -> dict[str, Path]:
-        """Sequence -> file, of those that are on this machine."""
+        """Sequence -> file, for those that are on this machine."""
         paths = {name: self._source.here(name) for name in self.names}
         return {name: path for name, path in paths.items() if path is not None}
 
     def summary(self) -> pd.DataFrame:
-        """What each sequence is like, a row each; nothing is rendered or downloaded for it.
+        """Table of the conditions of each sequence, one row each; nothing is rendered or downloaded for it.
 
         Returns
         -------
         pandas.DataFrame
             Indexed by the name of the sequence. Conditions with the unit in the name (those of
-            `oysterbench.evaluate.conditions.CONDITIONS`): duration_s, secchi_m, water_type, ...; size_mb, of the file
-            (NaN before it is known); here, whether it is on this machine. Of a folder, only what its files say.
+            `oysterbench.evaluate.conditions.CONDITIONS`): duration_s, secchi_m, water_type, ...; size_mb of the file
+            (NaN until known); here, whether it is on this machine. For a folder, only what its files contain.
 
         Examples
         --------
@@ -196,17 +196,17 @@ class Split:
         return {"duration_s": sequence.duration_s, "cameras": len(sequence.cameras)}
 
     def preview(self, name: str | None = None) -> NDArray[np.uint8]:
-        """A sheet of small frames of a sequence, rendered in seconds: how a recipe looks, before it is rendered.
+        """Render a sheet of small frames of a sequence in seconds, to see a recipe before it is rendered in full.
 
         Parameters
         ----------
         name : str, optional
-            Of the sequence; the first by default.
+            Name of the sequence; the first by default.
 
         Returns
         -------
         (H, W, 3) array of uint8
-            RGB, frames evenly over the time of the sequence, each over its camera and time.
+            RGB; frames evenly spaced over the sequence, each above its camera and time.
 
         Raises
         ------
@@ -223,7 +223,7 @@ class Split:
             return preview(self.recipe, shown, progress)
 
     def labelled(self) -> LabelledSet:
-        """The labelled pictures of all sequences, each read when it is asked for.
+        """Labelled images of all sequences, each read on demand.
 
         Raises
         ------
@@ -271,7 +271,7 @@ class Split:
 
 
 def split(name: str | os.PathLike[str], *, workers: int | None = None, quiet: bool = False) -> Split:
-    """Open a split by its name; its files are rendered, or downloaded where a hub is set, when they are first used.
+    """Open a split by its name; its files are rendered, or downloaded where a hub is set, on first use.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ def split(name: str | os.PathLike[str], *, workers: int | None = None, quiet: bo
     Returns
     -------
     Split
-        `len`, iteration, `[0]`, `["val-01"]`, `[1:3]`; `summary()`, a table; `fetch()`, to have all files at once.
+        Supports `len`, iteration, `[0]`, `["val-01"]`, `[1:3]`; `summary()` is a table; `fetch()` gets all files.
 
     Raises
     ------
@@ -307,13 +307,13 @@ def split(name: str | os.PathLike[str], *, workers: int | None = None, quiet: bo
 
 
 def splits() -> pd.DataFrame:
-    """The splits that come with oysterbench, a row each; nothing is rendered for it.
+    """Table of the splits that come with oysterbench, one row each; nothing is rendered for it.
 
     Returns
     -------
     pandas.DataFrame
-        Indexed by name: version, track, sequences, duration_s, here (sequences that are on this machine), hidden
-        (whether its truth is kept back), about.
+        Indexed by name: version, track, sequences, duration_s, here (number of sequences on this machine), hidden
+        (whether the ground truth is withheld), about.
 
     Examples
     --------

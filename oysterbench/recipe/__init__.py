@@ -1,6 +1,6 @@
-"""Recipes: TOML files that say what a split, a sequence and a rig are, read into validated frozen dataclasses.
+"""Recipes: TOML files that define a split, a sequence and a rig, read into validated frozen dataclasses.
 
-Everything that makes the bytes of a sequence is in here; keys carry their unit, angles are in degrees. A bad
+Everything that determines the bytes of a sequence is in them; keys carry their unit, angles are in degrees. A bad
 value is refused with file, key, value and the allowed range. The fields of the dataclasses document the keys.
 """
 

@@ -1,7 +1,7 @@
-"""Values of a recipe that are drawn: a key, and the range that its value comes from.
+"""Values of a recipe that are drawn at random: a key, and the range that its value comes from.
 
-In a hidden split the draw needs the salt, as everything random does, so that the recipe gives away a range and not the
-path that the vehicle took.
+In a hidden split the draw depends on the salt, as everything random does, so that the recipe reveals a range but not
+the path that the vehicle took.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from oysterbench.recipe.scene import SequenceRecipe
 
 
 def draw(recipe: SequenceRecipe, share: Callable[[str], float], where: str) -> SequenceRecipe:
-    """The sequence with its drawn values in place. `share(key)`, in [0, 1], says how far into its range a value lies.
+    """Return the sequence with its drawn values filled in. `share(key)`, in [0, 1], is the position of a value in its
+    range.
 
-    Raises RecipeError, which begins with `where`, for a key that is no number of a sequence, and for a value that the
-    key does not allow.
+    Raises RecipeError, which starts with `where`, for a key that is not a number of a sequence, and for a value that
+    the key does not allow.
     """
     if not recipe.drawn:
         return recipe

@@ -1,4 +1,4 @@
-"""Keys of a recipe: fields of frozen dataclasses that carry their allowed values, and TOML tables turned into them."""
+"""Keys of a recipe: fields of frozen dataclasses that carry their allowed values, and their parsing from TOML."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Kind = TypeVar("Kind", bound="DataclassInstance")
 
 
 class Table(Mapping[str, Any]):
-    """A table of a recipe that is kept as it is written, to be checked where it is used: like a dict, but hashable."""
+    """A table of a recipe that is kept as written and checked where it is used: like a dict, but hashable."""
 
     def __init__(self, items: Mapping[str, Any] | None = None) -> None:
         self._items = {key: _frozen(value) for key, value in (items or {}).items()}
@@ -59,7 +59,10 @@ def choice(options: tuple[str, ...], default: Any = dataclasses.MISSING) -> Any:
 
 
 def build(kind: type[Kind], table: Any, where: str, prefix: str) -> Kind:
-    """Dataclass `kind` from a TOML table, key by key."""
+    """Build the dataclass `kind` from a TOML table, key by key. prefix: of the keys in messages.
+
+    Raises RecipeError, which starts with `where`, for unknown and missing keys and for bad values.
+    """
     if not isinstance(table, Mapping):
         raise RecipeError(f"{where}: key {prefix[:-1]!r}: expected a table, got {table!r}")
     hints = _hints(kind)
@@ -80,13 +83,13 @@ def build(kind: type[Kind], table: Any, where: str, prefix: str) -> Kind:
 
 @functools.cache
 def _hints(kind: type) -> dict[str, Any]:
-    """The types of its fields, resolved once: a split has hundreds of tables of a few kinds."""
+    """Types of a dataclass's fields, resolved only once: a split has hundreds of tables of a few kinds."""
     return typing.get_type_hints(kind)
 
 
 def _convert(value: Any, hint: Any, definition: dataclasses.Field[Any], where: str, key: str) -> Any:
-    """One value, checked against its type and range."""
-    if isinstance(hint, types.UnionType):  # a key that may be left out
+    """Convert one value, checked against its type and range."""
+    if isinstance(hint, types.UnionType):  # an optional key
         if value is None:
             return None
         hint = next(kind for kind in typing.get_args(hint) if kind is not type(None))
@@ -144,7 +147,7 @@ def _text(options: tuple[str, ...] | None) -> str:
 def stated(value: Any) -> Any:
     """A recipe as nested dicts and lists, without the keys that have their default values.
 
-    So a key that is added later, with a default that changes nothing, leaves what older recipes state as it was.
+    So a key that is added later, with a default that changes nothing, does not alter what older recipes state.
     """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         defaults = {f.name: f.default for f in dataclasses.fields(value)}
@@ -156,7 +159,7 @@ def stated(value: Any) -> Any:
 
 
 def _tables(value: Any) -> dict[str, Any]:
-    """Keys and values of a recipe, as its file has them."""
+    """Keys and values of a recipe, as in its file."""
     if hasattr(value, "as_tables"):
         tables: dict[str, Any] = value.as_tables()
         return tables
@@ -164,7 +167,7 @@ def _tables(value: Any) -> dict[str, Any]:
 
 
 def as_plain(value: Any) -> Any:
-    """A recipe as nested dicts and lists, for JSON; what is not given (None) is left out."""
+    """A recipe as nested dicts and lists, for JSON; values that are not given (None) are left out."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         values = {key: as_plain(item) for key, item in _tables(value).items()}
         return {name: item for name, item in values.items() if item is not None}

@@ -1,4 +1,4 @@
-"""What moves by itself: plants in the surge, fish, crabs, drifting debris, the tether; and what cannot be of it."""
+"""What moves by itself: plants in the surge, fish, crabs, drifting debris, the tether; and checks of their keys."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ if TYPE_CHECKING:
     from oysterbench.recipe.scene import SequenceRecipe
 
 SCHOOL_SPACING = 1.2
-"""Lengths between neighbours in a school: each fish has about a cube of its length (Pitcher & Partridge 1979, 0.7 to 2
-cubed lengths in saithe and herring)."""
+"""Distance between neighbours in a school, in lengths of a fish: each has about a cube of its length (Pitcher &
+Partridge 1979, 0.7 to 2 cubed lengths in saithe and herring)."""
 
 SCHOOL_SHAPE = (1.5, 1.0, 0.6)
-"""Half axes of a school along its way, across and up, in units of their geometric mean (Partridge et al. 1980)."""
+"""Half axes of a school along its course, across and up, in units of their geometric mean (Partridge et al. 1980)."""
 
-SCHOOL_SHARE = 1 / 3  # of the reef's side, that a school takes at most
+SCHOOL_SHARE = 1 / 3  # greatest length of a school, as a share of the reef's side
 
 FISH_CLEARANCE_M = 0.1  # least water over the highest fish and under the lowest
 
 
 @dataclass(frozen=True, kw_only=True)
 class LifeRecipe:
-    """What moves by itself. Schools, fish, crabs and debris are each met once by the vehicle at least: they have their
-    places near its path, at times spread over the dive.
+    """What moves by itself. The vehicle meets each school, fish, crab and piece of debris at least once: they are
+    placed near its path, at times spread over the dive.
 
-    Sizes and speeds of groups: ranges of slam practice in estuaries, for silversides (Menidia menidia 7 to 12 cm),
+    Sizes and speeds of groups: ranges from SLAM practice in estuaries, for silversides (Menidia menidia 7 to 12 cm),
     young croaker and perch (10 to 25 cm).
     """
 
@@ -56,11 +56,11 @@ class LifeRecipe:
 
     @property
     def fish_count(self) -> int:
-        """All fish."""
+        """Number of all fish, in schools and solitary."""
         return self.schools * self.school_size + self.fish
 
     def school_half_axes_m(self) -> tuple[float, float, float]:
-        """Half axes of a school along its way, across and up, m."""
+        """Half axes of a school along its course, across and up, m."""
         radius = 0.5 * SCHOOL_SPACING * self.school_fish_cm * 1e-2 * self.school_size ** (1 / 3)
         mean = math.prod(SCHOOL_SHAPE) ** (1 / 3)
         along, across, up = (radius * axis / mean for axis in SCHOOL_SHAPE)
@@ -68,7 +68,7 @@ class LifeRecipe:
 
 
 def check_life(sequence: SequenceRecipe, where: str) -> None:
-    """What no single key of life can say. Raises RecipeError, which begins with `where`, for what cannot be."""
+    """Check what no single key of life can express. Raises RecipeError, which starts with `where`."""
     life, reef, site = sequence.life, sequence.reef, sequence.site
     if life.schools:
         along, _, up = life.school_half_axes_m()

@@ -1,4 +1,4 @@
-"""How the vehicle moves: the keys of a path, which kind of path reads which, and what no single key can say."""
+"""How the vehicle moves: the keys of a path, which kind of path reads which, and checks across keys."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ KEYS_OF_KIND: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "waypoints": (("waypoints",), ("repeat", "turn_rate_deg_s")),
     "free": (("extent_m",), ("revisit", "turn_rate_deg_s")),
 }
-"""Kind of path -> the keys that it needs, and those that it reads besides; the keys of no kind are read by all."""
+"""Kind of path -> the keys that it needs, and further ones that it reads; keys listed for no kind are read by all."""
 
 PATH_KINDS = tuple(KEYS_OF_KIND)
 LOOKS = ("along", "inward")
@@ -44,9 +44,9 @@ class PathRecipe:
     kind: str = choice(PATH_KINDS)  # shape of the path
     speed_m_s: float = number(0.01, 5)  # cruising speed: lower in tight turns and at close range
     ramp_s: float = number(0.5, 60, 3.0)  # time from rest to full speed
-    rest_s: float = number(0, 60, 0.0)  # time at rest before setting off, as most logs begin
+    rest_s: float = number(0, 60, 0.0)  # time at rest before setting off, as at the start of most logs
     resting: str = choice(RESTS, "still")
-    """During that time: still, as if on the bottom, or hovering with the sway below."""
+    """Behaviour during that time: still, as if on the bottom, or hovering with the sway below."""
     hand_flown: float = number(0, 2, 0.0)  # stops, drifts and corrections of a human pilot; 1: typical
     altitude_m: float = number(0.2, 20)  # above the smoothed bottom
     sway_m: float = number(0, 0.5, 0.06)  # amplitude of surge, sway and heave about the nominal path
@@ -73,7 +73,7 @@ class PathRecipe:
     look: str = choice(LOOKS, "along")  # orbit: along the path, or inward at the centre
     rings: int = number(1, 100, 1)  # orbit: number of circles, spacing_m apart, one lap on each, outwards and back
     spots: int = number(1, 100, 3)  # inspection: number of spots, drawn from where most stands on the bottom
-    spots_m: tuple[Place, ...] = number(-100, 100, ())  # inspection: or these places [x, y], in this order
+    spots_m: tuple[Place, ...] = number(-100, 100, ())  # inspection: instead, these spots [x, y], in this order
     stand_off_m: float = number(0.1, 10, 0.8)  # inspection: horizontal distance to the spot
     close_m: float = number(0.1, 20, 0.7)  # inspection: altitude at a spot
     sides: int = number(1, 16, 3)  # inspection: number of directions, evenly spaced, from which a spot is viewed
@@ -84,9 +84,9 @@ class PathRecipe:
 
 
 def check_path(path: PathRecipe, size_m: float, where: str) -> None:
-    """What no single key of a path can say, over a square reef of side size_m.
+    """Check what no single key of a path can express, over a square reef of side size_m.
 
-    Raises RecipeError, which begins with `where`, for a key that the kind misses or does not read, and for a path that
+    Raises RecipeError, which starts with `where`, for a key that the kind lacks or does not read, and for a path that
     leaves the reef.
     """
     needed, read = KEYS_OF_KIND[path.kind]
@@ -124,7 +124,7 @@ def check_path(path: PathRecipe, size_m: float, where: str) -> None:
 
 
 def corners(path: PathRecipe) -> Iterator[tuple[float, float]]:
-    """x, y (m) of what is farthest out on a path of straight lines."""
+    """Yield x, y (m) of the outermost points of a path of straight lines."""
     if path.kind == "waypoints":
         yield from ((place[0], place[1]) for place in path.waypoints)
     if path.kind not in ("lawnmower", "transect"):

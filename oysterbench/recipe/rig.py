@@ -1,4 +1,4 @@
-"""What a vehicle carries: its cameras and lamps, and sensors of any kind that `oysterbench.sensors` has a file of."""
+"""What a vehicle carries: its cameras and lamps, and sensors of any kind that `oysterbench.sensors` defines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from oysterbench.recipe.keys import as_plain, build, choice, number
 from oysterbench.recipe.sensors import NamedSensorRecipe, SensorRecipe
 
 LENSES = {"pinhole": (0,), "brown-conrady": (4, 5), "fisheye": (4,)}
-"""How many coefficients of distortion each lens has."""
+"""Lens -> numbers of distortion coefficients that it may have."""
 
 LAYERS = (
     "depth",
@@ -32,9 +32,9 @@ LAYERS = (
     "flow",
     "transmittance",
 )
-"""Ground truth behind a picture: what each pixel shows, its light without water and on its path through the water, how
-much of each instance can be seen, which pixels show what moves by itself, where each goes until the
-next frame, and how much of its light gets through the water."""
+"""Ground truth of an image: what each pixel shows, its light without water and the parts of its light in water, how
+much of each instance is visible, which pixels show what moves by itself, where each pixel moves until the next frame,
+and how much of its light gets through the water."""
 
 IMAGE_FORMATS = ("jpeg", "png")
 
@@ -56,8 +56,8 @@ class CameraRecipe(NamedSensorRecipe):
     rate_hz: float = number(0.1, 200)
     layer_rate_hz: float = number(0, 200, 0.0)  # rate of the ground-truth layers; a divisor of rate_hz
     layers: tuple[str, ...] = choice(LAYERS, ("depth", "class", "instance"))  # ground truth that is written to the file
-    image_format: str = choice(IMAGE_FORMATS, "jpeg")  # of the colour images; png is lossless
-    jpeg_quality: int = number(50, 100, 95)  # of the colour images, if jpeg
+    image_format: str = choice(IMAGE_FORMATS, "jpeg")  # format of the colour images; png is lossless
+    jpeg_quality: int = number(50, 100, 95)  # quality of the colour images, if jpeg
     # Bit rate of a video link that the frames pass through first, coded as by H.264; 0: none. Tethers carry 5 to 15
     # Mbit/s of 1080p at 30 Hz, 0.08 to 0.24 bit per pixel, equivalent to 0.25 to 0.75 Mbit/s of 640 x 480 at 10 Hz.
     video_mbit_s: float = number(0, 100, 0.0)
@@ -68,7 +68,7 @@ class CameraRecipe(NamedSensorRecipe):
     port_mm: float | None = number(0, 200, None)
     """Distance from the pupil to a flat port; the lens then works in air behind it."""
     vignetting: float = number(0, 1, 0.0)  # share of the natural cos^4 fall-off that is applied
-    exposure_stops: float = number(-6, 6, 0.0)  # brighter than metered
+    exposure_stops: float = number(-6, 6, 0.0)  # stops brighter than metered
     gain: float = number(1, 64, 1.0)  # amplifies fewer photons to the same brightness: more noise
     shutter_ms: float = number(0, 200, 0.0)  # exposure time, for motion blur; 0: an instant
     # Rolling shutter: rows are read readout_ms / height one after another; 15 to 33 ms for the low-light USB cameras of
@@ -79,7 +79,7 @@ class CameraRecipe(NamedSensorRecipe):
     # Diameter of the entrance pupil, for the circle of confusion of everything away from focus_m: f / N of a lens of 3
     # to 8 mm at f/2 to f/2.8. 0: surfaces are sharp everywhere, and marine snow is blurred as by 1.2 mm.
     aperture_mm: float = number(0, 8, 0.0)
-    # Standard deviation of a point spread that softens the whole image: lens, demosaicing, rescaling of video;
+    # Standard deviation of a point spread function that softens the whole image: lens, demosaicing, video rescaling;
     # 0.5 to 2 px in frames from the videos of small ROVs.
     softness_px: float = number(0, 6, 0.0)
     denoising: float = number(0, 60, 0.0)
@@ -108,7 +108,7 @@ class CameraRecipe(NamedSensorRecipe):
 
     @property
     def sent_layers(self) -> tuple[str, ...]:
-        """The layers that go into the file."""
+        """Layers that are written to the file."""
         return self.layers if self.layer_rate_hz else ()
 
     def check(self, where: str) -> None:
@@ -149,9 +149,9 @@ class LampRecipe:
 
 @dataclass(frozen=True, kw_only=True)
 class RigRecipe:
-    """A vehicle: its body, its cameras and lamps, its inertial unit, and whatever else it measures with.
+    """A vehicle: its body, its cameras and lamps, its IMU, and its other sensors.
 
-    In its file each of the sensors is a table of its kind's block, `[dvl]` or `[[sonar]]`.
+    In its file each sensor is a table named after its kind's block, such as `[dvl]` or `[[sonar]]`.
     """
 
     name: str  # of the rig
@@ -159,15 +159,15 @@ class RigRecipe:
     truth_rate_hz: float = number(1, 4000, 200.0)  # poses of the ground truth per second
     camera: tuple[CameraRecipe, ...]  # at least one
     lamp: tuple[LampRecipe, ...] = ()  # none: daylight only
-    sensors: tuple[SensorRecipe, ...]  # besides the cameras
+    sensors: tuple[SensorRecipe, ...]  # all but the cameras
     vehicle: str = choice(VEHICLES, "none")  # body that the cameras see and that casts a shadow
 
     def of(self, kind: type[R]) -> tuple[R, ...]:
-        """The sensors of a kind, such as `DvlRecipe`."""
+        """Sensors whose recipe is of a kind, such as `DvlRecipe`."""
         return tuple(sensor for sensor in (*self.sensors, *self.camera) if type(sensor) is kind)
 
     def as_tables(self) -> dict[str, Any]:
-        """The keys of the rig's file and their values: the sensors by their blocks."""
+        """Keys and values of the rig's file, with the sensors under their blocks."""
         tables = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "sensors"}
         for sensor in self.sensors:
             tables[sensor.block] = sensor if sensor.single else (*tables.get(sensor.block, ()), sensor)
@@ -175,7 +175,7 @@ class RigRecipe:
 
 
 class SensorBlock(Protocol):
-    """What a rig's file has to know of a kind of sensor: its recipe, whether each rig has one, and what keys imply."""
+    """What reading a rig's file needs of a sensor kind: its recipe, whether it is required, and implied keys."""
 
     @property
     def recipe(self) -> type[SensorRecipe]: ...
@@ -185,13 +185,13 @@ class SensorBlock(Protocol):
 
 
 def sensor_blocks() -> Mapping[str, SensorBlock]:
-    """Block -> kind of sensor. Kinds are plug-ins: they stand above recipes, which find them by their package."""
+    """Block -> sensor kind. Kinds are plug-ins in a layer above recipes, which find them by their package's name."""
     kinds: Mapping[str, SensorBlock] = import_module("oysterbench.sensors.registry").sensor_kinds()
     return kinds
 
 
 def read_rig(table: Mapping[str, Any], where: str) -> RigRecipe:
-    """A rig from the content of its TOML file."""
+    """Read a rig from the content of its TOML file. Raises RecipeError, which starts with `where`."""
     kinds = {block: kind for block, kind in sensor_blocks().items() if block != CameraRecipe.block}
     plain = [f.name for f in dataclasses.fields(RigRecipe) if f.name != "sensors"]
     for key in table:
@@ -214,10 +214,10 @@ def read_rig(table: Mapping[str, Any], where: str) -> RigRecipe:
 
 
 def vary_rig(rig: RigRecipe, changes: Mapping[str, Any], where: str) -> RigRecipe:
-    """The rig with some of its values replaced, block by block: in all sensors (or lamps) of a block.
+    """Return the rig with some values replaced, block by block, in all sensors (or lamps) of a block.
 
-    A value that implies others, such as a grade, brings them along. Raises RecipeError, which begins with `where`, for
-    a block that the rig has not, and for values as a rig's file does.
+    A value that implies others, such as a grade, brings them along. Raises RecipeError, which starts with `where`, for
+    a block that the rig lacks, and for bad values as for those of a rig's file.
     """
     if not changes:
         return rig
@@ -240,9 +240,9 @@ def vary_rig(rig: RigRecipe, changes: Mapping[str, Any], where: str) -> RigRecip
 
 
 def check_rig(rig: RigRecipe, where: str) -> None:
-    """Raise RecipeError on what no single key can say.
+    """Check what no single key can express. Raises RecipeError, which starts with `where`.
 
-    A sensor's name begins its topics: names must be good in ROS 2, and no two sensors share one.
+    Topics start with the name of their sensor: names must be valid in ROS 2, and unique.
     """
     seen = {"truth", "tf", "tf_static", *(block for block, kind in sensor_blocks().items() if kind.recipe.single)}
     for sensor in (*rig.camera, *rig.sensors):

@@ -12,10 +12,10 @@ from oysterbench.recipe.turbidity import LayerRecipe, PatchesRecipe, PlumesRecip
 REEF_CLASSES = {0: "water", 1: "bottom", 2: "oyster", 3: "stone", 4: "plant", 5: "sponge", 6: "vehicle", 7: "hash"}
 LIFE_CLASSES = {8: "fish", 9: "crab", 10: "debris", 11: "tether"}
 CLASSES = REEF_CLASSES | LIFE_CLASSES
-"""What the numbers of a class image mean; hash is broken shell. LIFE_CLASSES are those of `SequenceRecipe.life`."""
+"""Meaning of the numbers in a class image; hash is broken shell. LIFE_CLASSES are those of `SequenceRecipe.life`."""
 
 UNDISTURBED = "none"
-"""The disturbance of a dive that others of its split are held against."""
+"""Disturbance of a dive with which others of its split are compared."""
 
 BOTTOMS = ("sand", "mud", "gravel", "shell")
 
@@ -30,7 +30,7 @@ class ReefRecipe:
     size_m: float = number(4, 200)  # side of the square
     depth_m: float = number(0.5, 60)  # mean depth of the bottom
     relief_rms_m: float = number(0, 3)  # RMS height of the fractal seabed
-    oysters: int | None = number(0, 60_000, None)  # number of oysters, or give:
+    oysters: int | None = number(0, 60_000, None)  # number of oysters; alternatively, give density_per_m2
     density_per_m2: float | None = number(0, 1_000, None)  # oysters per square metre, dead ones included
     oyster_size_mm: float = number(25, 170, 85.0)  # median shell height
     clump_size: float = number(1, 30, 7.0)  # mean number of oysters in a clump
@@ -59,16 +59,16 @@ class ReefRecipe:
 
     @property
     def oyster_count(self) -> int:
-        """How many oysters, from either key."""
+        """Number of oysters, from either key."""
         return round((self.density_per_m2 or 0.0) * self.size_m**2) if self.oysters is None else self.oysters
 
 
 @dataclass(frozen=True, kw_only=True)
 class WaterRecipe:
-    """The water's type, and what it holds more or less of. Absorption at 440 nm, scattering at 550 nm, both in 1/m."""
+    """Type of the water, and changes to its constituents. Absorption at 440 nm, scattering at 550 nm, both in 1/m."""
 
     type: str | None = choice(WATER_TYPES, None)
-    """Jerlov's types, Chesapeake Bay, or pure water to which the keys below add; or give:."""
+    """One of Jerlov's types, Chesapeake Bay, or pure water to which the keys below add; alternatively, give jerlov."""
     jerlov: str | None = choice(JERLOV_TYPES, None)  # Jerlov's types only; `type` takes precedence
     turbidity: float = number(0, 20, 1.0)  # factor on scattering and absorption by the particles of the type
     secchi_m: float | None = number(0.2, 12, None)  # scales everything but the water itself to give this Secchi depth
@@ -96,18 +96,18 @@ class LightRecipe:
     """Length of the rays that test which part of the sky is hidden; 0: crevices darken by height only."""
     shade: float = number(0, 1, 0.0)
     """Share of daylight taken away by soft shadows of things floating or standing above."""
-    shade_m: float = number(0.05, 20, 0.5)  # distance between shaded and lit places
+    shade_m: float = number(0.05, 20, 0.5)  # typical distance between shaded and lit places
     lamps: float = number(0, 100, 1.0)  # factor on the intensity of the rig's lamps
 
 
 @dataclass(frozen=True, kw_only=True)
 class SiteRecipe:
-    """The place and its day: what sound, pressure, compass and hull feel. Directions from east, counter-clockwise."""
+    """The site and its day, as they affect sound, pressure, compass, hull. Directions from east, counter-clockwise."""
 
     temperature_c: float = number(-2, 40, 20.0)  # of the water
-    salinity_ppt: float = number(0, 45, 15.0)  # with temperature and depth decides the speed of sound
-    ph: float = number(7, 9, 7.8)  # decides, with the two above, how sound is absorbed
-    tide_m: float = number(0, 10, 0.0)  # amplitude of the tide about z = 0, as a pressure sensor feels it
+    salinity_ppt: float = number(0, 45, 15.0)  # determines, with temperature and depth, the speed of sound
+    ph: float = number(7, 9, 7.8)  # determines, with the two above, the absorption of sound
+    tide_m: float = number(0, 10, 0.0)  # amplitude of the tide about z = 0, as measured by a pressure sensor
     tide_period_h: float = number(0.01, 30, 12.42)  # 12.42: the lunar tide, twice a day
     wave_height_m: float = number(0, 10, 0.0)  # significant wave height
     wave_period_s: float = number(0.5, 30, 5.0)  # period at the peak of the spectrum
@@ -132,29 +132,29 @@ class DrawnRecipe:
 
 
 CALIBRATIONS = ("exact", "good", "poor")
-"""How well the vehicle was calibrated (`sensors.uncertainty`): not at all wrong, by an expert, or last season."""
+"""Quality of the calibration (`sensors.uncertainty`): without error, by an expert, or from last season."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceRecipe:
-    """One sequence: a reef, its water and light, the path over it, the site that it lies at, and what moves there.
+    """One sequence: a reef, its water and light, the path over it, its site, and what moves there.
 
-    same_dive_as: the sequence whose reef, path and noise it has, drawn as they are there; what its keys state
-    otherwise is the difference. disturbance, strength: what that difference is called, and how strong it is.
-    rig: what its split's rig has otherwise here, block by block: `rig = { camera = { shutter_ms = 15.0 } }` holds for
-    all of its cameras.
+    same_dive_as: the sequence whose random draws (reef, path and noise) it shares; the two differ only where their keys
+    do. disturbance, strength: name of that difference, and how strong it is.
+    rig: changes to the split's rig in this sequence, block by block: `rig = { camera = { shutter_ms = 15.0 } }` applies
+    to all of its cameras.
     """
 
-    name: str  # of the file, and in every result
+    name: str  # name of the file, and in every result
     duration_s: float = number(1, 7200)  # length of the recording
     difficulty: int | None = number(1, 5, None)  # 1: calm and clear, to 5: everything the sea does; shown in tables
     same_dive_as: str = ""  # name of the sequence whose reef, path and noise this one shares
     disturbance: str = ""  # name of what differs from that dive
     strength: int = number(0, 3, 0)  # how strong that is; 0: the undisturbed dive
     reef: ReefRecipe  # the bottom
-    water: WaterRecipe  # its optics
+    water: WaterRecipe  # optics of the water
     light: LightRecipe  # sun, sky and lamps
-    path: PathRecipe  # the motion
+    path: PathRecipe  # motion of the vehicle
     site: SiteRecipe = field(default=SiteRecipe())  # waves, current, sound, magnetism
     life: LifeRecipe = field(default=LifeRecipe())  # what moves by itself
     rig: Table = field(default=Table())  # what differs from the split's rig

@@ -1,4 +1,4 @@
-"""What the recipes of all sensors have in common. Each kind's own keys are in its file of `oysterbench.sensors`."""
+"""What the recipes of all sensors have in common. Each kind's own keys are in its file in `oysterbench.sensors`."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from oysterbench.recipe.keys import number
 
 @dataclass(frozen=True, kw_only=True)
 class SensorRecipe:
-    """What every sensor has: a rate, a place on the vehicle, a clock, and losses.
+    """What every sensor has: a rate, a position on the vehicle, a clock, and losses.
 
-    block: the table of a rig's file that it comes from, `[block]` where a rig has one at most (`single`), else
-    `[[block]]`.
+    block: its table in a rig's file, `[block]` where a rig has at most one (`single`), else `[[block]]`.
     """
 
     block: ClassVar[str] = ""
@@ -22,17 +21,17 @@ class SensorRecipe:
 
     rate_hz: float = number(0.01, 4000)  # messages per second
     position_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # of the sensor in base_link
-    clock_offset_ms: float = number(-1000, 1000, 0.0)  # of its timestamps; positive: late
+    clock_offset_ms: float = number(-1000, 1000, 0.0)  # offset of its timestamps; positive: late
     clock_jitter_ms: float = number(0, 10, 0.0)
-    """1 sigma of a timestamp, 1 to 5 over USB; sensors of one kind share a trigger."""
+    """1 sigma of a timestamp: 1 to 5 over USB; sensors of the same kind share a trigger."""
     dropout: float = number(0, 0.99, 0.0)  # share of messages that are lost
     dropout_burst: float = number(1, 1000, 1.0)  # mean number of messages lost in a row
 
     def check(self, where: str) -> None:
-        """Raise RecipeError on what no single key can say.
+        """Check what no single key can express. Raises RecipeError, which starts with `where`.
 
-        A share of losses needs bursts that long, as at least one message comes through between two of them; and what
-        hears echoes hears them from somewhere.
+        A share of losses requires bursts of a minimum length, as at least one message arrives between two of them; and
+        sensors of echoes need a range interval that is not empty.
         """
         shortest = self.dropout / (1 - self.dropout)
         if self.dropout_burst < shortest:
@@ -49,7 +48,7 @@ class SensorRecipe:
 
 @dataclass(frozen=True, kw_only=True)
 class NamedSensorRecipe(SensorRecipe):
-    """A sensor of which a rig may have several; its name begins its topics. Pitch is positive below the horizon."""
+    """A sensor of which a rig may have several; topics start with its name. Pitch is positive below the horizon."""
 
     single: ClassVar[bool] = False
 
@@ -60,7 +59,7 @@ class NamedSensorRecipe(SensorRecipe):
 
 @dataclass(frozen=True, kw_only=True)
 class AcousticRecipe(NamedSensorRecipe):
-    """What sonars have in common."""
+    """What all acoustic ranging sensors have in common."""
 
     assumed_sound_speed_m_s: float | None = number(1300, 1700, None)
     """Speed of sound that ranges are computed with; default: the true one."""
@@ -68,15 +67,15 @@ class AcousticRecipe(NamedSensorRecipe):
 
 @dataclass(frozen=True, kw_only=True)
 class BinnedSonarRecipe(AcousticRecipe):
-    """What sonars have in common that keep the strength of the echoes in each bin of range."""
+    """What sonars that record echo strength per range bin have in common."""
 
     frequency_khz: float = number(50, 3000, 750.0)  # of the carrier
     bins: int = number(16, 4096, 500)  # range bins
     min_range_m: float = number(0.05, 20, 0.1)  # range of the first bin
     max_range_m: float = number(0.5, 200, 10.0)  # range of the last bin
-    bandwidth_khz: float = number(1, 1000, 200.0)  # resolves c / 2B in range
+    bandwidth_khz: float = number(1, 1000, 200.0)  # bandwidth B: resolves c / 2B in range
     looks: float = number(0.5, 100, 1.0)
-    """Of the speckle: intensity follows a Gamma distribution with this shape; 1: fully developed."""
+    """Number of looks: speckle intensity follows a Gamma distribution with this shape; 1: fully developed speckle."""
     noise_db: float = number(-200, 0, -105.0)
     """Noise relative to the echo of a perfect scatterer that fills a beam at 1 m."""
     tvg: bool = field(default=True)  # time-varying gain: compensates spreading and absorption
@@ -87,5 +86,5 @@ class BinnedSonarRecipe(AcousticRecipe):
     interference_db: float = number(-120, 0, -60.0)
     """Level of that pulse relative to the echo of a perfect scatterer at 1 m."""
     interference_ms: float = number(0.05, 200, 10.0)
-    """Its length: USBL and modems 5 to 20 ms, other sonars 0.05 to 1 ms."""
+    """Length of that pulse: USBL and modems 5 to 20 ms, other sonars 0.05 to 1 ms."""
     interference_bearing_deg: float | None = number(-360, 360, None)  # direction of that device in map; default: drawn

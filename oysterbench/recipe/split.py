@@ -1,4 +1,4 @@
-"""A split: the TOML file that says what it is, found by its name or path, read and checked as a whole."""
+"""A split: the TOML file that defines it, found by its name or path, read and checked as a whole."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from oysterbench.recipe.steering import SteeringRecipe, check_steering
 from oysterbench.recipe.turbidity import check_plumes
 
 TRACKS = ("slam", "segmentation", "steering")
-"""What a split is made for; one with masks of every oyster serves segmentation and detection alike."""
+"""Purposes of a split; one with masks of every oyster serves both segmentation and detection."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SplitRecipe:
-    """A split: what the TOML file says, plus the rig that it names.
+    """A split: the content of its TOML file, plus the rig that it names.
 
     A table `[defaults]` of the file holds what its sequences have in common: each `[[sequence]]` states only what
-    differs, key by key, at any depth; lists are taken whole.
+    differs, key by key, at any depth; lists are replaced as a whole.
     """
 
     name: str  # letters, digits, '-' and '_'
-    version: str  # part of the folder that the files go to
-    track: str = choice(TRACKS)  # what the data is for, and so which truth is scored
-    seed: int = number(0, 2**63 - 1)  # of everything random: the same seed gives the same bytes
+    version: str  # part of the name of the folder that the files go to
+    track: str = choice(TRACKS)  # what the data is for, and so which ground truth is scored
+    seed: int = number(0, 2**63 - 1)  # seed of everything random: the same seed gives the same bytes
     summary: str  # one line for `oysterbench splits`
     hidden: bool = False  # rendered only with a secret salt, so that nobody else can reproduce the ground truth
     sequence: tuple[SequenceRecipe, ...]  # at least one
@@ -49,7 +49,7 @@ class SplitRecipe:
     source: str = field(repr=False)  # text of the split's file
 
     def find_sequence(self, name: str) -> SequenceRecipe:
-        """The sequence of that name."""
+        """Return the sequence of that name. Raises RecipeError where there is none."""
         for sequence in self.sequence:
             if sequence.name == name:
                 return sequence
@@ -59,15 +59,15 @@ class SplitRecipe:
         raise RecipeError(f"split {self.name} has no sequence {name!r}; {other}")
 
     def rig_of(self, sequence: SequenceRecipe) -> RigRecipe:
-        """The rig as it is in a sequence, with what the sequence has otherwise."""
+        """Rig of a sequence, with the values that the sequence changes."""
         return vary_rig(self.rig, sequence.rig, f"split {self.name}: sequence {sequence.name}")
 
     def streams_of(self, sequence: SequenceRecipe, salt: bytes = b"") -> Streams:
-        """The random streams of a sequence: its own, or those of the dive that it is the same as."""
+        """Random streams of a sequence: its own, or those of the dive that it repeats."""
         return Streams(self.seed, salt, (sequence.same_dive_as or sequence.name,))
 
     def digest(self) -> str:
-        """SHA-256 over the values of recipe and rig: two recipes with one digest make the same bytes."""
+        """SHA-256 of the values of recipe and rig: two recipes with the same digest make the same bytes."""
         values = {k: v for k, v in stated(self).items() if k not in ("source", "rig_source", "summary")}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
@@ -97,7 +97,7 @@ def load_split(name_or_path: str) -> SplitRecipe:
 
 
 def parse_split(source: str, where: str, rig_source: str | None = None) -> SplitRecipe:
-    """Read a split from the text of its recipe; the rig is found by its name unless its text is given."""
+    """Parse a split from the text of its recipe; the rig is found by its name unless its text is given."""
     table = _parse_toml(source, where)
     rig_name = table.pop("rig", None)
     if not isinstance(rig_name, str):
@@ -115,7 +115,7 @@ def parse_split(source: str, where: str, rig_source: str | None = None) -> Split
 
 
 def _merge_defaults(table: dict[str, Any], where: str) -> None:
-    """Put the table `defaults` under each sequence."""
+    """Merge the table `defaults` into each sequence, whose own values take precedence."""
     defaults = table.pop("defaults", {})
     sequences = table.get("sequence")
     if not isinstance(defaults, dict) or "name" in defaults:
@@ -125,7 +125,7 @@ def _merge_defaults(table: dict[str, Any], where: str) -> None:
 
 
 def _merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables merged key by key; where both have a value, that of `over` is taken."""
+    """Merge two tables key by key, at any depth; where both have a value, that of `over` is taken."""
     merged = {**under, **over}
     for key in under.keys() & over.keys():
         if isinstance(under[key], dict) and isinstance(over[key], dict):
@@ -134,7 +134,7 @@ def _merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]
 
 
 def with_rig(split: SplitRecipe, rig_name: str, where: str) -> SplitRecipe:
-    """The split with another rig, by its name or the path of its file beside `where`."""
+    """Return the split with another rig, given by its name or by the path of its file relative to that of `where`."""
     source = _rig_text(rig_name, where)
     other = dataclasses.replace(split, rig=_read_rig(source, f"rig {rig_name}"), rig_source=source)
     _check_split(other, where)
@@ -142,9 +142,9 @@ def with_rig(split: SplitRecipe, rig_name: str, where: str) -> SplitRecipe:
 
 
 def vary_split(split: SplitRecipe, changes: Mapping[str, Any], where: str) -> SplitRecipe:
-    """The split with one sequence, its first, and with some values replaced, each checked like those of a file.
+    """Return the split with its first sequence only, and with some values replaced, each checked like those of a file.
 
-    Keys of `changes` are those of a sequence (`water.jerlov`) or, behind `camera.` or `lamp.`, of all the rig's cameras
+    Keys of `changes` are those of a sequence (`water.jerlov`) or, after `camera.` or `lamp.`, of all the rig's cameras
     or lamps (`camera.pitch_deg`).
     """
     sequence, rig = as_plain(split.sequence[0]), as_plain(split.rig)
@@ -180,7 +180,7 @@ def _read_rig(source: str, where: str) -> RigRecipe:
 
 
 def _check_split(split: SplitRecipe, where: str) -> None:
-    """What no single key can say."""
+    """Check what no single key can express. Raises RecipeError, which starts with `where`."""
     if (split.steering is not None) != (split.track == "steering"):
         wanted = "a table [steering]" if split.track == "steering" else "no table [steering]"
         raise RecipeError(f"{where}: key 'steering': expected {wanted} for track = {split.track!r}")

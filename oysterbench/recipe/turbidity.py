@@ -1,4 +1,4 @@
-"""Water that is not the same everywhere: a turbid layer over the bottom, patches, and plumes of silt."""
+"""Inhomogeneous water: a turbid layer over the bottom, patches, and plumes of silt."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from dataclasses import dataclass
 from oysterbench.core.errors import RecipeError
 from oysterbench.recipe.keys import number
 
-SILTY = 0.3  # of reef.silt, from which on there is enough on any bottom for a plume
-WASH_REACH_M = 1.5  # a thrust of 10 N erodes fresh mud (0.05 Pa) from there (scene.plumes.bed_stress)
+SILTY = 0.3  # reef.silt from which any bottom has enough of it for a plume
+WASH_REACH_M = 1.5  # greatest altitude at which a thrust of 10 N erodes fresh mud, 0.05 Pa (scene.plumes.bed_stress)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LayerRecipe:
-    """A bottom nepheloid layer: particles of the water's own, more of them the nearer the mean bottom, exponentially.
+    """A bottom nepheloid layer: more of the water's own particles, increasing exponentially towards the mean bottom.
 
-    That is the balance of settling and even turbulence (Rouse 1937 with a constant diffusivity).
+    This is the balance of settling and uniform turbulence (Rouse 1937 with a constant diffusivity).
     """
 
-    factor: float = number(1, 5, 1.0)  # on the particles at the bottom; 2 to 3 is common in the lowest 0.5 m
+    factor: float = number(1, 5, 1.0)  # factor on the particles at the bottom; 2 to 3 is common in the lowest 0.5 m
     thickness_m: float = number(0.05, 20, 0.5)  # height over which the excess falls to 1/e
 
 
 @dataclass(frozen=True, kw_only=True)
 class PatchesRecipe:
-    """Clouds of more and fewer particles, upright, that go with the current.
+    """Clouds of more and fewer particles, vertically uniform, that drift with the current.
 
-    In estuaries optical transects vary by 10 to 60 % over metres to tens of metres.
+    In estuaries, optical transects vary by 10 to 60 % over metres to tens of metres.
     """
 
     contrast: float = number(0, 0.8, 0.0)  # greatest share by which the number of particles varies
@@ -51,7 +51,8 @@ class PlumesRecipe:
 def check_plumes(
     plumes: PlumesRecipe, bottom: str, silt: float, moving_water: bool, altitude_m: float, where: str
 ) -> None:
-    """Refuse plumes that could not be. moving_water: whether the site has current or waves."""
+    """Refuse impossible plumes. moving_water: whether the site has current or waves. Raises RecipeError, which starts
+    with `where`."""
     if not plumes.attenuation:
         return
     if bottom != "mud" and silt < SILTY:

@@ -1,4 +1,4 @@
-"""Sound in water: its speed and absorption, what surfaces send back, and the shape of a beam."""
+"""Underwater acoustics: speed and absorption of sound, backscatter of surfaces, and beam patterns."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from oysterbench.recipe import CLASSES, SiteRecipe
 from oysterbench.recipe.sensors import AcousticRecipe
 
 BOTTOM_DB = {"mud": -32.0, "sand": -24.0, "gravel": -17.0, "shell": -16.0}
-"""Lambert's parameter 10 log10(mu) of bottoms at hundreds of kHz, dB: engineering values in the order of
-APL-UW 1994 (TR 9407, sec. IV); what is measured on bottoms of one name spreads by 5 dB and more each way."""
+"""Lambert's parameter 10 log10(mu) of bottom types at hundreds of kHz, dB: engineering values, of the order of those in
+APL-UW 1994 (TR 9407, sec. IV); measurements on bottoms of the same name scatter by 5 dB or more either way."""
 
 CLASS_DB = {"oyster": -13.0, "stone": -14.0, "plant": -26.0, "sponge": -22.0, "vehicle": -8.0, "hash": -16.0}
 CLASS_DB |= {"fish": -14.0, "crab": -15.0, "debris": -26.0, "tether": -18.0}
-"""The same of what lies on it and swims over it: engineering values; shell and stone are rough and as hard as gravel or
-harder, plants, sponges and debris nearly water, and fish sound by their bladders."""
+"""Lambert's parameter, dB, of what lies on the bottom and swims over it: engineering values; shell and stone are rough
+and at least as hard as gravel, plants, sponges and debris are nearly water, and fish echo by their swim bladders."""
 
-NEAREST_M = 0.01  # closer to a transducer than this, its far field is not what is heard
+NEAREST_M = 0.01  # closer to a transducer than this, the far-field model does not apply
 
 HALF_POWER = 0.442946
-"""Where sinc(x)^2 = 1/2, sinc(x) = sin(pi x) / (pi x)."""
+"""Solution x of sinc(x)^2 = 1/2, where sinc(x) = sin(pi x) / (pi x)."""
 
 
 def sound_speed(site: SiteRecipe, depth_m: float) -> float:
@@ -34,7 +34,7 @@ def sound_speed(site: SiteRecipe, depth_m: float) -> float:
 def absorption(site: SiteRecipe, depth_m: float, frequency_khz: float) -> float:
     """Absorption of sound in dB/m, one way (Francois & Garrison 1982, part II, table IV).
 
-    The sum of boric acid's and magnesium sulphate's relaxation and of the viscosity of pure water.
+    The sum of the relaxation of boric acid, that of magnesium sulphate, and the viscosity of pure water.
     """
     t, s, f = site.temperature_c, site.salinity_ppt, frequency_khz
     kelvin = 273.0 + t
@@ -53,24 +53,24 @@ def absorption(site: SiteRecipe, depth_m: float, frequency_khz: float) -> float:
 
 
 def backscatter(bottom: str) -> Array:
-    """Lambert's mu (12,) of each class of recipe.CLASSES, over a bottom of a kind of recipe.BOTTOMS; 0 for water.
+    """Lambert's mu (12,) of each class of recipe.CLASSES, for a bottom type of recipe.BOTTOMS; 0 for water.
 
-    A patch dA seen at the angle theta from its normal sends back mu cos^2(theta) dA per unit solid angle of what
-    arrives on a unit of area (Lambert's law).
+    A patch dA seen at the angle theta from its normal returns, per unit solid angle, mu cos^2(theta) dA of the power
+    that arrives per unit area (Lambert's law).
     """
     decibels = {"bottom": BOTTOM_DB[bottom], **CLASS_DB}
     return np.array([10 ** (decibels[name] / 10) if name in decibels else 0.0 for name in CLASSES.values()])
 
 
 def range_resolution(speed_m_s: float, bandwidth_khz: float) -> float:
-    """Range that a pulse resolves, c / 2B, m."""
+    """Range resolution of a pulse, c / 2B, m."""
     return speed_m_s / (2e3 * bandwidth_khz)
 
 
 def beam_pattern(angles: ArrayLike, width: float) -> Array:
-    """Two-way response in power at angles (rad) off a line aperture's axis, 1 on it and 1/2 at half its width (rad).
+    """Two-way power response at angles (rad) off a line aperture's axis: 1 on the axis and 1/2 at half its width (rad).
 
-    sinc^2 of the sine of the angle, as a uniformly weighted aperture has it (Urick 1983, sec. 3.3).
+    sinc^2 of the sine of the angle, the pattern of a uniformly weighted aperture (Urick 1983, sec. 3.3).
     """
     return np.asarray(np.sinc(HALF_POWER / np.sin(width / 2) * np.sin(angles)) ** 2)
 
@@ -96,9 +96,9 @@ def mount_pose(recipe: AcousticRecipe) -> Array:
 
 
 def echo_strength(ranges: Array, cosines: Array, mu: Array, absorption_db_m: float) -> Array:
-    """Power that comes back from the patch in a unit of solid angle, over what goes out: shapes as given.
+    """Ratio of returned to transmitted power of the patch in a unit of solid angle, in the shape of the arguments.
 
-    ranges: m, inf for no patch; none counts as nearer than NEAREST_M. A solid angle dW holds a patch of
+    ranges: m, inf for no patch; ranges below NEAREST_M are raised to it. A solid angle dW holds a patch of
     dA = r^2 dW / cos(theta), and each way costs r^-2 and the absorption:
     mu cos^2(theta) dA r^-4 10^(-2 a r / 10) = mu cos(theta) dW r^-2 10^(-2 a r / 10).
     """

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from oysterbench.render.rays import RayCaster
     from oysterbench.scene.path import Path
 
-RAYS = 401  # over the main lobe
-PULSE_M = 0.05  # of range that the echo's envelope adds up: some 70 us
-STRONG = 0.5  # of the strongest echo: what the detector takes for the bottom
-WEAKEST_BOTTOM = "mud"  # that it hears from its greatest range
+RAYS = 401  # rays over the main lobe
+PULSE_M = 0.05  # range over which the echo's envelope integrates: about 70 us
+STRONG = 0.5  # share of the strongest echo that the detector takes for the bottom
+WEAKEST_BOTTOM = "mud"  # weakest bottom that it detects at max_range_m
 PINGS_AT_ONCE = 128  # bounds the memory
 RANGE_STEP = 1e-6  # m, to which readings are rounded
 
@@ -48,7 +48,7 @@ class AltimeterRecipe(AcousticRecipe):
 
 @dataclass(frozen=True)
 class AltimeterCalibration:
-    """An altimeter: width of its cone, rad; least and greatest range, m; pose, x along its axis."""
+    """An altimeter: width of its cone, rad; minimum and maximum range, m; pose, x along its axis."""
 
     beam_rad: float
     min_range_m: float
@@ -65,11 +65,11 @@ def measure(
     streams: Streams,
     bottom: str = "sand",
 ) -> Array:
-    """Ranges (N,) m at times (N,) s; +inf where nothing answers from between min_range_m and max_range_m.
+    """Ranges (N,) m at times (N,) s; +inf where there is no echo between min_range_m and max_range_m.
 
-    The first echo that has half the strength of the strongest, once spreading and absorption are made up for; then the
-    error of the assumed speed of sound, noise, and the step of the digital reading. Nothing is heard where all that
-    comes back is weaker than it is from level mud at max_range_m. bottom: of recipe.BOTTOMS.
+    The range of the first echo with half the strength of the strongest, after compensation of spreading and absorption;
+    then the error of the assumed speed of sound, noise, and the step of the digital reading. Nothing is detected where
+    the total echo is weaker than that of level mud at max_range_m. bottom: one of recipe.BOTTOMS.
     """
     T_base_sounder = acoustics.mount_pose(recipe)
     cone, weights = beam_rays(np.radians(recipe.beam_deg))
@@ -104,8 +104,8 @@ def measure(
 
 
 def first_strong(ranges: Array, strengths: Array) -> float:
-    """Range of the first of echoes (R,) m of given strengths (R,) from which on a pulse's length holds STRONG of what
-    the strongest such length holds; inf without any."""
+    """Range of the first echo, of ranges (R,) m and strengths (R,), from which on one pulse length holds a share STRONG
+    of what the strongest pulse length holds; inf without echoes."""
     heard = np.isfinite(ranges) & (strengths > 0)
     if not heard.any():
         return float("inf")
@@ -117,8 +117,8 @@ def first_strong(ranges: Array, strengths: Array) -> float:
 
 
 def beam_rays(width: float) -> tuple[Array, Array]:
-    """Unit vectors (RAYS, 3) about x, even over the cap up to the first null of a round beam of a half-power width in
-    rad, the first on the axis, and the beam's two-way response (RAYS,) along them."""
+    """Unit vectors (RAYS, 3) around x, evenly spread over the cap up to the first null of a round beam with a
+    half-power width in rad, the first on the axis; and the beam's two-way response (RAYS,) along them."""
     limit = acoustics.first_null(width)
     k = np.arange(RAYS)
     cosines = 1 - (1 - np.cos(limit)) * k / RAYS
@@ -129,7 +129,7 @@ def beam_rays(width: float) -> tuple[Array, Array]:
 
 
 class Altimeter(SensorKind[AltimeterRecipe, AltimeterCalibration, RangeMeasurement]):
-    """The kind."""
+    """Sensor kind: altimeter."""
 
     recipe = AltimeterRecipe
     calibration = AltimeterCalibration
@@ -154,7 +154,7 @@ class Altimeter(SensorKind[AltimeterRecipe, AltimeterCalibration, RangeMeasureme
         return (RangeMeasurement(int(at.stamps_ns[k]), recipe.name, float(ranges[k])) for k in at.wanted)
 
     def encode(self, recipe: AltimeterRecipe, measurement: RangeMeasurement) -> list[Message]:
-        """Range along the altimeter's axis, m, +inf where nothing answers (REP 117)."""
+        """Message with the range along the altimeter's axis, m, +inf without an echo (REP 117)."""
         stamp, limits = measurement.stamp_ns, (recipe.min_range_m, recipe.max_range_m)
         beam, variance = float(np.radians(recipe.beam_deg)), recipe.noise_m**2
         data = range_bytes(stamp, link(measurement.sensor), measurement.range, limits, beam, variance)

@@ -1,4 +1,4 @@
-"""Camera: how its frames and the layers of truth behind them are taken, and its calibration."""
+"""Camera: how its frames and their ground-truth layers are taken, and its calibration."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ if TYPE_CHECKING:
     from oysterbench.render.sensor import Exposure
     from oysterbench.sensors.panels import Panel
 
-SIGHT_M, SIGHT_PIECES = 1.5, 12  # of the camera's rays along which silt counts in the truth
+SIGHT_M, SIGHT_PIECES = 1.5, 12  # length of rays along which the ground truth integrates silt, and samples on each
 SILT_STEP_S = 0.25
-LEAST_SILT = 0.5  # optical depth from which on silt counts: 0.6 of the sharp light is left
+LEAST_SILT = 0.5  # optical depth from which silt is reported: 0.6 of the direct light is left
 FRAME_LAYERS = ("depth", "class", "instance")
 
 
 LARGEST_PX = 65535
-"""Of a picture's edge, which JPEG can hold."""
+"""Longest edge of an image that JPEG can hold, px."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,9 @@ class CameraCalibration:
 
     distortion_model and distortion as in sensor_msgs/CameraInfo: plumb_bob (Brown-Conrady k1, k2, p1, p2[, k3]) or
     equidistant (Kannala-Brandt k1 to k4). Behind a flat port, methods are given a lens in water that was fitted to it;
-    the true calibration has the lens in air, port_m from the pupil to the port, and port_index, the water's refractive
-    index against air. Stamps are late by time_offset_s, give or take time_jitter_s, 1 sigma. readout_s: in which the
-    rows of a rolling shutter are read, evenly; a stamp is the middle of the exposure of the middle row.
+    the true calibration has the lens in air, port_m from the pupil to the port, and port_index, the refractive index of
+    water relative to air. Stamps are late by time_offset_s, with a jitter of time_jitter_s, 1 sigma. readout_s: time in
+    which a rolling shutter reads its rows, at an even rate; a stamp is mid-exposure of the middle row.
     """
 
     width: int
@@ -71,11 +71,11 @@ class CameraCalibration:
     readout_s: float = 0.0
 
     def taken_ns(self, stamp_ns: int) -> int:
-        """When a frame of a stamp was taken, as far as the calibration knows."""
+        """Time at which the frame with this stamp was taken, ns, as far as the calibration knows."""
         return stamp_ns - round(1e9 * self.time_offset_s)
 
     def rows_taken_ns(self, stamp_ns: int) -> NDArray[np.int64]:
-        """(H,) when each row of a frame of a stamp was taken: a rolling shutter reads one after the other."""
+        """Times (H,) int64 ns at which the rows of a frame were taken: a rolling shutter reads them one by one."""
         after_s = (np.arange(self.height) - (self.height - 1) / 2) * (self.readout_s / self.height)
         after_ns: NDArray[np.int64] = np.rint(1e9 * after_s).astype(np.int64)
         return self.taken_ns(stamp_ns) + after_ns
@@ -83,8 +83,8 @@ class CameraCalibration:
 
 @dataclass(frozen=True)
 class CameraFrame:
-    """What a camera measures at one instant: colour (H, W, 3) uint8 RGB, the layers of truth that go along, and the
-    calibration that is given of it."""
+    """A camera's measurement at one instant: colour (H, W, 3) uint8 RGB, the ground-truth layers that go with it, and
+    the calibration that methods are given."""
 
     stamp_ns: int
     camera: str
@@ -95,8 +95,8 @@ class CameraFrame:
 
 @dataclass(frozen=True)
 class Shot:
-    """How a frame is taken: T_map_cam and T_map_base (4, 4) in the middle of its exposure, at time_s, how the camera
-    moves meanwhile, and how it exposes."""
+    """How a frame is taken: T_map_cam and T_map_base (4, 4) at mid-exposure, which is at time_s, the camera's motion
+    during the exposure, and the exposure settings."""
 
     T_map_cam: Array
     T_map_base: Array
@@ -106,7 +106,7 @@ class Shot:
 
 
 def shot(world: SensedWorld, camera: CameraRecipe, index: int) -> Shot:
-    """How frame `index` is taken, at index / rate_hz seconds."""
+    """Return how frame `index` is taken, at index / rate_hz seconds."""
     time_s = index / camera.rate_hz
     exposure = world.renderers[camera.name].exposure
     if camera.auto_exposure:
@@ -116,7 +116,7 @@ def shot(world: SensedWorld, camera: CameraRecipe, index: int) -> Shot:
 
 
 def _passing(world: SensedWorld, camera: CameraRecipe, time_s: float, shutter_s: float) -> tuple[Array, Array, Passage]:
-    """T_map_cam and T_map_base (4, 4) at a time, and how the camera moves while the shutter is open about it."""
+    """T_map_cam and T_map_base (4, 4) at a time, and the camera's motion while the shutter is open around that time."""
     from oysterbench.render.passage import passage
     from oysterbench.scene.rig import camera_pose
 
@@ -130,7 +130,7 @@ def _passing(world: SensedWorld, camera: CameraRecipe, time_s: float, shutter_s:
 
 
 def render_frame(world: SensedWorld, camera: CameraRecipe, index: int) -> Frame:
-    """Frame `index` of a camera."""
+    """Render frame `index` of a camera."""
     noise = world.streams.generator("camera", camera.name, "noise", index)
     taken = shot(world, camera, index)
     renderer = world.renderers[camera.name]
@@ -138,7 +138,7 @@ def render_frame(world: SensedWorld, camera: CameraRecipe, index: int) -> Frame:
 
 
 def render_layers(world: SensedWorld, camera: CameraRecipe, index: int) -> dict[str, NDArray[Any]]:
-    """Those layers of frame `index` that no frame carries by itself, as the camera's recipe names them."""
+    """Render those layers of frame `index` that the camera's recipe names and that are not part of a frame itself."""
     wanted = [name for name in camera.layers if name not in FRAME_LAYERS]
     if not wanted:
         return {}
@@ -157,7 +157,7 @@ def render_layers(world: SensedWorld, camera: CameraRecipe, index: int) -> dict[
 
 
 def shown(world: SensedWorld, camera: CameraRecipe) -> NDArray[np.int64]:
-    """(N,) the frame whose picture each frame shows: its own, or, where it is repeated, one before."""
+    """Index (N,) of the frame whose image each frame shows: its own or, where it is a repeat, an earlier one."""
     n = count(world.recipe.duration_s, camera.rate_hz)
     own = np.arange(n)
     if not camera.repeats:
@@ -168,7 +168,7 @@ def shown(world: SensedWorld, camera: CameraRecipe) -> NDArray[np.int64]:
 
 
 class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
-    """The kind."""
+    """Sensor kind: camera."""
 
     recipe = CameraRecipe
     calibration = CameraCalibration
@@ -265,7 +265,7 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
             yield CameraFrame(int(at.stamps_ns[index]), recipe.name, frame.colour, layers, given)
 
     def faults(self, world: SensedWorld, recipe: CameraRecipe) -> list[Fault]:
-        """Where silt is before the camera: its mean optical depth in green over the first metres of its sight."""
+        """Spans with silt in front of the camera: its mean optical depth in green over the first SIGHT_M of view."""
         plumes = world.plumes
         if plumes is None:
             return []
@@ -296,7 +296,7 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
         ]
 
     def _kept_as(self, recipe: CameraRecipe) -> str:
-        """Format of single frames: without loss where a video link is to come."""
+        """Image format of single frames: lossless where a video link follows."""
         return "png" if recipe.video_mbit_s else recipe.image_format
 
     def pass_on(self, recipe: CameraRecipe, name: str, messages: Iterator[Message]) -> Iterator[Message]:

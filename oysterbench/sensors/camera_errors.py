@@ -1,4 +1,4 @@
-"""How the calibration of cameras errs: intrinsics, the pose against the inertial unit, and the clock."""
+"""Calibration errors of cameras: intrinsics, the pose relative to the IMU, and the clock."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 
 from oysterbench.sensors.uncertainty import DIGITS, RADIAL_RATIO, REFERENCE_PX, ErrorModel, Quality, axes
 
-K2_SHARE = 0.3  # of k1's error: what k2 errs by on its own
-SHARED = "cameras"  # whose errors all cameras of a rig share: they sit on one frame, and one trigger fires them
+K2_SHARE = 0.3  # independent error of k2, as a share of k1's error
+SHARED = "cameras"  # prefix of errors that all cameras of a rig share: they sit on one frame and have one trigger
 
 
 def camera_errors(entry: Mapping[str, Any], quality: Quality) -> ErrorModel:
-    """Errors of a camera's entry of calibration.json.
+    """Error model of a camera's entry in calibration.json.
 
-    A calibration that puts the principal point e px too far to the right turns the camera by e / f to the left, since
-    it saw its targets where they were: the two errors go together, as they do in any bundle adjustment. All cameras
-    turn and move together against the inertial unit, about the origin of base_link, and a little each on its own.
+    A calibration that puts the principal point e px too far to the right also turns the camera by e / f to the left,
+    since it saw its targets where they were: the two errors are correlated, as in any bundle adjustment. All cameras
+    share a rotation and a displacement relative to the IMU, about the origin of base_link, and each adds a little.
     """
     matrix, T = np.array(entry["matrix"]), np.array(entry["T_base_cam"])
     fx, fy = matrix[0, 0], matrix[1, 1]
@@ -34,7 +34,7 @@ def camera_errors(entry: Mapping[str, Any], quality: Quality) -> ErrorModel:
     if entry["distortion_model"] == "plumb_bob":
         errors |= {"p1": {"p1": quality.tangential}, "p2": {"p2": quality.tangential}}
     turn, pair = np.radians([quality.camera_deg, quality.pair_deg])
-    # Rotation vectors in base_link, as ones in the camera's frame, and what they move a camera at p by: theta x p.
+    # Rotation vectors in base_link, expressed in the camera's frame, and how they displace a camera at p: theta x p.
     turning, (x, y, z) = T[:3, :3].T, T[:3, 3]
     moving = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
     making_up = {0: {"principal_y": -principal / fy}, 1: {"principal_x": principal / fx}}
@@ -52,7 +52,7 @@ _XYZ = tuple(enumerate("xyz"))
 
 
 def with_errors(entry: Mapping[str, Any], errors: Mapping[str, float]) -> dict[str, Any]:
-    """Matrix and distortion of an entry, with errors."""
+    """Matrix and distortion of an entry, with the errors added."""
     matrix = np.array(entry["matrix"], dtype=float)
     for row, axis in enumerate("xy"):
         matrix[row, row] += errors[f"focal_{axis}_px"]

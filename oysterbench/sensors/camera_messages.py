@@ -1,4 +1,4 @@
-"""Messages of a camera: its frames, the layers of truth behind them, and its calibration; written and read."""
+"""Messages of a camera: writing and reading its frames, their ground-truth layers, and its calibration."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 COLOUR = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-PNG_LEVEL = 1  # of 9: a turbid frame becomes 5 % smaller at 6, in four times the time
+PNG_LEVEL = 1  # of 9: at level 6 a turbid frame is 5 % smaller but takes four times as long
 
 LAYERS = {
     "depth": "16UC1",
@@ -35,25 +35,25 @@ LAYERS = {
     "flow": "32FC2",
     "transmittance": "32FC1",
 }
-"""Layers of a camera and their encodings. Depth in mm along the optical axis, 0 = none (REP 118)."""
+"""Ground-truth layers of a camera and their encodings. Depth in mm along the optical axis, 0 = none (REP 118)."""
 
 PIXELS = {"mono8": ("u1", 1), "16UC1": ("<u2", 1), "32FC1": ("<f4", 1), "32FC2": ("<f4", 2), "32FC3": ("<f4", 3)}
-"""Encodings: type of a number, and numbers in a pixel."""
+"""Encoding -> dtype of a number, and numbers per pixel."""
 
 
 def optical_frame(camera: str) -> str:
-    """Frame of a camera's measurements: z forward, x right, y down (REP 103)."""
+    """Name of the frame of a camera's measurements: z forward, x right, y down (REP 103)."""
     return f"{camera}_optical_frame"
 
 
 def camera_topics(camera: str, layers: tuple[str, ...] = tuple(LAYERS)) -> dict[str, str]:
-    """Topic and type of everything that a camera sends: `image`, `camera_info` and the layers."""
+    """Topic -> message type of everything that a camera sends: `image`, `camera_info` and the layers."""
     leaves = {"image": COLOUR, "camera_info": CAMERA_INFO} | dict.fromkeys(layers, IMAGE)
     return {topic(camera, leaf): kind for leaf, kind in leaves.items()}
 
 
 def camera_info(stamp_ns: int, name: str, calibration: CameraCalibration) -> Message:
-    """Calibration of a camera, valid for the frame of that stamp."""
+    """CameraInfo message with a camera's calibration for the frame with that stamp."""
     k = calibration.matrix
     message = make(
         CAMERA_INFO,
@@ -73,7 +73,7 @@ def camera_info(stamp_ns: int, name: str, calibration: CameraCalibration) -> Mes
 
 
 def coefficients(calibration: CameraCalibration) -> NDArray[np.float64]:
-    """Distortion coefficients, as many as the model has in CameraInfo."""
+    """Distortion coefficients, padded with zeros to the number that the model has in CameraInfo."""
     n = 4 if calibration.distortion_model == "equidistant" else 5
     return np.pad(calibration.distortion, (0, n - len(calibration.distortion)))
 
@@ -81,7 +81,7 @@ def coefficients(calibration: CameraCalibration) -> NDArray[np.float64]:
 def colour_message(
     stamp_ns: int, camera: str, pixels: NDArray[np.uint8], quality: int, image_format: str = "jpeg"
 ) -> Message:
-    """(H, W, 3) uint8 RGB as JPEG of a quality, or as PNG, which keeps every bit."""
+    """Message with an image (H, W, 3) uint8 RGB as JPEG of the given quality, or as PNG, which is lossless."""
     suffix, settings = {
         "jpeg": (".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality]),
         "png": (".png", [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL]),
@@ -94,7 +94,7 @@ def colour_message(
 
 
 def read_colour(data: bytes) -> tuple[int, NDArray[Any]]:
-    """Stamp and (H, W, 3) uint8 RGB from a compressed image."""
+    """Stamp and pixels (H, W, 3) uint8 RGB of a compressed image."""
     message = decode(data, COLOUR)
     pixels = decode_picture(message.data, cv2.IMREAD_COLOR_RGB)
     if pixels is None:
@@ -103,7 +103,7 @@ def read_colour(data: bytes) -> tuple[int, NDArray[Any]]:
 
 
 def layer_message(stamp_ns: int, camera: str, layer: str, pixels: NDArray[Any]) -> Message:
-    """A layer's image, in the units of `Image`; depth is rounded to mm."""
+    """Message with a layer's image, pixels in the units of `Image`; depth is rounded to mm."""
     if layer == "depth":
         pixels = np.rint(np.clip(pixels, 0.0, 65.535) * 1000.0)
     kind, _ = PIXELS[LAYERS[layer]]

@@ -1,4 +1,4 @@
-"""What the viewer shows of a camera: its frames, and the layers of truth behind them as colours."""
+"""The viewer's panels of a camera: its frames, and their ground-truth layers in colour."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ CLASS_COLOURS = {
 
 HEADER = 600  # bytes of a JPEG before its pixels
 NEAR_M = 1.0  # depth that is shown half as bright as what touches the lens
-FULL_FLOW = 0.08  # of the picture's width: flow from which on colours are brightest
+FULL_FLOW = 0.08  # share of the image's width: flow from which colours are brightest
 UNMOVED = 70  # grey level of what stands still
 MOVED = (255, 150, 0)
 
 MOST_TALL = 8
-"""Times its width: what a forged calibration calls taller is not drawn so."""
+"""Greatest height of a panel, in widths: a forged calibration cannot make one taller."""
 
 
 def camera_panels(sequence: Any, name: str) -> list[Panel]:
-    """A camera's frames, then its layers in the order of the file."""
+    """Panels of a camera: its frames, then its layers in the order of the file."""
     calibration = sequence.cameras[name]
     width = min(WIDTH, calibration.width)
     tall = round(calibration.height * width / calibration.width)
@@ -55,7 +55,7 @@ def camera_panels(sequence: Any, name: str) -> list[Panel]:
 
 
 def layer_picture(layer: str, pixels: NDArray[Any]) -> NDArray[np.uint8]:
-    """A layer's pixels, as `Image` has them, as a picture (H, W, 3) uint8 RGB."""
+    """Draw a layer's pixels, as in `Image`, as an image (H, W, 3) uint8 RGB."""
     _, draw = LAYER_PICTURES[layer]
     return np.asarray(draw(pixels), dtype=np.uint8)
 
@@ -86,7 +86,7 @@ def _shown(pixels: NDArray[Any], size: tuple[int, int], how: int) -> bytes:
 
 
 def _scaled(shares: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[Any]:
-    """RGB of shares (H, W) from 0 to 1; background where nothing is known."""
+    """RGB of shares (H, W) from 0 to 1; background where they are not known."""
     picture = coloured(np.where(known, np.clip(shares, 0.0, 1.0), 0.0).astype(np.float32))[..., ::-1].copy()
     picture[~known] = BACKGROUND
     return picture
@@ -108,7 +108,7 @@ def _classes(classes: NDArray[Any]) -> NDArray[Any]:
 
 
 def _instances(instances: NDArray[Any]) -> NDArray[Any]:
-    """Hues by the golden ratio, so that neighbouring numbers differ."""
+    """Colour instances by hues in steps of the golden ratio, so that consecutive numbers differ."""
     hue = np.arange(65536) * 0.618034 % 1.0
     table = np.stack([np.floor(180 * hue), np.full(65536, 170), np.full(65536, 235)], axis=-1).astype(np.uint8)
     table = np.asarray(cv2.cvtColor(table[None], cv2.COLOR_HSV2RGB)[0])
@@ -129,7 +129,8 @@ def _dynamic(dynamic: NDArray[Any]) -> NDArray[Any]:
 
 
 def _flow(flow: NDArray[Any]) -> NDArray[Any]:
-    """Direction as hue, red to the right and on over yellow downwards (Baker et al. 2011); size as brightness."""
+    """Colour flow: direction as hue, from red to the right through yellow downwards (Baker et al. 2011), magnitude as
+    brightness."""
     known = np.isfinite(flow).all(axis=-1)
     right, down = np.where(known, flow[..., 0], 0.0), np.where(known, flow[..., 1], 0.0)
     size = np.clip(np.hypot(right, down) / (FULL_FLOW * flow.shape[1]), 0.0, 1.0)
@@ -156,4 +157,4 @@ LAYER_PICTURES: Mapping[str, tuple[str, Callable[[NDArray[Any]], NDArray[Any]]]]
     "flow": ("direction as hue, right red, down green; fast bright", _flow),
     "transmittance": ("share of light that arrives, from black to yellow", _shares),
 }
-"""Layer -> what its colours mean, and what draws it."""
+"""Layer -> meaning of its colours, and the function that draws it."""

@@ -1,4 +1,4 @@
-"""Messages of a sonar's cloud, which is truth: written and read."""
+"""Writing and reading the messages of a sonar's point cloud, which is ground truth."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ RETURN = np.dtype(
         "itemsize": 20,
     }
 )
-"""A sonar's return as a point: place in the sensor's frame (m), amplitude, and what answered."""
+"""Layout of a sonar's return as a point: position in the sensor's frame (m), intensity, and class and instance."""
 
 
 def cloud_message(cloud: Cloud) -> Message:
-    """A sonar's returns with what they are: fields x, y, z, intensity, class, instance."""
+    """Message with a sonar's labelled returns: fields x, y, z, intensity, class, instance."""
     rows = np.zeros(len(cloud.points), dtype=RETURN)
     for axis, values in zip("xyz", np.reshape(cloud.points, (-1, 3)).T, strict=True):
         rows[axis] = values
@@ -29,7 +29,7 @@ def cloud_message(cloud: Cloud) -> Message:
 
 
 def read_cloud(data: bytes, sensor: str) -> Cloud:
-    """Cloud from its message."""
+    """Read a cloud from its message."""
     message = decode(data, POINTS)
     stamp, rows = stamp_of(message.header), point_rows(message)
     return Cloud(

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
 BEAM_AZIMUTHS_DEG = (45.0, 135.0, 225.0, 315.0)
 FEWEST_BEAMS = 3  # for three components of velocity
-ALTITUDE_STEP_S = 0.1  # between the altitudes that the rate follows
+ALTITUDE_STEP_S = 0.1  # time step of the altitudes that the rate follows
 PINGS_AT_ONCE = 512  # bounds the memory
 READING_STEP = 1e-6  # m/s and m, to which readings are rounded: far below the noise
 READINGS = ("velocity", "altitude", "beam_ranges", "beam_velocities")
@@ -59,7 +59,8 @@ BEAM = np.dtype(
         "itemsize": 24,
     }
 )
-"""A beam as a point: where it meets the bottom in the DVL's frame (m), range (m) and velocity (m/s) along it, valid."""
+"""Layout of a beam as a point: its intersection with the bottom in the DVL's frame (m), range (m) and velocity (m/s)
+along it, valid."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,12 +72,12 @@ class DvlRecipe(SensorRecipe):
     rate_hz: float = number(0.1, 50, 8.0)
     yaw_deg: float = number(-180, 180, 0.0)  # of the mount; beams lie at 45, 135, 225 and 315 deg from its x axis
     janus_deg: float = number(5, 45, 22.5)  # angle of the beams from the vertical
-    min_range_m: float = number(0.01, 5, 0.05)  # closer bottom gives no measurement
-    max_range_m: float = number(1, 300, 50.0)  # farther bottom gives no measurement
+    min_range_m: float = number(0.01, 5, 0.05)  # a closer bottom gives no measurement
+    max_range_m: float = number(1, 300, 50.0)  # a bottom farther away gives no measurement
     beam_noise_m_s: float = number(0, 1, 0.004)  # 1 sigma of the velocity of a beam
     scale_error: float = number(0, 0.1, 0.001)  # 1 sigma of a constant scale error of the velocity
     range_noise_share: float = number(0, 0.1, 0.001)  # 1 sigma of the range of a beam, as a share of it
-    misalignment_deg: float = number(0, 10, 0.0)  # 1 sigma of the mount against its calibration
+    misalignment_deg: float = number(0, 10, 0.0)  # 1 sigma of the mount relative to its calibration
     assumed_sound_speed_m_s: float | None = number(1300, 1700, None)
     """Speed of sound that velocities are computed with; default: the true one."""
     invalid: float = number(0, 0.2, 0.0)  # share of pings without bottom lock although the bottom is there: 1 to 10 %
@@ -108,8 +109,8 @@ class DvlRecipe(SensorRecipe):
 
 @dataclass(frozen=True)
 class DvlCalibration:
-    """A DVL: pose; directions of its beams (4, 3), unit vectors in its frame; greatest range, m; its velocities over
-    the true ones."""
+    """A DVL: pose; directions of its beams (4, 3), unit vectors in its frame; maximum range, m; scale, the ratio of its
+    velocities to the true ones."""
 
     T_base_sensor: Array
     beam_directions: Array
@@ -128,11 +129,11 @@ def measure(
     bottom: str = "sand",
     scale: float = 1.0,
 ) -> tuple[list[DvlMeasurement], Strikes]:
-    """What the log reports at times (N,) s, stamped with stamps_ns (N,), and what struck it.
+    """Measurements at times (N,) s, stamped with stamps_ns (N,), and the faults that struck them.
 
-    The velocity of the log along each beam, scaled by the error of scale and the assumed over the true speed of sound,
-    with noise; a beam counts where it finds an echo that can be measured. bottom: of recipe.BOTTOMS. scale: a factor
-    on all velocities, besides.
+    The velocity of the DVL along each beam, multiplied by the scale error and the ratio of assumed to true speed of
+    sound, plus noise; a beam is valid where its echo can be measured. bottom: one of recipe.BOTTOMS. scale: a further
+    factor on all velocities.
     """
     times_s = np.asarray(times_s, dtype=float)
     branch = streams.at("dvl")
@@ -172,7 +173,7 @@ def measure(
 
 
 def beam_directions(recipe: DvlRecipe) -> Array:
-    """Unit vectors (4, 3) of the beams in the log's frame (x forward, y left, z up)."""
+    """Unit vectors (4, 3) of the beams in the DVL's frame (x forward, y left, z up)."""
     off, around = np.radians(recipe.janus_deg), np.radians(BEAM_AZIMUTHS_DEG)
     down = np.full(4, -np.cos(off))
     return np.column_stack([np.sin(off) * np.cos(around), np.sin(off) * np.sin(around), down])
@@ -184,8 +185,8 @@ def mount_rotation(recipe: DvlRecipe) -> Array:
 
 
 def solve(beams: Array, along: Array, valid: NDArray[np.bool_], noise: float) -> tuple[Array, Array]:
-    """Velocity (3,) and its covariance (3, 3), by least squares, from velocities (4,) along beams (4, 3) of which those
-    marked valid (4,) count, with a noise of 1 sigma each; NaN with fewer than three beams."""
+    """Least-squares velocity (3,) and its covariance (3, 3) from velocities (4,) along those beams (4, 3) that are
+    valid (4,); noise: 1 sigma of each. NaN with fewer than three valid beams."""
     if valid.sum() < FEWEST_BEAMS:
         return np.full(3, np.nan), np.full((3, 3), np.nan)
     matrix = beams[valid]
@@ -197,7 +198,7 @@ def solve(beams: Array, along: Array, valid: NDArray[np.bool_], noise: float) ->
 def _measurement(
     stamp: int, recipe: DvlRecipe, beams: Array, ranges: Array, along: Array, valid: NDArray[np.bool_]
 ) -> DvlMeasurement:
-    """One message's worth."""
+    """Measurement of one ping."""
     velocity, covariance = solve(beams, along, valid, recipe.beam_noise_m_s)
     locked = valid.sum() >= FEWEST_BEAMS
     return DvlMeasurement(
@@ -226,7 +227,7 @@ def _beams_row(message: Any) -> Row:
 
 
 class Dvl(SensorKind[DvlRecipe, DvlCalibration, DvlMeasurement]):
-    """The kind."""
+    """Sensor kind: DVL."""
 
     recipe = DvlRecipe
     calibration = DvlCalibration
@@ -275,7 +276,7 @@ class Dvl(SensorKind[DvlRecipe, DvlCalibration, DvlMeasurement]):
         return measure(world.path, world.caster, recipe, site, times_s, stamps_ns, world.streams, bottom, scale)
 
     def times(self, world: SensedWorld, recipe: DvlRecipe) -> Array | None:
-        """With `min_rate_hz`, by the altitude over what lies below."""
+        """Times (N,) s of the pings, which depend on the altitude with `min_rate_hz`; None (even) without it."""
         if recipe.min_rate_hz is None:
             return None
         grid = np.arange(0.0, world.recipe.duration_s + ALTITUDE_STEP_S, ALTITUDE_STEP_S)
@@ -287,7 +288,7 @@ class Dvl(SensorKind[DvlRecipe, DvlCalibration, DvlMeasurement]):
         return ping_times(recipe, world.recipe.duration_s, lambda time: float(np.interp(time, grid, heights)))
 
     def faults(self, world: SensedWorld, recipe: DvlRecipe) -> list[Fault]:
-        """Pings without lock, pings with an outlier, and its latency."""
+        """Pings without bottom lock, pings with an outlier, and the latency."""
         found = []
         if recipe.latency_ms:
             found.append(Fault(0.0, world.recipe.duration_s, "latency_s", 1e-3 * recipe.latency_ms))
@@ -302,8 +303,8 @@ class Dvl(SensorKind[DvlRecipe, DvlCalibration, DvlMeasurement]):
         return found
 
     def encode(self, recipe: DvlRecipe, measurement: DvlMeasurement) -> list[Message]:
-        """Velocity with its covariance, its rates marked as not measured by a variance of -1; the beams, a point each,
-        NaN where one has no lock; and the altitude along the DVL's -z, NaN without lock (REP 117)."""
+        """Messages: velocity with its covariance, angular rates marked as not measured by a variance of -1; the beams,
+        one point each, NaN without lock; and the altitude along the DVL's -z, NaN without lock (REP 117)."""
         stamp, frame = measurement.stamp_ns, link("dvl")
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = measurement.covariance
@@ -328,7 +329,8 @@ class Dvl(SensorKind[DvlRecipe, DvlCalibration, DvlMeasurement]):
         ]
 
     def decode(self, name: str, calibration: DvlCalibration, *data: bytes) -> DvlMeasurement:
-        """Beams and altitude travel as float32; the figure of merit is the root of the covariance's trace."""
+        """Decode a measurement. Beams and altitude are stored as float32; the figure of merit is the square root of the
+        covariance's trace. Raises ValueError where the stamps differ."""
         velocity, points, height = (decode(one, kind) for one, kind in zip(data, self.leaves.values(), strict=True))
         stamps = {stamp_of(message.header) for message in (velocity, points, height)}
         if len(stamps) > 1:

@@ -1,4 +1,4 @@
-"""What the beams of a Doppler log hear of the bottom: how far it is, whether its echo will do, and where plants are."""
+"""Bottom echoes in the beams of a DVL: their range, whether they are strong enough, and whether plants are met."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from oysterbench.render.rays import RayCaster
     from oysterbench.sensors.dvl import DvlRecipe
 
-FREQUENCY_KHZ = 1000.0  # of the A50 class
-CONE_RAYS, CONE_DEG = 6, 1.5  # around each beam's axis, and how far off it: a beam is some 4 deg wide
-GRAZING_COSINE = 0.25  # of the incidence, below which an echo is too long to measure
-WEAKEST_BOTTOM = "mud"  # that it holds on to at its greatest range
-MARGIN = 1.2  # that rays reach farther, for an assumed speed of sound that makes ranges shorter
+FREQUENCY_KHZ = 1000.0  # of a DVL of the A50's class
+CONE_RAYS, CONE_DEG = 6, 1.5  # rays around each beam's axis, and their angle off it: a beam is some 4 deg wide
+GRAZING_COSINE = 0.25  # cosine of incidence below which an echo is too long to measure
+WEAKEST_BOTTOM = "mud"  # weakest bottom on which it keeps its lock at max_range_m
+MARGIN = 1.2  # factor by which rays reach farther, in case the assumed speed of sound makes ranges shorter
 PLANT = next(number for number, name in CLASSES.items() if name == "plant")
 
 
@@ -33,10 +33,10 @@ def listen(
     beams: Array,
 ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """True ranges (N, 4) m of the beams (4, 3) in base_link, whether their echoes can be measured (N, 4), and whether
-    any of a ping's rays meets a plant (N,).
+    any ray of a ping meets a plant (N,).
 
-    The mean over a beam's rays, by the strength of their echoes. An echo is lost where the beam grazes the surface, and
-    where it is weaker than that of mud, at the incidence of a level bottom, from the greatest range.
+    Ranges are means over a beam's rays, weighted by echo strength. An echo is lost where the beam grazes the surface,
+    and where it is weaker than that of mud at max_range_m, at the incidence of a level bottom.
     """
     rays = np.concatenate([cone(beam) for beam in beams])
     directions = np.einsum("nij,rj->nri", rotations, rays)
@@ -59,7 +59,7 @@ def listen(
 
 
 def cone(axis: Array) -> Array:
-    """The axis (3,) of a beam and CONE_RAYS rays around it, unit vectors."""
+    """Unit vectors (CONE_RAYS + 1, 3): the axis (3,) of a beam, and CONE_RAYS rays around it."""
     side = np.cross(axis, [0.0, 0.0, 1.0])
     side /= np.linalg.norm(side)
     other = np.cross(axis, side)

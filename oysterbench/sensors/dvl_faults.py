@@ -1,4 +1,4 @@
-"""What goes wrong with a Doppler log: pings without lock, wrong velocities, late messages, fewer pings higher up."""
+"""Faults of a DVL: pings without bottom lock, wrong velocities, late messages, and fewer pings at higher altitudes."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from oysterbench.core.streams import Streams
 if TYPE_CHECKING:
     from oysterbench.sensors.dvl import DvlRecipe
 
-TIME_DIGITS = 6  # of s, to which pings are timed
-ARRIVAL_STEP_NS = 1_000_000  # no two messages arrive closer together
+TIME_DIGITS = 6  # decimals of a second to which pings are timed
+ARRIVAL_STEP_NS = 1_000_000  # least time between the arrivals of two messages
 
 
 @dataclass(frozen=True)
 class Strikes:
-    """What struck pings: risky (N,): over plants or low; invalid (N,): their lock was lost; outliers (N,) m/s: the
-    error of a beam's velocity, 0 where it has none."""
+    """Faults of pings: risky (N,): over plants or low; invalid (N,): without bottom lock; outliers (N,) m/s: error of
+    one beam's velocity, 0 where there is none."""
 
     risky: NDArray[np.bool_]
     invalid: NDArray[np.bool_]
@@ -30,7 +30,7 @@ class Strikes:
 
 
 def strike(recipe: DvlRecipe, risky: NDArray[np.bool_], streams: Streams) -> Strikes:
-    """What strikes pings (N,) of which some are risky; streams: the log's branch."""
+    """Draw the faults of pings (N,), of which some are risky; streams: the DVL's branch."""
     n = len(risky)
 
     def struck(elsewhere: float, there: float | None, name: str) -> NDArray[np.bool_]:
@@ -44,7 +44,7 @@ def strike(recipe: DvlRecipe, risky: NDArray[np.bool_], streams: Streams) -> Str
 
 
 def ping_times(recipe: DvlRecipe, duration_s: float, altitude: Callable[[float], float]) -> Array:
-    """(N,) s, of the pings in a sequence: the higher the log is, altitude(t) m, the longer it waits for echoes."""
+    """Times (N,) s of the pings in a sequence: the higher the DVL is, altitude(t) m, the longer it waits for echoes."""
     shortest, longest = 1.0 / recipe.rate_hz, 1.0 / (recipe.min_rate_hz or recipe.rate_hz)
     times = [0.0]
     while times[-1] < duration_s:
@@ -54,7 +54,7 @@ def ping_times(recipe: DvlRecipe, duration_s: float, altitude: Callable[[float],
 
 
 def arrivals(recipe: DvlRecipe, stamps_ns: NDArray[np.int64], streams: Streams) -> NDArray[np.int64]:
-    """(N,) stamps as those of arrival: late by half to one and a half of the latency, and in order."""
+    """Stamps (N,) of arrival, ns: late by 0.5 to 1.5 times the latency, and in order."""
     if not recipe.latency_ms:
         return stamps_ns
     late = recipe.latency_ms * 1e6 * streams.generator("dvl", "latency").uniform(0.5, 1.5, len(stamps_ns))

@@ -1,4 +1,4 @@
-"""What sonars share that record echoes: from rays to power per range bin, and from power to amplitudes."""
+"""What echo-recording sonars share: from rays to power per range bin, and from power to amplitudes."""
 
 from __future__ import annotations
 
@@ -24,37 +24,37 @@ T = TypeVar("T")
 
 PLAIN_STEP = 5e-6
 GAINED_STEP = 1e-4
-"""Amplitude of one count, without and with time-varying gain, over that of a perfect scatterer at 1 m."""
+"""Amplitude of one count, without and with time-varying gain, relative to a perfect scatterer at 1 m."""
 
 FULL_SCALE = 2**16 - 1
 BOTTOM_FOOTPRINT_M = 2.0
 THING_FOOTPRINT_M = 0.1
-"""Longest stretch of range that one ray stands for, on the bottom and on what lies on it."""
+"""Longest extent in range that one ray stands for, on the bottom and on what lies on it."""
 
-PROBE_ROWS = 48  # of the rays that tell where elevations have to be dense
-EVEN_SHARE = 0.35  # of the rows that are even in elevation; the rest are even in range
-SHORTEST_BINS = 1e-3  # over which a return is spread
-SIDELOBES = 3  # of the pulse's sinc^2 that are kept each side
+PROBE_ROWS = 48  # rows of the probing rays that tell where elevations have to be dense
+EVEN_SHARE = 0.35  # share of the rows that are spread evenly in elevation; the rest are spread evenly in range
+SHORTEST_BINS = 1e-3  # least extent over which a return is spread
+SIDELOBES = 3  # side lobes of the pulse's sinc^2 that are kept on each side
 
 
 @dataclass(frozen=True)
 class Medium:
-    """Water where a sonar is: its speed of sound, m/s, and its absorption, loss, dB/m."""
+    """Water at a sonar: its speed of sound, m/s, and its absorption (loss), dB/m."""
 
     speed: float
     loss: float
 
     @classmethod
     def at(cls, site: SiteRecipe, depth_m: float, frequency_khz: float) -> Medium:
-        """The water at a depth in m."""
+        """Water at a depth in m."""
         return cls(sound_speed(site, depth_m), absorption(site, depth_m, frequency_khz))
 
 
 @dataclass(frozen=True)
 class RangeAxis:
-    """Equal range bins from `start` m, `step` m each, as the sonar believes them to be.
+    """Range bins of `step` m each from `start` m on, as the sonar believes them to be.
 
-    stretch: believed over true range, the assumed over the true speed of sound.
+    stretch: ratio of believed to true range, which is that of the assumed to the true speed of sound.
     """
 
     start: float
@@ -63,7 +63,7 @@ class RangeAxis:
     stretch: float
 
     def bin_of(self, ranges: Array) -> Array:
-        """Place on the axis of true ranges (m), in bins from the near edge of the first."""
+        """Positions of true ranges (m) on the axis, in bins from the near edge of the first."""
         return (ranges * self.stretch - self.start) / self.step
 
     @property
@@ -74,11 +74,11 @@ class RangeAxis:
 
 @dataclass(frozen=True)
 class Rays:
-    """Rays of a sonar, each anywhere in a cell of azimuth (to the left) and elevation (up), in its frame.
+    """Rays of a sonar, each at random in its cell of azimuth (to the left) and elevation (up), in the sonar's frame.
 
-    azimuths (N,), elevations (N,): of the rays; middles (2, N): azimuths and elevations of the cells' middles; widths
-    (N,), heights (N,): of the cells; all rad. columns (N,): where echoes are added up. weights (N,): two-way response
-    of the beam.
+    azimuths (N,), elevations (N,): of the rays; middles (2, N): azimuths and elevations of the cells' centres; widths
+    (N,), heights (N,): of the cells; all rad. columns (N,): columns in which echoes are summed. weights (N,): two-way
+    response of the beam.
     """
 
     azimuths: Array
@@ -92,10 +92,10 @@ class Rays:
 
 @dataclass(frozen=True)
 class Returns:
-    """What comes back along N rays: the surfaces that they meet, and their directions (N, 3) in `map`.
+    """Returns along N rays: the surfaces that they meet, and their directions (N, 3) in `map`.
 
-    nearest, farthest (N,): ranges, m, between which lies what the ray's cell sees of the surface. powers (N,): that of
-    a perfect scatterer that fills the beam at 1 m is 1.
+    nearest, farthest (N,): range interval, m, of the part of the surface that the ray's cell sees. powers (N,): 1 is
+    that of a perfect scatterer that fills the beam at 1 m.
     """
 
     echoes: Echoes
@@ -106,14 +106,14 @@ class Returns:
 
 
 def range_axis(recipe: BinnedSonarRecipe, true_speed: float) -> RangeAxis:
-    """The range bins of a sonar in water of a speed of sound in m/s."""
+    """Range bins of a sonar in water with a speed of sound in m/s."""
     step = (recipe.max_range_m - recipe.min_range_m) / recipe.bins
     assumed = recipe.assumed_sound_speed_m_s or true_speed
     return RangeAxis(recipe.min_range_m, step, recipe.bins, assumed / true_speed)
 
 
 def bin_middles(recipe: BinnedSonarRecipe) -> Array:
-    """(bins,) m: the ranges of the middles of a sonar's bins, as it believes them."""
+    """Ranges (bins,) m of the centres of a sonar's bins, as it believes them to be."""
     step = (recipe.max_range_m - recipe.min_range_m) / recipe.bins
     return np.asarray(recipe.min_range_m + step * (np.arange(recipe.bins) + 0.5))
 
@@ -121,11 +121,11 @@ def bin_middles(recipe: BinnedSonarRecipe) -> Array:
 def row_edges(
     caster: RayCaster, T_map_sonar: Array, axis: RangeAxis, azimuths: Array, highest: float, rows: int
 ) -> Array:
-    """Elevations (rows + 1,) rad between which the rows of rays lie, from -highest to highest.
+    """Elevations (rows + 1,) rad of the edges of the rows of rays, from -highest to highest.
 
     At grazing incidence a small step in elevation is a large one in range: a few probing rays at some azimuths (rad)
-    tell where, and there the rows lie closer. Each ray stands for the height of its row, so that this changes no
-    expected power.
+    tell where, and rows are closer there. Each ray stands for the height of its row, so the expected power is
+    unchanged.
     """
     elevations = np.linspace(-highest, highest, PROBE_ROWS + 1)
     a, e = (values.ravel() for values in np.meshgrid(azimuths, elevations, indexing="ij"))
@@ -144,10 +144,10 @@ def row_edges(
 def send(
     caster: RayCaster, T_map_sonar: Array, rays: Rays, mu: Array, absorption_db_m: float, fill: float, reach: float
 ) -> Returns:
-    """Cast rays from a pose and weigh what they meet.
+    """Cast rays from a pose and compute the power that they return.
 
     mu (12,): of the classes. fill: power of a perfect scatterer that fills the beam at 1 m. Each ray stands for its
-    solid angle, so that a patch sends back the same however many rays meet it.
+    solid angle, so the power from a patch does not depend on how many rays meet it.
     """
     rotation = T_map_sonar[:3, :3]
     sin_a, cos_a = np.sin(rays.azimuths), np.cos(rays.azimuths)
@@ -155,7 +155,7 @@ def send(
     directions = turn(rotation, cos_e * cos_a, cos_e * sin_a, sin_e)
     echoes = caster.cast(T_map_sonar[:3, 3], directions, reach)
     ranges = echoes.ranges.astype(float)
-    # The normals in the sonar's frame, then along the ray and at right angles to it, to the left and up.
+    # Normals in the sonar's frame, then their components along the ray and perpendicular to it, to the left and up.
     x, y, z = turn(rotation.T, *echoes.normals.T.astype(float)).T
     level = cos_a * x + sin_a * y
     along, left, up = cos_e * level + sin_e * z, cos_a * y - sin_a * x, cos_e * z - sin_e * level
@@ -173,9 +173,9 @@ def send(
 
 
 def _stretch_of(ranges: Array, slope: Array, offset: Array, size: Array, longest: Array) -> tuple[Array, Array]:
-    """How much farther than at the ray the tangent plane is at the two ends of its cell, (N,) m each.
+    """Extra range of the tangent plane, compared with the ray, at the two ends of its cell, (N,) m each.
 
-    Along a ray that turns from d by a small angle a towards e, the plane of normal n is at r / (1 + a n.e / n.d); slope
+    Along a ray turned from d by a small angle a towards e, the plane with normal n is at r / (1 + a n.e / n.d); slope
     is n.e / n.d, and the ends are at offset -+ size / 2, rad.
     """
     ends = []
@@ -190,14 +190,14 @@ def add_up(
 ) -> Array:
     """Power (count, bins) of returns, each spread evenly between its nearest and farthest range, m.
 
-    The integral of a box over bins is the difference of two ramps, of which each bin's step is added up once.
+    The integral of a box over bins is the difference of two ramps, whose steps are accumulated per bin and then summed.
     """
     heard = powers > 0
     columns = columns[heard]
     near, far = axis.bin_of(nearest[heard]), axis.bin_of(farthest[heard])
     far = np.maximum(far, near + SHORTEST_BINS)
     density = powers[heard] / (far - near)
-    length = axis.bins + 2  # a bin before the first for what is too near, and the overflow of the last
+    length = axis.bins + 2  # one bin before the first for what is too near, and one for the overflow of the last
     cells, changes = [], []
     for edge, change in ((near, density), (far, -density)):
         place = np.clip(edge, -1.0, axis.bins) + 1.0
@@ -214,14 +214,14 @@ def add_up(
 def pulse_kernel(width: float) -> Array:
     """Shares (2 k + 1,) of an echo's power that fall into its own bin and the k bins on each side; their sum is 1.
 
-    A pulse of flat spectrum, compressed, has the envelope sinc^2(r / width), its width c / 2B, here in bins. It is
-    averaged over the bin that the echo comes from and the one that it falls into.
+    A compressed pulse with a flat spectrum has the power envelope sinc^2(r / width), with width c / 2B, here in bins.
+    It is averaged over the bin that the echo comes from and the bin that it falls into.
     """
     fine = 64
     side = max(1, int(np.ceil((SIDELOBES + 1) * width)))
     offsets = np.arange(-(side + 1) * fine, (side + 1) * fine + 1) / fine
     pulse = np.zeros_like(offsets)
-    samples = np.linspace(-0.5, 0.5, 65)[:-1] + 1 / 128  # inside a step of the fine grid, which narrow pulses need
+    samples = np.linspace(-0.5, 0.5, 65)[:-1] + 1 / 128  # within one step of the fine grid: narrow pulses need them
     for sample in samples / fine:
         place = (offsets + sample) / width
         pulse += np.where(np.abs(place) <= SIDELOBES + 1, np.sinc(place) ** 2, 0.0)
@@ -230,7 +230,7 @@ def pulse_kernel(width: float) -> Array:
 
 
 def resolve(power: Array, axis: RangeAxis, true_speed: float, bandwidth_khz: float) -> Array:
-    """Power (beams, bins) as the pulse resolves it in range; what leaves the axis is lost."""
+    """Power (beams, bins) smeared in range by the pulse's resolution; what leaves the axis is lost."""
     width = range_resolution(true_speed, bandwidth_khz) * axis.stretch / axis.step
     taps = pulse_kernel(max(round(width, 3), 0.001))
     side = len(taps) // 2
@@ -250,11 +250,11 @@ def record(
     absorption_db_m: float,
     generator: np.random.Generator,
 ) -> NDArray[np.uint16]:
-    """Amplitudes (..., bins) uint16 that a sonar records of expected powers (..., bins).
+    """Amplitudes (..., bins) uint16 that a sonar records for expected powers (..., bins).
 
-    The speckle multiplies the power with a Gamma of mean 1 and shape `looks`; one look is fully developed speckle, of
-    Rayleigh amplitude. The noise floor is complex Gaussian and adds to the complex echo, of which the amplitude is
-    recorded, in counts of `amplitude_step`. Linear, not in dB; what is over full scale is cut there.
+    Speckle multiplies the power by a Gamma variable of mean 1 and shape `looks`; one look is fully developed speckle,
+    with Rayleigh amplitude. The noise floor is complex Gaussian and adds to the complex echo, whose amplitude is
+    recorded in counts of `amplitude_step`: linear, not in dB, and clipped at full scale.
     """
     noise = 10 ** (recipe.noise_db / 10)
     if recipe.looks == 1:  # a complex Gaussian echo, to which the noise adds another
@@ -268,7 +268,7 @@ def record(
 
 
 def time_varying_gain(recipe: BinnedSonarRecipe, absorption_db_m: float) -> Array:
-    """Gain (bins,) of amplitudes: r^2 10^(2 a r / 20), which undoes spreading and absorption, or 1 without `tvg`."""
+    """Gain (bins,) of amplitudes: r^2 10^(2 a r / 20), which compensates spreading and absorption; 1 without `tvg`."""
     if not recipe.tvg:
         return np.ones(recipe.bins)
     ranges = bin_middles(recipe)
@@ -276,12 +276,12 @@ def time_varying_gain(recipe: BinnedSonarRecipe, absorption_db_m: float) -> Arra
 
 
 def amplitude_step(recipe: BinnedSonarRecipe) -> float:
-    """Amplitude of one count of a recorded sonar, over that of a perfect scatterer that fills a beam at 1 m."""
+    """Amplitude of one count of a sonar's record, relative to a perfect scatterer that fills a beam at 1 m."""
     return GAINED_STEP if recipe.tvg else PLAIN_STEP
 
 
 def calibrate(recipe: BinnedSonarRecipe) -> dict[str, Any]:
-    """What the calibrations of all sonars hold: ranges of the bins, amplitude of a count, and pose."""
+    """Common part of the calibrations of all sonars: ranges of the bins, amplitude of one count, and pose."""
     return {
         "ranges_m": bin_middles(recipe).tolist(),
         "amplitude_step": amplitude_step(recipe),
@@ -290,19 +290,20 @@ def calibrate(recipe: BinnedSonarRecipe) -> dict[str, Any]:
 
 
 def dot(a: Array, b: Array) -> Array:
-    """(N,) scalar products of vectors (N, 3), or (1, 3), in the same order of sums on every processor."""
+    """Scalar products (N,) of vectors (N, 3) or (1, 3), summed in the same order on every processor."""
     return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
 
 
 def turn(rotation: Array, x: Array, y: Array, z: Array) -> Array:
-    """Vectors (N, 3) from their parts, turned by rotation (3, 3); in the same order of sums on every processor."""
+    """Vectors (N, 3), given by components and rotated by rotation (3, 3), summed in the same order on every
+    processor."""
     return np.stack([row[0] * x + row[1] * y + row[2] * z for row in rotation], axis=-1)
 
 
 def pings(world: SensedWorld, at: Instants, ping: Callable[[Array, Streams, int, int], T]) -> Iterator[T]:
-    """What a sonar measures at the instants that are asked for, in the world as it then is.
+    """Yield a sonar's measurements at the wanted instants, each in the world as it is at that time.
 
-    ping: makes one of T_map_base (4, 4), the random streams, its index and its stamp (ns)
+    ping: makes a measurement from T_map_base (4, 4), the random streams, its index and its stamp (ns).
     """
     for index, T_map_base in zip(at.wanted.tolist(), world.bodies(at.times_s[at.wanted]), strict=True):
         with world.caster.at(float(at.times_s[index])):

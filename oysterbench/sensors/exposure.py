@@ -1,7 +1,7 @@
-"""Automatic exposure and white balance: a control loop over the dive, which the frames look up.
+"""Automatic exposure and white balance: a control loop over the dive, whose result the frames look up.
 
-The scene is metered some times a second along the path, once in a process, and the loop runs over all frames from the
-first: so its result is a function of recipe and streams, and frames stay independent of each other.
+The scene is metered a few times a second along the path, once per process, and the loop runs over all frames from the
+first: its result is a function of recipe and streams, and frames stay independent of each other.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ if TYPE_CHECKING:
     from oysterbench.render.sensor import Exposure
 
 METER_HZ = 4.0
-SILT_METER_HZ = 1.0  # among plumes of silt, whose field costs 50 ms a moment
+SILT_METER_HZ = 1.0  # among plumes of silt, which take 50 ms to evaluate at each time
 SHORTEST_S = 5e-5
 SETTLED = 3.0  # time constants after which a first-order loop has come within 5 % of a step
-WAKES, RESTS = 0.2, 0.05  # stops off the target from which the loop starts to move, and at which it stops: a dead band
+WAKES, RESTS = 0.2, 0.05  # dead band: stops off the target at which the loop starts to adapt, and at which it rests
 FULL_SCALE_LUX_S = 13.9
-"""Illuminance of a white surface times exposure time at which a sensor of ISO 100 behind a lens of f/2 is full: 4 N^2
+"""Illuminance of a white surface times exposure time at which an ISO 100 sensor behind an f/2 lens saturates: 4 N^2
 0.78 lx s / 0.9 (ISO 12232:2019, saturation-based speed)."""
-STEP = 1e-6  # of logarithms: far above the last bits, in which the mathematics of two processors differ
+STEP = 1e-6  # to which logarithms are rounded: far above the last bits, in which the arithmetic of processors differs
 
 
 @dataclass(frozen=True)
 class Exposures:
-    """What the loops chose for each of N frames: shutter_s (N,), gain (N,), and balance (N, 3) with a mean of 1."""
+    """Settings chosen by the loops for N frames: shutter_s (N,), gain (N,), and balance (N, 3) with a mean of 1."""
 
     shutter_s: Array
     gain: Array
     balance: Array
 
     def of(self, index: int) -> Exposure:
-        """How frame `index` is exposed."""
+        """Exposure of frame `index`."""
         from oysterbench.render.sensor import Exposure
 
         scale = sensitivity() * self.shutter_s[index] * self.gain[index] * self.balance[index]
@@ -46,14 +46,14 @@ class Exposures:
 
 
 def sensitivity() -> float:
-    """Linear signal of a sensor at gain 1 per s and radiance of a white surface in full daylight."""
+    """Linear signal of a sensor at gain 1, per second and per radiance of a white surface in full daylight."""
     from oysterbench.render.lamps import DAYLIGHT_LUX
 
     return DAYLIGHT_LUX / FULL_SCALE_LUX_S
 
 
 def exposures(world: SensedWorld, camera: CameraRecipe) -> Exposures:
-    """The exposures of all frames of a camera, made once."""
+    """Exposures of all frames of a camera, computed only once."""
     return world.instrument(camera, lambda: control(camera, metered(world, camera)))
 
 
@@ -74,11 +74,11 @@ def metered(world: SensedWorld, camera: CameraRecipe) -> Array:
 
 
 def control(camera: CameraRecipe, seen: Array) -> Exposures:
-    """The loops, from the mean radiance (N, 3) at each frame.
+    """Run the control loops on the mean radiance (N, 3) at each frame.
 
-    White balance follows the logarithm of the mean colour, exposure that of its brightness against a grey level, each
-    with a first-order lag; a frame is exposed by what those before it metered. Exposure time goes first, up to its
-    limit; gain, in steps, makes up the rest.
+    White balance follows the logarithm of the mean colour, exposure that of its brightness relative to a grey level,
+    each with a first-order lag; a frame is exposed according to the metering of earlier frames. Exposure time is raised
+    first, up to its limit; gain, in steps, provides the rest.
     """
     from oysterbench.render.light import GREY_LEVEL, white_balance
 
@@ -93,7 +93,7 @@ def control(camera: CameraRecipe, seen: Array) -> Exposures:
             colour = _rounded(colour + follow * (np.log2(seen[k - 1]) - colour))
         balance = white_balance(2.0**colour)
         balances[k] = balance / balance.mean()
-        if k == 0:  # has run for long
+        if k == 0:  # the loop has already settled
             level = target - float(np.log2(np.mean(balances[0] * now)))
         else:
             off = target - level - float(np.log2(np.mean(balances[k - 1] * seen[k - 1])))

@@ -1,4 +1,4 @@
-"""Where a sensor's faults struck, for the truth: spans of time with what was wrong."""
+"""Faults of sensors, for the ground truth: time spans, and what was wrong in them."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ COLUMNS = ("start_ns", "end_ns", "sensor", "fault", "value")
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault from start_s to end_s, true times from the start; value: its largest size in the unit that its name has,
-    such as `outlier_m_s`."""
+    """A fault from start_s to end_s, true times since the start; value: its largest size, in the unit that its name
+    ends in, such as `outlier_m_s`."""
 
     start_s: float
     end_s: float
@@ -27,7 +27,7 @@ class Fault:
 
 
 def spans(times_s: Array, struck: NDArray[np.bool_], name: str, sizes: Array) -> list[Fault]:
-    """A fault per run of struck samples; times (N,) s, struck (N,), sizes (N,)."""
+    """Return one fault per run of struck samples; times (N,) s, struck (N,), sizes (N,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], struck, [False]]).astype(np.int8)))
     runs = edges.reshape(-1, 2).tolist()
     return [
@@ -37,7 +37,7 @@ def spans(times_s: Array, struck: NDArray[np.bool_], name: str, sizes: Array) ->
 
 
 def fault_csv(faults: Iterable[tuple[str, Fault]], epoch_ns: int) -> bytes:
-    """Sensors' names and their faults as CSV, in time order: COLUMNS."""
+    """CSV with COLUMNS, in time order, of faults given as pairs of sensor name and fault."""
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(COLUMNS)

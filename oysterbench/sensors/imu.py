@@ -1,4 +1,4 @@
-"""Inertial unit: the angular rate and specific force of the path, and the errors that a real unit adds."""
+"""IMU: the angular rate and specific force along the path, and the errors that a real unit adds."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     from oysterbench.sensors.magnetometer import MagnetometerRecipe
 
 IMU = "sensor_msgs/msg/Imu"
-INERTIAL_STEP = 1e-7  # rad/s and m/s^2: four orders below the noise of the best unit's sample
-FAULT_STEP_S = 0.1  # of the truth about faults
+INERTIAL_STEP = 1e-7  # rad/s and m/s^2, to which readings are rounded: four orders below the best unit's noise
+FAULT_STEP_S = 0.1  # time step of the ground truth of faults
 INERTIAL_NOISE = ("noise_density", "turn_on", "bias_instability", "bias_tau_s")
 
 DEG = math.pi / 180.0
 G = 9.80665  # m/s^2
-ROOT_H = 60.0  # seconds under a root: 1 unit/sqrt(h) = 1/60 unit/s/sqrt(Hz)
+ROOT_H = 60.0  # sqrt(3600 s): 1 unit/sqrt(h) = 1/60 unit/s/sqrt(Hz)
 HOUR = 3600.0  # s
 
 IMU_GRADES: Mapping[str, Mapping[str, float]] = {
@@ -57,7 +57,7 @@ IMU_GRADES: Mapping[str, Mapping[str, float]] = {
         "accel_bias_instability": 3.6e-6,
     },
     # ICM-20602 (TDK InvenSense, DS-000176): 4 mdps and 100 ug per root hertz, zero within 1 dps and 40 mg, taken as
-    # three sigma; 16 bits over 2000 dps and 16 g. The sheet names no bias instability: what is usual for its class.
+    # three sigma; 16 bits over 2000 dps and 16 g. The data sheet gives no bias instability: typical for its class.
     "mems": {
         "gyro_noise_density": 4.0e-3 * DEG,
         "gyro_turn_on": 1.0 * DEG / 3,
@@ -71,16 +71,16 @@ IMU_GRADES: Mapping[str, Mapping[str, float]] = {
         "accel_step": 16.0 * G / 2**15,
     },
 }
-"""Keys of an `ImuRecipe`, in its units, by grade; low, mid and high are those of OysterSim. Bias instability is the
-stationary sigma of a Gauss-Markov process."""
+"""Grade -> noise keys of an `ImuRecipe`, in its units; low, mid and high are those of OysterSim. Bias instability is
+the stationary sigma of a Gauss-Markov process."""
 
 COMMON = {"gyro_random_walk": 0.0, "gyro_bias_tau_s": 100.0, "accel_random_walk": 0.0, "accel_bias_tau_s": 100.0}
-"""What all grades share: a bias that stays about its turn-on value, correlated over 100 s."""
+"""Keys that all grades share: a bias that stays around its turn-on value, correlated over 100 s."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImuRecipe(SensorRecipe):
-    """An inertial unit. `grade` gives every key of noise that is not given itself (`IMU_GRADES`)."""
+    """An IMU. `grade` sets every noise key that is not given explicitly (`IMU_GRADES`)."""
 
     block: ClassVar[str] = "imu"
 
@@ -110,8 +110,8 @@ class ImuRecipe(SensorRecipe):
     accel_bias_per_k: float = number(0, 0.05, 0.0)  # m/s^2 per K, 1 sigma of an axis; ICM-20602: 0.5 to 1 mg per K
     warming_k: float = number(0, 60, 0.0)  # temperature rise from switch-on to warm: 10 to 30 K in a closed hull
     warming_tau_s: float = number(10, 7200, 300.0)  # time constant: minutes, depending on the mass of the hull
-    warmed_s: float = number(0, 86_400, 60.0)  # time for which it has been on when the sequence begins
-    vibration: tuple[VibrationRecipe, ...] = ()  # of the frame, by thrusters
+    warmed_s: float = number(0, 86_400, 60.0)  # time for which it has been on when the sequence starts
+    vibration: tuple[VibrationRecipe, ...] = ()  # vibration of the frame by thrusters
     rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # roll, pitch, yaw: IMU to base_link
 
     def check(self, where: str) -> None:
@@ -121,22 +121,22 @@ class ImuRecipe(SensorRecipe):
 
     @property
     def gyro_bias_walk(self) -> float:
-        """Random walk (rad/s^2/sqrt(Hz)) that the bias is over less than its correlation time, instability included.
+        """Random walk (rad/s^2/sqrt(Hz)) equivalent to the bias over less than its correlation time, with instability.
 
-        What a filter should take that knows a bias as a walk only.
+        The value for a filter that models the bias as a random walk only.
         """
         return math.hypot(self.gyro_random_walk, self.gyro_bias_instability * math.sqrt(2 / self.gyro_bias_tau_s))
 
     @property
     def accel_bias_walk(self) -> float:
-        """The same (m/s^3/sqrt(Hz)) of the accelerometer."""
+        """Same as `gyro_bias_walk`, for the accelerometer (m/s^3/sqrt(Hz))."""
         return math.hypot(self.accel_random_walk, self.accel_bias_instability * math.sqrt(2 / self.accel_bias_tau_s))
 
 
 @dataclass(frozen=True)
 class ImuCalibration:
-    """Continuous noise densities, bias random walks, 1-sigma turn-on biases, and biases that wander as Gauss-Markov
-    processes of a stationary 1 sigma and a correlation time (units as in `ImuRecipe`); pose."""
+    """An IMU: continuous noise densities, bias random walks, 1-sigma turn-on biases, and stationary 1 sigma and
+    correlation time of the Gauss-Markov processes of the biases (units as in `ImuRecipe`); pose."""
 
     rate_hz: float
     gyro_noise_density: float
@@ -154,7 +154,7 @@ class ImuCalibration:
 
 
 def with_grade(unit: Any) -> Any:
-    """The table of a unit, where each key that its grade gives and the table does not is filled in."""
+    """Return an IMU's table with the keys of its grade filled in where the table does not give them."""
     grade = unit.get("grade") if isinstance(unit, Mapping) else None
     if not isinstance(grade, str) or grade not in IMU_GRADES:
         return unit
@@ -162,14 +162,14 @@ def with_grade(unit: Any) -> Any:
 
 
 def imu_pose(recipe: ImuRecipe | MagnetometerRecipe) -> Array:
-    """T_base_imu (4, 4), or that of a magnetometer."""
+    """T_base_imu (4, 4), or the pose of a magnetometer."""
     turn = scipy.spatial.transform.Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True)
     return transform(turn.as_matrix(), recipe.position_m)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Triad:
-    """Errors of three axes, gyroscopes or accelerometers, as `ImuRecipe` states them; u is rad/s or m/s^2."""
+    """Error parameters of three axes, gyroscopes or accelerometers, as in `ImuRecipe`; u is rad/s or m/s^2."""
 
     noise_density: float  # u/sqrt(Hz)
     random_walk: float = 0.0  # u/s/sqrt(Hz)
@@ -184,15 +184,15 @@ class Triad:
 
     @classmethod
     def of(cls, recipe: ImuRecipe, which: str) -> Triad:
-        """That of a recipe: "gyro" or "accel"."""
+        """Take the triad `which`, "gyro" or "accel", from a recipe."""
         return cls(**{key.name: getattr(recipe, f"{which}_{key.name}") for key in fields(cls)})
 
 
 def ideal_imu(motion: Motion, T_base_imu: Array) -> tuple[Array, Array]:
-    """Angular rate (N, 3) rad/s and specific force (N, 3) m/s^2, in the IMU frame, of a unit without errors.
+    """Angular rate (N, 3) rad/s and specific force (N, 3) m/s^2, in the IMU frame, of an IMU without errors.
 
-    The unit sits at a lever arm r from the body's origin and feels
-    f = R^T (a - g) + w' x r + w x (w x r) (Savage 1998, sec. 2), turned into its own axes.
+    The IMU sits at a lever arm r from the body's origin and senses
+    f = R^T (a - g) + w' x r + w x (w x r) (Savage 1998, sec. 2), rotated into its own axes.
     """
     lever = T_base_imu[:3, 3]
     gravity = np.array([0.0, 0.0, -GRAVITY])
@@ -204,9 +204,9 @@ def ideal_imu(motion: Motion, T_base_imu: Array) -> tuple[Array, Array]:
 def measure(
     path: Path, recipe: ImuRecipe, times_s: Array, streams: Streams, throttle: Throttle | None = None
 ) -> tuple[Array, Array]:
-    """What the unit reports at times (N,) = k / rate_hz s: gyro (N, 3) rad/s and accel (N, 3) m/s^2, in the IMU frame.
+    """Readings at times (N,) = k / rate_hz s: gyro (N, 3) rad/s and accel (N, 3) m/s^2, in the IMU frame.
 
-    Vibration moves the unit like its path does; then come the errors of its axes, each from a stream of its own.
+    Vibration adds to the motion along the path; then come the errors of the axes, each from its own random stream.
     throttle: of the thrusters, whose vibration follows it.
     """
     gyro, accel = ideal_imu(path.at(times_s), imu_pose(recipe))
@@ -215,7 +215,7 @@ def measure(
 
 
 def read_out(truth: Array, recipe: ImuRecipe, which: str, streams: Streams, throttle: Throttle | None = None) -> Array:
-    """What the "gyro" or "accel" triad of a unit makes of its truth (N, 3), in the truth's unit."""
+    """Readings of the "gyro" or "accel" triad, given the true values (N, 3), in the same unit."""
     n, triad = len(truth), Triad.of(recipe, which)
     for index, vibration in enumerate(recipe.vibration):
         if vibration.on == which:
@@ -230,23 +230,23 @@ def read_out(truth: Array, recipe: ImuRecipe, which: str, streams: Streams, thro
 
 
 def warmed(recipe: ImuRecipe, times_s: Array) -> Array:
-    """(N,) K by which a unit has become warmer since the start of the sequence, at which its turn-on bias holds.
+    """Temperature rise (N,) K since the start of the sequence, at which the turn-on bias holds.
 
-    As a body of one heat capacity does that is heated evenly: T = T_end (1 - exp(-t / tau)) since it was switched on.
+    That of a body with a single heat capacity under constant heating: T = T_end (1 - exp(-t / tau)) since switch-on.
     """
     left = recipe.warming_k * math.exp(-recipe.warmed_s / recipe.warming_tau_s)
     return np.asarray(-left * np.expm1(-times_s / recipe.warming_tau_s))
 
 
 def sensitivity(triad: Triad, streams: Streams) -> Array:
-    """(3, 3) matrix from truth to reading: errors of scale on the diagonal, of each axis' direction beside it."""
+    """Matrix (3, 3) from true values to readings: scale errors on the diagonal, misalignment of the axes off it."""
     matrix: Array = np.radians(triad.misalignment_deg) * streams.generator("misalignment").standard_normal((3, 3))
     np.fill_diagonal(matrix, 1.0 + triad.scale * streams.generator("scale").standard_normal(3))
     return matrix
 
 
 def errors(n: int, dt: float, triad: Triad, streams: Streams) -> Array:
-    """(n, 3) bias and noise of samples dt apart: turn-on bias, walk and instability of the bias, and white noise.
+    """Bias plus noise (n, 3) of samples dt apart: turn-on bias, bias random walk and instability, and white noise.
 
     White noise of the continuous density has sigma = density / sqrt(dt) per sample (IEEE 952-1997, annex C).
     """
@@ -261,14 +261,14 @@ def errors(n: int, dt: float, triad: Triad, streams: Streams) -> Array:
 
 
 def random_walk(n: int, dt: float, density: float, rng: np.random.Generator) -> Array:
-    """(n, 3) walks from zero, in steps of density * sqrt(dt) (IEEE 952-1997, annex C)."""
+    """Random walks (n, 3) from zero, with steps of standard deviation density * sqrt(dt) (IEEE 952-1997, annex C)."""
     steps = density * np.sqrt(dt) * rng.standard_normal((n, 3))
     steps[0] = 0.0
     return np.cumsum(steps, axis=0)
 
 
 def gauss_markov(n: int, dt: float, sigma: float, tau_s: float, rng: np.random.Generator) -> Array:
-    """(n, 3) first-order Gauss-Markov processes of standard deviation sigma from their first sample on.
+    """First-order Gauss-Markov processes (n, 3) with standard deviation sigma from the first sample on.
 
     b_k = phi b_(k-1) + sigma sqrt(1 - phi^2) w_k with phi = exp(-dt / tau): the exponentially correlated noise of
     IEEE 952-1997, annex C, exact at any dt.
@@ -281,14 +281,14 @@ def gauss_markov(n: int, dt: float, sigma: float, tau_s: float, rng: np.random.G
 
 
 def digitise(values: Array, triad: Triad) -> Array:
-    """Readings (N, 3) as they leave the unit: they stop at its range, and come in its steps."""
+    """Readings (N, 3) as they leave the IMU: saturated at its range, and rounded to its steps."""
     if triad.range is not None:
         values = np.clip(values, -triad.range, triad.range)
     return np.rint(values / triad.step) * triad.step if triad.step else values
 
 
 def shaking(world: SensedWorld, recipe: ImuRecipe) -> Throttle | None:
-    """The throttle, where vibration of the unit follows it."""
+    """Throttle of the thrusters, or None where no vibration of the IMU follows it."""
     if all(vibration.kind != "thrusters" for vibration in recipe.vibration):
         return None
     from oysterbench.scene.path.thrust import throttle
@@ -301,7 +301,7 @@ def _row(message: Any) -> Row:
 
 
 class Imu(SensorKind[ImuRecipe, ImuCalibration, ImuMeasurement]):
-    """The kind."""
+    """Sensor kind: IMU."""
 
     recipe = ImuRecipe
     calibration = ImuCalibration
@@ -328,7 +328,7 @@ class Imu(SensorKind[ImuRecipe, ImuCalibration, ImuMeasurement]):
         }
 
     def error_model(self, recipe: ImuRecipe, entry: Mapping[str, Any], quality: Quality) -> ErrorModel:
-        """None: the others are calibrated against it."""
+        """Empty model: the other sensors are calibrated relative to the IMU."""
         return ErrorModel.of({})
 
     def measure(self, world: SensedWorld, recipe: ImuRecipe, at: Instants) -> Iterator[ImuMeasurement]:
@@ -337,7 +337,7 @@ class Imu(SensorKind[ImuRecipe, ImuCalibration, ImuMeasurement]):
         return (ImuMeasurement(int(at.stamps_ns[k]), gyro[k], accel[k]) for k in at.wanted)
 
     def faults(self, world: SensedWorld, recipe: ImuRecipe) -> list[Fault]:
-        """The unit while it warms, and the thrusters where they turn faster than half."""
+        """Warming of the IMU, and spans in which the thrusters are above half throttle."""
         end, found = world.recipe.duration_s, []
         if recipe.warming_k and (recipe.gyro_bias_per_k or recipe.accel_bias_per_k):
             found.append(Fault(0.0, end, "warming_k", float(warmed(recipe, np.array([end]))[0])))
@@ -349,7 +349,7 @@ class Imu(SensorKind[ImuRecipe, ImuCalibration, ImuMeasurement]):
         return found
 
     def encode(self, recipe: ImuRecipe, measurement: ImuMeasurement) -> list[Message]:
-        """Rates and forces with the variances of a sample; orientation is marked as absent (REP 145)."""
+        """Message with rates and forces and the variances of a sample; orientation is marked as absent (REP 145)."""
         absent = np.zeros(9)
         absent[0] = -1.0
         densities = (recipe.gyro_noise_density, recipe.accel_noise_density)

@@ -1,4 +1,4 @@
-"""What a sonar hears that it did not send: water that scatters, and pulses of others, as lines along the range."""
+"""Interference in sonars: volume backscatter of the water, and pulses of other sonars, which show as radial lines."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from oysterbench.sensors.faults import Fault
 if TYPE_CHECKING:
     from oysterbench.sensors.kind import SensedWorld
 
-SPEED_M_S = 1500.0  # of sound, nominal: for the length of a pulse of others
-PINGER_M = (10.0, 40.0)  # how far from the middle of the reef the other one is
+SPEED_M_S = 1500.0  # nominal speed of sound: for the length of another sonar's pulse
+PINGER_M = (10.0, 40.0)  # least and greatest distance of the other sonar from the middle of the reef
 
 
 def volume_power(recipe: BinnedSonarRecipe, absorption_db_m: float) -> Array:
-    """Power (bins,) that the water sends back: s_v dr r^-2 10^(-2 a r / 10), over that of a perfect scatterer that
-    fills the beam at 1 m, with s_v the volume's backscatter in 1/m per steradian (Urick 1983, sec. 8.3)."""
+    """Power (bins,) scattered back by the water, s_v dr r^-2 10^(-2 a r / 10), relative to a perfect scatterer that
+    fills the beam at 1 m, with s_v the volume backscattering in 1/m per steradian (Urick 1983, sec. 8.3)."""
     ranges = bin_middles(recipe)
     if recipe.volume_db is None:
         return np.zeros_like(ranges)
@@ -36,9 +36,9 @@ def volume_power(recipe: BinnedSonarRecipe, absorption_db_m: float) -> Array:
 
 @dataclass(frozen=True)
 class Beams:
-    """Where a sonar listens: its pose in `map` (4, 4), azimuths (B,) rad of its beams, and their two-way half-power
-    width, rad. listening: whether they are formed of what is heard alone, as a multibeam sonar's, which sends into its
-    whole fan; else half of the pattern is that of sending."""
+    """Beams of a sonar: its pose in `map` (4, 4), azimuths (B,) rad of the beams, and their two-way half-power width,
+    rad. listening: whether they are formed on reception only, as in a multibeam sonar, which transmits into its whole
+    fan; otherwise half of the two-way pattern belongs to transmission."""
 
     T_map_sonar: Array
     azimuths: Array
@@ -48,7 +48,7 @@ class Beams:
 
 @dataclass(frozen=True)
 class Pulse:
-    """A pulse of another's: from azimuth (rad, left of the sonar's x), over ranges from near to far, m."""
+    """A pulse of another sonar: azimuth that it comes from (rad, left of the sonar's x), and apparent ranges, m."""
 
     azimuth: float
     near_m: float
@@ -56,10 +56,10 @@ class Pulse:
 
 
 def pulse(recipe: BinnedSonarRecipe, T_map_sonar: Array, site: Streams, ping: Streams) -> Pulse | None:
-    """The pulse that strikes a ping, if one does: a share `interference` of all pings are struck.
+    """Draw the pulse that strikes a ping, or None: a share `interference` of all pings is struck.
 
-    site: the sequence's streams, of which the place of the other one; ping: the branch of this ping. The sender knows
-    nothing of when the sonar listens, so that its pulse begins at any time.
+    site: the sequence's streams, from which the position of the other sonar is drawn; ping: the branch of this ping.
+    The two are not synchronised, so the pulse starts at any time.
     """
     if not recipe.interference:
         return None
@@ -78,7 +78,7 @@ def pulse(recipe: BinnedSonarRecipe, T_map_sonar: Array, site: Streams, ping: St
 
 
 def line_power(recipe: BinnedSonarRecipe, found: Pulse, beams: Beams) -> Array:
-    """Power (beams, bins) of a pulse: heard one way, and as loud at any range, since it has come from one."""
+    """Power (beams, bins) of a pulse: received one way, and equal in all its bins, since its source is at one range."""
     ranges = bin_middles(recipe)
     lasting = (ranges >= found.near_m) & (ranges < found.far_m)
     off = np.angle(np.exp(1j * (beams.azimuths - found.azimuth)))
@@ -88,7 +88,7 @@ def line_power(recipe: BinnedSonarRecipe, found: Pulse, beams: Beams) -> Array:
 
 
 def added_power(recipe: BinnedSonarRecipe, absorption_db_m: float, beams: Beams, site: Streams, ping: Streams) -> Array:
-    """Power (B, bins) of water and of others in a ping; site, ping: as for `pulse`."""
+    """Power (B, bins) that the water and other sonars add to a ping; site, ping: as for `pulse`."""
     total = np.tile(volume_power(recipe, absorption_db_m), (len(beams.azimuths), 1))
     struck = pulse(recipe, beams.T_map_sonar, site, ping)
     return total if struck is None else total + line_power(recipe, struck, beams)
@@ -102,8 +102,8 @@ def struck_pings(
     width: float,
     axis: Callable[[int], float] = lambda index: 0.0,
 ) -> list[Fault]:
-    """Pings that pulses strike within half of a width (rad) of the axis(index), rad left of the sonar's x, by their
-    azimuth in deg. branch: the streams of each ping."""
+    """Faults of the pings that are struck by a pulse within half of `width` (rad) of axis(index), rad left of the
+    sonar's x; value: the pulse's azimuth in deg. branch: the streams of each ping."""
     if not recipe.interference:
         return []
     times = np.arange(count(world.recipe.duration_s, recipe.rate_hz)) / recipe.rate_hz

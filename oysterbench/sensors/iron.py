@@ -1,4 +1,4 @@
-"""What bends a compass besides the iron that it was swung with: motors as they are driven, and steel on the bottom."""
+"""Compass disturbances besides the iron that it was swung with: motors under load, and steel on the bottom."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
     from oysterbench.scene.path import Motion
 
 MU0_4PI = 1e-7  # T m/A, the magnetic constant over 4 pi
-MOMENT_SPREAD = 0.5  # of the logarithm of moments
-NEAREST_M = 0.2  # to a piece of iron, within which it is no dipole
+MOMENT_SPREAD = 0.5  # standard deviation of the logarithm of the moments
+NEAREST_M = 0.2  # distance to a piece of iron within which it is no dipole
 
 
 @dataclass(frozen=True)
 class Dipoles:
-    """Pieces of iron: places (K, 3) m and magnetic moments (K, 3) A m^2, both in `map`."""
+    """Pieces of iron: positions (K, 3) m and magnetic moments (K, 3) A m^2, both in `map`."""
 
     places: Array
     moments: Array
 
     def field(self, positions: Array) -> Array:
-        """(N, 3) T in `map` at positions (N, 3) m: mu0 / 4 pi (3 (m.r) r - m) / d^3, r the unit vector and d the
-        distance from each (Jackson 1999, eq. 5.56)."""
+        """Magnetic field (N, 3) T in `map` at positions (N, 3) m: sum over the dipoles of
+        mu0 / 4 pi (3 (m.r) r - m) / d^3, with unit vector r and distance d from each (Jackson 1999, eq. 5.56)."""
         total = np.zeros((len(positions), 3))
         for place, moment in zip(self.places, self.moments, strict=True):
             offset = positions - place
@@ -42,7 +42,7 @@ class Dipoles:
 def build_iron(
     site: SiteRecipe, size_m: float, ground_height: Callable[[Array, Array], Array], streams: Streams
 ) -> Dipoles:
-    """The iron on the bottom of a square reef: anywhere on it, its moments log-normal and in any direction."""
+    """Draw the iron on the bottom of a square reef: uniform positions, log-normal moments, random directions."""
     rng = streams.generator("site", "iron")
     x, y = rng.uniform(-size_m / 2, size_m / 2, (2, site.iron))
     directions = rng.standard_normal((site.iron, 3))
@@ -52,10 +52,12 @@ def build_iron(
 
 
 def motor_field(earth: Array, throttle_deg: float, shares: Array, motion: Motion, streams: Streams) -> Array:
-    """(N, 3) T in `map`: the field of motors at shares (N,) of full throttle, fixed in the vehicle's level plane.
+    """Magnetic field (N, 3) T in `map` of motors at shares (N,) of full throttle, in a fixed direction in the vehicle's
+    horizontal plane.
 
-    In proportion to the current that they draw, taken as the throttle, as autopilots' compensation has it (ArduPilot,
-    COMPASS_MOT_X); at full throttle it turns the heading by throttle_deg where it lies across the Earth's field (3,) T.
+    It is proportional to the motor current, for which the throttle is taken, as in the compensation of autopilots
+    (ArduPilot, COMPASS_MOT_X); at full throttle it turns the heading by throttle_deg where it lies across the Earth's
+    field (3,) T.
     """
     towards = streams.generator("magnetometer", "motors").uniform(0, 2 * np.pi)
     size = float(np.hypot(earth[0], earth[1])) * np.sin(np.radians(throttle_deg))
@@ -64,8 +66,8 @@ def motor_field(earth: Array, throttle_deg: float, shares: Array, motion: Motion
 
 
 def deviation(earth: Array, bending: Array) -> Array:
-    """(N,) rad, to the left positive, by which fields (N, 3) turn the level direction of the Earth's (3,), all in one
-    unit and in `map`."""
+    """Angles (N,) rad, positive to the left, by which disturbing fields (N, 3) turn the horizontal direction of the
+    Earth's field (3,); all in the same unit and in `map`."""
     level = earth[:2] + bending[:, :2]
     turned: Array = np.arctan2(earth[0] * level[:, 1] - earth[1] * level[:, 0], level @ earth[:2])
     return turned

@@ -1,8 +1,8 @@
-"""What a kind of sensor is: one descriptor that its file in this package defines, and everything else loops over.
+"""Sensor kinds: one descriptor per kind, defined by its file in this package, over which everything else loops.
 
-A module of `oysterbench.sensors` that defines `KIND` adds a kind: rigs take its block, the simulation measures with it,
-sequences read it, and tables, exports and the viewer show it. Nothing here may import `scene` or `render` at its top:
-who reads a sequence needs neither.
+A module of `oysterbench.sensors` that defines `KIND` adds a kind: rigs accept its block, the simulation measures with
+it, sequences read it, and tables, exports and the viewer show it. Nothing here may import `scene` or `render` at its
+top: reading a sequence needs neither.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ T = TypeVar("T")
 XYZ = ("x", "y", "z")
 
 Row = dict[str, float]
-"""The numbers of a message, by their columns, in SI units."""
+"""Numbers of a message by column, in SI units."""
 
 
 @dataclass(frozen=True)
 class Export:
-    """A format of others that a kind of sensor can be written in.
+    """A third-party format that a sensor kind can be exported to.
 
-    summary: one line on it. write: fills a folder with what a sensor (sequence, its name, folder, with truth or
-    without) measured, and returns what the user should know about it.
+    summary: one line that describes it. write(sequence, name, folder, truth): fills a folder with a sensor's
+    measurements, with or without ground truth, and returns lines that tell the user about it.
     """
 
     summary: str
@@ -55,7 +55,7 @@ class Export:
 
 
 class SensedWorld(Protocol):
-    """What sensors measure in: a sequence that is being simulated."""
+    """The world in which sensors measure: a sequence that is being simulated."""
 
     @property
     def recipe(self) -> SequenceRecipe: ...
@@ -73,16 +73,16 @@ class SensedWorld(Protocol):
     def plumes(self) -> Plumes | None: ...
 
     def bodies(self, times_s: Array) -> list[Array]:
-        """T_map_base (4, 4) at times (N,) s."""
+        """Poses T_map_base (4, 4) at times (N,) s."""
 
     def instrument(self, recipe: SensorRecipe, build: Callable[[], T]) -> T:
-        """What `build` makes for a sensor, made once."""
+        """Return what `build` makes for a sensor, built only once."""
 
 
 @dataclass(frozen=True)
 class Instants:
     """When a sensor measures. times_s (N,): from the start; stamps_ns (N,) int64: by its own clock; wanted (K,) int64:
-    indices of those of which the measurements are asked for."""
+    indices of the instants whose measurements are requested."""
 
     times_s: Array
     stamps_ns: NDArray[np.int64]
@@ -91,7 +91,7 @@ class Instants:
 
 @dataclass(frozen=True)
 class Strip:
-    """Columns of a topic's table that share a plot: what is written beside each, and the factor to the unit shown."""
+    """Columns of a topic's table that share a plot: its title, and the factor to the unit shown."""
 
     topic: str
     title: str
@@ -102,13 +102,13 @@ class Strip:
 class SensorKind(ABC, Generic[R, C, M]):
     """A kind of sensor: its recipe R, its calibration C, and its measurements M.
 
-    title: what messages to people call one. rank: its place among the topics of a file, the small ones first. leaves,
-    truth_leaves: types of its topics by what follows their name, `/NAME/LEAF` (or `/NAME` where that is empty): those
-    that a real vehicle would have, and those that only a simulation knows. read_leaves: those that make a measurement
-    (all measured ones by default). tables: the row that a message of a leaf makes. reader: the method of `Sequence`
-    that gives its measurements, where it has one besides `Sequence.measurements`. pose: the key of its pose in
-    base_link in its calibration. required: every rig has an entry in
-    calibration.json. bulky: each measurement is a job of its own. exports: formats that it can be written in, by name.
+    title: its name in messages to users. rank: position of its topics in a file, small ones first. leaves,
+    truth_leaves: message types of its topics by what follows the sensor's name, `/NAME/LEAF` (or `/NAME` where that is
+    empty): those that a real vehicle would have, and those that only a simulation knows. read_leaves: those that make
+    up a measurement (by default all of `leaves`). tables: by leaf, what turns a message into a row. reader: the method
+    of `Sequence` that yields its measurements, if it has one besides `Sequence.measurements`. pose: the key of its pose
+    in base_link in its calibration. required: every rig has an entry in calibration.json. bulky: each measurement is a
+    job of its own. exports: formats that it can be exported to, by name.
     """
 
     recipe: ClassVar[type[Any]]
@@ -127,22 +127,22 @@ class SensorKind(ABC, Generic[R, C, M]):
 
     @property
     def block(self) -> str:
-        """Its table in a rig's file."""
+        """Name of its table in a rig's file."""
         return str(self.recipe.block)
 
     @property
     def single(self) -> bool:
-        """Whether a rig has one at most; its block is its name."""
+        """Whether a rig has at most one; its block is then its name."""
         return bool(self.recipe.single)
 
     @property
     def key(self) -> str:
-        """Its key in calibration.json; where there are several, calibrations lie there by their names."""
+        """Key in calibration.json; where a rig can have several, their calibrations are stored there by name."""
         return self.block if self.single else f"{self.block}s"
 
     @property
     def attribute(self) -> str:
-        """The attribute of `Sequence` that has the calibration, or the calibrations by name."""
+        """Attribute of `Sequence` that holds the calibration, or the calibrations by name."""
         return f"{self.block}_calibration" if self.single else f"{self.block}s"
 
     def name_of(self, recipe: R) -> str:
@@ -150,114 +150,115 @@ class SensorKind(ABC, Generic[R, C, M]):
         return self.block if self.single else str(getattr(recipe, "name"))  # noqa: B009
 
     def frame(self, name: str) -> str:
-        """Frame of a sensor's measurements: x along its axis, y left, z up."""
+        """Name of the frame of a sensor's measurements: x along its axis, y left, z up."""
         return link(name)
 
     def topics(self, recipe: R) -> dict[str, str]:
-        """Topic -> type of everything that a sensor sends."""
+        """Topic -> message type of everything that a sensor sends."""
         return {topic(self.name_of(recipe), leaf): kind for leaf, kind in self.leaves.items()}
 
     def read_topics(self, name: str) -> tuple[str, ...]:
-        """Topics of which one message each makes a measurement."""
+        """Topics that contribute one message each to a measurement."""
         return tuple(topic(name, leaf) for leaf in self.read_leaves or self.leaves)
 
     def fill_in(self, table: Any) -> Any:
-        """The sensor's table of a rig's file, with what other keys of it imply."""
+        """Return the sensor's table in a rig's file, with the keys that its other keys imply filled in."""
         return table
 
     @abstractmethod
     def calibrate(self, recipe: R, site: SiteRecipe) -> dict[str, Any]:
-        """What a perfect calibration would find, as an entry of calibration.json."""
+        """Result of a perfect calibration, as an entry of calibration.json."""
 
     def true_calibration(self, recipe: R, site: SiteRecipe) -> dict[str, Any]:
-        """What truly is, where even a perfect calibration finds no more than a model of it."""
+        """True calibration, where even a perfect calibration finds only a model of it."""
         return self.calibrate(recipe, site)
 
     def error_model(self, recipe: R, entry: Mapping[str, Any], quality: Quality) -> ErrorModel:
-        """How a calibration of a quality errs; entry: what a perfect one finds."""
+        """Error model of a calibration of the given quality; entry: the result of a perfect one."""
         return ErrorModel.of(mount_errors(quality.mount_deg, quality.mount_m))
 
     def as_given(
         self, recipe: R, entry: Mapping[str, Any], errors: Mapping[str, float], quality: Quality
     ) -> dict[str, Any]:
-        """The entry as a calibration with these errors (of `error_model`'s parameters) finds it."""
+        """Return the entry as found by a calibration with these errors (of the parameters of `error_model`)."""
         return {**entry, self.pose: moved(np.array(entry[self.pose]), errors).tolist()}
 
     def as_true(
         self, recipe: R, entry: Mapping[str, Any], errors: Mapping[str, float], quality: Quality
     ) -> dict[str, Any]:
-        """The true entry, with the errors that lie in the readings themselves."""
+        """Return the true entry, with the errors that are in the readings themselves."""
         return dict(entry)
 
     def true_entry(self, world: SensedWorld, recipe: R) -> Mapping[str, Any]:
-        """Its true entry of a rig's calibration."""
+        """True entry of this sensor in the rig's calibration."""
         entries = world.calibration.true[self.key]
         found: Mapping[str, Any] = entries if self.single else entries[self.name_of(recipe)]
         return found
 
     def read_calibration(self, entry: Mapping[str, Any]) -> C:
-        """Calibration from its entry. Raises LookupError, TypeError or ValueError where that is not of its shape."""
+        """Read a calibration from its entry. Raises LookupError, TypeError or ValueError where that is malformed."""
         found: C = from_entry(self.calibration, entry)
         return found
 
     def times(self, world: SensedWorld, recipe: R) -> Array | None:
-        """(N,) s from the start, at which it measures; None: evenly, at its rate. A bulky one always does."""
+        """Times (N,) s from the start at which it measures; None: evenly, at its rate, as bulky ones always do."""
         return None
 
     @abstractmethod
     def measure(self, world: SensedWorld, recipe: R, at: Instants) -> Iterator[M]:
-        """Measurements of the wanted ones of a sensor's instants."""
+        """Yield the measurements at the wanted instants of a sensor."""
 
     def faults(self, world: SensedWorld, recipe: R) -> list[Fault]:
-        """Where the faults of a sensor struck, for the truth."""
+        """Faults that struck a sensor, for the ground truth."""
         return []
 
     @abstractmethod
     def encode(self, recipe: R, measurement: M) -> list[Message]:
-        """The messages of a measurement."""
+        """Encode a measurement as messages."""
 
     def pass_on(self, recipe: R, name: str, messages: Iterator[Message]) -> Iterator[Message]:
-        """All messages of a topic, in order, as they reach the file: by a link that depends on those before."""
+        """Pass on all messages of a topic, in order, as they reach the file: for links in which each depends on the
+        earlier ones."""
         return messages
 
     @abstractmethod
     def decode(self, name: str, calibration: C, *data: bytes) -> M:
-        """A measurement from one message of each of `read_topics`. Raises ValueError where they do not fit."""
+        """Decode a measurement from one message of each of `read_topics`. Raises ValueError where they do not match."""
 
     def panels(self, sequence: Any, name: str) -> list[Panel]:
-        """Pictures over time, for the viewer."""
+        """Image panels for the viewer."""
         return []
 
     def strips(self, name: str) -> list[Strip]:
-        """Curves over time, for the viewer."""
+        """Plots over time for the viewer."""
         return []
 
 
 def topic(name: str, leaf: str) -> str:
-    """A sensor's topic."""
+    """Name of a sensor's topic."""
     return f"/{name}/{leaf}" if leaf else f"/{name}"
 
 
 def link(name: str) -> str:
-    """Frame of a sensor other than a camera."""
+    """Name of the frame of a sensor other than a camera."""
     return f"{name}_link"
 
 
 def quantise(values: ArrayLike, step: float) -> Array:
-    """Values rounded to a step, far above the last bits, in which the mathematics of two processors differ.
+    """Round values to a step far above the last bits, in which the arithmetic of two processors may differ.
 
-    So the same recipe gives the same bytes on any machine.
+    The same recipe thus gives the same bytes on any machine.
     """
     return np.asarray(np.rint(np.asarray(values) / step) * step + 0.0)  # and no negative zeros
 
 
 def columns_of(prefix: str, value: Any, axes: Iterable[str] = XYZ) -> Row:
-    """A vector of a message as columns."""
+    """Row with the components of a message's vector, in columns named prefix + axis."""
     return {f"{prefix}{axis}": getattr(value, axis) for axis in axes}
 
 
 def from_entry(kind: type[T], entry: Mapping[str, Any]) -> T:
-    """A calibration from the keys of its entry in calibration.json; other keys are for other readers."""
+    """Build a calibration from its entry in calibration.json; keys that it does not know are ignored."""
     values: dict[str, Any] = {}
     for name, annotation in kind.__annotations__.items():
         if name not in entry and hasattr(kind, name):

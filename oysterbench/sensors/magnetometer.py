@@ -1,4 +1,4 @@
-"""Magnetometer: the Earth's field in the sensor's frame, bent by the iron that the vehicle carries."""
+"""Magnetometer: the Earth's field in the sensor's frame, distorted by iron on the vehicle and by other sources."""
 
 from __future__ import annotations
 
@@ -28,35 +28,35 @@ if TYPE_CHECKING:
 MAGNETIC_FIELD = "sensor_msgs/msg/MagneticField"
 MICROTESLA = 1e-6  # T
 FIELD_STEP = 1e-12  # T, to which readings are rounded
-FAULT_STEP_S, LEAST_FAULT_DEG = 0.1, 1.0  # of the truth about faults
+FAULT_STEP_S, LEAST_FAULT_DEG = 0.1, 1.0  # of the ground truth of faults: time step, and least deviation
 HARD_IRON = tuple(axes("hard_iron", "t"))
 SOFT_IRON = tuple(f"soft_iron_{row}{column}" for row in XYZ for column in XYZ)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MagnetometerRecipe(SensorRecipe):
-    """Three fluxgates or the like, in the Earth's field (`SiteRecipe`) and the vehicle's own."""
+    """A three-axis magnetometer (fluxgates or similar), in the Earth's field (`SiteRecipe`) and that of the vehicle."""
 
     block: ClassVar[str] = "magnetometer"
 
     rate_hz: float = number(0.1, 1000, 50.0)
     noise_ut: float = number(0, 10, 0.3)  # uT, 1 sigma of a sample
     hard_iron_ut: tuple[float, float, float] = number(-1000, 1000, (0.0, 0.0, 0.0))
-    """Constant field of the vehicle, in the sensor's frame."""
+    """Constant field of the vehicle, uT, in the sensor's frame."""
     soft_iron: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]] = number(
         -10, 10, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    )  # takes the Earth's field to the one at the sensor, both in its frame
+    )  # matrix from the Earth's field to the field at the sensor, both in the sensor's frame
     step_ut: float = number(0, 10, 0.0)  # resolution of the digital reading
     throttle_deg: float = number(0, 25, 0.0)
-    """Turn of the heading at full throttle, where the field of the motors lies across the Earth's: 5 to 20 deg close to
-    them (ArduPilot calls interference of 30 % of the field, 17 deg, acceptable, and of 60 % not)."""
+    """Heading error at full throttle, where the field of the motors lies across the Earth's: 5 to 20 deg close to them
+    (ArduPilot calls interference of 30 % of the field, 17 deg, acceptable, and of 60 % not)."""
     rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # roll, pitch, yaw: magnetometer to base_link
 
 
 @dataclass(frozen=True)
 class MagnetometerCalibration:
-    """A magnetometer: pose; and where it was swung, the iron of the vehicle, in its frame: a constant field (3,) T and
-    the matrix (3, 3) that takes the Earth's field to the one at the sensor; None where nobody knows."""
+    """A magnetometer: pose; and, if it was swung, the vehicle's iron in the sensor's frame: a constant field (3,) T and
+    the matrix (3, 3) from the Earth's field to the field at the sensor; None where unknown."""
 
     T_base_sensor: Array
     hard_iron_t: Array | None = None
@@ -73,15 +73,15 @@ def earth_field(site: SiteRecipe) -> Array:
 
 @dataclass(frozen=True)
 class Iron:
-    """Iron that the vehicle carries: a constant field (3,) uT, and a matrix (3, 3) on the Earth's, in the sensor's
-    frame."""
+    """Iron on the vehicle: a constant field (3,) uT, and a matrix (3, 3) applied to the Earth's field, both in the
+    sensor's frame."""
 
     hard_ut: Array
     soft: Array
 
     @classmethod
     def of(cls, recipe: MagnetometerRecipe) -> Iron:
-        """That of a recipe."""
+        """Iron that a recipe states."""
         return cls(np.asarray(recipe.hard_iron_ut), np.asarray(recipe.soft_iron))
 
 
@@ -97,7 +97,7 @@ def measure(
     """Field (N, 3) T that the sensor reports at times (N,) s, in its own frame.
 
     b = A R^T B + h + noise, with soft iron A and hard iron h (Gebre-Egziabher et al. 2006), in the steps of the
-    digital reading. iron: in the place of the recipe's. bending: fields (N, 3) T in `map` beside the Earth's.
+    digital reading. iron: replaces the recipe's. bending: fields (N, 3) T in `map` that add to the Earth's.
     """
     mount = scipy.spatial.transform.Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True)
     rotation = path.at(times_s).rotation @ mount.as_matrix()
@@ -112,12 +112,12 @@ def measure(
 
 
 def noise_variance(recipe: MagnetometerRecipe) -> float:
-    """Variance (T^2) of an axis of a reading about its mean: of its noise and of its steps."""
+    """Variance (T^2) of one axis of a reading about its mean: noise plus quantisation."""
     return MICROTESLA**2 * (recipe.noise_ut**2 + recipe.step_ut**2 / 12)
 
 
 class Magnetometer(SensorKind[MagnetometerRecipe, MagnetometerCalibration, MagneticMeasurement]):
-    """The kind."""
+    """Sensor kind: magnetometer."""
 
     recipe = MagnetometerRecipe
     calibration = MagnetometerCalibration
@@ -161,7 +161,7 @@ class Magnetometer(SensorKind[MagnetometerRecipe, MagnetometerCalibration, Magne
         return (MagneticMeasurement(int(at.stamps_ns[k]), fields[k], variance) for k in at.wanted)
 
     def bending(self, world: SensedWorld, recipe: MagnetometerRecipe, times_s: Array) -> dict[str, Array]:
-        """Fields (N, 3) T in `map` that are neither the Earth's nor of iron on board, by what they come from."""
+        """Source -> field (N, 3) T in `map`, of what is neither the Earth nor iron on board."""
         site = world.recipe.site
         found: dict[str, Array] = {}
         if not (recipe.throttle_deg or site.iron):
@@ -179,7 +179,7 @@ class Magnetometer(SensorKind[MagnetometerRecipe, MagnetometerCalibration, Magne
         return found
 
     def faults(self, world: SensedWorld, recipe: MagnetometerRecipe) -> list[Fault]:
-        """Where motors, and iron on the bottom, turn the heading by a degree or more."""
+        """Spans in which motors, or iron on the bottom, turn the heading by a degree or more."""
         times = np.arange(0.0, world.recipe.duration_s, FAULT_STEP_S)
         found = []
         for source, bent in self.bending(world, recipe, times).items():
@@ -188,7 +188,7 @@ class Magnetometer(SensorKind[MagnetometerRecipe, MagnetometerCalibration, Magne
         return found
 
     def encode(self, recipe: MagnetometerRecipe, measurement: MagneticMeasurement) -> list[Message]:
-        """Magnetic field, T."""
+        """Message with the magnetic field, T."""
         message = make(
             MAGNETIC_FIELD,
             header=header(measurement.stamp_ns, link("magnetometer")),

@@ -1,4 +1,4 @@
-"""Pictures of a sequence at given moments, as the viewer shows them: fans of sonars in Cartesian, and waterfalls."""
+"""Panels of the viewer: images of a sequence at given times, sonar fans in Cartesian coordinates, and curves."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from oysterbench.core.geometry import Array
 WIDTH = 400
 QUALITY = 72
 BACKGROUND = 24  # grey level outside a fan
-EARLY_NS = 20_000_000  # by which jitter makes a sample early at most
-WHITE_PERCENTILE = 99.7  # of the amplitudes of a picture: what is shown brightest
+EARLY_NS = 20_000_000  # greatest amount by which jitter makes a sample early
+WHITE_PERCENTILE = 99.7  # percentile of an image's amplitudes that is shown brightest
 
 
 class Frame(NamedTuple):
-    """A picture as it is shown: JPEG, and the stamp of what it shows; None before there is anything."""
+    """An image as it is shown: JPEG, and the stamp of what it shows, None before the first measurement."""
 
     data: bytes
     stamp_ns: int | None
@@ -28,9 +28,9 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True)
 class Panel:
-    """A picture that changes: title, size in px, about how many bytes a frame takes, and the frame at each moment.
+    """An image that changes over time: title, size in px, the frames at given times, and approximate bytes per frame.
 
-    over, meaning: of a layer of truth, the title of the panel that it lies over, and what its colours mean.
+    over, meaning: for a ground-truth layer, the title of the panel that it overlays, and what its colours mean.
     """
 
     title: str
@@ -44,7 +44,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Fan:
-    """Where each pixel of a picture lies in a sonar's (bins, beams): columns and rows (H, W) float32, -1 outside."""
+    """Position of each pixel of an image in a sonar's (bins, beams): columns and rows (H, W) float32, -1 outside."""
 
     columns: NDArray[np.float32]
     rows: NDArray[np.float32]
@@ -55,12 +55,12 @@ class Fan:
 
     @property
     def height(self) -> int:
-        """Of the picture, px."""
+        """Height of the image, px."""
         return len(self.rows)
 
     @classmethod
     def of(cls, azimuths_rad: Array, ranges_m: Array) -> Fan:
-        """A picture WIDTH px wide that the fan fills, x of the sonar up, y to the left."""
+        """Fan that fills an image WIDTH px wide, x of the sonar up, y to the left."""
         widest = float(np.abs(azimuths_rad).max())
         reach = float(ranges_m[-1])
         half = reach * (np.sin(widest) if widest < np.pi / 2 else 1.0)
@@ -78,7 +78,7 @@ class Fan:
         return cls(beams.astype(np.float32), bins.astype(np.float32), centre, metres, ranges_m, azimuths_rad)
 
     def draw(self, amplitudes: NDArray[np.uint16], white: float) -> NDArray[Any]:
-        """(H, W, 3) uint8 BGR of amplitudes (bins, beams); `white` is the brightest that is shown."""
+        """Draw amplitudes (bins, beams) as (H, W, 3) uint8 BGR; `white` is the amplitude that is shown brightest."""
         picture = coloured(np.asarray(cv2.remap(grey_of(amplitudes, white), self.columns, self.rows, cv2.INTER_LINEAR)))
         picture[self.rows < 0] = BACKGROUND
         self._rings(picture)
@@ -98,7 +98,7 @@ class Fan:
 
 
 def _round_step(value: float) -> float:
-    """The greatest of 1, 2 and 5 times a power of ten that is not above a value."""
+    """Largest number of the form 1, 2 or 5 times a power of ten that does not exceed a value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(factor * power for factor in (1, 2, 5) if factor * power <= value * 1.0001))
 
@@ -109,9 +109,9 @@ def jpeg(picture: Any) -> bytes:
 
 
 def latest(read: Callable[..., Iterator[Any]], name: str, times: NDArray[np.int64]) -> Iterator[Any]:
-    """The first sample in the interval that begins at each moment, or else the one before; None before all.
+    """Yield, for each time, the first sample in the interval that starts then, or else the previous one; None at first.
 
-    Intervals begin a little earlier, so that a film at the sensor's own rate shows each sample once.
+    Intervals start a little early, so that a video at the sensor's own rate shows each sample once.
     """
     before = None
     step = max(int(times[1] - times[0]), 1) if len(times) > 1 else 1
@@ -122,27 +122,27 @@ def latest(read: Callable[..., Iterator[Any]], name: str, times: NDArray[np.int6
 
 
 def white_of(amplitudes: NDArray[np.uint16]) -> float:
-    """The amplitude that is shown brightest."""
+    """Amplitude that is shown brightest."""
     return max(float(np.percentile(amplitudes, WHITE_PERCENTILE)), 1.0)
 
 
 def grey_of(amplitudes: NDArray[np.uint16], white: float) -> NDArray[np.float32]:
-    """Amplitudes as brightness from 0 to 1, their root: the eye sees more of the weak ones."""
+    """Brightness from 0 to 1 of amplitudes: their square root, which makes weak ones easier to see."""
     return np.clip(np.sqrt(amplitudes / white), 0.0, 1.0).astype(np.float32)
 
 
 def coloured(grey: NDArray[np.float32]) -> NDArray[Any]:
-    """(H, W, 3) uint8 BGR of brightness (H, W) from 0 to 1."""
+    """Colour brightness (H, W) from 0 to 1 as (H, W, 3) uint8 BGR."""
     return np.asarray(cv2.applyColorMap(np.rint(255 * grey).astype(np.uint8), cv2.COLORMAP_INFERNO))
 
 
 def blank(width: int, height: int) -> NDArray[np.uint8]:
-    """(H, W, 3): what is shown before the first measurement."""
+    """Image (H, W, 3) that is shown before the first measurement."""
     return np.full((height, width, 3), BACKGROUND, dtype=np.uint8)
 
 
 def padded(picture: NDArray[Any], aspect: float) -> NDArray[Any]:
-    """A picture (H, W, 3) with background under and over it, or beside it, until its width is `aspect` times its
+    """Pad an image (H, W, 3) with background above and below, or on both sides, until its width is `aspect` times its
     height."""
     height, width = picture.shape[:2]
     down, across = max(0, round(width / aspect) - height), max(0, round(height * aspect) - width)
@@ -163,8 +163,8 @@ def curves(
     beside: Array,
     spans: Sequence[tuple[float, float]],
 ) -> NDArray[Any]:
-    """(H, W, 3) uint8 BGR of values (N, up to 3) over seconds (N,), over others in grey, with spans of time marked at
-    the foot. Broken where values are not finite; between the least and the greatest of `values`."""
+    """Plot (H, W, 3) uint8 BGR of values (N, up to 3) over seconds (N,), on top of others in grey, with time spans
+    marked at the bottom. Curves are broken where values are not finite; the axis spans `values`."""
     picture = np.full((WIDTH * 3 // 4, WIDTH, 3), BACKGROUND, dtype=np.uint8)
     left, right, top, bottom = 44, WIDTH - 10, 34, len(picture) - 32
     low, high = float(np.nanmin(values)), float(np.nanmax(values))

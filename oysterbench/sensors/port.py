@@ -1,7 +1,7 @@
-"""What a calibration in the water finds of a camera behind a flat port: a lens in water that comes close to it.
+"""Calibration in water of a camera behind a flat port: the lens in water that approximates it best.
 
-Behind flat glass no two rays share a centre (Treibitz et al. 2012), and the published systems have no such model: their
-users take pictures of a target in the water and fit a pinhole with distortion, as here to the refracted rays.
+Behind flat glass rays do not share a centre (Treibitz et al. 2012), and the published systems have no model for that:
+their users take images of a target in the water and fit a pinhole with distortion, as is done here to refracted rays.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import numpy as np
 from oysterbench.core.geometry import Array
 from oysterbench.recipe import CameraRecipe
 
-WORKING_M = (0.5, 2.0)  # distances along the axis between which a target is shown
-DISTANCES = 5  # planes of it, evenly in 1 / distance, as parallax goes
-GRID = (25, 19)  # of its corners over the picture
+WORKING_M = (0.5, 2.0)  # range of distances along the axis at which a target is shown
+DISTANCES = 5  # planes of the target, evenly spaced in 1 / distance, as parallax is
+GRID = (25, 19)  # corners of the target over the image
 PX_DIGITS, DIGITS = 3, 6  # to which results are rounded, so that a processor's last bits do not show
-COEFFICIENT_DIGITS = (5, 4, 3, 2)  # of k1 to k4: those of high orders are determined worse, and stand for less
+COEFFICIENT_DIGITS = (5, 4, 3, 2)  # of k1 to k4: high orders are less well determined, and have less effect
 
 
 @dataclass(frozen=True)
 class InWater:
-    """A lens in water: matrix (3, 3) in px, coefficients of its distortion, and how far before the pupil its centre
-    lies on the axis, m. rms_px, worst_px: by how much it misses the refracted rays within WORKING_M."""
+    """A lens in water: matrix (3, 3) in px, distortion coefficients, and distance of its centre in front of the pupil
+    along the axis, m. rms_px, worst_px: residuals to the refracted rays within WORKING_M."""
 
     matrix: Array
     distortion: tuple[float, ...]
@@ -36,12 +36,12 @@ class InWater:
 
 @lru_cache
 def fit_in_water(camera: CameraRecipe) -> InWater:
-    """The equidistant lens (Kannala-Brandt k1 to k4) that fits a camera behind a flat port best: least squares in px.
+    """Fit an equidistant lens (Kannala-Brandt k1 to k4) to a camera behind a flat port: least squares in px.
 
-    What a port leaves is a strong pincushion: Brown-Conrady fits it no better, and the usual way to undo that, a fixed
-    number of fixed-point steps (cv2.undistortPoints), is tens of pixels off in the corners. The coefficients stand in
-    for one another, so that the fit leaves digits of them to a processor's rounding: each is rounded in turn, from k4
-    on, and what is left is fitted again, which makes up for it.
+    A port leaves a strong pincushion distortion: Brown-Conrady fits it no better, and the usual way to invert that
+    model, a fixed number of fixed-point iterations (cv2.undistortPoints), is tens of pixels off in the corners. The
+    coefficients are correlated, so their last digits would depend on the processor's rounding: they are rounded one by
+    one, from k4 down, and the remaining parameters are fitted again to compensate.
     """
     from scipy.optimize import least_squares  # a third of a second, where no camera is behind a port
 

@@ -33,12 +33,13 @@ FRESH = (999.842594, 6.793952e-2, -9.095290e-3, 1.001685e-4, -1.120083e-6, 6.536
 SALT = (8.24493e-1, -4.0899e-3, 7.6438e-5, -8.2467e-7, 5.3875e-9)
 SALT_ROOT = (-5.72466e-3, 1.0227e-4, -1.6546e-6)
 SALT_SQUARED = 4.8314e-4
-"""kg/m^3 by powers of deg C: of pure water, and with salinity S, S^1.5 and S^2 (Millero & Poisson 1981; UNESCO 44)."""
+"""Density coefficients, kg/m^3, by powers of deg C: of pure water, and with salinity S, S^1.5 and S^2 (Millero &
+Poisson 1981; UNESCO 44)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PressureRecipe(SensorRecipe):
-    """A pressure sensor. What tide and waves do is of the site (`SiteRecipe`)."""
+    """A pressure sensor. Tide and waves are properties of the site (`SiteRecipe`)."""
 
     block: ClassVar[str] = "pressure"
 
@@ -48,14 +49,14 @@ class PressureRecipe(SensorRecipe):
     step_pa: float = number(0, 1e5, 20.0)  # resolution of the digital reading
     max_depth_m: float = number(1, 11_000, 300.0)  # readings saturate there
     drift_m: float = number(0, 0.5, 0.0)
-    """Of depth, 1 sigma: by which its zero moves until the sensor has the water's temperature; 1 to 10 cm of the
+    """Zero drift in depth, 1 sigma, until the sensor has reached the water's temperature; 1 to 10 cm for sensors of the
     Bar30's class (practice)."""
     drift_tau_s: float = number(10, 36_000, 600.0)  # time constant of that drift
 
 
 @dataclass(frozen=True)
 class PressureCalibration:
-    """A pressure sensor: pose; density of the water, kg/m^3, and pressure of the air over it, Pa."""
+    """A pressure sensor: pose; density of the water, kg/m^3, and air pressure at the surface, Pa."""
 
     T_base_sensor: Array
     density: float
@@ -63,7 +64,7 @@ class PressureCalibration:
 
 
 def density(site: SiteRecipe) -> float:
-    """Of the site's water at the surface, kg/m^3: the one-atmosphere equation of state EOS-80."""
+    """Density of the site's water at the surface, kg/m^3: the one-atmosphere equation of state EOS-80."""
     t, s = site.temperature_c, site.salinity_ppt
     return float(polyval(t, FRESH) + polyval(t, SALT) * s + polyval(t, SALT_ROOT) * s**1.5 + SALT_SQUARED * s**2)
 
@@ -78,8 +79,8 @@ def measure(
 ) -> Array:
     """Absolute pressure (N,) Pa that the sensor reports at times (N,) s.
 
-    waves: those of the site (`build_waves`), which also move the vehicle. Where the sensor leaves the water it feels
-    the air.
+    waves: those of the site (`build_waves`), which also move the vehicle. Out of the water the sensor measures the air
+    pressure.
     """
     motion = path.at(times_s)
     place = motion.position + motion.rotation @ np.asarray(recipe.position_m)
@@ -95,24 +96,24 @@ def measure(
 
 
 def drift(recipe: PressureRecipe, times_s: Array, streams: Streams) -> Array:
-    """Depth (N,) m by which the zero has moved since the start, towards a value of its own: as 1 - exp(-t / tau)."""
+    """Drift of the zero in depth (N,) m since the start, towards a random final value: as 1 - exp(-t / tau)."""
     end = recipe.drift_m * float(streams.generator("pressure", "drift").standard_normal())
     return np.asarray(-end * np.expm1(-times_s / recipe.drift_tau_s))
 
 
 def tide(site: SiteRecipe, times_s: Array, streams: Streams) -> Array:
-    """Height (N,) m of the tide above z = 0: a sine that the sequence meets anywhere."""
+    """Height (N,) m of the tide above z = 0: a sine with a random phase at the start of the sequence."""
     phase = streams.generator("site", "tide").uniform(0, 2 * np.pi)
     return site.tide_m * np.sin(2 * np.pi * times_s / (3600.0 * site.tide_period_h) + phase)
 
 
 def noise_variance(recipe: PressureRecipe, site: SiteRecipe) -> float:
-    """Variance (Pa^2) of a reading about its mean: of its noise and of its steps."""
+    """Variance (Pa^2) of a reading about its mean: noise plus quantisation."""
     return (density(site) * GRAVITY * recipe.noise_m) ** 2 + recipe.step_pa**2 / 12
 
 
 class PressureSensor(SensorKind[PressureRecipe, PressureCalibration, PressureMeasurement]):
-    """The kind."""
+    """Sensor kind: pressure sensor."""
 
     recipe = PressureRecipe
     calibration = PressureCalibration
@@ -136,14 +137,14 @@ class PressureSensor(SensorKind[PressureRecipe, PressureCalibration, PressureMea
         return (PressureMeasurement(int(at.stamps_ns[k]), float(values[k]), variance) for k in at.wanted)
 
     def faults(self, world: SensedWorld, recipe: PressureRecipe) -> list[Fault]:
-        """The drift of its zero."""
+        """Drift of the sensor's zero over the sequence."""
         if not recipe.drift_m:
             return []
         end = world.recipe.duration_s
         return [Fault(0.0, end, "zero_drift_m", float(drift(recipe, np.array([end]), world.streams)[0]))]
 
     def encode(self, recipe: PressureRecipe, measurement: PressureMeasurement) -> list[Message]:
-        """Absolute pressure, Pa."""
+        """Message with the absolute pressure, Pa."""
         message = make(
             FLUID_PRESSURE,
             header=header(measurement.stamp_ns, link("pressure")),

@@ -1,4 +1,4 @@
-"""Every kind of sensor that there is a file of, and what follows from that for a rig and for a calibration."""
+"""Registry of the sensor kinds in this package, and what follows from them for rigs and calibrations."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from oysterbench.sensors.uncertainty import (
 AnyKind = SensorKind[Any, Any, Any]
 
 FIRST_CALIBRATED = ("imu", "camera", "sonar", "scanner", "altimeter")
-"""Blocks whose calibrations come first in calibration.json, whose bytes depend on it; the others by their rank."""
+"""Blocks that come first in calibration.json, whose bytes depend on the order; the others follow by rank."""
 
 
 @cache
 def sensor_kinds() -> Mapping[str, AnyKind]:
-    """Block -> kind, of all modules of this package that define `KIND`, by rank."""
+    """Block -> kind, for all modules of this package that define `KIND`, by rank."""
     package = import_module("oysterbench.sensors")
     modules = (import_module(f"{package.__name__}.{info.name}") for info in pkgutil.iter_modules(package.__path__))
     kinds: list[AnyKind] = [module.KIND for module in modules if hasattr(module, "KIND")]
@@ -45,20 +45,20 @@ def calibrated_kinds() -> tuple[AnyKind, ...]:
 
 
 def kind_of(recipe: SensorRecipe) -> AnyKind:
-    """The kind of a sensor."""
+    """Kind of a sensor."""
     return sensor_kinds()[recipe.block]
 
 
 def rig_sensors(rig: RigRecipe) -> Iterator[tuple[AnyKind, Any]]:
-    """Kind and recipe of each sensor of a rig, by the rank of the kinds."""
+    """Yield kind and recipe of each sensor of a rig, by the rank of the kinds."""
     for kind in sensor_kinds().values():
         for recipe in rig.of(kind.recipe):
             yield kind, recipe
 
 
 def rig_calibration(rig: RigRecipe, site: SiteRecipe) -> dict[str, Any]:
-    """calibration.json of a rig at a site, as JSON values: what a perfect calibration would find. What the rig lacks is
-    absent."""
+    """Content of calibration.json for a rig at a site, as JSON values: what a perfect calibration would find. Sensors
+    that the rig lacks are absent."""
     return _document(rig, lambda kind, recipe: kind.calibrate(recipe, site))
 
 
@@ -72,9 +72,9 @@ def _document(rig: RigRecipe, entry: Callable[[AnyKind, Any], dict[str, Any]]) -
 
 
 def calibrate_rig(rig: RigRecipe, site: SiteRecipe, quality: str, streams: Streams) -> RigCalibration:
-    """The calibration that is given of a rig at a site, and the true one. quality: "exact", or one of QUALITIES.
+    """Given and true calibration of a rig at a site. quality: "exact", or one of QUALITIES.
 
-    The errors are drawn from the covariance that the given one states; streams: those of the sequence.
+    The errors are drawn from the covariance that the given calibration states; streams: those of the sequence.
     """
     true = _document(rig, lambda kind, recipe: kind.true_calibration(recipe, site))
     if quality not in QUALITIES:
@@ -104,9 +104,9 @@ def calibrate_rig(rig: RigRecipe, site: SiteRecipe, quality: str, streams: Strea
 
 
 def read_calibrations(document: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Block -> name -> calibration, from calibration.json, of the kinds that it has.
+    """Block -> name -> calibration, from calibration.json, for the kinds that it contains.
 
-    Raises LookupError, TypeError or ValueError where the document is not of its shape.
+    Raises LookupError, TypeError or ValueError where the document is malformed.
     """
     found: dict[str, dict[str, Any]] = {}
     for kind in calibrated_kinds():
@@ -125,5 +125,5 @@ def rig_frames(rig: RigRecipe) -> dict[str, tuple[AnyKind, str]]:
 
 
 def export_formats() -> dict[str, tuple[AnyKind, Export]]:
-    """Format -> the kind of sensor that it is of, and how it is written."""
+    """Export format -> the sensor kind that it belongs to, and how it is written."""
     return {form: (kind, export) for kind in sensor_kinds().values() for form, export in kind.exports.items()}

@@ -1,4 +1,4 @@
-"""Mechanically scanned sonar: one narrow beam on a turning head, which moves on with every ping."""
+"""Mechanically scanned sonar: one narrow beam on a head that turns one step with every ping."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from oysterbench.sensors.panels import Frame, Panel
 
 HEAD = "sensor_msgs/msg/JointState"
-COLUMNS, ROWS = 24, 240  # of rays over the beam's main lobe
+COLUMNS, ROWS = 24, 240  # columns and rows of rays over the beam's main lobe
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +48,7 @@ class ScannerRecipe(BinnedSonarRecipe):
 
 @dataclass(frozen=True)
 class ScannerCalibration:
-    """A scanning sonar: ranges (bins,) m; width of its beam, rad; amplitude of a number's step; pose at angle 0."""
+    """A scanning sonar: ranges (bins,) m; width of its beam, rad; amplitude of one count; pose at angle 0."""
 
     ranges_m: Array
     beam_rad: float
@@ -57,10 +57,10 @@ class ScannerCalibration:
 
 
 class ScanningSonar:
-    """A scanning sonar in a world, over a bottom of a kind of recipe.BOTTOMS.
+    """A scanning sonar in a world, over a bottom type of recipe.BOTTOMS.
 
-    Amplitudes are linear, in counts of `amplitude_step`, as an imaging sonar's are. Each ping is sent and heard at one
-    pose: what a turning head smears is that the vehicle moves between its pings.
+    Amplitudes are linear, in counts of `amplitude_step`, like those of an imaging sonar. Each ping is sent and received
+    at the same pose: scans are distorted only because the vehicle moves between pings.
     """
 
     def __init__(self, caster: RayCaster, recipe: ScannerRecipe, site: SiteRecipe, bottom: str = "sand") -> None:
@@ -75,11 +75,11 @@ class ScanningSonar:
 
     @property
     def ranges(self) -> Array:
-        """(bins,) m, of the middles of the bins, as the sonar believes them."""
+        """Ranges (bins,) m of the bin centres, as the sonar believes them to be."""
         return echoes.bin_middles(self.recipe)
 
     def ping(self, T_map_base: Array, streams: Streams, index: int, stamp_ns: int = 0) -> ScanPing:
-        """Ping `index`, with the vehicle at T_map_base (4, 4) and the head where that many steps have brought it."""
+        """Take ping `index`, with the vehicle at T_map_base (4, 4) and the head turned by that many steps."""
         branch = streams.at("scanner", self.recipe.name, index)
         angle = head_angle(self.recipe, index)
         power, loss = self.listen(T_map_base, angle, branch)
@@ -99,7 +99,7 @@ class ScanningSonar:
         return echoes.resolve(power, axis, medium.speed, self.recipe.bandwidth_khz)[0], medium.loss
 
     def _rays(self, angle: float, generator: np.random.Generator) -> Rays:
-        """Rays anywhere in the cells of a grid over the main lobe."""
+        """Draw one ray at random in each cell of a grid over the main lobe."""
         widest, highest = acoustics.first_null(self._across), acoustics.first_null(self._vertical)
         width, height = 2 * widest / COLUMNS, 2 * highest / ROWS
         anywhere = generator.random((2, COLUMNS, ROWS))
@@ -133,7 +133,7 @@ def head_angle(recipe: ScannerRecipe, index: int) -> float:
 
 
 class Scanner(SensorKind[ScannerRecipe, ScannerCalibration, ScanPing]):
-    """The kind."""
+    """Sensor kind: scanning sonar."""
 
     recipe = ScannerRecipe
     calibration = ScannerCalibration
@@ -151,13 +151,13 @@ class Scanner(SensorKind[ScannerRecipe, ScannerCalibration, ScanPing]):
         return echoes.pings(world, at, head.ping)
 
     def faults(self, world: SensedWorld, recipe: ScannerRecipe) -> list[Fault]:
-        """Pulses of others that reach into its beam, by their azimuth."""
+        """Pulses of other sonars that reach into its beam; value: their azimuth."""
         branch, beam = world.streams.at("scanner", recipe.name), float(np.radians(recipe.beam_deg))
         mount = acoustics.mount_pose(recipe)
         return struck_pings(world, recipe, mount, branch.at, beam, lambda index: head_angle(recipe, index))
 
     def encode(self, recipe: ScannerRecipe, measurement: ScanPing) -> list[Message]:
-        """Amplitudes, near first, as a picture of one row; and the angle of the head, rad."""
+        """Messages: amplitudes, near first, as an image of one row; and the angle of the head, rad."""
         head = make(
             HEAD,
             header=header(measurement.stamp_ns, link(measurement.sensor)),
@@ -187,7 +187,7 @@ class Scanner(SensorKind[ScannerRecipe, ScannerCalibration, ScanPing]):
 
 
 def _frames(sequence: Any, name: str, times: NDArray[np.int64]) -> Iterator[Frame]:
-    """What the head has heard so far, each angle as it was heard last."""
+    """Yield an image of the scan so far at each of the times, with the latest ping at each angle."""
     import cv2
 
     from oysterbench.sensors.panels import WIDTH, Fan, Frame, jpeg, white_of

@@ -1,4 +1,4 @@
-"""Side-scan sonar: a fan to port and one to starboard, narrow along the track, that paint the bottom ping by ping."""
+"""Side-scan sonar: fans to port and starboard, narrow along the track, that image the bottom ping by ping."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ if TYPE_CHECKING:
 SIDES = {"port": 90.0, "starboard": -90.0}
 """Azimuth of each fan's axis, deg to the left of the mount's x."""
 
-COLUMNS, ROWS = 8, 900  # of rays over a fan's main lobe, along the track and over the elevations
-STEEPEST_COSINE = 0.05  # of the elevation, up to which rays are spread so that the beam keeps its width along the track
-SMOOTHING_BINS = 9  # over which the first echo of the bottom is looked for,
-BOTTOM_SHARE = 0.25  # and the share of the ping's median amplitude that it has
-PANEL_PINGS = 240  # that the viewer shows at a time
+COLUMNS, ROWS = 8, 900  # of rays over a fan's main lobe: along the track, and in elevation
+STEEPEST_COSINE = 0.05  # least cosine of the elevation in the spread that keeps the beam's width along the track
+SMOOTHING_BINS = 9  # window in which the first bottom echo is looked for,
+BOTTOM_SHARE = 0.25  # and the share of the ping's median amplitude that it must reach
+PANEL_PINGS = 240  # pings that the viewer shows at a time
 
 
 @dataclass(frozen=True, kw_only=True)
 class SidescanRecipe(BinnedSonarRecipe):
-    """A side-scan sonar: x of its mount points along the track; two fans look to its sides, tilted down."""
+    """A side-scan sonar: x of its mount points along the track; two fans look sideways, tilted down."""
 
     block: ClassVar[str] = "sidescan"
 
@@ -50,7 +50,7 @@ class SidescanRecipe(BinnedSonarRecipe):
     beam_deg: float = number(0.1, 10, 0.6)  # width of a fan along the track, at half power
     vfov_deg: float = number(5, 90, 50.0)  # width of a fan across the track
     tilt_deg: float = number(0, 80, 30.0)  # of the axes of the fans below the horizon
-    bins: int = number(16, 4096, 600)  # of a side
+    bins: int = number(16, 4096, 600)  # bins per side
     max_range_m: float = number(0.5, 200, 15.0)
     bandwidth_khz: float = number(1, 1000, 30.0)
     tvg: bool = field(default=True)
@@ -58,8 +58,8 @@ class SidescanRecipe(BinnedSonarRecipe):
 
 @dataclass(frozen=True)
 class SidescanCalibration:
-    """A side-scan sonar: slant ranges (bins,) m of a side; widths of a fan along and across the track, and its tilt,
-    rad; frequency, Hz; amplitude of a count; pose, x along the track, y to port."""
+    """A side-scan sonar: slant ranges (bins,) m of each side; widths of a fan along and across the track, and its tilt,
+    rad; frequency, Hz; amplitude of one count; pose, x along the track, y to port."""
 
     ranges_m: Array
     beam_rad: float
@@ -81,15 +81,15 @@ class SidescanPing:
 
     @property
     def line(self) -> NDArray[np.uint16]:
-        """(2 bins,): as it lies on the bottom, from far on port to far on starboard."""
+        """Amplitudes (2 bins,) in the order in which they lie on the bottom, from far port to far starboard."""
         return np.concatenate([self.port[::-1], self.starboard])
 
 
 class SidescanSonar:
-    """A side-scan sonar in a world, over a bottom of a kind of recipe.BOTTOMS.
+    """A side-scan sonar in a world, over a bottom type of recipe.BOTTOMS.
 
     Amplitudes are linear; 1 is that of a perfect scatterer (mu = 1, facing the fan) 1 m away that fills a beam. Each
-    ping is sent and heard at one pose.
+    ping is sent and received at the same pose.
     """
 
     def __init__(self, caster: RayCaster, recipe: SidescanRecipe, site: SiteRecipe, bottom: str = "sand") -> None:
@@ -104,11 +104,11 @@ class SidescanSonar:
 
     @property
     def ranges(self) -> Array:
-        """(bins,) m, slant ranges of the middles of the bins, as the sonar believes them."""
+        """Slant ranges (bins,) m of the bin centres, as the sonar believes them to be."""
         return echoes.bin_middles(self.recipe)
 
     def ping(self, T_map_base: Array, streams: Streams, index: int, stamp_ns: int = 0) -> SidescanPing:
-        """Ping `index`, with the vehicle at T_map_base (4, 4)."""
+        """Take ping `index`, with the vehicle at T_map_base (4, 4)."""
         heard = {}
         for side in SIDES:
             branch = streams.at("sidescan", self.recipe.name, index, side)
@@ -119,9 +119,9 @@ class SidescanSonar:
         return SidescanPing(stamp_ns, self.recipe.name, heard["port"], heard["starboard"])
 
     def listen(self, T_map_base: Array, side: str, streams: Streams) -> tuple[Array, float]:
-        """Expected power (bins,) that comes back to a side, and the absorption in dB/m; `streams` scatters the rays.
+        """Expected power (bins,) returned to one side, and the absorption in dB/m; `streams` jitters the rays.
 
-        Each ray ends at the first surface that it meets, so that what lies behind it is in its shadow.
+        Each ray ends at the first surface that it meets, so whatever lies behind is in its shadow.
         """
         T_map_fan = np.asarray(T_map_base, dtype=float) @ self._mounts[side]
         medium = echoes.Medium.at(self.site, -float(T_map_fan[2, 3]), self.recipe.frequency_khz)
@@ -134,10 +134,11 @@ class SidescanSonar:
         return echoes.resolve(power, axis, medium.speed, self.recipe.bandwidth_khz)[0], medium.loss
 
     def _rays(self, edges: Array, generator: np.random.Generator) -> Rays:
-        """Rays anywhere in the cells of a grid over the main lobe: rows between elevations `edges` (ROWS + 1,) rad.
+        """Draw one ray at random in each cell of a grid over the main lobe, rows between elevations `edges`
+        (ROWS + 1,) rad.
 
-        The beam of a line array is a slice of space that is as wide along the track at any elevation e: its azimuths
-        are those off the array's broadside over cos(e).
+        The beam of a line array is equally wide along the track at any elevation e: its azimuths are the angles off
+        the array's broadside, divided by cos(e).
         """
         widest = acoustics.first_null(self._along)
         width, heights = 2 * widest / COLUMNS, np.diff(edges)
@@ -160,7 +161,7 @@ class SidescanSonar:
 
 
 def fan_pose(recipe: SidescanRecipe, side: str) -> Array:
-    """T_mount_fan (4, 4) of a side's fan: x along its axis, out and down, y along the track."""
+    """T_mount_fan (4, 4) of the fan on one side: x along its axis, out and down, y along the track."""
     turn = scipy.spatial.transform.Rotation.from_euler("ZY", [SIDES[side], recipe.tilt_deg], degrees=True)
     return transform(turn.as_matrix(), np.zeros(3))
 
@@ -170,8 +171,8 @@ def _of_side(branch: Streams, side: str, index: int) -> Streams:
 
 
 def first_return(amplitudes: NDArray[np.uint16]) -> int:
-    """Bin of the first echo of the bottom, where the column of water ends: the first from which SMOOTHING_BINS have
-    BOTTOM_SHARE of the median amplitude of the ping; the number of bins where there is none."""
+    """Bin of the first bottom echo, where the water column ends: the first window of SMOOTHING_BINS whose mean reaches
+    BOTTOM_SHARE of the ping's median amplitude; the number of bins where there is none."""
     window = np.ones(SMOOTHING_BINS) / SMOOTHING_BINS
     smooth = np.convolve(amplitudes.astype(float), window, mode="valid")
     strong = smooth >= max(BOTTOM_SHARE * float(np.median(amplitudes)), 1.0)
@@ -186,8 +187,8 @@ def _row(message: Any) -> Row:
 
 
 def write_waterfall(sequence: Any, name: str, folder: File, truth: bool) -> list[str]:
-    """NAME.png, 16 bits: a line a ping, the first on top, from far on port to far on starboard; NAME.csv: of each line
-    its stamp and, with truth, the pose T_map_sensor."""
+    """Write NAME.png, 16-bit: one line per ping, the first on top, from far port to far starboard; and NAME.csv: the
+    stamp of each line and, with truth, the pose T_map_sensor."""
     calibration = sequence.calibration(name)
     pings = list(sequence.measurements(name))
     lines = np.stack([ping.line for ping in pings]) if pings else np.zeros((1, 2), dtype=np.uint16)
@@ -215,7 +216,7 @@ def write_waterfall(sequence: Any, name: str, folder: File, truth: bool) -> list
 
 
 class Sidescan(SensorKind[SidescanRecipe, SidescanCalibration, SidescanPing]):
-    """The kind."""
+    """Sensor kind: side-scan sonar."""
 
     recipe = SidescanRecipe
     calibration = SidescanCalibration
@@ -245,7 +246,7 @@ class Sidescan(SensorKind[SidescanRecipe, SidescanCalibration, SidescanPing]):
         return echoes.pings(world, at, sonar.ping)
 
     def faults(self, world: SensedWorld, recipe: SidescanRecipe) -> list[Fault]:
-        """Pulses of others that reach into its beams, by their azimuth off each side's axis."""
+        """Pulses of other sonars that reach into its beams; value: their azimuth off the axis of each side."""
         branch, beam = world.streams.at("sidescan", recipe.name), float(np.radians(recipe.beam_deg))
         found = []
         for side in SIDES:
@@ -254,7 +255,7 @@ class Sidescan(SensorKind[SidescanRecipe, SidescanCalibration, SidescanPing]):
         return found
 
     def encode(self, recipe: SidescanRecipe, measurement: SidescanPing) -> list[Message]:
-        """A picture of 16 bits and one row, from far on port to far on starboard: a waterfall's line."""
+        """Message with a 16-bit image of one row, from far port to far starboard: one line of a waterfall."""
         stamp, name = measurement.stamp_ns, measurement.sensor
         return [Message(f"/{name}/ping", stamp, echo_image(stamp, link(name), measurement.line[None]))]
 
@@ -272,7 +273,7 @@ class Sidescan(SensorKind[SidescanRecipe, SidescanCalibration, SidescanPing]):
 
 
 def _waterfalls(sequence: Any, name: str, times: NDArray[np.int64]) -> Iterator[Frame]:
-    """The last PANEL_PINGS pings at each moment, the newest on top."""
+    """Yield the last PANEL_PINGS pings at each of the times, the newest on top."""
     from oysterbench.sensors.panels import WIDTH, Frame, blank, coloured, grey_of, jpeg, white_of
 
     picture = blank(WIDTH, PANEL_PINGS)

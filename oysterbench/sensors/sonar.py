@@ -1,4 +1,4 @@
-"""Imaging sonar: a fan of beams that resolve azimuth and range, and hear all elevations of their aperture at once."""
+"""Imaging sonar: a fan of beams that resolve azimuth and range, but not elevation within their aperture."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ if TYPE_CHECKING:
     from oysterbench.render.rays import RayCaster
     from oysterbench.sensors.panels import Fan, Frame, Panel
 
-ROWS = 200  # of rays over the elevations
-PROBE_COLUMNS = 12  # of the rays that tell where elevations have to be dense
-COLUMNS_PER_WIDTH = 1.5  # at least so many columns of rays in a beam's half-power width,
-MOST_PER_WIDTH = 6.0  # and no more than so many where beams lie closer than that
-PATTERN_REACH = 4.0  # half-power widths, each side, within which a beam hears
-RAISED_M = 0.05  # what is lower over the bottom has its bounce off the bottom together with its echo
+ROWS = 200  # rows of rays over the elevations
+PROBE_COLUMNS = 12  # columns of the probing rays that tell where elevations have to be dense
+COLUMNS_PER_WIDTH = 1.5  # least number of ray columns per half-power width of a beam,
+MOST_PER_WIDTH = 6.0  # and the greatest, where beams lie closer together than that
+PATTERN_REACH = 4.0  # half-power widths on each side within which a beam receives
+RAISED_M = 0.05  # height over the bottom below which a bounce off the bottom coincides with the direct echo
 SonarPing = tuple[SonarImage, Cloud | None]
-"""What a simulated ping measures: its image, and its cloud if the recipe asks for one."""
+"""Measurement of a simulated ping: its image, and its cloud if the recipe asks for one."""
 
-CLOUD_ROWS = 32  # of the cloud, over the elevations
+CLOUD_ROWS = 32  # rows of the cloud over the elevations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +62,8 @@ class SonarRecipe(BinnedSonarRecipe):
 
 @dataclass(frozen=True)
 class SonarCalibration:
-    """An imaging sonar: azimuths (beams,) rad, left of x positive; ranges (bins,) m; height of its fan, rad; frequency,
-    Hz; amplitude of a pixel's step; pose."""
+    """An imaging sonar: azimuths (beams,) rad, left of x positive; ranges (bins,) m; vertical aperture of its fan, rad;
+    frequency, Hz; amplitude of one count of a pixel; pose."""
 
     beams: int
     bins: int
@@ -77,10 +77,10 @@ class SonarCalibration:
 
 @dataclass(frozen=True)
 class Columns:
-    """Columns of rays, even in azimuth, and what each adds to the beams.
+    """Columns of rays, evenly spaced in azimuth, and their weights in the beams.
 
     edges (C + 1,): azimuths, from left to right, rad. Either a beam has per_beam columns or a column has per_column
-    beams; the other number is 1. Beam b adds up taps[b % per_column], (per_column, K), times the K columns from
+    beams; the other number is 1. Beam b sums taps[b % per_column], taps (per_column, K), times the K columns from
     per_beam * (b // per_column) on.
     """
 
@@ -91,15 +91,15 @@ class Columns:
 
     @property
     def width(self) -> float:
-        """Of a column, rad."""
+        """Width of a column, rad."""
         return float(self.edges[0] - self.edges[1])
 
 
 @dataclass(frozen=True)
 class Ping:
-    """What one ping finds: its rays, their returns, the range axis, and the absorption in dB/m.
+    """Noise-free result of one ping: its rays, their returns, the range axis, and the absorption (loss) in dB/m.
 
-    power (beams, bins): what the sonar records on average.
+    power (beams, bins): expected power that the sonar records.
     """
 
     rays: Rays
@@ -110,10 +110,10 @@ class Ping:
 
 
 class ImagingSonar:
-    """A multibeam sonar in a world, over a bottom of a kind of recipe.BOTTOMS.
+    """A multibeam sonar in a world, over a bottom type of recipe.BOTTOMS.
 
     An image's pixels are linear amplitudes in counts of `amplitude_step`: row k is at `ranges[k]` and column b at
-    `azimuths[b]`, both as the sonar believes them. A row holds all the power that comes back from within it; 1 is the
+    `azimuths[b]`, both as the sonar believes them to be. A row holds all the power returned from within it; 1 is the
     amplitude of a perfect scatterer (mu = 1, facing the sonar) 1 m away that fills a beam.
     """
 
@@ -132,18 +132,18 @@ class ImagingSonar:
 
     @property
     def azimuths(self) -> Array:
-        """(beams,) rad to the left of the sonar's axis, from left to right."""
+        """Azimuths (beams,) rad of the beams, positive to the left of the sonar's axis, in order from left to right."""
         return beam_azimuths(self.recipe)
 
     @property
     def ranges(self) -> Array:
-        """(bins,) m, of the middles of the rows."""
+        """Ranges (bins,) m of the row centres."""
         return echoes.bin_middles(self.recipe)
 
     def ping(
         self, T_map_base: Array, streams: Streams, index: int, stamp_ns: int = 0
     ) -> tuple[SonarImage, Cloud | None]:
-        """Ping `index`, with the vehicle at T_map_base (4, 4): the image, and the cloud if the recipe asks for one."""
+        """Take ping `index`, with the vehicle at T_map_base (4, 4): the image, and the cloud if the recipe has one."""
         branch = streams.at("sonar", self.recipe.name, index)
         found = self.listen(T_map_base, branch)
         beams = Beams(T_map_base @ self._mount, self.azimuths, float(np.radians(self.recipe.beam_deg)), True)
@@ -153,7 +153,7 @@ class ImagingSonar:
         return image, self._cloud(found, stamp_ns) if self.recipe.cloud else None
 
     def listen(self, T_map_base: Array, streams: Streams) -> Ping:
-        """What a ping from T_map_base (4, 4) finds, before speckle, noise and gain; `streams` scatters the rays."""
+        """Compute a ping from T_map_base (4, 4) before speckle, noise and gain; `streams` jitters the rays."""
         T_map_sonar = np.asarray(T_map_base, dtype=float) @ self._mount
         medium = echoes.Medium.at(self.site, -float(T_map_sonar[2, 3]), self.recipe.frequency_khz)
         axis = echoes.range_axis(self.recipe, medium.speed)
@@ -171,7 +171,7 @@ class ImagingSonar:
         )
 
     def _rays(self, T_map_sonar: Array, axis: RangeAxis, generator: np.random.Generator) -> Rays:
-        """Rays anywhere in the cells of a grid: even columns, and rows that are denser where the range changes fast."""
+        """Draw one ray at random in each cell of a grid: even columns, and denser rows where the range changes fast."""
         columns = self._columns
         probes = np.linspace(columns.edges[0], columns.edges[-1], PROBE_COLUMNS)
         rows = echoes.row_edges(self.caster, T_map_sonar, axis, probes, self._highest, ROWS)
@@ -192,13 +192,13 @@ class ImagingSonar:
         )
 
     def _bounces(self, T_map_sonar: Array, rays: Rays, returns: Returns, loss: float) -> list[tuple[Array, Array]]:
-        """How much later (N,) m, and how strong (N,), echoes come in that take one more bounce: off the flat surface,
-        and off the bottom.
+        """Extra range (N,) m and power (N,) of the echoes with one more bounce: off the flat water surface, and off the
+        bottom.
 
-        Out on the straight way and back over a mirror, or the other way round: two ways of the same length, that of
-        the straight path r and that of the path L to the sonar's image in the plane z = 0 or in the level bottom below
-        the sonar. The sonar takes (r + L) / 2 for the range. Nothing is looked for that might hide the bounce, and it
-        comes in with the beam of the straight echo.
+        Out on the direct path and back via a mirror plane, or the other way round: two paths of the same length, the
+        direct path r plus the path L to the sonar's image in the plane z = 0 or in the level bottom below the sonar.
+        The sonar takes (r + L) / 2 for the range. Occlusion of the bounce is not checked, and it is received in the
+        beam of the direct echo.
         """
         straight = returns.echoes.ranges.astype(float)
         heard = np.isfinite(straight)
@@ -213,7 +213,7 @@ class ImagingSonar:
             image = np.array([start[0], start[1], 2 * plane - start[2]])
             back = image - points
             length = np.sqrt(echoes.dot(back, back))
-            # The bounced sound arrives from where the point's own mirror image is.
+            # The bounced sound arrives from the direction of the point's mirror image.
             arriving = back * [-1.0, -1.0, 1.0]
             sine = echoes.dot(arriving, T_map_sonar[None, :3, 2]) / length
             ahead = echoes.dot(arriving, T_map_sonar[None, :3, 0]) > 0
@@ -226,10 +226,11 @@ class ImagingSonar:
         return found
 
     def _cloud(self, found: Ping, stamp_ns: int) -> Cloud:
-        """The strongest return in each beam's each of CLOUD_ROWS parts of the elevations, where it is over the noise.
+        """Point cloud of the strongest return in each beam and each of CLOUD_ROWS elevation cells, where that exceeds
+        the noise.
 
         A point lies on its ray, at the range of the image's row that it falls into; its intensity is the power of all
-        returns in the same part, in dB over that of a perfect scatterer that fills the beam at 1 m.
+        returns in the same cell, in dB relative to a perfect scatterer that fills the beam at 1 m.
         """
         rays, returns = found.rays, found.returns
         left = np.radians(self.recipe.hfov_deg) / 2
@@ -241,7 +242,7 @@ class ImagingSonar:
         cell = beam[chosen] * CLOUD_ROWS + np.minimum(row[chosen], CLOUD_ROWS - 1)
         total = np.bincount(cell, returns.powers[chosen], self.recipe.beams * CLOUD_ROWS)
         order = np.lexsort((returns.powers[chosen], cell))
-        order = order[np.append(np.diff(cell[order]) > 0, True)[: len(order)]]  # the last, strongest of each cell
+        order = order[np.append(np.diff(cell[order]) > 0, True)[: len(order)]]  # the last of each cell is its strongest
         strongest, power = chosen[order], total[cell[order]]
         strong = power > 10 ** (self.recipe.noise_db / 10)
         strongest, power = strongest[strong], power[strong]
@@ -259,13 +260,13 @@ class ImagingSonar:
 
 
 def beam_azimuths(recipe: SonarRecipe) -> Array:
-    """(beams,) rad to the left of the axis: the middles of equal parts of the horizontal aperture, left to right."""
+    """Azimuths (beams,) rad to the left of the axis: centres of equal parts of the horizontal aperture, left first."""
     share = (np.arange(recipe.beams) + 0.5) / recipe.beams
     return np.asarray(np.radians(recipe.hfov_deg) * (0.5 - share))
 
 
 def build_columns(recipe: SonarRecipe) -> Columns:
-    """Columns of rays that are narrow against a beam's width, past the aperture's edges as far as outer beams hear."""
+    """Build ray columns, narrow compared with a beam, beyond the aperture's edges as far as the outer beams receive."""
     spacing, width = np.radians(recipe.hfov_deg) / recipe.beams, np.radians(recipe.beam_deg)
     per_beam = int(np.ceil(COLUMNS_PER_WIDTH * spacing / width))
     per_column = max(1, int(width / (MOST_PER_WIDTH * spacing)))
@@ -274,14 +275,14 @@ def build_columns(recipe: SonarRecipe) -> Columns:
     count = int(np.ceil(recipe.beams / per_column)) * per_beam + 2 * margin
     edges = np.radians(recipe.hfov_deg) / 2 + column * (margin - np.arange(count + 1))
     fine = 32  # samples of the pattern over a column
-    across = (np.arange((per_beam + 2 * margin) * fine) + 0.5) / fine - margin  # columns from its own first one's edge
+    across = (np.arange((per_beam + 2 * margin) * fine) + 0.5) / fine - margin  # in columns from its own first edge
     middles = (np.arange(per_column) + 0.5) * per_beam / per_column
     pattern = acoustics.beam_pattern((across - middles[:, None]) * column, width)
     return Columns(edges, per_beam, per_column, np.round(pattern.reshape(per_column, -1, fine).mean(axis=2), 12))
 
 
 def gather(power: Array, columns: Columns, beams: int) -> Array:
-    """Power (beams, bins) that beams hear of the power (columns, bins) that comes from each column."""
+    """Power (beams, bins) that the beams receive, given the power (columns, bins) that comes from each column."""
     heard = np.zeros((beams, power.shape[1]))
     for phase, taps in enumerate(columns.taps):
         those = heard[phase :: columns.per_column]
@@ -293,7 +294,7 @@ def gather(power: Array, columns: Columns, beams: int) -> Array:
 
 
 class Sonar(SensorKind[SonarRecipe, SonarCalibration, Any]):
-    """The kind. What a ping measures is its image; its cloud is truth."""
+    """Sensor kind: imaging sonar. A ping's measurement is its image; its cloud is ground truth."""
 
     recipe = SonarRecipe
     calibration = SonarCalibration
@@ -324,12 +325,13 @@ class Sonar(SensorKind[SonarRecipe, SonarCalibration, Any]):
         return echoes.pings(world, at, sonar.ping)
 
     def faults(self, world: SensedWorld, recipe: SonarRecipe) -> list[Fault]:
-        """Pulses of others that reach into its fan, by their azimuth."""
+        """Pulses of other sonars that reach into its fan; value: their azimuth."""
         branch, fan = world.streams.at("sonar", recipe.name), float(np.radians(recipe.hfov_deg))
         return struck_pings(world, recipe, acoustics.mount_pose(recipe), branch.at, fan)
 
     def encode(self, recipe: SonarRecipe, measurement: SonarPing) -> list[Message]:
-        """Amplitudes as a picture of 16 bits: a row per range bin, near first; a column per beam, left first."""
+        """Messages: amplitudes as a 16-bit image, with a row per range bin, near first, and a column per beam, left
+        first; and the cloud, if any."""
         image, cloud = measurement
         data = echo_image(image.stamp_ns, link(image.sensor), image.pixels)
         shown = Message(f"/{image.sensor}/image", image.stamp_ns, data)

@@ -1,9 +1,9 @@
-"""Calibration as measured: how a calibration errs, what it says of that, and one draw of it for a whole rig.
+"""Imperfect calibration: how a calibration errs, the uncertainty that it states, and one draw for a whole rig.
 
-What a method is given is the truth plus the error of a calibration, never the world: poses and intrinsics are moved in
-calibration.json, in camera_info and on /tf_static; where the error lies in what a sensor says, in its stamps, its
-velocities or the field that it feels, the readings have it, and the calibration says that they had none. So the vehicle
-goes the same way and sees the same at any quality, and only what is known of it differs.
+Errors change what a method is given, never the world: poses and intrinsics are perturbed in calibration.json, in
+camera_info and on /tf_static; where an error is in a sensor's output (its stamps, its velocities or the field that it
+measures), the readings contain it, and the calibration states that there is none. So the vehicle follows the same path
+and sees the same scene at any quality, and only what is known about it differs.
 """
 
 from __future__ import annotations
@@ -18,36 +18,36 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.streams import Streams
 
 UNCERTAINTY = "uncertainty"
-"""Key of calibration.json."""
+"""Key of calibration.json that holds the uncertainty."""
 
 DIGITS = 12  # to which numbers are rounded: the same bytes on any processor
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quality:
-    """Standard deviations of what a calibration finds, 1 sigma each.
+    """Standard deviations of the errors of a calibration, 1 sigma each.
 
-    Ranges: of an ROV's camera calibrated in water with a target, the focal length is known to 0.2 to 0.5 %, the
-    principal point to 2 to 5 px, the rotation to the inertial unit to 0.3 to 0.5 deg and its lever arm to 2 to 5 mm
-    (Shortis 2015, Sensors 15(12), on underwater cameras; Rehder et al. 2016, ICRA, on cameras and inertial units; and
-    practice). The two cameras of a pair are calibrated together, ten times better against each other.
+    Ranges: for an ROV's camera calibrated in water with a target, the focal length is known to 0.2 to 0.5 %, the
+    principal point to 2 to 5 px, the rotation relative to the IMU to 0.3 to 0.5 deg and its lever arm to 2 to 5 mm
+    (Shortis 2015, Sensors 15(12), on underwater cameras; Rehder et al. 2016, ICRA, on cameras and IMUs; and practice).
+    The two cameras of a pair are calibrated together, ten times better relative to each other.
     """
 
     focal_share: float  # of the focal length, both axes together
-    aspect_share: float  # of the one axis' focal length against the other's
-    principal_px: float  # per axis, of a picture 640 px wide; the pose found along with it makes up for it
-    radial: float  # of k1; k2 errs the other way by RADIAL_RATIO of it, so that the picture's edge stays
+    aspect_share: float  # of the ratio of the focal lengths of the two axes
+    principal_px: float  # per axis, in an image 640 px wide; the pose, estimated along with it, compensates for it
+    radial: float  # of k1; k2 errs the other way by RADIAL_RATIO of it, so that the image's edge stays in place
     tangential: float  # of p1 and p2
-    camera_deg: float  # per axis: all cameras against the inertial unit, beside what makes up for the principal point
+    camera_deg: float  # per axis: all cameras relative to the IMU, besides what compensates for the principal point
     camera_m: float
-    pair_deg: float  # per axis: one camera against the others
+    pair_deg: float  # per axis: one camera relative to the others
     pair_m: float
-    time_offset_s: float  # all cameras, one trigger; 5 to 50 ms where nothing synchronises them
-    time_jitter_s: float  # of a frame's stamp, 1 to 5 ms by USB and a busy kernel
-    mount_deg: float  # per axis: any other sensor's mount
+    time_offset_s: float  # all cameras, which share a trigger; 5 to 50 ms without synchronisation
+    time_jitter_s: float  # of a frame's stamp: 1 to 5 ms over USB with a busy kernel
+    mount_deg: float  # per axis: the mount of any other sensor
     mount_m: float
-    dvl_scale: float  # of its velocity: 0.2 to 1 % (A50 data sheet: 1 %, and 0.1 % of the performance model)
-    dvl_deg: float  # per axis, of its mount against the inertial unit: 0.5 to 1 deg unless surveyed
+    dvl_scale: float  # of its velocity: 0.2 to 1 % (A50 data sheet: 1 %, and 0.1 % for the performance model)
+    dvl_deg: float  # per axis, of its mount relative to the IMU: 0.5 to 1 deg unless surveyed
     hard_iron_ut: float  # per axis, after a swing of the compass (Gebre-Egziabher et al. 2006)
     soft_iron: float  # of each element
 
@@ -71,7 +71,7 @@ GOOD = Quality(
     hard_iron_ut=0.3,
     soft_iron=0.005,
 )
-"""By an expert, in this water, with hardware that synchronises: the lower end of the ranges."""
+"""Calibration by an expert, in the same water, with hardware synchronisation: the lower end of the ranges."""
 
 POOR = Quality(
     focal_share=0.005,
@@ -92,18 +92,18 @@ POOR = Quality(
     hard_iron_ut=2.0,
     soft_iron=0.02,
 )
-"""Last season's, and clocks that nothing synchronises: the upper end."""
+"""Calibration of last season, with unsynchronised clocks: the upper end of the ranges."""
 
 QUALITIES: Mapping[str, Quality] = {"good": GOOD, "poor": POOR}
 
 RADIAL_RATIO = -1.5
-REFERENCE_PX = 640.0  # width of the picture that principal_px is of
+REFERENCE_PX = 640.0  # width of the image that principal_px refers to
 
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """How the parameters of a sensor's calibration err: e = sizes w, over causes w that are independent and standard
-    normal. sizes (P, K). Names with a dot, such as `cameras.rotation_x`, are shared by all that name them."""
+    """Errors of the parameters of a sensor's calibration: e = sizes w, with causes w that are independent and standard
+    normal; sizes (P, K). Names with a dot, such as `cameras.rotation_x`, are shared by all sensors that use them."""
 
     parameters: tuple[str, ...]
     causes: tuple[str, ...]
@@ -111,7 +111,7 @@ class ErrorModel:
 
     @classmethod
     def of(cls, errors: Mapping[str, Mapping[str, float]]) -> ErrorModel:
-        """From parameter -> cause -> size; a cause of the parameter's own name is one that nothing else shares."""
+        """Build from parameter -> cause -> size; a cause with the parameter's own name is shared with no other."""
         causes = tuple(dict.fromkeys(cause for row in errors.values() for cause in row))
         sizes = np.array([[row.get(cause, 0.0) for cause in causes] for row in errors.values()])
         return cls(tuple(errors), causes, sizes.reshape(len(errors), len(causes)))
@@ -119,38 +119,38 @@ class ErrorModel:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """What a calibration says of its own errors: parameters, each `SENSOR.NAME_UNIT`, and the covariance (P, P) of what
-    is given of them less what is true, in their units."""
+    """Uncertainty that a calibration states: parameters, each `SENSOR.NAME_UNIT`, and the covariance (P, P) of their
+    given minus true values, in their units."""
 
     parameters: tuple[str, ...]
     covariance: Array
 
     def of(self, sensor: str) -> Uncertainty:
-        """The part of one sensor, or of `cameras`, which is what all cameras share: parameters without its name."""
+        """Part of one sensor, or of `cameras`, which is what all cameras share; parameters are without its name."""
         at = [k for k, name in enumerate(self.parameters) if name.split(".")[0] == sensor]
         names = tuple(self.parameters[k].split(".", 1)[1] for k in at)
         return Uncertainty(names, self.covariance[np.ix_(at, at)])
 
     def sigma(self, parameter: str) -> float:
-        """Standard deviation of a parameter. KeyError where it is none of these."""
+        """Standard deviation of a parameter. Raises KeyError where it is none of these."""
         if parameter not in self.parameters:
             raise KeyError(f"{parameter!r}; parameters: {', '.join(self.parameters)}")
         k = self.parameters.index(parameter)
         return float(np.sqrt(self.covariance[k, k]))
 
     def as_entry(self) -> dict[str, Any]:
-        """JSON values."""
+        """JSON values of its entry in calibration.json."""
         return {"parameters": list(self.parameters), "covariance": self.covariance.tolist()}
 
     @classmethod
     def from_entry(cls, entry: Mapping[str, Any]) -> Uncertainty:
-        """From its entry in calibration.json. Raises LookupError, TypeError or ValueError where it is not of shape."""
+        """Read from an entry in calibration.json. Raises LookupError, TypeError or ValueError where it is malformed."""
         names = tuple(str(name) for name in entry["parameters"])
         return cls(names, np.array(entry["covariance"], dtype=float).reshape(len(names), len(names)))
 
 
 def joined(models: Mapping[str, ErrorModel]) -> ErrorModel:
-    """One model of all sensors, by their names: a parameter that several have under one full name is one parameter."""
+    """Join the models of all sensors, given by name: a full name that several sensors use is a single parameter."""
     errors: dict[str, dict[str, float]] = {}
     for sensor, model in models.items():
         causes = [_full(sensor, cause) for cause in model.causes]
@@ -164,16 +164,16 @@ def _full(sensor: str, name: str) -> str:
 
 
 def uncertainty_of(model: ErrorModel) -> Uncertainty:
-    """The covariance that the errors of a model have."""
+    """Covariance of the errors of a model."""
     sigmas = np.sqrt((model.sizes**2).sum(axis=1))
     shares = model.sizes / sigmas[:, None]
-    # Correlations are rounded, so that those of nothing in common are zero on any processor, and of one sign.
+    # Correlations are rounded, so that where nothing is shared they are zero on any processor, and of one sign.
     correlation = np.round(shares @ shares.T, DIGITS) + 0.0
     return Uncertainty(model.parameters, np.round(sigmas, DIGITS)[:, None] * correlation * np.round(sigmas, DIGITS))
 
 
 def draw_errors(model: ErrorModel, streams: Streams) -> dict[str, float]:
-    """One draw: parameter -> what is given of it less what is true. Each cause has a stream of its own name."""
+    """Draw the errors: parameter -> given minus true value. Each cause has a random stream of its own name."""
     causes = np.array([streams.generator("cause", name).standard_normal() for name in model.causes])
     drawn = (model.sizes * causes).sum(axis=1) if len(causes) else np.zeros(len(model.parameters))
     return dict(zip(model.parameters, np.round(drawn, DIGITS).tolist(), strict=True))
@@ -181,8 +181,8 @@ def draw_errors(model: ErrorModel, streams: Streams) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class RigCalibration:
-    """A rig's calibration as calibration.json has it: as it is given to methods, and as it truly is; and the errors
-    between the two, by parameter, given less true."""
+    """A rig's calibration in the layout of calibration.json: as given to methods, and the true one; and the errors by
+    parameter, given minus true."""
 
     given: Mapping[str, Any]
     true: Mapping[str, Any]
@@ -190,13 +190,13 @@ class RigCalibration:
 
 
 def errors_of(errors: Mapping[str, float], *sensors: str) -> dict[str, float]:
-    """Those of some sensors, without their names."""
+    """Errors of some sensors, by parameters without the sensor's name."""
     wanted = {full: full.split(".", 1)[1] for full in errors if full.split(".", 1)[0] in sensors}
     return {name: errors[full] for full, name in wanted.items()}
 
 
 def independent(sizes: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """Errors of parameters that share nothing."""
+    """Error sizes of parameters that share no cause."""
     return {name: {name: size} for name, size in sizes.items()}
 
 
@@ -206,14 +206,14 @@ def axes(prefix: str, unit: str, names: Iterable[str] = "xyz") -> list[str]:
 
 
 def mount_errors(degrees: float, metres: float) -> dict[str, dict[str, float]]:
-    """Errors of a sensor's pose, independent per axis: as `moved` takes them."""
+    """Error sizes of a sensor's pose, independent per axis, in the parameters of `moved`."""
     turns = dict.fromkeys(axes("rotation", "rad"), float(np.radians(degrees)))
     return independent(turns | dict.fromkeys(axes("position", "m"), metres))
 
 
 def moved(T: Array, errors: Mapping[str, float]) -> Array:
-    """Pose (4, 4) of a sensor in base_link as it is given: turned by the rotation vector `rotation_*_rad` in the
-    sensor's own frame, and moved by `position_*_m` in base_link."""
+    """Pose (4, 4) of a sensor in base_link with errors: rotated by the rotation vector `rotation_*_rad` in the sensor's
+    own frame, and displaced by `position_*_m` in base_link."""
     from scipy.spatial.transform import Rotation
 
     vector = [errors.get(name, 0.0) for name in axes("rotation", "rad")]

@@ -1,4 +1,4 @@
-"""Vibration: what thrusters and pumps shake a unit with, from the first sample of a sequence to its last."""
+"""Vibration of an IMU by thrusters and pumps, continuous from the first sample of a sequence to the last."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ VIBRATION_TARGETS = ("accel", "gyro")
 
 @dataclass(frozen=True, kw_only=True)
 class VibrationRecipe:
-    """What thrusters and pumps add to a reading, through the whole sequence without restarts."""
+    """Vibration by thrusters and pumps that adds to a reading, continuous over the whole sequence."""
 
     on: str = choice(VIBRATION_TARGETS)
     kind: str = choice(VIBRATION_KINDS)
     level: tuple[float, float, float] = number(0, 1000, (0.0, 0.0, 0.0))
     """Per axis, m/s^2 or rad/s: standard deviation of a sample (white), or amplitude (sine; thrusters at full
-    throttle: 0.1 to 3 m/s^2; ArduPilot calls up to 15 m/s^2 acceptable of multicopters)."""
+    throttle: 0.1 to 3 m/s^2; ArduPilot calls up to 15 m/s^2 acceptable for multicopters)."""
     frequency_hz: float = number(0, 2000, 1.0)
-    """Of a sine, or of the propellers at full throttle (T200: 3500 rpm = 58 Hz, and three times that for its blades);
-    above half the unit's rate it aliases, as does a psd."""
+    """Frequency of the sine, or of the propellers at full throttle (T200: 3500 rpm = 58 Hz, and three times that for
+    its blades); above half the IMU's rate it aliases, as does a psd."""
     psd: tuple[tuple[float, float, float, float], ...] = number(0, 1e6, ())
     """Rows of frequency (Hz, increasing) and one-sided power spectral density per axis, (m/s^2)^2/Hz or (rad/s)^2/Hz;
     linear between the rows, nothing outside them."""
 
     def check(self, where: str) -> None:
-        """Raise RecipeError on what no single key can say."""
+        """Check what no single key can express. Raises RecipeError, which starts with `where`."""
         if self.kind != "psd":
             if self.psd:
                 raise RecipeError(
@@ -55,10 +55,10 @@ class VibrationRecipe:
 def vibrate(
     n: int, rate_hz: float, recipe: VibrationRecipe, streams: Streams, throttle: Throttle | None = None
 ) -> Array:
-    """(n, 3) m/s^2 or rad/s at times k / rate_hz: white, a sine with a phase of its own per axis, of a spectrum, or of
-    the propellers.
+    """Vibration (n, 3), m/s^2 or rad/s, at times k / rate_hz: white noise, a sine with its own phase per axis, noise
+    with a spectrum, or propellers.
 
-    Those turn as fast as the throttle is open, and what an unbalanced one shakes with grows with the square of that.
+    Propellers turn in proportion to the throttle, and the force of an unbalanced one grows with its square.
     """
     if recipe.kind == "thrusters":
         if throttle is None:
@@ -77,27 +77,27 @@ def vibrate(
 
 
 def shaped(n: int, rate_hz: float, psd: Array, rng: np.random.Generator) -> Array:
-    """(n, 3) samples of a stationary Gaussian process of the one-sided densities psd: rows (K, 4) of Hz, x, y, z.
+    """Samples (n, 3) of a stationary Gaussian process with one-sided densities psd: rows (K, 4) of Hz, x, y, z.
 
-    Spectral synthesis with Gaussian amplitudes, thus random phases (Percival 1992): the whole sequence at once,
-    so that nothing in it begins anew, and its densities are exact. It is drawn at least twice as long as it is used,
-    since the end of what is drawn meets its beginning.
+    Spectral synthesis with Gaussian amplitudes, thus random phases (Percival 1992), of the whole sequence at once, so
+    that there are no restarts and the densities are exact. At least twice the needed length is drawn, because the
+    synthesised signal is periodic.
     """
     from scipy.fft import irfft, next_fast_len
 
     length = next_fast_len(2 * n, real=True)
     density = folded(np.arange(length // 2 + 1, dtype=float) * (rate_hz / length), rate_hz, psd)
     density[0] = 0.0  # what does not oscillate is the bias
-    # Of a line, twice its squared modulus over (length * rate) is the density; real and imaginary part share it.
+    # The density is twice a line's squared modulus over (length * rate), shared by the real and imaginary parts.
     amplitude = np.sqrt(density * (length * rate_hz / 4))
     lines = rng.standard_normal((*amplitude.shape, 2)) * amplitude[..., None]
     return np.ascontiguousarray(irfft(lines[..., 0] + 1j * lines[..., 1], length, axis=0)[:n])
 
 
 def folded(frequency: Array, rate_hz: float, psd: Array) -> Array:
-    """(M, 3) density at frequencies (M,) up to half the rate, of the process with the density psd once it is sampled.
+    """Density (M, 3), at frequencies (M,) up to half the rate, of the process with density psd once it is sampled.
 
-    What lies above half the rate comes back below it, as by a unit without a filter.
+    What lies above half the rate aliases below it, as in an IMU without an anti-aliasing filter.
     """
     at = psd[:, 0]
     total = np.zeros((len(frequency), 3))

@@ -1,4 +1,4 @@
-"""The parts of a sequence put together, in time order; a video link codes each frame after the one before."""
+"""Assembly of a sequence from its parts, in time order; a video link codes frame after frame."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def assemble(
     topics: Collection[str] = (),
     stop: threading.Event | None = None,
 ) -> None:
-    """Put the parts of a sequence together, in time order; the file appears in one step, or not at all where another
-    thread sets `stop`. Of some topics, by their patterns, comes the file that `sequence.cut` makes of the whole one."""
+    """Assemble the parts of a sequence in time order; the file appears in one step, or not at all where another thread
+    sets `stop`. With patterns of topics, it is the file that `sequence.cut` would make of the complete one."""
     rig = split.rig_of(recipe)
     calibration = calibrate_rig(rig, recipe.site, recipe.calibration, split.streams_of(recipe, salt))
     jobs = plan(split, recipe, topics)
     wanted = wanted_topics(split, recipe, topics)
-    temporary = parts / "whole.mcap"  # beside the parts, so that what a kill leaves goes with them
+    temporary = parts / "whole.mcap"  # next to the parts, so that what a kill leaves goes with them
     with naming(path, parts), open(temporary, "wb") as file:
         writer = SequenceWriter(file, wanted)
         writer.metadata(
@@ -70,7 +70,7 @@ def assemble(
             writer.write(static_transforms(EPOCH_NS, _frames(rig, calibration.given)))
             writer.section()
         bulky = bulky_sensors(rig)
-        for topic, source in sources(rig).items():  # a section each, so that reading one touches no other
+        for topic, source in sources(rig).items():  # one section per topic, so that reading one touches no other
             if topic not in wanted:
                 continue
             files = [parts / job.part for job in jobs if job.source == source]

@@ -1,4 +1,4 @@
-"""What a sequence is like, read from the recipe of its split, to be kept with every result."""
+"""Conditions of a sequence, derived from the recipe of its split and stored with every result."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from oysterbench.recipe import UNDISTURBED, SequenceRecipe, SplitRecipe
 from oysterbench.render.spectra import secchi_depth, water_constituents
 
 SECCHI_CLASSES_M = ((1.0, "turbid"), (4.0, "murky"), (float("inf"), "clear"))
-"""Depth at which a disc vanishes, up to which water is of a class: survey altitudes are about 1 m, and from some four
-times that on the water hardly matters to a picture."""
+"""Upper limits of the Secchi depth, m, of classes of water: survey altitudes are about 1 m, and from about four times
+that on the water hardly affects an image."""
 
 DENSITY_CLASSES_PER_M2 = ((1.0, "bare"), (15.0, "sparse"), (float("inf"), "dense"))
-"""Oysters on a square metre, up to which a reef is of a class; restoration counts a reef as one from 15 per m^2 on
-(Oyster Metrics Workgroup 2011, the least density of a success)."""
+"""Upper limits of the density of oysters, per m^2, of classes of reefs; in restoration a reef counts as one from 15 per
+m^2 (Oyster Metrics Workgroup 2011, the minimum density for success)."""
 
 DARK = 0.05  # share of full daylight below which lamps are the light
-OVERCAST = 0.8  # share of the light from the sky from which on the sun throws no shadow to speak of
-CALM_WIND_M_S = 1.0  # below it no caustics are to be seen
-CALM_WAVE_M, CALM_CURRENT_M_S = 0.1, 0.1  # below both the vehicle goes its way undisturbed
+OVERCAST = 0.8  # share of skylight from which the sun casts no noticeable shadow
+CALM_WIND_M_S = 1.0  # below it there are no visible caustics
+CALM_WAVE_M, CALM_CURRENT_M_S = 0.1, 0.1  # below both the vehicle follows its path undisturbed
 
 
 def conditions(split: SplitRecipe, sequence: str) -> dict[str, float | str]:
-    """The conditions of a sequence of a split, by keys of `evaluate.conditions.CONDITIONS`."""
+    """Conditions of a sequence of a split, by keys of `evaluate.conditions.CONDITIONS`."""
     recipe = split.find_sequence(sequence)
     density = recipe.reef.oyster_count / recipe.reef.size_m**2
     secchi_m = secchi_depth(water_constituents(recipe.water))

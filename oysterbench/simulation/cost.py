@@ -1,4 +1,4 @@
-"""What a sequence takes to render: estimated from its recipe before, and measured while it is made."""
+"""Rendering cost of a sequence: estimated from its recipe beforehand, and measured while it is made."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from oysterbench.recipe import CameraRecipe, SequenceRecipe, SplitRecipe, count
 from oysterbench.simulation.jobs import wanted_sensors
 
 COSTS = "costs.json"
-"""Beside the files of a split: sequence -> the processor time that it took here, s."""
+"""File next to those of a split: sequence -> the processor time that it took here, s."""
 
-_LOG = "cost.log"  # among the parts: a line of processor time for each, so that it outlasts an interruption
+_LOG = "cost.log"  # among the parts: a line with the processor time of each, so that it survives an interruption
 
 PICTURE_PX = 640 * 480
-FRAME_S = 0.30  # of processor time for a picture of PICTURE_PX of an empty bottom in daylight
+FRAME_S = 0.30  # processor time for an image of PICTURE_PX of an empty bottom in daylight
 OYSTERS_S = 0.30  # added by 100 oysters per m^2
 PLANTS_S = 0.8  # added by a bottom that is all plants
 LAMPS_S = 0.35  # added by lamps
 SNOW_S = 0.1  # added by marine snow
 SILT_S = 0.15  # added by plumes
 LIFE_S = 0.15  # added by what moves by itself
-PING_S = 0.1  # of a sonar that renders each ping by itself
-FILE_BYTES = 0.35  # of a finished file, per pixel of its pictures, labels included
-PART_BYTES = 0.9  # of what is kept of them until it is finished
-LINK_PART_BYTES = 2.3  # and where a video link waits for whole pictures
-BUILDING_S = 4e-4  # of a reef, per oyster, in each process
-"""Measured on one core of a 2.6 GHz server over the splits of this project, of which it holds within a third or so."""
+PING_S = 0.1  # for each ping of a sonar that renders them one by one
+FILE_BYTES = 0.35  # in a finished file, per pixel of its images, labels included
+PART_BYTES = 0.9  # in the parts that are kept until it is finished
+LINK_PART_BYTES = 2.3  # the same where a video link needs lossless images
+BUILDING_S = 4e-4  # to build a reef, per oyster, in each process
+"""Measured on one core of a 2.6 GHz server over the splits of this project, for which they hold to about a third."""
 
 ASSEMBLED = 2
-"""Sequences whose parts are there at a time: one is put together while the next is rendered."""
+"""Sequences whose parts exist at the same time: one is assembled while the next is rendered."""
 
 
 def estimated(split: SplitRecipe, sequence: SequenceRecipe, workers: int = 1, topics: Collection[str] = ()) -> float:
-    """Processor time, s, to render a sequence, or some topics of it, with so many workers, each of which builds its
-    reef."""
+    """Processor time, s, to render a sequence, or some topics of it, with a number of workers, each of which builds
+    the reef."""
     rig = split.rig_of(sequence)
     reef = sequence.reef
     shaded = FRAME_S + OYSTERS_S * reef.oyster_count / reef.size_m**2 / 100.0 + PLANTS_S * reef.plant_cover
@@ -56,7 +56,7 @@ def estimated(split: SplitRecipe, sequence: SequenceRecipe, workers: int = 1, to
 
 
 def space(split: SplitRecipe, sequences: Iterable[SequenceRecipe], topics: Collection[str] = ()) -> int:
-    """Bytes, about, that rendering these sequences, or some topics of them, needs on the disk at most."""
+    """Approximate peak of disk space, bytes, that rendering these sequences, or some topics of them, needs."""
     files, parts = 0.0, []
     for sequence in sequences:
         part = 0.0
@@ -70,7 +70,7 @@ def space(split: SplitRecipe, sequences: Iterable[SequenceRecipe], topics: Colle
 
 
 def measured(folder: Path) -> dict[str, float]:
-    """Processor time, s, of the sequences that were rendered into a folder, as far as it is known."""
+    """Sequence -> processor time, s, of those rendered into a folder, as far as it is known."""
     try:
         found = json.loads((folder / COSTS).read_text())
         return {str(name): float(seconds) for name, seconds in found.items()}
@@ -79,17 +79,17 @@ def measured(folder: Path) -> dict[str, float]:
 
 
 def add(parts: Path, cpu_s: float) -> None:
-    """Note the processor time, s, of a part that has just been kept."""
+    """Record the processor time, s, of a part that has just been stored."""
     with open(parts / _LOG, "a") as file:
         file.write(f"{cpu_s:.4f}\n")
 
 
 def keep(folder: Path, sequence: str, parts: Path) -> None:
-    """Note the processor time of a sequence, all of whose parts are there."""
+    """Record the processor time of a sequence whose parts are all there."""
     try:
         lines = (parts / _LOG).read_text().splitlines()
-    except OSError:  # parts of an older program
+    except OSError:  # parts of an older version
         return
-    seconds = sum(float(line) for line in lines if re.fullmatch(r"\d+\.\d{4}", line))  # but for one that a kill cut off
+    seconds = sum(float(line) for line in lines if re.fullmatch(r"\d+\.\d{4}", line))  # except one cut off by a kill
     costs = {**measured(folder), sequence: round(seconds, 1)}
     write_atomically(folder / COSTS, json.dumps(costs, indent=1).encode())

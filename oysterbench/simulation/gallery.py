@@ -1,4 +1,4 @@
-"""Sheets of pictures: a recipe before it is rendered, and what each effect does to it."""
+"""Sheets of images: previews of a recipe before it is rendered, and of what each effect does."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from oysterbench.recipe import CameraRecipe, RigRecipe, SplitRecipe, count, load
 Picture = NDArray[np.uint8]
 Progress = Callable[[int, int], None]
 
-PREVIEW_WIDTH = 400  # px of a preview's frames: small enough for a sheet in seconds, large enough to judge
+PREVIEW_WIDTH = 400  # px: small enough for a sheet in seconds, large enough to judge
 PREVIEW_FRAMES = 12
 SHEET_COLUMNS = 4
-JPEG_QUALITY = 80  # of sheets: no block is seen, and seventy panels take about a megabyte
-GAP = 6  # px between pictures
-CAPTION = 24  # px of height
+JPEG_QUALITY = 80  # of sheets: no block artefacts to be seen, and seventy panels take about a megabyte
+GAP = 6  # px between images
+CAPTION = 24  # height, px
 PAPER = (24, 26, 28)
 INK = (232, 232, 228)
 
 
 def preview(split: SplitRecipe, sequence: str | None = None, progress: Progress = lambda done, total: None) -> Picture:
-    """A sheet (H, W, 3) uint8 RGB of small frames, evenly over the time of a sequence (the first by default)."""
+    """Render a sheet (H, W, 3) uint8 RGB of small frames, evenly spaced over a sequence (the first by default)."""
     from oysterbench.sensors.camera import render_frame
     from oysterbench.simulation.simulated_sequence import build_sequence
 
@@ -55,7 +55,7 @@ def preview(split: SplitRecipe, sequence: str | None = None, progress: Progress 
 
 
 def shrink(rig: RigRecipe, width: int) -> RigRecipe:
-    """The rig with its cameras' pictures reduced to a width in px; the fields of view stay."""
+    """Return the rig with its cameras' images reduced to a width in px; fields of view are kept."""
 
     def reduce(camera: CameraRecipe) -> CameraRecipe:
         height = max(16, round(camera.height * width / camera.width))
@@ -65,7 +65,7 @@ def shrink(rig: RigRecipe, width: int) -> RigRecipe:
 
 
 def sheet(pictures: Sequence[Picture], captions: Sequence[str], columns: int) -> Picture:
-    """Pictures (H, W, 3) uint8 RGB in rows, each over its caption; all are brought to the size of the first."""
+    """Arrange images (H, W, 3) uint8 RGB in rows, each above its caption; all are brought to the size of the first."""
     height, width = pictures[0].shape[:2]
     rows = -(-len(pictures) // columns)
     paper = np.full(
@@ -80,7 +80,7 @@ def sheet(pictures: Sequence[Picture], captions: Sequence[str], columns: int) ->
 
 
 def _fit(picture: Picture, width: int, height: int) -> Picture:
-    """The middle of a picture, brought to width x height px."""
+    """Scale an image to cover width x height px, and crop its middle."""
     h, w = picture.shape[:2]
     scale = max(width / w, height / h)
     grown = cv2.resize(
@@ -91,7 +91,7 @@ def _fit(picture: Picture, width: int, height: int) -> Picture:
 
 
 def write_picture(path: Path, picture: Picture) -> None:
-    """Write an (H, W, 3) uint8 RGB picture as JPEG or PNG by its suffix, whole or not at all."""
+    """Write an (H, W, 3) uint8 RGB image as JPEG or PNG by its suffix, atomically."""
     quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
     done, data = cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), quality)
     if not done:
@@ -100,7 +100,10 @@ def write_picture(path: Path, picture: Picture) -> None:
 
 
 def real_pictures(folder: Path, n: int) -> Iterator[tuple[str, Picture]]:
-    """n pictures of a folder of real images (`images/*.jpg`), evenly over their names."""
+    """Yield name and pixels of n images of a folder of real ones (`images/*.jpg`), evenly spaced by name.
+
+    Raises RecipeError where there are none, or where one cannot be read.
+    """
     files = sorted((folder / "images").glob("*.jpg")) or sorted(folder.glob("*.jpg"))
     if not files:
         raise RecipeError(f"{folder}: expected a folder with images/*.jpg, found none")
@@ -112,12 +115,12 @@ def real_pictures(folder: Path, n: int) -> Iterator[tuple[str, Picture]]:
 
 
 def panels(table: Path, progress: Progress = lambda done, total: None) -> tuple[list[Picture], list[str]]:
-    """The pictures that a gallery file describes, and their captions.
+    """Render the images that a gallery file describes; also return their captions.
 
     A gallery file names a `split`, and has [[panel]] tables with a `caption`, a time `at_s`, and `set`, the keys of the
-    split that are replaced (see `recipe.vary_split`); where they say so, with another `rig` and through its `camera`:
-    a `layer` of truth, or four frames `every_s` s apart. Or of another `sensor` of the rig: a sonar's fan, or curves of
-    the strip whose title begins with `strip`, beside those without what `set.rig` does.
+    split that are replaced (see `recipe.vary_split`). Optional: another `rig`, one `camera` of it, a ground-truth
+    `layer`, or four frames `every_s` s apart. Or another `sensor` of the rig: a sonar's fan, or curves of the strip
+    whose title starts with `strip`, next to those without the changes of `set.rig`.
     """
     split, rows = _read_gallery(table)
     from oysterbench.simulation.panel import camera_picture, sensor_picture
@@ -142,7 +145,7 @@ def _small(split: SplitRecipe) -> SplitRecipe:
 
 
 def vary_panel(split: SplitRecipe, row: dict[str, Any], table: Path) -> SplitRecipe:
-    """The split of a panel."""
+    """Split that a panel shows, with the panel's changes. Raises RecipeError for a camera that its rig lacks."""
     where = f"{table}: panel {row['caption']!r}"
     carried = with_rig(split, row["rig"], where) if "rig" in row else split
     cameras = [camera.name for camera in carried.rig.camera]
@@ -152,7 +155,7 @@ def vary_panel(split: SplitRecipe, row: dict[str, Any], table: Path) -> SplitRec
 
 
 def _read_gallery(path: Path) -> tuple[SplitRecipe, list[dict[str, Any]]]:
-    """Split and panels of a gallery file; RecipeError names what is wrong in it."""
+    """Read the split and the panels of a gallery file. Raises RecipeError, which says what is wrong in it."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -170,11 +173,11 @@ def _read_gallery(path: Path) -> tuple[SplitRecipe, list[dict[str, Any]]]:
 
 
 def gallery(real: Path | None = None, progress: Progress = lambda done, total: None) -> Picture:
-    """The sheet over every effect of a recipe; or, given a folder of real images, close-ups beside those."""
+    """Render the sheet of every effect of a recipe; or, given a folder of real images, close-ups next to those."""
     folder = Path(str(resources.files("oysterbench_datasets") / "gallery"))
     if real is None:
         return sheet(*panels(folder / "reef.toml", progress), SHEET_COLUMNS)
-    compared = list(real_pictures(real, 2 * SHEET_COLUMNS))  # found wanting before the rendering begins
+    compared = list(real_pictures(real, 2 * SHEET_COLUMNS))  # first: a bad folder is refused before rendering starts
     pictures, captions = panels(folder / "beside-real.toml", progress)
     both: list[Picture] = []
     names: list[str] = []

@@ -1,9 +1,9 @@
-"""Recipe to sequence files: a list of independent jobs, run anywhere, resumed where they were stopped.
+"""From recipe to sequence files: a list of independent jobs that run anywhere and resume where they were stopped.
 
-A job renders one frame of a camera or one ping of a sonar, or simulates all other sensors, and its bytes are kept as a
-part file. A part is there whole or not at all; when all parts of a sequence are there, they are put together in time
-order, and the sequence appears in one step. So the bytes depend neither on the number of workers, nor on where they
-are, nor on how often the work was interrupted. A part costs some 3 ms beyond its frame, which takes hundreds.
+A job renders one frame of a camera or one ping of a sonar, or simulates all other sensors, and its bytes are stored as
+a part file. Parts are written atomically; when all parts of a sequence exist, they are assembled in time order, and the
+sequence file appears in one step. So the bytes depend neither on the number of workers, nor on where they are, nor on
+how often the work was interrupted. A part costs some 3 ms beyond its frame, which takes hundreds.
 """
 
 from __future__ import annotations
@@ -42,26 +42,26 @@ from oysterbench.simulation.scheduling import run_alone, run_here, run_in_proces
 from oysterbench.version import GENERATION, VERSION
 
 WORKER_S = 10.0
-"""Of rendering that a worker must find to be worth its start, which takes some 4 s of processor time."""
+"""Rendering that a worker must have to do, s, to be worth its start, which takes some 4 s of processor time."""
 
 PARTS = ".parts"
-"""Folder of what is not put together yet."""
+"""Folder of the parts that are not assembled yet."""
 
 PROGRAM = f"oysterbench {VERSION}, generation {GENERATION}"
-"""What decides the bytes besides the recipe: workers elsewhere must have the same."""
+"""What determines the bytes besides the recipe: workers elsewhere must have the same."""
 
 Progress = Callable[[int, int], None]
-"""Called with the frames done and the frames wanted."""
+"""Called with the number of frames done, and the total."""
 
 
 def digest(split: SplitRecipe, salt: bytes = b"") -> str:
-    """SHA-256 of all that decides the bytes: recipe, rig, salt, and the generation of this program."""
+    """SHA-256 of all that determines the bytes: recipe, rig, salt, and the generation of this program."""
     text = f"{GENERATION} {split.digest()} {hashlib.sha256(salt).hexdigest()}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def split_folder(split: SplitRecipe, salt: bytes = b"") -> Path:
-    """Where a split is kept under `OYSTERBENCH_HOME`; another recipe under the same name has another folder."""
+    """Folder of a split under `OYSTERBENCH_HOME`; another recipe of the same name has another folder."""
     return home() / "splits" / split.name / f"{split.version}-{digest(split, salt)[:12]}"
 
 
@@ -71,7 +71,7 @@ def sequence_files(split: SplitRecipe, folder: Path) -> dict[str, Path]:
 
 
 def is_complete(split: SplitRecipe, folder: Path) -> bool:
-    """Whether every sequence file of the split is there."""
+    """Whether every sequence file of the split exists."""
     return all(path.is_file() for path in sequence_files(split, folder).values())
 
 
@@ -87,15 +87,16 @@ def generate_split(
     before_waiting: Callable[[], None] | None = None,
     topics: Collection[str] = (),
 ) -> dict[str, Path]:
-    """Make the sequence files of a split (or those of these names) that are not there yet, and return all of them.
+    """Make the missing sequence files of a split (or of these names), and return all of them, by name.
 
-    topics: patterns such as `/imu` or `/cam_front/*`: then the files have no other topics, and only the sensors that
-    make these are rendered; a folder holds files of the same topics. workers: processes of this machine, unless the
-    address of a Dask `scheduler` is given. device: of Warp, on the machines that render. before_waiting: called where
-    another process renders into the folder and is waited for.
+    topics: patterns such as `/imu` or `/cam_front/*`: the files then have no other topics, and only the sensors that
+    make these are rendered; all files of a folder have the same topics. workers: processes on this machine, unless the
+    address of a Dask `scheduler` is given. device: Warp device on the machines that render. before_waiting: called
+    before waiting for another process that renders into the folder.
 
-    Raises RecipeError where the recipe cannot be built or a hidden split is given no salt that keeps it hidden, and
-    SequenceError where the folder holds a damaged file or one of another recipe; nothing that is there is overwritten.
+    Raises RecipeError where the recipe cannot be built or a hidden split has no sufficient salt, MachineError where the
+    disk has too little room, and SequenceError where the folder holds a damaged file or one of another recipe; existing
+    files are never overwritten.
     """
     if split.hidden and not is_strong(salt):
         raise RecipeError(
@@ -105,7 +106,7 @@ def generate_split(
     wanted = [split.find_sequence(name) for name in names] or split.sequence
     made_by = digest(split, salt)
     files = {sequence.name: sequence_files(split, folder)[sequence.name] for sequence in wanted}
-    # A file appears when it is whole: who asks for no other need not wait for those that are being rendered.
+    # Files appear when they are complete: if all wanted ones exist, there is no need to wait for others in progress.
     if all(path.exists() and not _parts(folder, name, made_by).exists() for name, path in files.items()):
         for path in files.values():
             check_made_by(path, split, made_by, topics)
@@ -132,7 +133,7 @@ def generate_split(
             with naming(folder, folder / PARTS):
                 tell = progress or (lambda done, total: None)
                 _render(split, missing, folder, made_by, salt, run, elsewhere, tell, topics)
-        with contextlib.suppress(OSError):  # absent, or with parts of other recipes in it
+        with contextlib.suppress(OSError):  # absent, or holds parts of other recipes
             (folder / PARTS).rmdir()
     return files
 
@@ -151,7 +152,7 @@ def _check_space(
 
 
 def check_made_by(path: Path, split: SplitRecipe, made_by: str, topics: Collection[str] = ()) -> None:
-    """Raise SequenceError unless a file is of a recipe, by its digest, and has these topics of it, or all."""
+    """Raise SequenceError unless a file is of the recipe with this digest, and has these topics of it, or all."""
     found = McapSequence(path)
     if found.metadata.get("digest") != made_by:
         raise SequenceError(
@@ -169,7 +170,7 @@ def check_made_by(path: Path, split: SplitRecipe, made_by: str, topics: Collecti
 def share_left(
     split: SplitRecipe, sequence: SequenceRecipe, folder: Path, salt: bytes = b"", topics: Collection[str] = ()
 ) -> float:
-    """How much of a sequence that is not there yet is still to be rendered, 0 to 1: an interruption leaves parts."""
+    """Share, 0 to 1, of a missing sequence that is still to be rendered: an interruption leaves parts behind."""
     there = sum(1 for _ in _parts(folder, sequence.name, digest(split, salt)).glob("*.part"))
     return max(0.0, 1.0 - there / len(plan(split, sequence, topics)))
 
@@ -189,10 +190,10 @@ def _render(
     progress: Progress,
     topics: Collection[str],
 ) -> None:
-    """Run the jobs that have left no part yet; put each sequence together as soon as its last part is there.
+    """Run the jobs whose parts are missing; assemble each sequence as soon as its last part is there.
 
-    elsewhere: whether the jobs run in other processes. Then the next sequence is rendered meanwhile, for putting one
-    together takes minutes where a video link codes each frame after the one before.
+    elsewhere: whether the jobs run in other processes. The next sequence is then rendered meanwhile, since assembling
+    one takes minutes where a video link codes frame after frame.
     """
     waiting: dict[str, set[Job]] = {}
     todo: list[Job] = []
@@ -205,7 +206,7 @@ def _render(
         todo += missing
         total += sum(job.frames for job in jobs)
         done += sum(job.frames for job in jobs if job not in waiting[sequence.name])
-    if total:  # of some topics there may be none
+    if total:  # may be 0 for some topics
         progress(done, total)
     stop = threading.Event()
     whole: list[Future[None]] = []
@@ -221,11 +222,11 @@ def _render(
             whole.append(assembler.submit(put_together, name))
         for one in whole:
             if one.done() or not elsewhere:
-                one.result()  # what went wrong there ends this
+                one.result()  # raises what went wrong there
 
     with contextlib.ExitStack() as stack:
         assembler = stack.enter_context(ThreadPoolExecutor(1))
-        stack.callback(stop.set)  # before the assembler is waited for: who interrupts this does not wait for it
+        stack.callback(stop.set)  # runs before the assembler is waited for, so an interruption ends it early
         for sequence in sequences:
             put_together_if_whole(sequence.name)
         for job, (part, cpu_s) in stack.enter_context(contextlib.closing(run(todo))):
@@ -242,7 +243,7 @@ def _render(
 
 
 def _warm_up(device: str) -> None:
-    """Compile the kernels; the other processes find them."""
+    """Compile the kernels, which the other processes then find in the cache."""
     from oysterbench.render.camera import warm_up
     from oysterbench.render.device import check_device
 
@@ -251,18 +252,21 @@ def _warm_up(device: str) -> None:
 
 
 Timed = tuple[bytes, float]
-"""A part, and the processor time, s, that it took, in which the building of a worker's sequence is."""
+"""A part, and the processor time, s, that it took, including that of building the sequence in a worker."""
 
 
 def make_timed_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: str) -> Timed:
-    """`make_part`, and its processor time."""
+    """Run `make_part`, and measure its processor time."""
     began = time.process_time()
     part = make_part(split, job, salt, device, program)
     return part, time.process_time() - began
 
 
 def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: str) -> bytes:
-    """Do a job: the bytes of its part, which are the same wherever it is done by the same program."""
+    """Do a job, and return the bytes of its part, which are the same wherever the same program does it.
+
+    Raises OysterbenchError where this program differs from `program`.
+    """
     if program != PROGRAM:
         raise OysterbenchError(
             f"a worker has {PROGRAM}, and was asked for what {program} makes: install the same version on all workers"
@@ -304,15 +308,15 @@ def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: s
 
 
 def default_workers(cpu_s: float) -> int:
-    """One per core that this process may use, but none that would have less to do than its start takes; at least one.
+    """Number of workers: at most one per core that this process may use, each with enough to do, and at least one.
 
-    cpu_s: processor time of all that is to be rendered.
+    cpu_s: processor time of all that is to be rendered, s.
     """
     return min(check_workers(None), 1 + int(cpu_s / WORKER_S))
 
 
 def check_workers(workers: int | None) -> int:
-    """Number of workers: as asked, or one per core that this process may use."""
+    """Number of workers: as requested, or one per core that this process may use. Raises RecipeError below 1."""
     if workers is None:
         return len(os.sched_getaffinity(0))
     if workers < 1:

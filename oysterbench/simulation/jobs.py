@@ -1,4 +1,4 @@
-"""What a sequence is made of by jobs that know nothing of each other: frames, pings, and all small sensors together."""
+"""The independent jobs that make a sequence: frames, pings, and all small sensors together."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from oysterbench.sequence.truth import rig_topics
 
 @dataclass(frozen=True)
 class Job:
-    """A frame or ping of a camera or sonar, by its name; or, without one, all the small sensors."""
+    """A job: a frame or ping of the camera or sonar named `source`, or all small sensors where that is empty."""
 
     sequence: str
     source: str = ""
@@ -23,17 +23,17 @@ class Job:
 
     @property
     def part(self) -> str:
-        """Name of the file that keeps its bytes."""
+        """Name of the part file that holds its bytes."""
         return f"{self.source}-{self.frame:06d}.part" if self.source else "sensors.part"
 
     @property
     def frames(self) -> int:
-        """How many frames it makes, for counting."""
+        """Number of frames that it makes, for progress."""
         return 1 if self.source else 0
 
 
 def plan(split: SplitRecipe, sequence: SequenceRecipe, topics: Collection[str] = ()) -> list[Job]:
-    """All jobs of a sequence, or those that some topics need, by patterns such as `/imu` or `/cam_front/*`."""
+    """All jobs of a sequence, or those needed for some topics, by patterns such as `/imu` or `/cam_front/*`."""
     jobs = [Job(sequence.name)]
     for source, recipe in wanted_sensors(split, sequence, topics).items():
         jobs += [Job(sequence.name, source, frame) for frame in range(count(sequence.duration_s, recipe.rate_hz))]
@@ -41,14 +41,14 @@ def plan(split: SplitRecipe, sequence: SequenceRecipe, topics: Collection[str] =
 
 
 def bulky_sensors(rig: RigRecipe) -> dict[str, SensorRecipe]:
-    """Name -> recipe of the sensors of which each measurement is a job of its own."""
+    """Name -> recipe of the sensors whose measurements are jobs of their own."""
     return {kind.name_of(recipe): recipe for kind, recipe in rig_sensors(rig) if kind.bulky}
 
 
 def wanted_topics(split: SplitRecipe, sequence: SequenceRecipe, topics: Collection[str] = ()) -> dict[str, str]:
-    """Topic -> type of those that fit the patterns, all where there is none, in the order of the file.
+    """Topic -> message type of the topics that match the patterns (all without patterns), in the order of the file.
 
-    Raises SequenceError where a pattern fits no topic.
+    Raises SequenceError where a pattern matches no topic.
     """
     known = rig_topics(split.rig_of(sequence))
     return {topic: known[topic] for topic in match_topics(known, topics, sequence.name)} if topics else known
@@ -57,7 +57,7 @@ def wanted_topics(split: SplitRecipe, sequence: SequenceRecipe, topics: Collecti
 def wanted_sensors(
     split: SplitRecipe, sequence: SequenceRecipe, topics: Collection[str] = ()
 ) -> dict[str, SensorRecipe]:
-    """Those of `bulky_sensors` whose jobs make some of the topics that fit the patterns."""
+    """Those of `bulky_sensors` whose jobs make topics that match the patterns."""
     rig = split.rig_of(sequence)
     made_by = sources(rig)
     needed = {made_by.get(topic) for topic in wanted_topics(split, sequence, topics)}
@@ -65,6 +65,6 @@ def wanted_sensors(
 
 
 def sources(rig: RigRecipe) -> dict[str, str]:
-    """Topic -> the source of the jobs whose parts hold it, in the order of the file; all but the rig's frames."""
+    """Topic -> source of the jobs whose parts contain it, in the order of the file; all topics but `/tf_static`."""
     bulky = {topic: name for name, recipe in bulky_sensors(rig).items() for topic in kind_of(recipe).topics(recipe)}
     return {name: bulky.get(name, "") for name in rig_topics(rig) if name != TF_STATIC}

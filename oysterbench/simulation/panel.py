@@ -1,4 +1,4 @@
-"""One panel of a gallery: what a camera, a sonar, or a sensor of a few numbers shows of a split's first sequence."""
+"""One panel of a gallery: what a camera, a sonar or a scalar sensor records in a split's first sequence."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from oysterbench.simulation.simulated_sequence import SimulatedSequence, build_s
 Picture = NDArray[np.uint8]
 
 ASPECT = 4 / 3
-FRAMES_BEFORE = 8  # that a video link has coded before the one shown: its quantiser has settled
-TILES = 2  # across and down, of frames one after another
+FRAMES_BEFORE = 8  # frames that a video link codes before the one shown, so that its quantiser has settled
+TILES = 2  # frames across and down, in time order
 
 
 def camera_picture(
     split: SplitRecipe, name: str, at_s: float, every_s: float | None = None, layer: str | None = None
 ) -> Picture:
-    """What a camera sends at a time, (H, W, 3) uint8 RGB; or a layer of truth; or, with every_s, four frames one after
-    another, every_s apart, in rows. Frames that are lost are dark."""
+    """Image (H, W, 3) uint8 RGB that a camera sends at a time; or a ground-truth layer; or, with every_s, four frames
+    every_s apart, in rows. Lost frames are dark."""
     simulated = build_sequence(split, split.sequence[0].name, b"")
     camera = next(camera for camera in simulated.rig.camera if camera.name == name)
     if every_s is None:
@@ -62,10 +62,10 @@ def _frame(simulated: SimulatedSequence, camera: CameraRecipe, index: int, layer
 
 
 def sensor_picture(split: SplitRecipe, beside: SplitRecipe, name: str, at_s: float, title: str = "") -> Picture:
-    """What a sensor other than a camera measures, (H, W, 3) uint8 RGB: of a sonar the fan at a time, of others curves
-    over the sequence, in grey those of the split `beside`.
+    """Image (H, W, 3) uint8 RGB of what a sensor other than a camera measures: of a sonar its fan at a time, of others
+    curves over the sequence, with those of the split `beside` in grey.
 
-    title: how that of its strips begins that is shown; the first by default.
+    title: how the title of the strip to show starts; the first strip by default.
     """
     simulated = build_sequence(split, split.sequence[0].name, b"")
     recipe = _sensor(simulated, name)
@@ -101,7 +101,7 @@ def _fan(simulated: SimulatedSequence, recipe: Any, index: int) -> Picture:
 def _table(
     simulated: SimulatedSequence, recipe: SensorRecipe, name: str, columns: tuple[str, ...]
 ) -> tuple[Array, Array]:
-    """Seconds (N,) and values (N, columns) of a topic of a sensor."""
+    """Seconds (N,) since the epoch and values (N, columns) of a sensor's topic."""
     kind = kind_of(recipe)
     row = next(row for leaf, row in kind.tables.items() if topic(kind.name_of(recipe), leaf) == name)
     form = kind.topics(recipe)[name]

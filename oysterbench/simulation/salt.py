@@ -1,4 +1,4 @@
-"""The salt of hidden splits: a secret that enters every stream of random numbers. It is read, used, and never shown."""
+"""Salt of hidden splits: a secret that goes into every random stream. It is read and used, but never shown."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ SALT_FILE, SALT = "OYSTERBENCH_SALT_FILE", "OYSTERBENCH_SALT"
 """Environment variables: the path of a file that holds the salt, and the salt itself."""
 
 LEAST_BYTES = 16
-LEAST_DISTINCT = 8  # values among its bytes: fewer are typed, not drawn
+LEAST_DISTINCT = 8  # different byte values: with fewer it was typed, not drawn at random
 HOW_TO_MAKE = "`head -c 32 /dev/urandom | base64 > FILE` makes a good one"
 
 
 class Salt(bytes):
-    """Bytes that no message, log or traceback spells out."""
+    """Bytes that never show in a message, log or traceback."""
 
     def __repr__(self) -> str:
         return "Salt(...)"
@@ -25,10 +25,10 @@ class Salt(bytes):
 
 
 def read_salt(file: Path | None = None) -> Salt | None:
-    """The salt of a file, or of the environment; None where none is given. The end of a line at its end is no part.
+    """Read the salt from a file, or from the environment; None where none is given. Trailing newlines are dropped.
 
     Raises RecipeError for a file that cannot be read, and for a salt that could be guessed: what is made with it is
-    published, and every guess can be tried on that.
+    published, so guesses can be checked against it.
     """
     where, found = "--salt-file", file
     if found is None and os.environ.get(SALT_FILE):
@@ -52,12 +52,12 @@ def read_salt(file: Path | None = None) -> Salt | None:
 
 
 def is_strong(salt: bytes) -> bool:
-    """Whether a salt is long and mixed enough to keep a split hidden."""
+    """Whether a salt is long and varied enough to keep a split hidden."""
     return len(salt) >= LEAST_BYTES and len(set(salt)) >= LEAST_DISTINCT
 
 
 def salt_for(name: str, hidden: bool, file: Path | None = None) -> bytes:
-    """The salt that a split of this name is made with: none if it is public, whatever the environment holds.
+    """Salt that the split of this name is made with: empty if it is public, whatever the environment holds.
 
     Raises RecipeError where a hidden split has none, and where one is given for a public split.
     """

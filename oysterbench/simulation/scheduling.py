@@ -1,5 +1,5 @@
-"""Where jobs run: in this process, in several of this machine, or on a cluster (`core.cluster`). Each gives the result
-of its job, and only the caller writes files."""
+"""Where jobs run: in this process, in several processes of this machine, or on a cluster (`core.cluster`). Each yields
+the results of its jobs; only the caller writes files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TERMINATED = 128 + signal.SIGTERM
 
 
 class Terminated(OysterbenchError):
-    """SIGTERM came while processes were at work."""
+    """Raised on SIGTERM while worker processes are running."""
 
     exit_code = TERMINATED
 
@@ -39,9 +39,9 @@ def run_here(task: Callable[[J], R], jobs: Sequence[J]) -> Results[J, R]:
 def run_in_processes(
     task: Callable[[J], R], jobs: Sequence[J], workers: int, warm_up: Callable[[], None]
 ) -> Results[J, R]:
-    """Run jobs in so many processes; one runs `warm_up` before the others begin.
+    """Run jobs in several processes; one runs `warm_up` before the jobs start.
 
-    Raises OysterbenchError when a process is killed, or this one is told to end.
+    Raises OysterbenchError when a worker is killed, or this process receives SIGTERM.
     """
     with _ended_in_order():
         yield from _run_in_processes(task, jobs, workers, warm_up)
@@ -49,7 +49,7 @@ def run_in_processes(
 
 @contextmanager
 def _ended_in_order() -> Iterator[None]:
-    """SIGTERM raises Terminated: processes are ended, and their semaphores freed, on the way out."""
+    """Make SIGTERM raise Terminated, so that workers are ended, and their semaphores freed, on the way out."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
         yield
         return
@@ -101,8 +101,8 @@ def _run_in_processes(
 
 @contextmanager
 def _scripts_left_out() -> Iterator[None]:
-    """Processes that are started do not run the user's script again, which would come to what started them: jobs need
-    nothing of it. So a script may render without `if __name__ == "__main__"`."""
+    """Keep new processes from running the user's script again, which would start processes in turn: jobs need nothing
+    from it. So a script may render without `if __name__ == "__main__"`."""
     script = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:
@@ -130,6 +130,6 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 def run_alone(task: Callable[[J], R], job: J) -> R:
-    """A job on a cluster's worker, whose threads share what the job is made with: one at a time, as in a process."""
+    """Run a job on a cluster's worker, one at a time: its threads share state that jobs need for themselves."""
     with _ONE_AT_A_TIME:
         return task(job)

@@ -1,4 +1,4 @@
-"""What the sensors of a simulated sequence measure, as messages; and the truth."""
+"""Measurements of the sensors of a simulated sequence, as messages; and its ground truth."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from oysterbench.sensors.registry import kind_of, rig_sensors
 from oysterbench.sequence.truth import transform_message, truth_message, truth_pose_message
 from oysterbench.simulation.simulated_sequence import SimulatedSequence
 
-TRUTH_STEP = 1e-6  # m, m/s and rad/s
-ATTITUDE_STEP = 1e-7  # of a unit quaternion
-UNSEEN_RATE_HZ = 1.0  # of the poses of what moves, where no camera has layers
+TRUTH_STEP = 1e-6  # m, m/s and rad/s, to which the ground truth is rounded
+ATTITUDE_STEP = 1e-7  # the same, for unit quaternions
+UNSEEN_RATE_HZ = 1.0  # rate of the poses of what moves, where no camera has layers
 
 
 def sensor_messages(
     simulated: SimulatedSequence, recipe: SensorRecipe, first: int = 0, last: int | None = None
 ) -> Iterator[Message]:
-    """Messages of measurements [first, last) of a sensor, all by default: those that are not lost, on its own clock."""
+    """Yield the messages of a sensor's measurements [first, last), by default all, without lost ones, on its clock."""
     kind = kind_of(recipe)
     times = kind.times(simulated, recipe)
     n = count(simulated.recipe.duration_s, recipe.rate_hz) if times is None else len(times)
@@ -45,8 +45,8 @@ def sensor_messages(
 def sensor_stamps(
     simulated: SimulatedSequence, recipe: SensorRecipe, n: int, times_s: Array | None = None
 ) -> NDArray[np.int64]:
-    """(n,) int64 stamps of a sensor's samples at times (n,) s, or at its rate: by its clock, late by what no
-    calibration knows, and with jitter."""
+    """Timestamps (n,), int64 ns, of a sensor's samples at times (n,) s, or at its rate: by its clock, including the
+    time offset that its calibration does not know, and jitter."""
     kind = kind_of(recipe)
     true = kind.true_entry(simulated, recipe)
     offset_ms = recipe.clock_offset_ms + 1e3 * true.get("time_offset_s", 0.0)
@@ -61,7 +61,7 @@ def sensor_stamps(
 
 
 def small_messages(simulated: SimulatedSequence) -> Iterator[Message]:
-    """Messages of every sensor that is not bulky, and the truth."""
+    """Yield the messages of the ground truth and of every sensor that is not bulky."""
     yield from truth_messages(simulated)
     for kind, recipe in rig_sensors(simulated.rig):
         if not kind.bulky:
@@ -69,7 +69,7 @@ def small_messages(simulated: SimulatedSequence) -> Iterator[Message]:
 
 
 def truth_messages(simulated: SimulatedSequence) -> Iterator[Message]:
-    """The truth, in its three forms, at the rig's rate."""
+    """Yield the ground-truth trajectory, in its three message types, at the rig's rate."""
     n = count(simulated.recipe.duration_s, simulated.rig.truth_rate_hz)
     times = np.arange(n) / simulated.rig.truth_rate_hz
     motion = simulated.path.at(times)
@@ -90,9 +90,9 @@ def truth_messages(simulated: SimulatedSequence) -> Iterator[Message]:
 
 
 def frames_csv(simulated: SimulatedSequence) -> bytes | None:
-    """How each frame of the cameras that adapt or repeat is taken (`sequence.read.FRAMES`), as CSV; None without any.
+    """CSV of how each frame of adaptive or repeating cameras is taken (`sequence.read.FRAMES`); None without any.
 
-    stamp_ns: the frame's; shown_ns: that of the frame whose picture it shows.
+    stamp_ns: stamp of the frame; shown_ns: stamp of the frame whose image it shows.
     """
     import pandas as pd
 
@@ -115,12 +115,12 @@ def frames_csv(simulated: SimulatedSequence) -> bytes | None:
 
 
 def oyster_csv(simulated: SimulatedSequence) -> bytes:
-    """The truth about each oyster (`World.oyster_table`), as CSV."""
+    """CSV of the ground truth about each oyster (`World.oyster_table`)."""
     return simulated.world.oyster_table().to_csv(index=False, lineterminator="\n", float_format="%.10g").encode()
 
 
 def faults_csv(simulated: SimulatedSequence) -> bytes | None:
-    """Where the faults of the sensors struck, as CSV (`sensors.faults`); None where they have none."""
+    """CSV of the faults that struck the sensors (`sensors.faults`); None where there are none."""
     found = [
         (kind.name_of(recipe), fault)
         for kind, recipe in rig_sensors(simulated.rig)
@@ -130,8 +130,8 @@ def faults_csv(simulated: SimulatedSequence) -> bytes | None:
 
 
 def moving_csvs(simulated: SimulatedSequence) -> tuple[bytes, bytes]:
-    """Who moves by itself (`Life.table`), and where it is at the stamps of the layers of the camera that has the most,
-    or once a second (`Life.poses`), as CSV."""
+    """CSVs of what moves by itself (`Life.table`), and of its poses (`Life.poses`), at the highest layer rate of the
+    cameras, or once a second."""
     assert simulated.life is not None
     rate = max((camera.layer_rate_hz for camera in simulated.rig.camera), default=0.0) or UNSEEN_RATE_HZ
     n = count(simulated.recipe.duration_s, rate)

@@ -1,4 +1,4 @@
-"""One sequence, built: its reef, the path over it, and what its cameras and sonars see them with."""
+"""One built sequence: its reef, the path over it, and the renderers and ray caster of its sensors."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class SimulatedSequence:
-    """A built sequence: the reef and the path over it. Renderers and sonars are made when they are first asked for."""
+    """A built sequence: the reef and the path over it. Renderers and sonars are made on first use."""
 
     rig: RigRecipe
     recipe: SequenceRecipe
@@ -37,7 +37,7 @@ class SimulatedSequence:
 
     @cached_property
     def renderers(self) -> dict[str, CameraRenderer]:
-        """A renderer for each camera."""
+        """Renderer of each camera, by name."""
         return {
             camera.name: CameraRenderer(
                 self.world, camera, self.recipe, self.device, self.rig, plumes=self.plumes, life=self.life
@@ -47,17 +47,17 @@ class SimulatedSequence:
 
     @cached_property
     def plumes(self) -> Plumes | None:
-        """The plumes of silt, where the recipe has any."""
+        """Plumes of silt, or None where the recipe has none."""
         return build_plumes(self.recipe, self.path, self.world.ground_height, self.streams)
 
     @cached_property
     def caster(self) -> RayCaster:
-        """Single rays, for what hears."""
+        """Caster of single rays, for the acoustic sensors."""
         return RayCaster(self.world, self.device, self.life)
 
     @cached_property
     def calibration(self) -> RigCalibration:
-        """What is given of the rig, and what is true."""
+        """Given and true calibration of the rig."""
         return calibrate_rig(self.rig, self.recipe.site, self.recipe.calibration, self.streams)
 
     @cached_property
@@ -65,14 +65,14 @@ class SimulatedSequence:
         return {}
 
     def instrument(self, recipe: SensorRecipe, build: Callable[[], T]) -> T:
-        """What `build` makes for a sensor, made when it is first asked for."""
+        """Return what `build` makes for a sensor, built on first use."""
         if recipe not in self._instruments:
             self._instruments[recipe] = build()
         made: T = self._instruments[recipe]
         return made
 
     def bodies(self, times_s: Array) -> list[Array]:
-        """T_map_base (4, 4) at times (N,) s."""
+        """Poses T_map_base (4, 4) at times (N,) s."""
         motion = self.path.at(times_s)
         return [transform(r, p) for r, p in zip(motion.rotation, motion.position, strict=True)]
 
@@ -81,19 +81,19 @@ _last: dict[tuple[SplitRecipe, str, bytes, str], SimulatedSequence] = {}
 
 
 def build_sequence(split: SplitRecipe, name: str, salt: bytes, device: str = "cpu") -> SimulatedSequence:
-    """Built once per process and sequence; a worker's next job is most often of the same sequence. The one before goes
-    first: two at a time would take twice the memory."""
+    """Build a sequence, or return it where it is the one that this process built last: a worker's next job is usually
+    of the same sequence. The previous one is released first, as two at a time would take twice the memory."""
     key = (split, name, salt, device)
     found = _last.get(key)
     if found is None:
-        stated = split.find_sequence(name)  # a name that is not there costs nobody the one that was built
+        stated = split.find_sequence(name)  # first, so that an unknown name does not discard the last one
         forget_sequence()
         found = _last[key] = _build(split, stated, salt, device)
     return found
 
 
 def forget_sequence() -> None:
-    """Let go of the sequence that was built last."""
+    """Release the sequence that was built last."""
     _last.clear()
 
 

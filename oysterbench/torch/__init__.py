@@ -1,4 +1,4 @@
-"""Data sets for training with PyTorch: frames with masks, real pictures, windows of images, IMU samples and poses.
+"""Data sets for training with PyTorch: frames with masks, real images, and windows of images, IMU samples and poses.
 
 >>> import oysterbench
 >>> frames = oysterbench.torch.FrameDataset("mini-01.mcap", layers=("oyster", "instance"))
@@ -8,8 +8,8 @@
 >>> windows[0]["imu"].shape                   # between frames: angular rate and specific force of each sample
 torch.Size([4, 10, 6])
 
-A split is rendered or downloaded on first use. Files are indexed once, when a data set is made; an item then reads the
-chunks that hold it and nothing before them. Data sets can be pickled, forked and spawned: none holds a file open.
+A split is rendered or downloaded on first use. Files are indexed once, when a data set is made; reading an item then
+touches only the chunks that hold it. Data sets can be pickled, forked and spawned: none keeps a file open.
 """
 
 from importlib.util import find_spec

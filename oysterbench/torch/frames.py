@@ -1,4 +1,4 @@
-"""Single frames with what is known of each of their pixels."""
+"""Single frames with per-pixel ground truth."""
 
 from __future__ import annotations
 
@@ -29,64 +29,63 @@ from oysterbench.torch.sources import (
 )
 
 DERIVED = {"oyster": ("class",), "ignore": ("class", "instance")}
-"""Layers that are made of others, and of which."""
+"""Derived layer -> the layers that it is made from."""
 
 NEEDED_IF_THERE = {"ignore": ("visibility",)}
 
 
 class FrameDataset(Dataset[Any]):
-    """Frames of rendered sequences with their masks and other layers of truth, in the order of the files.
+    """Frames of rendered sequences with their masks and other ground-truth layers, in the order of the files.
 
     Parameters
     ----------
     source : str, path, oysterbench.Split, or several of these
-        A split or its name, which is rendered or downloaded where it is not here; sequence files (.mcap); folders of
-        them.
+        A split or its name, rendered or downloaded if it is not here; sequence files (.mcap); folders of them.
     camera : str or list of str, optional
-        Whose frames; of all cameras that have the layers by default.
+        Cameras whose frames are used; by default all that have the layers.
     layers : tuple of str
-        What comes along, see below. Frames that lack one of them, as layers are often recorded at a lower rate, are
-        left out.
+        Layers that items contain, see below. Frames that lack one of them are left out, as layers are often recorded at
+        a lower rate.
     transform : callable, optional
-        Given an item, returns what is to be given instead. It must be picklable where workers are spawned.
+        Maps each item to what is returned instead. It must be picklable where workers are spawned.
     cache_mb : float
-        Unpacked chunks of files that each process keeps.
+        Size of the cache of unpacked file chunks in each process.
 
     Notes
     -----
-    An item is a dict. Of each frame of H x W pixels:
+    An item is a dict. For a frame of H x W pixels:
 
     ============== ==================== ==================================================================
     key            tensor               what
     ============== ==================== ==================================================================
     image          (3, H, W) uint8      RGB
-    oyster         (H, W) bool          where an oyster is seen
-    ignore         (H, W) bool          pixels of oysters too small or too hidden to count, not evaluated
+    oyster         (H, W) bool          where an oyster is visible
+    ignore         (H, W) bool          pixels of oysters too small or too occluded to count, not evaluated
     class          (H, W) uint8         numbers of `oysterbench.recipe.CLASSES`
-    instance       (H, W) int32         number of the oyster or other thing, 0 is none
+    instance       (H, W) int32         number of the oyster or other object, 0 is none
     depth          (H, W) float32       m along the optical axis, 0 is none
-    visibility     (H, W) float32       share of the instance at a pixel that nothing hides, NaN is none
+    visibility     (H, W) float32       unoccluded share of the instance at a pixel, NaN is none
     normals        (3, H, W) float32    outward, in the optical frame (x right, y down, z forward)
     dynamic        (H, W) uint8         1 where something moves by itself
     flow           (2, H, W) float32    px to the right and down until the next frame, NaN is none
-    transmittance  (H, W) float32       share of light in green that arrives through the water, 0 is none
+    transmittance  (H, W) float32       share of green light that gets through the water, 0 is none
     clean, direct, (3, H, W) float32    light; 1 is a white surface in full daylight
     forward_scatter, backscatter, snow
     intrinsics     (3, 3) float32       matrix of the camera, px
     stamp_ns       int                  ns
-    name, sequence, camera  str         name: SEQUENCE/CAMERA/STAMP, as evaluators call it
+    name, sequence, camera  str         name: SEQUENCE/CAMERA/STAMP, as in the evaluators
     ============== ==================== ==================================================================
 
-    Only those of `layers` are there, beside image, intrinsics, stamp_ns and names.
+    Only those of `layers` are present, besides image, intrinsics, stamp_ns and names.
 
     Raises
     ------
     oysterbench.core.errors.SequenceError
-        A file is absent or damaged, or no camera of a file has the layers: the message says which it has.
+        A file is absent or damaged, or no camera of a file has the layers: the message says which layers there are.
 
     Examples
     --------
-    Of a file, or of a split by its name, as `FrameDataset("seg-train")`:
+    From a file, or from a split by its name, as in `FrameDataset("seg-train")`:
 
     >>> import oysterbench
     >>> from torch.utils.data import DataLoader
@@ -131,7 +130,7 @@ class FrameDataset(Dataset[Any]):
 
     @property
     def names(self) -> list[str]:
-        """SEQUENCE/CAMERA/STAMP of each frame."""
+        """Name of each frame: SEQUENCE/CAMERA/STAMP."""
         return [part.shots.name(k) for part in self._parts for k in range(len(part.shots.numbers))]
 
     def __repr__(self) -> str:
@@ -141,7 +140,7 @@ class FrameDataset(Dataset[Any]):
 
 
 class _Part:
-    """The frames of one camera of a file. numbers: of each needed layer, those of its messages (N,)."""
+    """Frames of one camera of a file. numbers: layer -> numbers (N,) of its messages, for each layer needed."""
 
     def __init__(self, shots: Shots, numbers: Mapping[str, NDArray[np.intp]]) -> None:
         self.shots, self.numbers = shots, numbers
@@ -193,7 +192,7 @@ def _parts_of(path: Path, asked: list[str] | None, layers: tuple[str, ...], chun
 
 
 def _numbers(file: IndexedFile, camera: str, leaf: str, stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Of the messages at these stamps, all of which are there."""
+    """Numbers (N,) of the messages at these stamps, all of which exist."""
     return np.searchsorted(file.topics[f"/{camera}/{leaf}"].stamps_ns, stamps_ns)
 
 

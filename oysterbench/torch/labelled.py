@@ -1,4 +1,4 @@
-"""Labelled pictures of any kind, real ones above all, as tensors."""
+"""Labelled images of any kind, mainly real ones, as tensors."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from oysterbench.torch.sources import Transform, channels_first
 
 
 class LabelledDataset(Dataset[Any]):
-    """Labelled pictures, such as real ones of one's own, in the shape of `FrameDataset`.
+    """Labelled images, such as one's own real ones, in the format of `FrameDataset`.
 
     Parameters
     ----------
     source : path or oysterbench.annotations.LabelledSet
-        A folder with images/ and labels/*.txt (YOLO) or masks/*.png, one with a COCO file, or a set of them, as of
+        A folder with images/ and labels/*.txt (YOLO) or masks/*.png, one with a COCO file, or a set of them, such as
         `oysterbench.labelled(path).of_split("train")`.
     transform : callable, optional
-        Given an item, returns what is to be given instead. Pictures may differ in size: batches need it then.
+        Maps each item to what is returned instead. Needed for batches where images differ in size.
 
     Notes
     -----
     An item is a dict: image (3, H, W) uint8 RGB; oyster (H, W) bool; instance (H, W) int32, 0 is none; ignore (H, W)
-    bool, pixels of which nothing may be said; name and clip, str. With `FrameDataset(..., layers=("oyster", "instance",
-    "ignore"))` it has these in common, so that a `ConcatDataset` mixes rendered and real pictures where a transform
+    bool, pixels that are not evaluated; name and clip, str. These keys are shared with `FrameDataset(...,
+    layers=("oyster", "instance", "ignore"))`, so that a `ConcatDataset` can mix rendered and real images if a transform
     keeps what both have.
 
     Raises
     ------
     oysterbench.core.errors.LabelError
-        The path holds no labelled pictures, or an item's file is absent or damaged.
+        The path holds no labelled images, or an item's file is absent or damaged.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Which sequence files a data set is made of, and the frames of their cameras."""
+"""Sources of data sets: sequence files, and the frames of their cameras."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ Source = str | os.PathLike[str] | Split | Iterable[str | os.PathLike[str] | Spli
 """A split or its name, a sequence file, a folder of them, or several of these."""
 
 Transform = Callable[[dict[str, Any]], Any]
-"""Given an item, what is to be given instead."""
+"""Maps an item to what is returned instead."""
 
 
 @dataclass(frozen=True)
 class Shots:
-    """Frames of one camera of a file: `numbers` (N,) of its images in the order of stamps, and these stamps, ns."""
+    """Frames of one camera of a file: `numbers` (N,) of its image messages in time order, and their stamps, ns."""
 
     file: IndexedFile
     sequence: str
@@ -38,17 +38,17 @@ class Shots:
     stamps_ns: NDArray[np.int64]
 
     def image(self, k: int) -> torch.Tensor:
-        """(3, H, W) uint8 RGB of the k-th of them."""
+        """Read the k-th frame, (3, H, W) uint8 RGB."""
         _, pixels = read_colour(self.file.message(f"/{self.camera}/image", int(self.numbers[k])))
         return channels_first(pixels)
 
     def name(self, k: int) -> str:
-        """As the evaluators call it: SEQUENCE/CAMERA/STAMP."""
+        """Name of the k-th frame as in the evaluators: SEQUENCE/CAMERA/STAMP."""
         return f"{self.sequence}/{self.camera}/{self.stamps_ns[k]}"
 
 
 def sequence_files(source: Source) -> list[Path]:
-    """The sequence files of a source, had where they are not here yet. Raises OysterbenchError where there is none."""
+    """Sequence files of a source, rendered or downloaded if missing. Raises OysterbenchError where there is none."""
     if isinstance(source, Split):
         return list(source.fetch().values())
     if isinstance(source, str | os.PathLike):
@@ -63,7 +63,7 @@ def sequence_files(source: Source) -> list[Path]:
 
 
 def cameras_of(sequence: Sequence, path: Path, camera: str | Iterable[str] | None) -> Iterator[str]:
-    """Names of cameras: those that are asked for, or all. Raises SequenceError where the sequence has them not."""
+    """Yield the names of the requested cameras, or of all. Raises SequenceError where the sequence lacks one."""
     asked = list(sequence.cameras) if camera is None else [camera] if isinstance(camera, str) else list(camera)
     for name in asked:
         if name not in sequence.cameras:
@@ -72,19 +72,19 @@ def cameras_of(sequence: Sequence, path: Path, camera: str | Iterable[str] | Non
 
 
 def opened(path: Path) -> Sequence:
-    """A sequence file. Raises SequenceError for what is none, as a folder in EuRoC layout."""
+    """Open a sequence file. Raises SequenceError for anything else, such as a folder in EuRoC layout."""
     if path.is_dir():
         raise SequenceError(f"{path}: expected a sequence file (.mcap), got a folder; `oysterbench.open` reads it")
     return open_sequence(path)
 
 
 def channels_first(pixels: NDArray[Any]) -> torch.Tensor:
-    """(C, H, W) of (H, W, C), in memory of its own."""
+    """Tensor (C, H, W) of pixels (H, W, C), in its own memory."""
     return torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1)))
 
 
 def place_of(number: int, ends: NDArray[np.intp]) -> tuple[int, int]:
-    """Part, and number in it, of an item of parts laid end to end; ends (P,): of each. Raises IndexError."""
+    """Part and index within it of an item in concatenated parts; ends (P,): end of each part. Raises IndexError."""
     total = int(ends[-1]) if len(ends) else 0
     if not -total <= number < total:
         raise IndexError(f"expected an item from 0 to {total - 1}, got {number}")

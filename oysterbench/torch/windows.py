@@ -1,4 +1,4 @@
-"""Windows of consecutive frames, with the inertial samples and the motion between them."""
+"""Windows of consecutive frames, with the IMU samples and the motion between them."""
 
 from __future__ import annotations
 
@@ -21,32 +21,31 @@ from oysterbench.torch.sources import Shots, Source, Transform, cameras_of, open
 
 
 class WindowDataset(Dataset[Any]):
-    """Windows of consecutive frames with what moved between them: for visual-inertial odometry that is learned.
+    """Windows of consecutive frames with the motion between them, for learned visual-inertial odometry.
 
     Parameters
     ----------
     source : str, path, oysterbench.Split, or several of these
-        A split or its name, which is rendered or downloaded where it is not here; sequence files (.mcap); folders of
-        them.
+        A split or its name, rendered or downloaded if it is not here; sequence files (.mcap); folders of them.
     length : int
-        Frames T in a window, two at least.
+        Number of frames T in a window, at least two.
     stride : int
-        Frames from the begin of a window to that of the next.
+        Number of frames from the start of one window to the start of the next.
     camera : str or list of str, optional
-        Whose frames; the first of each sequence by default.
+        Cameras whose frames are used; the first of each sequence by default.
     poses : bool
-        Whether true poses come along. Without them, sequences that keep their truth back can be read, too.
+        Whether items contain true poses. Without them, sequences with withheld ground truth can be read, too.
     max_gap_s : float, optional
-        Windows in which two frames are further apart, as where frames were lost, are left out.
+        Windows in which two consecutive frames are further apart, as after lost frames, are left out.
     transform : callable, optional
-        Given an item, returns what is to be given instead. It must be picklable where workers are spawned.
+        Maps each item to what is returned instead. It must be picklable where workers are spawned.
     cache_mb : float
-        Unpacked chunks of files that each process keeps.
+        Size of the cache of unpacked file chunks in each process.
 
     Notes
     -----
-    An item is a dict. K is the most inertial samples that lie between two frames anywhere in the data set, so that all
-    items have one shape and the default collate function makes batches of them:
+    An item is a dict. K is the greatest number of IMU samples between two frames anywhere in the data set, so that all
+    items have the same shape and the default collate function can batch them:
 
     ============== ======================== ============================================================
     key            tensor                   what
@@ -55,29 +54,29 @@ class WindowDataset(Dataset[Any]):
     stamp_ns       (T,) int64               of the frames, ns
     imu            (T - 1, K, 6) float32    angular rate x y z, rad/s, and specific force x y z, m/s^2, both
                                             in the IMU's frame, of the samples after frame t up to frame
-                                            t + 1, the latter included; 0 behind the last one
-    imu_stamp_ns   (T - 1, K) int64         of the samples, ns; 0 behind the last one
+                                            t + 1, the latter included; 0 after the last one
+    imu_stamp_ns   (T - 1, K) int64         of the samples, ns; 0 after the last one
     imu_count      (T - 1,) int64           samples before the padding
     pose           (T, 4, 4) float64        true T_map_body when each frame was taken, m
-    relative_pose  (T - 1, 4, 4) float32    true motion in the body's frame: takes points of the body at
-                                            frame t + 1 into the body at frame t, m
+    relative_pose  (T - 1, 4, 4) float32    true motion in the body frame: maps points from the body frame at
+                                            frame t + 1 to the body frame at frame t, m
     intrinsics     (3, 3) float32           matrix of the camera, px
-    T_body_camera  (4, 4) float32           takes points of the optical frame into the body, m
-    T_body_imu     (4, 4) float32           takes points of the IMU's frame into the body, m
+    T_body_camera  (4, 4) float32           maps points from the optical frame to the body frame, m
+    T_body_imu     (4, 4) float32           maps points from the IMU's frame to the body frame, m
     name, sequence, camera  str             name: SEQUENCE/CAMERA/STAMP of the first frame
     ============== ======================== ============================================================
 
-    Frames x forward, y left, z up in the body; z forward, x right, y down in the optical frame. Calibrations are those
+    The body frame has x forward, y left, z up; the optical frame z forward, x right, y down. Calibrations are those
     that methods are given.
 
     Raises
     ------
     oysterbench.core.errors.SequenceError
-        A file is absent, damaged, has no such camera, or no truth although `poses` asks for it.
+        A file is absent, damaged, has no such camera, or has no ground truth although `poses` requires it.
 
     Examples
     --------
-    Of a file, or of a split by its name, as `WindowDataset("slam-train", length=5)`:
+    From a file, or from a split by its name, as in `WindowDataset("slam-train", length=5)`:
 
     >>> import oysterbench
     >>> windows = oysterbench.torch.WindowDataset("mini-01.mcap", length=5, stride=2)
@@ -130,10 +129,10 @@ class WindowDataset(Dataset[Any]):
 
 @dataclass(frozen=True)
 class _Part:
-    """The frames of one camera, F of them.
+    """The F frames of one camera.
 
-    imu, imu_stamps_ns: all inertial samples (N, 6) and their stamps (N,); edges (F,): number of samples up to each
-    frame, that at its stamp included; poses (F, 4, 4): T_map_body, NaN where the truth does not reach; None without
+    imu, imu_stamps_ns: all IMU samples (N, 6) and their stamps (N,); edges (F,): number of samples up to each frame,
+    one at its stamp included; poses (F, 4, 4): T_map_body, NaN outside the ground truth; None without poses.
     """
 
     shots: Shots
@@ -145,11 +144,11 @@ class _Part:
 
     @property
     def most_samples(self) -> int:
-        """Between two frames."""
+        """Greatest number of samples between two consecutive frames."""
         return int(np.diff(self.edges).max(initial=1))
 
     def begins(self, length: int, stride: int, max_gap_s: float | None) -> NDArray[np.intp]:
-        """Numbers of the first frames of windows."""
+        """Numbers of the first frames of the windows."""
         count = len(self.shots.stamps_ns)
         known = np.ones(count, dtype=bool) if self.poses is None else np.isfinite(self.poses[:, 0, 0])
         most_ns = np.iinfo(np.int64).max if max_gap_s is None else round(1e9 * max_gap_s)
@@ -159,7 +158,7 @@ class _Part:
         return np.array(whole, dtype=np.intp)
 
     def item(self, begin: int, end: int, samples: int) -> dict[str, Any]:
-        """Of the frames from `begin` on, before `end`, with room for so many inertial samples between two."""
+        """Item of the frames [begin, end), with room for a number of IMU samples between consecutive frames."""
         shots = self.shots
         frames = range(begin, end)
         imu = np.zeros((len(frames) - 1, samples, 6), dtype=np.float32)
@@ -214,7 +213,10 @@ def _parts_of(path: Path, asked: list[str] | None, poses: bool, chunks: Chunks) 
 
 
 def _poses(sequence: Sequence, path: Path, camera: str, stamps_ns: NDArray[np.int64]) -> Array:
-    """(F, 4, 4) true T_map_body when frames of these stamps were taken; NaN where the truth does not reach."""
+    """True T_map_body (F, 4, 4) when the frames with these stamps were taken; NaN outside the ground truth.
+
+    Raises SequenceError where the sequence has no ground truth.
+    """
     try:
         truth = sequence.truth()
     except SequenceError:

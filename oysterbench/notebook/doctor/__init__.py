@@ -1,4 +1,4 @@
-"""How this machine is: what is installed and what is missing, what is set and whether it works, and what to type."""
+"""Diagnosis of this machine: what is installed, missing or set, whether it works, and what to type."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ __all__ = ["Checkup", "Finding", "doctor"]
 
 @dataclass(frozen=True, repr=False)
 class Checkup:
-    """What was found, section by section; `broken` of it is what is set or installed and does not work."""
+    """Result of a diagnosis, section by section; `broken` lists what is set or installed and does not work."""
 
     findings: tuple[Finding, ...]
 
     @property
     def broken(self) -> tuple[Finding, ...]:
-        """What is set or installed, and does not work."""
+        """Findings of what is set or installed, and does not work."""
         return tuple(one for one in self.findings if one.state == "broken")
 
     def sections(self) -> Iterator[tuple[str, list[Finding]]]:
-        """Name of each section, and what was found in it."""
+        """Yield the name of each section, and its findings."""
         for section, findings in groupby(self.findings, lambda one: one.section):
             yield section, list(findings)
 
@@ -48,12 +48,12 @@ class Checkup:
 
 
 def doctor() -> Checkup:
-    """Look at what is installed, at the machine, and at what is set. No network is touched, and nothing is changed.
+    """Check what is installed, the machine, and what is set. No network is used, and nothing is changed.
 
     Returns
     -------
     Checkup
-        Shows itself; ``findings`` are one thing each, ``broken`` those that are set and do not work.
+        Displays itself; ``findings`` has one entry for each thing, ``broken`` those that are set and do not work.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What is kept here, and where more comes from: home, splits, trained weights, hub, salts, published systems."""
+"""Checks of the data on this machine, and of its sources: home, splits, trained weights, hub, salts, systems."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from oysterbench.notebook.doctor.finding import Finding, broken_by, in_bytes
 HOME, HUB, HUB_KEY, EXPORTS = "OYSTERBENCH_HOME", "OYSTERBENCH_HUB", "OYSTERBENCH_HUB_KEY", "OYSTERBENCH_EXPORTS_GB"
 OTHERS = ("OYSTERBENCH_OFFLINE", "OYSTERBENCH_SALT", "OYSTERBENCH_SALT_FILE", "OYSTERBENCH_TOKEN", "OYSTERBENCH_BOARD")
 LEAST_FREE = 2e9
-"""Bytes: a split of a few dives."""
+"""Free disk space below which a warning is given, bytes: a split of a few dives."""
 
 
 def look_at_data() -> Iterator[Finding]:
-    """The home and what is in it."""
+    """Check the home folder and what is in it."""
     yield from _checked("data", "home", _home)
     yield from _splits()
     yield from _checked("data", "trained weights", _weights)
@@ -27,7 +27,7 @@ def look_at_data() -> Iterator[Finding]:
 
 
 def _checked(section: str, name: str, look: Callable[..., Iterator[Finding]], *of: object) -> Iterator[Finding]:
-    """What a look at something finds, up to the error that ends it."""
+    """Yield the findings of a check; an error ends it as a finding of its own."""
     try:
         yield from look(*of)
     except (OysterbenchError, OSError) as error:
@@ -69,7 +69,7 @@ def _splits() -> Iterator[Finding]:
 
 
 def _split(name: str, known: bool) -> Iterator[Finding]:
-    """What is here of a split: in its own version, begun, and of other versions."""
+    """Report what is here of a split: sequences of its present version, unfinished renders, and other versions."""
     folder = home() / "splits" / name
     size = {path: path.stat().st_size for path in folder.glob("*/*.mcap")}
     own: list[Path] = []
@@ -130,7 +130,7 @@ def _exports() -> Iterator[Finding]:
 
 
 def look_at_hub() -> Iterator[Finding]:
-    """The hub that is set and its key, and what else the environment says. No network is touched."""
+    """Check the hub that is set, its key, and the other environment variables. No network is used."""
     yield from _checked("hub", "hub", _hub)
     yield from _checked("hub", "key", _key)
     yield from _checked("hub", "salt", _salt)
@@ -179,7 +179,7 @@ def _salt() -> Iterator[Finding]:
 
 
 def _variables() -> Iterator[Finding]:
-    """Variables that nothing here reads: misspelled, most likely."""
+    """Report variables that nothing reads, most likely misspelled."""
     from oysterbench.methods.weights import weights_names
 
     prefix = "OYSTERBENCH_"
@@ -191,7 +191,7 @@ def _variables() -> Iterator[Finding]:
 
 
 def look_at_systems() -> Iterator[Finding]:
-    """Published systems, and whether they are built."""
+    """Check which published systems are built."""
     from oysterbench.methods.systems import systems
     from oysterbench.methods.systems.building import built
 
@@ -199,7 +199,7 @@ def look_at_systems() -> Iterator[Finding]:
         described = system.description
         try:
             build = built(system)
-        except OSError:  # the home is none, which is told of by itself
+        except OSError:  # the home folder is unusable, which is reported separately
             build = None
         except OysterbenchError as error:
             yield broken_by("systems", system.name, error, f"oysterbench systems build {system.name} --again")

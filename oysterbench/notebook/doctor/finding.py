@@ -1,4 +1,4 @@
-"""What a look at the machine finds, one thing at a time."""
+"""Findings of a diagnosis of the machine, one for each thing."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import Literal
 from oysterbench.core.errors import OysterbenchError
 
 State = Literal["ok", "poor", "missing", "broken"]
-"""poor: it works, and not well; missing: it need not be there; broken: it is set or installed, and does not work."""
+"""poor: it works, but not well; missing: it is optional and not there; broken: it is set or installed, and does not
+work."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing. section: what it belongs to; detail: what it is, or what is wrong; advice: what to type or to do."""
+    """One finding. section: what it belongs to; detail: what it is, or what is wrong; advice: what to type or do."""
 
     section: str
     name: str
@@ -23,12 +24,12 @@ class Finding:
 
 
 def broken_by(section: str, name: str, error: OysterbenchError | OSError, advice: str = "") -> Finding:
-    """What an error says of something that is set."""
+    """Finding of something broken, with the message of an error as its detail."""
     return Finding(section, name, "broken", " ".join(str(error).split()), advice)
 
 
 def in_bytes(size: float) -> str:
-    """A number of bytes in words.
+    """A number of bytes as text, in MB or GB.
 
     >>> in_bytes(58e6), in_bytes(2.34e9), in_bytes(0)
     ('58 MB', '2.3 GB', '0 MB')

@@ -1,5 +1,5 @@
-"""What is installed: this program, what it stands on, and its extras, by what their packages say of themselves; none of
-them is imported."""
+"""Checks of what is installed: this program, its dependencies and its extras, from the packages' metadata; none of them
+is imported."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ EXTRAS = {
     "parquet": "writes data sets as Parquet, for Hugging Face",
     "maps": "writes maps of oysters as GeoTIFF, for GIS",
 }
-"""Extra -> what it is for. `all` is all of them; `dev` and `docs` are for those who work on this program."""
+"""Extra -> its purpose. `all` is all of them; `dev` and `docs` are for developers of this program."""
 
 OF_OTHERS = ("all", "dev", "docs")
 
 
 def look_at_packages() -> Iterator[Finding]:
-    """The program and what it stands on, then each extra."""
+    """Check the program and its dependencies, then each extra."""
     about = f"Python {platform.python_version()}, {platform.system()} {platform.release()} {platform.machine()}"
     yield Finding("program", "oysterbench", "ok", f"{VERSION}, {about}, {sys.prefix}")
     needed = _requirements()
@@ -50,7 +50,7 @@ def look_at_packages() -> Iterator[Finding]:
 
 
 def extra_finding(extra: str, needed: Iterable[Requirement]) -> Finding:
-    """An extra: it is there as a whole, or something of it is not, or too old."""
+    """Finding on an extra: complete, or with packages that are missing or of an unsuitable version."""
     purpose = EXTRAS.get(extra, "")
     absent, old, here = _state(needed)
     if old:
@@ -65,7 +65,8 @@ def extra_finding(extra: str, needed: Iterable[Requirement]) -> Finding:
 
 
 def _requirements() -> dict[str, list[Requirement]]:
-    """Extra -> what it needs, by what is installed says; those that every installation needs under an empty name."""
+    """Extra -> its requirements, from the metadata of the installation; those of every installation under an empty
+    name."""
     from packaging.requirements import Requirement
 
     found: dict[str, list[Requirement]] = {"": []}
@@ -85,7 +86,7 @@ def _requirements() -> dict[str, list[Requirement]]:
 
 
 def _state(needed: Iterable[Requirement]) -> tuple[list[Requirement], list[Requirement], list[Requirement]]:
-    """Those that are absent, those that are there in another version than is needed, and the others."""
+    """Sort requirements into those that are absent, those installed in an unsuitable version, and the others."""
     absent, old, here = [], [], []
     for one in needed:
         found = installed_version(one.name)
@@ -99,7 +100,7 @@ def _state(needed: Iterable[Requirement]) -> tuple[list[Requirement], list[Requi
 
 
 def installed_version(name: str) -> str | None:
-    """Of a package; None where it is not installed."""
+    """Version of a package; None where it is not installed."""
     try:
         return version(name)
     except PackageNotFoundError:

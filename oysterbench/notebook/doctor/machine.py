@@ -1,4 +1,4 @@
-"""The machine: processor, memory, GPU, shared memory, open files, temporary files, and what contains methods."""
+"""Checks of the machine: processor, memory, GPU, shared memory, open files, temporary files, and containment."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from oysterbench.notebook.doctor.installed import installed_version
 
 SHARED = Path("/dev/shm")
 LEAST_SHARED = 1 << 28
-"""Bytes: some batches of pictures for each of a few workers."""
+"""Shared memory below which a warning is given, bytes: some batches of images for each of a few workers."""
 LEAST_OPEN = 1024
 LEAST_TEMPORARY = 2e9
-"""Bytes: the sequence of a run, as a method is given it."""
+"""Free temporary space below which a warning is given, bytes: the sequence of a run, as given to a method."""
 ASK_S = 60.0
-"""For a library to say whether it can use a GPU."""
+"""Time limit for a library to say whether it can use a GPU, s."""
 
 ASKED = {
     "torch": "import torch; print(torch.cuda.is_available())",
     "warp-lang": "import warp; warp.config.log_level = warp.LOG_ERROR; print(warp.is_cuda_available())",
 }
-"""Package -> what makes it say whether it can use a GPU, in a process of its own."""
+"""Package -> program, run in a process of its own, that prints whether the package can use a GPU."""
 
 ISOLATED = f"import ctypes, sys; sys.exit(ctypes.CDLL(None).unshare({CLONE_NEWUSER | CLONE_NEWNET}) != 0)"
-"""A user namespace with a network of its own, as `sandbox` makes one."""
+"""Program that tries to make a user namespace with a network of its own, as `sandbox` does."""
 
 
 def look_at_machine() -> Iterator[Finding]:
-    """What there is to work with."""
+    """Check the resources of the machine."""
     cores = len(os.sched_getaffinity(0))
     total, free = memory()
     where = ", in a container" if any(Path(mark).exists() for mark in ("/.dockerenv", "/run/.containerenv")) else ""
@@ -53,7 +53,7 @@ def look_at_machine() -> Iterator[Finding]:
 
 
 def memory() -> tuple[int, int]:
-    """Bytes of memory in all, and available; of a container those that it may have."""
+    """Total and available memory, bytes; in a container, within its limit."""
     rows = (line.split() for line in Path("/proc/meminfo").read_text().splitlines())
     known = {row[0].rstrip(":"): int(row[1]) * 1024 for row in rows if len(row) > 1}
     total, free = known["MemTotal"], known.get("MemAvailable", known["MemFree"])
@@ -64,12 +64,12 @@ def memory() -> tuple[int, int]:
             used = int((group / "memory.current").read_text())
             return int(limit), max(0, min(free, int(limit) - used))
     except (OSError, ValueError):
-        pass  # no group of its own
+        pass  # no cgroup of its own
     return total, free
 
 
 def gpus() -> Iterator[Finding]:
-    """NVIDIA GPUs as their driver names them, and which of what is installed can use them."""
+    """Check the NVIDIA GPUs, by the names that the driver gives, and which installed packages can use them."""
     names, why = cuda_devices()
     if not names:
         yield Finding("machine", "GPU", "missing", f"{why}: the processor renders and learns")
@@ -92,7 +92,7 @@ def gpus() -> Iterator[Finding]:
 
 
 def cuda_devices() -> tuple[list[str], str]:
-    """Names of the GPUs with their memory, asked of the driver itself; or none, and why."""
+    """Names of the GPUs with their memory, from the driver itself; and the reason where there are none."""
     try:
         driver = ctypes.CDLL("libcuda.so.1")
     except OSError:
@@ -111,7 +111,7 @@ def cuda_devices() -> tuple[list[str], str]:
 
 
 def ask(question: str) -> bool:
-    """Whether a program of Python prints True, in a process of its own."""
+    """Whether a Python program, run in a process of its own, prints True."""
     try:
         done = subprocess.run(
             [sys.executable, "-c", question], capture_output=True, text=True, timeout=ASK_S, check=False
@@ -122,7 +122,7 @@ def ask(question: str) -> bool:
 
 
 def shared_memory() -> Finding:
-    """Through which workers of a DataLoader hand over their batches."""
+    """Check the shared memory, through which workers of a DataLoader pass on their batches."""
     if not SHARED.is_dir():
         return Finding("machine", "shared memory", "poor", f"no {SHARED}: workers of PyTorch's DataLoader need it")
     free = shutil.disk_usage(SHARED).free
@@ -133,7 +133,7 @@ def shared_memory() -> Finding:
 
 
 def temporary() -> Finding:
-    """Where runs keep what lies between their processes."""
+    """Check the folder of temporary files, in which runs keep what their processes exchange."""
     folder = Path(tempfile.gettempdir())
     chosen = os.environ.get("TMPDIR")
     if chosen and Path(chosen).absolute() != folder:
@@ -148,7 +148,7 @@ def temporary() -> Finding:
 
 
 def look_at_containment() -> Iterator[Finding]:
-    """What keeps methods, and programs of strangers, from what is not theirs."""
+    """Check what can keep methods and untrusted programs from data that they must not see."""
     if can_hide():
         yield Finding(
             "running", "hidden truth", "ok", "by Landlock: methods cannot open splits; results say `contained`"

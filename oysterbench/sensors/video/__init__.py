@@ -1,5 +1,5 @@
-"""Video over a tether: a codec after H.264, kernel by kernel; `codec` puts them together.
+"""Video over a tether: the kernels of a codec modelled on H.264; `codec` puts them together.
 
-All arithmetic is in whole numbers, so that every processor makes the same bytes. Formulas and tables are those of
+All arithmetic is in integers, so every processor produces the same bytes. Formulas and tables are those of
 ITU-T H.264; a macroblock is 16 x 16 px of luma and 8 x 8 of each colour difference, all coded in blocks of 4 x 4.
 """

@@ -1,8 +1,9 @@
-"""Video over a tether: a hybrid codec of whole numbers that costs texture as H.264 does, at the rate that is asked for.
+"""Video over a tether: a hybrid integer codec that degrades texture as H.264 does, at a given bit rate.
 
-Pictures with intra prediction open each group; the others are predicted from the one before by moved macroblocks. What
-is left is transformed, quantised and, for its size only, coded: rate control sets the quantiser by it. The decoded
-pictures are what a recorder at the surface sees. It runs over a sequence in order, after its frames are there.
+Each group starts with an intra-predicted frame; the others are predicted from the previous one by motion-compensated
+macroblocks. The residual is transformed, quantised and entropy-coded, the latter only to get its size, by which rate
+control sets the quantiser. The decoded frames are what a recorder at the surface receives. The codec runs over the
+frames of a sequence in order, once they exist.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from oysterbench.sensors.video.planes import deblock, join_colours, split_colour
 from oysterbench.sensors.video.prediction import code_inter, code_intra
 from oysterbench.sensors.video.transform import Quantiser
 
-GROUP_S = 2.0  # from one intra picture to the next
-ENTROPY = 0.75  # bits of adaptive codes (CAVLC, CABAC) over those of Exp-Golomb ones (Richardson 2010, 7.4)
-INTRA_WEIGHT = 4.0  # bits of an intra picture over those of the others
-BUFFER_S = 1.0  # in which rate control makes up for bits spent
+GROUP_S = 2.0  # time from one intra frame to the next
+ENTROPY = 0.75  # ratio of bits in adaptive codes (CAVLC, CABAC) to those in Exp-Golomb codes (Richardson 2010, 7.4)
+INTRA_WEIGHT = 4.0  # ratio of the bits of an intra frame to those of the others
+BUFFER_S = 1.0  # time in which rate control makes up for excess bits
 LOWEST_QP, HIGHEST_QP, FIRST_QP = 10, 51, 28
-QUICKEST = 4  # steps that the quantiser takes at most from a picture to the next
+QUICKEST = 4  # most steps by which the quantiser changes from one frame to the next
 SCALE = (
     (13107, 5243, 8066),
     (11916, 4660, 7490),
@@ -37,7 +38,7 @@ STEP = ((10, 16, 13), (11, 18, 14), (13, 20, 16), (14, 23, 18), (16, 25, 20), (1
 ZIGZAG = (0, 1, 4, 8, 5, 2, 3, 6, 9, 12, 13, 10, 7, 11, 14, 15)
 CHROMA_QP = (29, 30, 31, 32, 32, 33, 34, 34, 35, 35, 36, 36, 37, 37, 37, 38, 38, 38, 39, 39, 39, 39)  # from 30 on
 # fmt: off
-ALPHA = (  # thresholds of the loop filter, from a quantiser of 16 on
+ALPHA = (  # thresholds of the loop filter, for quantisers from 16 on
     4, 4, 5, 6, 7, 8, 9, 10, 12, 13, 15, 17, 20, 22, 25, 28, 32, 36, 40, 45, 50, 56, 63, 71, 80, 90, 101, 113, 127, 144,
     162, 182, 203, 226, 255, 255,
 )
@@ -49,7 +50,7 @@ BETA = (
 
 
 class VideoCodec:
-    """Codes and decodes the pictures (H, W, 3) of one camera, in order. bits: of the last one; qp: its quantiser."""
+    """Coder and decoder of the frames (H, W, 3) of one camera, in order. bits, qp: size and quantiser of the last."""
 
     def __init__(self, height: int, width: int, rate_hz: float, mbit_s: float) -> None:
         start_warp()
@@ -76,7 +77,7 @@ class VideoCodec:
         self._picture = wp.zeros((height, width, 3), dtype=wp.uint8, device="cpu")
 
     def transcode(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The next picture (H, W, 3) uint8 RGB, as it is decoded."""
+        """Code the next frame (H, W, 3) uint8 RGB, and return it as decoded."""
         now, before, decoded = self._planes
         source = wp.array(np.ascontiguousarray(picture), dtype=wp.uint8, device="cpu")
         wp.launch(split_colours, now[1].shape, inputs=[source], outputs=now, device="cpu")
@@ -91,7 +92,7 @@ class VideoCodec:
             wp.copy(self._known, self._vectors)
             wp.launch(search, self._bits.shape, inputs=inputs, outputs=outputs, device="cpu")
         qp = self.qp
-        for _ in range(2):  # a second time where the first guess of the quantiser was bad
+        for _ in range(2):  # a second time where the first guess of the quantiser was poor
             self.bits = self._code(intra, qp)
             off = round(6 * math.log2(max(self.bits, 1) / wanted))
             most = HIGHEST_QP - LOWEST_QP if intra else QUICKEST
@@ -108,7 +109,7 @@ class VideoCodec:
         return np.asarray(self._picture.numpy().copy())
 
     def _code(self, intra: bool, qp: int) -> int:
-        """Code the picture into the decoded planes, and return its bits."""
+        """Code the frame into the decoded planes, and return its size in bits."""
         now, before, decoded = self._planes
         luma, chroma = (self._quantiser(step, intra) for step in (qp, chroma_qp(qp)))
         if intra:
@@ -130,7 +131,7 @@ class VideoCodec:
         return q
 
     def _smooth(self) -> None:
-        """The loop filter over the decoded planes: vertical edges, then horizontal ones."""
+        """Apply the loop filter to the decoded planes: vertical edges, then horizontal ones."""
         for plane, coded, side in zip(self._planes[2], self._coded, (16, 8, 8), strict=True):
             qp = self.qp if side == 16 else chroma_qp(self.qp)
             if qp < 16:
@@ -142,7 +143,7 @@ class VideoCodec:
 
 
 def chroma_qp(qp: int) -> int:
-    """Quantiser of the colour differences beside one of luma."""
+    """Quantiser of the colour differences that goes with a quantiser of luma."""
     return qp if qp < 30 else CHROMA_QP[qp - 30]
 
 

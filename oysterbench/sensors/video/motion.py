@@ -1,4 +1,4 @@
-"""Motion of macroblocks of 16 x 16 px from the picture before, in half pixels, and planes moved by fractions of one."""
+"""Motion of macroblocks of 16 x 16 px from the previous frame, in half pixels, and sub-pixel shifts of planes."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from oysterbench.sensors.video.transform import VIDEO_OPTIONS
 
 wp.set_module_options(VIDEO_OPTIONS)
 
-REACH = wp.constant(8)  # of the search on pictures of a quarter of the size, px
+REACH = wp.constant(8)  # reach of the search on frames of a quarter of the size, px
 VECTOR_COST = wp.constant(2)  # absolute differences that a half pixel of motion must save, at least
-LUMA = wp.constant(2)  # steps of a motion vector in a pixel of luma
+LUMA = wp.constant(2)  # steps of a motion vector per pixel of luma
 
 
 @wp.func
 def moved(plane: wp.array2d(dtype=wp.int32), row: int, column: int, dy: int, dx: int, unit: int):
-    """A plane at a pixel moved by fractions 1 / unit of one, bilinear."""
+    """Value of a plane at a pixel moved by (dy, dx) / unit pixels, bilinear."""
     y = wp.clamp(row * unit + dy, 0, (plane.shape[0] - 1) * unit)
     x = wp.clamp(column * unit + dx, 0, (plane.shape[1] - 1) * unit)
     i = y // unit
@@ -34,7 +34,7 @@ def moved(plane: wp.array2d(dtype=wp.int32), row: int, column: int, dy: int, dx:
 
 @wp.kernel
 def quarter(plane: wp.array2d(dtype=wp.int32), small: wp.array2d(dtype=wp.int32)):
-    """Means of 4 x 4 px."""
+    """Reduce a plane to a quarter of its size: means of 4 x 4 px."""
     i, j = wp.tid()
     total = wp.int32(8)
     for k in range(16):
@@ -46,7 +46,7 @@ def quarter(plane: wp.array2d(dtype=wp.int32), small: wp.array2d(dtype=wp.int32)
 def difference(
     now: wp.array2d(dtype=wp.int32), before: wp.array2d(dtype=wp.int32), i: int, j: int, dy: int, dx: int, most: int
 ):
-    """Absolute differences of a macroblock to the picture before, moved by half pixels; given up beyond `most`."""
+    """Sum of absolute differences of a macroblock from the previous frame, moved by half pixels; stops at `most`."""
     total = wp.int32(0)
     row = wp.int32(0)
     y = 16 * i + (dy >> 1)
@@ -69,7 +69,7 @@ def difference(
 def coarse_difference(
     now: wp.array2d(dtype=wp.int32), before: wp.array2d(dtype=wp.int32), i: int, j: int, y: int, x: int, most: int
 ):
-    """Absolute differences of a macroblock on pictures of a quarter of the size, moved by whole pixels of them."""
+    """Sum of absolute differences of a macroblock on frames of a quarter of the size, moved by whole pixels there."""
     total = wp.abs(y) + wp.abs(x)
     row = wp.int32(0)
     while row < 4 and total < most:
@@ -89,8 +89,8 @@ def search(
     vectors: wp.array3d(dtype=wp.int32),
     costs: wp.array2d(dtype=wp.int32),
 ):
-    """Motion (row, column) of each macroblock in half pixels: of what lies within REACH on small pictures, what moves
-    nowhere, and what moves as before (`known`), the best; and then nearby."""
+    """Find the motion (row, column) of each macroblock in half pixels: the best of the search within REACH on the small
+    frames, no motion, and the previous motion (`known`), refined nearby."""
     i, j = wp.tid()
     least = wp.int32(1 << 30)
     y = wp.int32(0)
@@ -116,7 +116,7 @@ def search(
             best_y = y
             best_x = x
     for radius in range(3):
-        step = 4 >> radius  # two pixels, one, half of one
+        step = 4 >> radius  # two pixels, one, half a pixel
         y = best_y
         x = best_x
         for k in range(9):

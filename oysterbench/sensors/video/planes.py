@@ -1,4 +1,4 @@
-"""Planes of a picture: luma and colour differences out of RGB and back, and the loop filter over each."""
+"""Planes of a frame: conversion of RGB to luma and colour differences and back, and the loop filter."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def deblock(
     slope: int,
     most: int,
 ):
-    """Smooth the step across an edge of 4 x 4 blocks where either was coded, and of macroblocks (`side` px): the filter
+    """Smooth the step across an edge of 4 x 4 blocks where either was coded, or of macroblocks (`side` px): the filter
     for bS < 4, on the two pixels at the edge. edge, slope, most: alpha, beta and tc of the quantiser."""
     line, block = wp.tid()
     at = 4 * (block + 1)
@@ -47,7 +47,8 @@ def split_colours(
     blue: wp.array2d(dtype=wp.int32),
     red: wp.array2d(dtype=wp.int32),
 ):
-    """Luma and, of 2 x 2 px, colour differences (BT.601, full range); beyond the picture its last pixels go on."""
+    """Split RGB into luma and colour differences of 2 x 2 px (BT.601, full range); edge pixels are repeated beyond the
+    frame."""
     i, j = wp.tid()
     b = wp.int32(0)
     r = wp.int32(0)
@@ -71,10 +72,10 @@ def join_colours(
     red: wp.array2d(dtype=wp.int32),
     picture: wp.array3d(dtype=wp.uint8),
 ):
-    """RGB again; colour differences are interpolated."""
+    """Convert luma and colour differences, which are interpolated, back to RGB."""
     i, j = wp.tid()
     y = luma[i, j]
-    # A pixel's centre lies a quarter of a colour pixel beside that one's.
+    # A pixel's centre lies a quarter of a colour pixel off the centre of the colour pixel.
     b = moved(blue, i // 2, j // 2, 2 * (i % 2) - 1, 2 * (j % 2) - 1, 4) - 128
     r = moved(red, i // 2, j // 2, 2 * (i % 2) - 1, 2 * (j % 2) - 1, 4) - 128
     picture[i, j, 0] = wp.uint8(wp.clamp(y + ((359 * r + 128) >> 8), 0, 255))

@@ -1,4 +1,4 @@
-"""Coding as what differs from a prediction: macroblocks from the picture before, or blocks from their neighbours."""
+"""Predictive coding: macroblocks predicted from the previous frame, or blocks from their neighbours."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from oysterbench.sensors.video.transform import VIDEO_OPTIONS, Quantiser, bits_o
 wp.set_module_options(VIDEO_OPTIONS)
 
 INTRA_COST = wp.constant(512)  # absolute differences that a macroblock without prediction must save
-CHROMA = wp.constant(4)  # steps of a motion vector, in half pixels of luma, in a pixel of a colour difference
+CHROMA = wp.constant(4)  # steps of a motion vector (half pixels of luma) per pixel of a colour difference
 
 
 @wp.func
@@ -27,7 +27,7 @@ def code_moved(
     decoded: wp.array2d(dtype=wp.int32),
     coded: wp.array2d(dtype=wp.int32),
 ):
-    """Code 4 x 4 px from (i, j) on, as what they differ from the picture before, or from a level; the bits of it."""
+    """Code 4 x 4 px from (i, j) on as differences from the moved previous frame, or from a level; return the bits."""
     residual = mat44i()
     guess = mat44i()
     for k in range(16):
@@ -63,7 +63,7 @@ def code_inter(
     coded_r: wp.array2d(dtype=wp.int32),
     bits: wp.array2d(dtype=wp.int32),
 ):
-    """Code each macroblock as what it differs from the picture before, or from its own mean where that is nearer."""
+    """Code each macroblock as differences from the previous frame, or from its own mean where that is closer."""
     i, j = wp.tid()
     dy = vectors[i, j, 0]
     dx = vectors[i, j, 1]
@@ -85,7 +85,7 @@ def code_inter(
         total = signed_bits(dy - vectors[i, j - 1, 0]) + signed_bits(dx - vectors[i, j - 1, 1])
     else:
         total = signed_bits(dy) + signed_bits(dx)
-    # A bit for what moves and is left as it is; of groups of 8 x 8 px that have levels the bits of all their blocks.
+    # One bit where all is only moved; for groups of 8 x 8 px with levels, the bits of all their blocks.
     levels = wp.int32(0)
     for group in range(4):
         length = wp.int32(0)
@@ -110,7 +110,7 @@ def code_inter(
 
 @wp.func
 def expected(decoded: wp.array2d(dtype=wp.int32), i: int, j: int, k: int, mode: int, mean: int):
-    """What is expected in place k of a block: a mean, or the decoded pixel above the block, or left of it."""
+    """Prediction of pixel k of a block: a mean, or the decoded pixel above the block, or the one to its left."""
     value = mean
     if mode == 1:
         value = decoded[wp.max(i - 1, 0), j + k % 4]
@@ -127,7 +127,7 @@ def code_intra(
     coded: wp.array2d(dtype=wp.int32),
     bits: wp.array(dtype=wp.int32),
 ):
-    """Code a plane, block after block, as what each differs from its decoded neighbours: one thread a plane."""
+    """Code a plane, block by block, as differences from decoded neighbours: one thread per plane."""
     total = wp.int32(0)
     for block in range(coded.shape[0] * coded.shape[1]):
         i = 4 * (block // coded.shape[1])

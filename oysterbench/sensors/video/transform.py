@@ -1,4 +1,4 @@
-"""The integer transform of H.264 (8.5 of ITU-T H.264) on blocks of 4 x 4, quantised, and the bits of its levels."""
+"""The integer transform of H.264 (8.5 of ITU-T H.264) on 4 x 4 blocks, its quantisation, and the bits of its levels."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import warp as wp
 
 from oysterbench.render.target import KERNEL_OPTIONS
 
-# Unrolled further, the kernels of video take 37 s to compile instead of 10, and are no faster.
+# With more unrolling, the video kernels take 37 s to compile instead of 10, and are no faster.
 VIDEO_OPTIONS = {**KERNEL_OPTIONS, "max_unroll": 3}
 wp.set_module_options(VIDEO_OPTIONS)
 
@@ -16,8 +16,8 @@ FORWARD = wp.constant(mat44i(1, 1, 1, 1, 2, 1, -1, -2, 1, -1, -1, 1, 1, -2, 2, -
 
 @wp.struct
 class Quantiser:
-    """Step of quantisation and its tables: scale (6, 3) of levels and step (6, 3) of coefficients, by qp mod 6 and kind
-    of place; zigzag (16,). intra: 1 where levels are rounded at a third of a step, 0 at a sixth."""
+    """Quantiser parameter and its tables: scale (6, 3) of levels and step (6, 3) of coefficients, by qp mod 6 and
+    `kind_of_place`; zigzag (16,). intra: 1 to round levels with an offset of a third of a step, 0 with a sixth."""
 
     qp: wp.int32
     intra: wp.int32
@@ -28,7 +28,7 @@ class Quantiser:
 
 @wp.func
 def bits_of(value: int):
-    """Length of the Exp-Golomb code of a number from 0."""
+    """Length of the Exp-Golomb code of a non-negative number, bits."""
     n = value + 1
     length = wp.int32(1)
     while n > 1:
@@ -39,19 +39,20 @@ def bits_of(value: int):
 
 @wp.func
 def signed_bits(value: int):
-    """Length of the Exp-Golomb code of a number with a sign."""
+    """Length of the Exp-Golomb code of a signed number, bits."""
     return wp.where(value > 0, bits_of(2 * value - 1), bits_of(-2 * value))
 
 
 @wp.func
 def kind_of_place(i: int, j: int):
-    """Norm of a coefficient's basis: 0 where both its indices are even, 1 where both are odd, else 2."""
+    """Class of a coefficient by the norm of its basis function: 0 if both indices are even, 1 if both are odd, else
+    2."""
     return wp.where((i & 1) == 0 and (j & 1) == 0, 0, wp.where((i & 1) == 1 and (j & 1) == 1, 1, 2))
 
 
 @wp.func
 def code_block(q: Quantiser, residual: mat44i):
-    """A block as it is decoded again, and the bits of its levels: runs of zeros and levels in Exp-Golomb codes."""
+    """Code a residual block; return it as decoded, and the bits of its zero runs and levels in Exp-Golomb codes."""
     shift = 15 + q.qp // 6
     part = wp.where(q.intra == 1, 3, 6)
     rounding = (1 << shift) / part
@@ -80,7 +81,7 @@ def code_block(q: Quantiser, residual: mat44i):
 
 @wp.func
 def inverse(c: mat44i):
-    """The inverse transform, rounded to pixels."""
+    """Inverse transform, rounded to pixel values."""
     for i in range(4):
         a = c[i, 0] + c[i, 2]
         b = c[i, 0] - c[i, 2]

@@ -1,1 +1,1 @@
-"""The expert that sees the truth: where it may go, what it has seen, what it commands, and labels made of that."""
+"""The expert, which sees the ground truth: where it may go, what it has seen, its commands, and labels from them."""

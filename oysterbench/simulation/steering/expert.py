@@ -1,10 +1,10 @@
-"""The expert: it sees the truth, looks a few steps ahead, and commands what gains the most views of live oysters.
+"""The expert: it sees the ground truth, plans a few steps ahead, and commands what gains most views of live oysters.
 
-A receding-horizon beam search. For each pair of classes that a plan may begin with, the best few continuations are
-kept from step to step; a plan's value is what its pictures show for the first time, less what leaving the altitude
-band, touching and being turned at the fence cost, plus what waits where it ends: the best spot that is left, by the
-time it takes to get there. Views are reckoned on cells of bottom, by range and by the edges of the picture; what stands
-in the way of what is left to the pictures themselves.
+A receding-horizon beam search. For each pair of classes that a plan may start with, the best few continuations are
+kept from step to step. The value of a plan is the number of oysters that its images show for the first time, minus the
+costs of leaving the altitude band, of contact and of being turned at the fence, plus what waits where it ends: the best
+remaining spot, discounted by the time it takes to get there. Views are computed for cells of the bottom, from range and
+image edges; occlusion is not modelled, and shows only in the images themselves.
 """
 
 from __future__ import annotations
@@ -20,36 +20,37 @@ from oysterbench.simulation.steering.site import Site
 from oysterbench.simulation.steering.vehicle import advance, folded, rotations, turns
 
 CELL_M = 0.25
-SPOT_M = 1.0  # cells of what waits further away
-PICTURE_INSET = 0.95  # of the picture's half sides: what is cut by its edge is no view
+SPOT_M = 1.0  # size of the cells of what waits farther away
+PICTURE_INSET = 0.95  # share of the image's half width and height: what its edge cuts off does not count as seen
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How the expert looks ahead. Costs are in oysters."""
+    """Parameters of the expert's search. Costs are in oysters."""
 
     steps: int = 5
     beam: int = 2
     yaw_stride: int = 1
-    """Continuations turn by every class, or by every second or third from straight on."""
+    """Continuations use every class of yaw, or every second or third, counted from straight ahead."""
     pitch_stride: int = 2
     discount: float = 0.97
-    """Of what a later step gains: it may turn out otherwise."""
+    """Factor per step on later gains, which are less certain."""
     patience_s: float = 18.0
-    """What waits loses 1/e of its value over so long a time."""
+    """Time after which the value of what waits has fallen to 1/e."""
     waiting: float = 1.0
-    """Value of what waits, against what a picture shows."""
+    """Weight of what waits, relative to what an image shows."""
     band_cost: float = 300.0
-    """Of a step a metre outside the altitude band."""
+    """Cost of a step per metre outside the altitude band."""
     contact_cost: float = 100.0
-    """Of a step that touches something, and of one that ends where going straight on would in the next."""
+    """Cost of a step that touches something, or after which a step straight ahead would."""
     fence_cost: float = 3.0
     turn_cost: float = 0.005
-    """Of a class away from straight on, in what the best spot holds: of two commands that gain the same, the calmer."""
+    """Cost per class away from straight ahead, in units of the best spot's oysters: prefers the calmer of two equally
+    good commands."""
 
 
 class Expert:
-    """Values of the commands at a state. unseen: the site's oysters that no picture has shown yet."""
+    """Expert for a site: values of the commands at a state, given which of the site's oysters have been seen."""
 
     def __init__(self, site: Site, plan: Plan = Plan()) -> None:
         self.site = site
@@ -73,11 +74,11 @@ class Expert:
         self._spot_of = spot[:, 1] * spots + spot[:, 0]
 
     def command(self, state: Array, found: NDArray[np.bool_]) -> tuple[int, int]:
-        """Classes of yaw and pitch at a state (5,), when the oysters of `found` (N,) have been seen."""
+        """Best classes of yaw and pitch at a state (5,), where `found` (N,) marks the oysters seen so far."""
         return best(self.values(state, found))
 
     def values(self, state: Array, found: NDArray[np.bool_]) -> Array:
-        """(Y, P) what the best plan gains that begins with these classes, in oysters, rounded to 1e-4."""
+        """Values (Y, P) of the best plans that start with each pair of classes, in oysters, rounded to 1e-4."""
         task, plan = self.site.task, self.plan
         counts = np.bincount(self._cell_of[~found], minlength=len(self._cells)).astype(np.float32)
         waiting: Array = np.asarray(
@@ -109,7 +110,7 @@ class Expert:
         return np.round(values.reshape(len(self._yaw), len(self._pitch)), 4)
 
     def _onward(self) -> NDArray[np.intp]:
-        """Pairs of classes (C, 2) that plans go on with."""
+        """Pairs of classes (C, 2) that plans may continue with."""
         strides = (self.plan.yaw_stride, self.plan.pitch_stride)
         sides = [
             np.arange(straight % stride, len(turn), stride)
@@ -118,7 +119,7 @@ class Expert:
         return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
 
     def _step(self, states: Array, classes: NDArray[np.intp], step: int, calm: float) -> tuple[Array, Array]:
-        """States (N, 5) after commands (N, 2), and what they cost, negative (N,); calm: of a class off straight on."""
+        """States (N, 5) after commands (N, 2), and their negated costs (N,); calm: cost per class off straight on."""
         site, plan, task = self.site, self.plan, self.site.task
         path = advance(states, self._yaw[classes[:, 0]], self._pitch[classes[:, 1]], task)
         path, turned = folded(path, site.half_m)
@@ -134,7 +135,7 @@ class Expert:
         return after, -(plan.discount**step) * cost
 
     def _shows(self, states: Array, centres: Array) -> NDArray[np.bool_]:
-        """(N, M) whether a picture at a state shows a place."""
+        """Whether an image taken at each state shows each place, (N, M) bool."""
         site = self.site
         body = rotations(states)
         camera = (body @ site.mount[:3, :3]).astype(np.float32)
@@ -148,7 +149,7 @@ class Expert:
         return near
 
     def _waits(self, states: Array, waiting: Array) -> Array:
-        """(N,) value of the best spot that is left, by the time to turn to it and to go there."""
+        """Values (N,) of the best remaining spot, discounted by the time to turn and travel to it."""
         spots = np.flatnonzero(waiting)
         if not len(spots):
             return np.zeros(len(states))
@@ -162,20 +163,20 @@ class Expert:
         return self.plan.waiting * best
 
     def _best_of(self, root: NDArray[np.intp], value: Array) -> NDArray[np.intp]:
-        """Indices of the best `beam` plans of each root; of equals the first."""
+        """Indices of the best `beam` plans of each root; ties go to the first."""
         order = np.lexsort((np.arange(len(root)), -np.round(value, 4), root))
         first = np.searchsorted(root[order], root[order])
         return order[np.arange(len(order)) - first < self.plan.beam]
 
 
 def best(values: Array) -> tuple[int, int]:
-    """Classes of the greatest value; of equals the first."""
+    """Classes with the greatest value; ties go to the first."""
     yaw, pitch = np.unravel_index(int(np.argmax(values)), values.shape)
     return int(yaw), int(pitch)
 
 
 def altitude_pitch(site: Site, state: Array, ahead_s: float = 2.0) -> int:
-    """The class of pitch that brings a vehicle to the middle of the altitude band over the bottom ahead."""
+    """Class of pitch that brings a vehicle to the middle of the altitude band over the bottom ahead."""
     task: SteeringRecipe = site.task
     reach = task.speed_m_s * ahead_s
     x, y = state[0] + reach * np.cos(state[3]), state[1] + reach * np.sin(state[3])

@@ -1,4 +1,4 @@
-"""What the expert would command at each picture of a sequence: the labels of behavioural cloning."""
+"""The expert's command at each image of a sequence: labels for behavioural cloning."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from oysterbench.simulation.steering.vehicle import state_of
 
 
 def steering_csv(simulated: SimulatedSequence, task: SteeringRecipe) -> bytes:
-    """Table of `Sequence.steering`, as CSV. The expert knows which oysters the pictures before have shown."""
+    """CSV of the table of `Sequence.steering`. The expert knows which oysters the images so far have shown."""
     site = build_site(simulated, task)
     expert, observation = Expert(site), Observation(site)
     camera = site.camera

@@ -1,4 +1,4 @@
-"""What a vehicle has seen of a site: live oysters by their masks, and the bottom by its depth."""
+"""What a vehicle has seen of a site: live oysters, from masks, and the bottom, from depth images."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from oysterbench.render.lens import pixel_rays
 from oysterbench.simulation.steering.site import Site
 
 COVER_CELL_M = 0.25
-STRIDE = 3  # of the pixels that the covered bottom is made from: 5 cm of bottom at 2 m
+STRIDE = 3  # stride of the pixels that give the covered bottom: 5 cm on the bottom at 2 m
 
 
 class Observation:
-    """Grows with every picture. found (N,) bool: which of the site's live oysters were seen."""
+    """What has been seen so far; grows with every image. found (N,) bool: which of the live oysters have been seen."""
 
     def __init__(self, site: Site) -> None:
         self.site = site
@@ -29,11 +29,11 @@ class Observation:
 
     @property
     def covered(self) -> float:
-        """Share of the area whose bottom was seen."""
+        """Share of the area whose bottom has been seen."""
         return float(self._covered.mean())
 
     def observe(self, T_map_cam: Array, depth: NDArray[np.float32], instances: NDArray[np.uint16]) -> int:
-        """Take a picture's truth in; how many live oysters it shows for the first time."""
+        """Add an image's ground truth, and return how many live oysters it shows for the first time."""
         near = (depth > 0) & (depth * self._lengths <= self.site.range_m)
         pixels = np.bincount(instances[near].astype(np.intp), minlength=len(self._index))
         shown = self._index[np.flatnonzero(pixels >= self.site.task.view_px)]

@@ -1,4 +1,4 @@
-"""Where a rollout takes place: the fenced part of a reef, its live oysters, and how deep a hull may come."""
+"""Site of a rollout: the fenced part of a reef, its live oysters, and how low the hull may go."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from oysterbench.scene.world import World
 from oysterbench.simulation.simulated_sequence import SimulatedSequence
 
 FLOOR_CELL_M = 0.05
-GREEN = 1  # the channel that sees farthest in most of the water here
+GREEN = 1  # the channel that sees farthest in most waters here
 DEEPEST_M = 10.0
 
 
 @dataclass(frozen=True)
 class Site:
-    """simulated: the built reef; half_m: the area is within -half_m and half_m in x and y; range_m: how far an oyster
-    may be from the camera to be seen; ids (N,), oysters (N, 3): numbers in instance images, and places in `map`, of the
-    live oysters in the area."""
+    """Site of a rollout. simulated: the built reef; half_m: the area is within -half_m and half_m in x and y; range_m:
+    greatest distance from the camera at which an oyster is seen; ids (N,), oysters (N, 3): numbers in instance images,
+    and positions in `map`, m, of the live oysters in the area."""
 
     simulated: SimulatedSequence
     task: SteeringRecipe
@@ -52,7 +52,7 @@ class Site:
 
     @cached_property
     def slopes(self) -> tuple[float, float]:
-        """Tangents of half the picture's width and height."""
+        """Tangents of half the horizontal and half the vertical field of view."""
         focal = camera_matrix(self.camera)[0, 0]
         return self.camera.width / 2 / focal, self.camera.height / 2 / focal
 
@@ -68,16 +68,16 @@ class Site:
         return floor.reshape(x.shape)
 
     def floor(self, x: Array, y: Array) -> Array:
-        """Lowest z at which the hull touches nothing at x, y, m in `map`, on a grid of FLOOR_CELL_M."""
+        """Lowest z at which the hull touches nothing at x, y, m in `map`, from a grid of FLOOR_CELL_M."""
         return sample_grid(self._lines, self._lowest, x, y)
 
     def altitude(self, states: Array) -> Array:
-        """Over the bottom, of states (N, 5), m."""
+        """Altitude over the bottom of states (..., 5), m."""
         return np.asarray(states[..., 2] - self.world.ground_height(states[..., 0], states[..., 1]))
 
 
 def build_site(simulated: SimulatedSequence, task: SteeringRecipe) -> Site:
-    """The site of a rollout over the reef of a simulated sequence, seen by the rig's first camera.
+    """Site of a rollout over the reef of a simulated sequence, seen by the rig's first camera.
 
     Raises RecipeError where the fence leaves no room.
     """
@@ -104,6 +104,6 @@ def build_site(simulated: SimulatedSequence, task: SteeringRecipe) -> Site:
 
 
 def measure_state(site: Site, state: Array) -> VehicleState:
-    """What the vehicle's own sensors tell at a state (5,), to their resolution."""
+    """Readings of the vehicle's own sensors at a state (5,), to their resolution."""
     altitude = float(site.altitude(state[None])[0])
     return VehicleState(*(round(float(value), 3) for value in (state[3], state[4], -state[2], altitude)))

@@ -1,4 +1,4 @@
-"""The vehicle of a closed loop: it flies where its bow points, at constant speed over the ground.
+"""The vehicle of a closed-loop rollout: it flies where its bow points, at constant speed over the ground.
 
 A state (5,) float64 is x, y, z m in `map`, heading rad (from east, counter-clockwise) and pitch rad (bow down
 positive).
@@ -12,20 +12,20 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array
 from oysterbench.recipe import SteeringRecipe
 
-SUBSTEPS = 5  # of a command: chords of an arc of 30 degrees, to 0.05 % of its length
+SUBSTEPS = 5  # per command: chords of an arc of 30 degrees, to 0.05 % of its length
 
 
 def advance(states: Array, yaw: Array, pitch: Array, task: SteeringRecipe) -> Array:
-    """States (N, SUBSTEPS, 5) passed in a step from states (N, 5), the last being its end.
+    """States (N, SUBSTEPS, 5) passed in one step from states (N, 5); the last is the end of the step.
 
-    yaw, pitch (N,) rad: by how much heading and pitch turn, evenly over the step; pitch stops at its limit.
+    yaw, pitch (N,) rad: changes of heading and pitch, spread evenly over the step; pitch stops at its limit.
     """
     share = np.arange(1, SUBSTEPS + 1) / SUBSTEPS
     limit = np.radians(task.max_pitch_deg)
     path = np.empty((len(states), SUBSTEPS, 5))
     path[..., 3] = states[:, None, 3] + yaw[:, None] * share
     path[..., 4] = np.clip(states[:, None, 4] + pitch[:, None] * share, -limit, limit)
-    # Each chord has the mean direction of its two ends.
+    # Each chord has the mean of the directions at its two ends.
     heading = path[..., 3] - yaw[:, None] * (0.5 / SUBSTEPS)
     before = np.concatenate([states[:, None, 4], path[:, :-1, 4]], axis=1)
     slope = 0.5 * (before + path[..., 4])
@@ -41,7 +41,7 @@ def turns(task: SteeringRecipe) -> tuple[Array, Array]:
 
 
 def nearest_class(turn: float, classes: Array) -> int:
-    """Number of the class whose turn is nearest to one asked for, rad."""
+    """Number of the class whose turn is nearest to the requested one, rad."""
     return int(np.argmin(np.abs(classes - turn)))
 
 
@@ -59,7 +59,7 @@ def rotations(states: Array) -> Array:
 
 
 def state_of(position: Array, rotation: Array) -> Array:
-    """State (5,) of a body at position (3,) with R_map_base (3, 3); its roll is left out."""
+    """State (5,) of a body at position (3,) with R_map_base (3, 3); its roll is ignored."""
     bow = rotation[:, 0]
     heading = np.arctan2(bow[1], bow[0])
     pitch = -np.arcsin(np.clip(bow[2], -1.0, 1.0))
@@ -67,7 +67,7 @@ def state_of(position: Array, rotation: Array) -> Array:
 
 
 def folded(states: Array, half_m: float) -> tuple[Array, NDArray[np.bool_]]:
-    """States (..., 5) turned back at a fence at +-half_m, as a ball comes back from a wall, and which ones were."""
+    """Reflect states (..., 5) at a fence at +-half_m, like a ball off a wall; also return which ones were outside."""
     states = states.copy()
     outside = np.zeros(states.shape[:-1], dtype=bool)
     for axis, mirror in ((0, np.pi), (1, 0.0)):
