@@ -1,4 +1,4 @@
-"""Labelled images, whatever they come from, and what methods say of images: masks, polygons, COCO annotations."""
+"""Labelled images from any source, and predictions of methods: masks, polygons, COCO annotations."""
 
 from oysterbench.annotations.coco import CocoFile, read_coco
 from oysterbench.annotations.duplicates import Duplicate, check_leakage, near_duplicates

@@ -37,8 +37,8 @@ LONGEST_SIDE_PX = 1 << 16
 
 
 class CocoImage(NamedTuple):
-    """An image of a document. name: its file's, without suffix where that leaves it apart from the others; clip, split:
-    empty where the document does not say."""
+    """An image of a document. name: file name, without suffix if it remains unique; clip, split: empty if the document
+    does not state them."""
 
     name: str
     height: int
@@ -49,17 +49,17 @@ class CocoImage(NamedTuple):
 
 
 class CocoItem(NamedTuple):
-    """An annotation or result, and where in the file it stands."""
+    """An annotation or result, and where it is in the file."""
 
     where: str
     values: Mapping[str, Any]
 
     def score(self, default: float | None = None) -> float:
-        """How sure it is. Raises LabelError where it does not say, and there is no default."""
+        """Return the score. Raises LabelError if there is none, and no default."""
         return self.number("score", default)
 
     def number(self, key: str, default: float | None = None) -> float:
-        """A number under a key. Raises LabelError where there is none that a float64 holds."""
+        """Return the number under a key. Raises LabelError if it is missing, or no finite float64."""
         value = self.values.get(key, default)
         if not _is_number(value):
             raise LabelError(f"{self.where}: expected {key!r}, a number, got {value!s:.60}")
@@ -68,7 +68,7 @@ class CocoItem(NamedTuple):
 
 @dataclass(frozen=True)
 class CocoFile:
-    """What a file says of each image. images: by id; items: by name of the image."""
+    """Content of a COCO file. images: by id; items: by name of the image."""
 
     path: Path
     images: Mapping[Any, CocoImage]
@@ -76,7 +76,7 @@ class CocoFile:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its images, in its order."""
+        """Names of the images, in the order of the file."""
         return tuple(self.items)
 
     @property
@@ -86,17 +86,18 @@ class CocoFile:
 
     @property
     def boxes_alone(self) -> bool:
-        """Whether some item has no mask."""
+        """Whether some item has a box, but no mask."""
         return any(not item.values.get("segmentation") for items in self.items.values() for item in items)
 
     def instances(self, name: str, scored: bool) -> ImageInstances:
-        """Its instances in an image; scored: as an estimate, in which every item has a score and is asked about."""
+        """Return the instances of an image; scored: as an estimate, in which every item has a score and none is a
+        crowd region."""
         height, width = self.sizes[name]
         found = tuple(_instance(item, height, width, scored) for item in self.items[name])
         return ImageInstances(name, height, width, found)
 
     def mask_of(self, name: str, item: CocoItem) -> NDArray[np.bool_]:
-        """(H, W) of an item of an image. Raises LabelError for a box alone."""
+        """Mask (H, W) of an item of an image. Raises LabelError for an item with only a box."""
         if not item.values.get("segmentation"):
             raise LabelError(
                 f"{item.where}: has no segmentation: expected a mask; with boxes only, use `--track detection`"
@@ -106,7 +107,7 @@ class CocoFile:
         return np.asarray(mask, dtype=bool)
 
     def mask(self, name: str, threshold: float) -> EstimateImage:
-        """All of an image's items from a score on (all, where they have none), as one mask."""
+        """Union of the masks of an image's items with a score of at least `threshold`, or without a score."""
         mask = np.zeros(self.sizes[name], dtype=bool)
         for item in self.items[name]:
             if item.score(threshold) >= threshold:
@@ -114,7 +115,7 @@ class CocoFile:
         return EstimateImage(name, oyster=mask)
 
     def truth(self, name: str) -> tuple[Iterator[NDArray[np.bool_]], NDArray[np.bool_]]:
-        """(H, W) of each oyster of an image, one by one, and of its crowd regions, which are to be ignored."""
+        """Masks (H, W) of the oysters of an image, one by one, and that of its crowd regions, to be ignored."""
         crowd = np.zeros(self.sizes[name], dtype=bool)
         for item in self.items[name]:
             if item.values.get("iscrowd"):
@@ -124,11 +125,11 @@ class CocoFile:
 
 
 def coco_set(path: Path) -> LabelledSet:
-    """The images of a COCO file, found beside it, or in images/ beside it, by their file_name.
+    """Open the images of a COCO file, found beside it, or in images/ beside it, by their file_name.
 
-    Annotations of the category "oyster" are instances, those with iscrowd = 1 are ignored, and so are those of other
-    categories: left alone. The keys clip and split of an image are taken where they are there; without, each image is a
-    clip of its own. Raises LabelError naming the item that is wrong.
+    Annotations of the category "oyster" are instances; those with iscrowd = 1 become pixels to be ignored; those of
+    other categories are skipped. The keys clip and split of an image are used if present; without them, each image is
+    a clip of its own. Raises LabelError naming the item that is wrong.
     """
     coco = read_coco(path)
     entries = []
@@ -155,10 +156,10 @@ def _read(coco: CocoFile, image: CocoImage, file: Path, clip: str) -> LabelledIm
 
 
 def read_coco(path: Path, images: Mapping[Any, CocoImage] | None = None, category: str = "oyster") -> CocoFile:
-    """A document, or a list of results on `images`. Raises LabelError naming the item that is wrong.
+    """Read a document, or a list of results on `images`. Raises LabelError naming the item that is wrong.
 
-    Checked: ids of images and annotations (unique, known), categories, boxes, polygons, run lengths and their size,
-    scores where they are given.
+    Checked here: ids of images and annotations (unique, known), categories; when they are used: boxes, polygons, run
+    lengths and their size, scores.
     """
     content = read_json(path)
     if isinstance(content, list):
@@ -182,7 +183,7 @@ def read_coco(path: Path, images: Mapping[Any, CocoImage] | None = None, categor
 
 
 def read_json(path: Path) -> Any:
-    """The content of a file. Raises LabelError where it is not JSON."""
+    """Read a JSON file. Raises LabelError if it is none."""
     try:
         return documents.read_json(path.read_bytes())
     except FileNotFoundError:
@@ -228,7 +229,7 @@ def _bare(file: Any) -> str:
 def _checked(
     path: Path, key: str, items: list[Any], images: Mapping[Any, CocoImage], categories: Mapping[Any, Any] | None
 ) -> Iterator[CocoItem]:
-    """Each item. categories: those known; None where the list does not say."""
+    """Check the items, and yield each. categories: known ones; None for a bare list, which has none."""
     seen: set[Any] = set()
     for k, item in enumerate(items):
         where = f"{path}: {key}[{k}]"
@@ -263,12 +264,12 @@ def _check_id(value: Any, where: str) -> None:
 
 
 def _is_number(value: Any, low: float = -sys.float_info.max, high: float = sys.float_info.max) -> bool:
-    """Whether it is a number from low to high: neither NaN nor infinite, nor a whole one that no float64 holds."""
+    """Whether a value is a number from low to high: not NaN, not infinite, and no integer too large for a float64."""
     return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
 
 
 def _is_place(value: Any, size: int) -> bool:
-    """Whether it is a coordinate in an image of so many px across or down, or near it."""
+    """Whether a value is a coordinate in or near an image with a width or height of `size` px."""
     return _is_number(value, -OUTSIDE * size, (1 + OUTSIDE) * size)
 
 
@@ -286,7 +287,7 @@ def _instance(item: CocoItem, height: int, width: int, scored: bool) -> Instance
 
 
 def _live(item: CocoItem) -> float:
-    """Probability that it is alive, by the key `live`; or by `state`, live or dead; NaN where it says neither."""
+    """Probability that an item is alive, from the key `live`, or from `state`, live or dead; NaN without either."""
     if "live" in item.values:
         if not _is_number(item.values["live"], 0, 1):
             raise LabelError(f"{item.where}: expected 'live', a probability, got {item.values['live']!s:.60}")
@@ -307,8 +308,8 @@ def _box(where: str, box: Any, height: int, width: int) -> tuple[float, float, f
 
 
 def run_lengths(item: CocoItem, height: int, width: int) -> Runs:
-    """The mask of an item, of polygons, of which it is the union, or of run lengths, compressed or not, as pycocotools
-    has it. Raises LabelError where it is no mask (H, W): pycocotools trusts what it is given."""
+    """Encode the mask of an item for pycocotools: from polygons, of which it is the union, or run lengths, compressed
+    or not. Raises LabelError if it is not a mask (H, W): pycocotools does not check its input."""
     where, segmentation, tools = item.where, item.values["segmentation"], mask_tools()
     if isinstance(segmentation, list):
         for polygon in segmentation:
@@ -334,14 +335,14 @@ def run_lengths(item: CocoItem, height: int, width: int) -> Runs:
         with numpy_2():
             return dict(tools.frPyObjects({"size": [height, width], "counts": counts}, height, width))
     data = counts.encode("utf-8", "replace") if isinstance(counts, str) else b""
-    # pycocotools refuses what is longer than the image, and reads what is shorter from beyond its end.
+    # pycocotools refuses runs longer than the image, but reads beyond the end of shorter ones.
     if not PACKED.fullmatch(data) or not _fits(data, height * width) or _fits(data, height * width - 1):
         raise LabelError(f"{wanted} {counts!a:.40}")
     return {"size": [height, width], "counts": data}
 
 
 def _fits(data: bytes, pixels: int) -> bool:
-    """Whether compressed run lengths add up to so many pixels or fewer."""
+    """Whether compressed run lengths add up to at most so many pixels."""
     try:
         with numpy_2():
             mask_tools().decode({"size": [pixels, 1], "counts": data})

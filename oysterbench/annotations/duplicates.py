@@ -1,4 +1,4 @@
-"""Leakage: images of one side of a split that nearly are images of the other."""
+"""Leakage: images on one side of a split that are near-duplicates of images on the other."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from oysterbench.annotations.image import LabelledSet
 from oysterbench.core.errors import LabelError
 
 SIDE = 32
-"""px, of the small grey images that are compared: finer than water and noise change from frame to frame."""
+"""Side of the grey thumbnails that are compared, px: finer detail changes with water and noise between frames."""
 BLUR = 3
-"""px, standard deviation at which the small image is smoothed to find its slow changes of light."""
+"""Standard deviation, px, of the Gaussian that extracts the slow changes of brightness of a thumbnail."""
 MIN_CORRELATION = 0.4
-"""Correlation from which two images are taken to show the same place. Measured on 306 real images: of different clips
-0.28 at most, neighbouring frames of a moving camera 0.35 to 0.85, one image under two names 1.0."""
+"""Correlation from which two images are taken to show the same place. Measured on 306 real images: between clips at
+most 0.28, between neighbouring frames of a moving camera 0.35 to 0.85, for one image under two names 1.0."""
 
 
 @dataclass(frozen=True)
 class Duplicate:
-    """An image of one set and the image of another that shows the same; correlation: 1 for the very same."""
+    """An image of one set, and the image of another that shows the same place; correlation: 1 for identical images."""
 
     one: str
     other: str
@@ -31,7 +31,8 @@ class Duplicate:
 
 
 def fingerprint(pixels: NDArray[np.uint8]) -> NDArray[np.complex64]:
-    """(2 S, S + 1) spectrum of an image (H, W, 3), `SIDE` px wide, bands of light taken out, of unit length."""
+    """Spectrum (2 S, S + 1) of an image (H, W, 3), reduced to S = `SIDE` px, without slow changes of brightness, and
+    normalised."""
     grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY).astype(np.float32)
     small = cv2.resize(grey, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
     detail = small - cv2.GaussianBlur(small, (0, 0), BLUR)
@@ -45,10 +46,11 @@ def near_duplicates(
     min_correlation: float = MIN_CORRELATION,
     progress: Callable[[int], None] = lambda done: None,
 ) -> list[Duplicate]:
-    """For each image of `one` the image of `other` that is most like it, by a `min_correlation` at least; best first.
+    """For each image of `one`, find the most similar image of `other`, if correlated by at least `min_correlation`;
+    best first.
 
-    Correlation of the images at `SIDE` px without their slow changes of brightness, at the shift that suits them best,
-    so that the path of a camera between two frames does not hide that they show one place.
+    The images are correlated at `SIDE` px without their slow changes of brightness, at the best shift, so that the
+    motion of a camera between two frames does not hide that they show the same place.
     """
     spectra = np.array([fingerprint(image.pixels) for image in other])
     found = []
@@ -62,9 +64,9 @@ def near_duplicates(
 
 
 def check_leakage(train: LabelledSet, test: LabelledSet, min_correlation: float = MIN_CORRELATION) -> list[Duplicate]:
-    """The test images that a training image nearly is; the caller says so, or refuses.
+    """Find the test images that are near-duplicates of a training image; the caller reports or refuses them.
 
-    Raises LabelError where an image, or a clip, is on both sides and the sets do not say that its parts are apart.
+    Raises LabelError if an image of the same name is in both sets.
     """
     shared = {entry.name for entry in train.entries} & {entry.name for entry in test.entries}
     if shared:

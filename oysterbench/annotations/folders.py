@@ -1,8 +1,8 @@
-"""Data sets as folders of masks: images/NAME.png or .jpg, masks/NAME.png, and more where more is known.
+"""Data sets as folders of masks: images/NAME.png or .jpg, masks/NAME.png, and optional further files.
 
-masks/NAME.png      8 bits: 0 and one other value, at which there are oysters (1 or 255, as you like)
-instances/NAME.png  16 or 8 bits, optional: a number for each oyster; without, what hangs together is one
-ignore/NAME.png     8 bits, optional: other than 0 where nothing is to be said
+masks/NAME.png      8 bits: 0 and one other value for oysters (1 or 255, as you like)
+instances/NAME.png  16 or 8 bits, optional: a number for each oyster; without it, each connected part is one
+ignore/NAME.png     8 bits, optional: non-zero for pixels to be ignored
 manifest.csv        optional: id, clip, split
 """
 
@@ -26,7 +26,7 @@ from oysterbench.core.files import write_atomically
 
 
 def mask_set(folder: Path) -> LabelledSet:
-    """The images of such a folder. An image without its mask, and a mask without its image, are refused."""
+    """Open the images of such a folder. An image without its mask, or a mask without its image, is refused."""
     extra = {kind: files_of(folder / kind, ".png") for kind in ("instances", "ignore")}
     entries = []
     for name, row, image, mask in images_with(folder, "masks", ".png"):
@@ -62,8 +62,8 @@ def write_folder(
     splits: dict[str, str] | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> int:
-    """Write images as such a folder, which may be there already; returns their number. Oysters only: other classes have
-    no place in it. Slashes in names become dashes. splits: by name of an image."""
+    """Write images as such a folder, which may exist already; return their number. Only oysters are written: the format
+    has no other classes. Slashes in names become dashes. splits: by name of an image."""
     rows = []
     for image in images:
         name = image.name.replace("/", "-")
@@ -81,13 +81,13 @@ def write_folder(
 
 
 def remove_image(folder: Path, name: str) -> None:
-    """Remove an image that `write_folder` wrote, where it is there; the folder's table is left to the next writing."""
+    """Remove an image that `write_folder` wrote, if it exists; manifest.csv is only updated by the next writing."""
     for layer in ("images", "masks", "instances", "ignore"):
         (folder / layer / f"{name.replace('/', '-')}.png").unlink(missing_ok=True)
 
 
 def write_picture(path: Path, pixels: NDArray[Any]) -> None:
-    """(H, W, 3) uint8 RGB, or (H, W) uint8 or uint16, as PNG, whole or not at all."""
+    """Write (H, W, 3) uint8 RGB, or (H, W) uint8 or uint16, as PNG, atomically."""
     done, data = cv2.imencode(".png", pixels[..., ::-1] if pixels.ndim == 3 else pixels)
     if not done:
         raise LabelError(f"{path}: could not be encoded as PNG")

@@ -1,4 +1,4 @@
-"""What a labelled image is, and a set of them that is read one image at a time."""
+"""Labelled images, and sets of them that are read one image at a time."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from oysterbench.core.pictures import decode_picture
 from oysterbench.recipe import CLASSES
 
 OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
-"""Number of the class in `recipe.CLASSES`."""
+"""Number of the class oyster in `recipe.CLASSES`."""
 
 
 @dataclass(frozen=True, repr=False)
 class LabelledImage:
-    """A picture and what is known of each of its pixels.
+    """An image with labels for each pixel.
 
-    name:       unlike that of any other image of its set
-    clip:       what it was taken in one go with: images of a clip resemble each other, and go to one side of a split
+    name:       unique in its set
+    clip:       the recording it belongs to: images of a clip resemble each other, and go to one side of a split
     pixels:     (H, W, 3) uint8 RGB
-    classes:    (H, W) uint8, numbers of `recipe.CLASSES`; where only oysters are labelled, 0 is everything else
-    instances:  (H, W) uint16, 0 for none; one number per oyster, and per whatever else is labelled one by one
-    ignore:     (H, W) bool, pixels of which nothing may be said: neither trained on nor scored
-    conditions: what the image was taken in, by keys of `evaluate.conditions.CONDITIONS` and "camera"
-    living:     whether oysters are alive, by their numbers in `instances`; those of which it is not known are left out
+    classes:    (H, W) uint8, numbers of `recipe.CLASSES`; if only oysters are labelled, 0 is everything else
+    instances:  (H, W) uint16, 0 for none; one number per oyster, and per other object that is labelled individually
+    ignore:     (H, W) bool, pixels to be ignored: neither trained on nor scored
+    conditions: in which the image was taken, by keys of `evaluate.conditions.CONDITIONS` and "camera"
+    living:     whether oysters are alive, by their numbers in `instances`; unknown ones are left out
     """
 
     name: str
@@ -65,13 +65,13 @@ class LabelledImage:
 
     @property
     def oysters(self) -> NDArray[np.bool_]:
-        """(H, W) bool: where an oyster is seen."""
+        """Mask (H, W) bool of the oysters."""
         return np.asarray(self.classes == OYSTER)
 
 
 @dataclass(frozen=True)
 class Entry:
-    """An image of a set before it is read. split: "train", "test" or what its set says; empty where it says nothing."""
+    """An image of a set that is not read yet. split: "train", "test" or as its set states; empty if it states none."""
 
     name: str
     clip: str
@@ -81,7 +81,7 @@ class Entry:
 
 
 class LabelledSet:
-    """Images in a fixed order, each read when it is asked for."""
+    """Images in a fixed order, each read on access."""
 
     def __init__(self, name: str, entries: Iterable[Entry]) -> None:
         self.name = name
@@ -111,15 +111,15 @@ class LabelledSet:
 
     @property
     def splits(self) -> tuple[str, ...]:
-        """What the set itself is divided into; empty where it is not."""
+        """Names of the splits into which the set itself is divided; empty if it is not."""
         return tuple(dict.fromkeys(entry.split for entry in self.entries if entry.split))
 
     def where(self, keep: Callable[[Entry], Any], name: str = "") -> LabelledSet:
-        """The images of which `keep` says so, in the same order."""
+        """Return the set of the images for which `keep` is true, in the same order."""
         return LabelledSet(name or self.name, [entry for entry in self.entries if keep(entry)])
 
     def of_split(self, split: str) -> LabelledSet:
-        """The images of a split. Raises LabelError where there is none."""
+        """Return the set of the images of a split. Raises LabelError if there are none."""
         found = self.where(lambda entry: entry.split == split, f"{self.name} {split}")
         if not len(found):
             raise LabelError(
@@ -129,7 +129,7 @@ class LabelledSet:
         return found
 
     def digest(self) -> str:
-        """SHA-256 of the names, clips and splits, and of every file that the set is read from."""
+        """SHA-256 of names, clips, splits, and the content of every file of the set."""
         sums: dict[Path, str] = {}
         text = hashlib.sha256()
         for entry in self.entries:
@@ -144,8 +144,8 @@ class LabelledSet:
 def planes_of(
     masks: Sequence[NDArray[np.bool_]], height: int, width: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-    """Classes and instances (H, W) of masks of oysters, number k + 1 for masks[k]. Where several overlap, a pixel is of
-    the smallest: what lies on top of another is usually seen whole and in front of it."""
+    """Class and instance planes (H, W) of oyster masks, number k + 1 for masks[k]. Where several overlap, a pixel
+    belongs to the smallest: an oyster on top of another is usually seen whole, in front of it."""
     instances = np.zeros((height, width), dtype=np.uint16)
     for k in sorted(range(len(masks)), key=lambda k: -int(masks[k].sum())):
         instances[masks[k]] = k + 1
@@ -153,7 +153,7 @@ def planes_of(
 
 
 def joined(sets: Iterable[LabelledSet], name: str) -> LabelledSet:
-    """Several sets as one; images and clips are named SET/NAME."""
+    """Join several sets into one; images and clips are named SET/NAME."""
 
     def renamed(entry: Entry, part: str) -> Entry:
         own, clip = f"{part}/{entry.name}", f"{part}/{entry.clip}"
@@ -163,7 +163,7 @@ def joined(sets: Iterable[LabelledSet], name: str) -> LabelledSet:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file."""
+    """SHA-256 of a file. Raises LabelError if it cannot be read."""
     try:
         with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -172,13 +172,14 @@ def file_digest(path: Path) -> str:
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 RGB of an image file. Raises LabelError naming the file."""
+    """Read an image file as (H, W, 3) uint8 RGB. Raises LabelError naming the file."""
     pixels = _decoded(path, cv2.IMREAD_COLOR)
     return np.ascontiguousarray(pixels[..., ::-1], dtype=np.uint8)
 
 
 def read_plane(path: Path) -> NDArray[Any]:
-    """(H, W) uint8 or uint16 of a file with one channel; of three equal channels, one."""
+    """Read an image file with one channel, or three equal ones, as (H, W) uint8 or uint16. Raises LabelError naming the
+    file."""
     values = _decoded(path, cv2.IMREAD_UNCHANGED)
     if values.ndim == 3 and (values[..., :3] == values[..., :1]).all():
         values = values[..., 0]
@@ -196,6 +197,6 @@ def _decoded(path: Path, flags: int) -> NDArray[Any]:
     if values is None:
         raise LabelError(f"{path}: not an image that can be decoded ({len(data)} bytes); get the file again")
     if (path.suffix.lower() in (".jpg", ".jpeg")) and not data.rstrip(b"\0\r\n").endswith(b"\xff\xd9"):
-        # A truncated JPEG is decoded without a word, its rest grey.
+        # A truncated JPEG is silently decoded, with the rest filled in grey.
         raise LabelError(f"{path}: the JPEG ends before its end marker: the file is truncated; get it again")
     return values

@@ -1,5 +1,5 @@
-"""Folders of labelled images: images/, a file of labels beside each, and manifest.csv, which says the clip and the side
-of the split of each."""
+"""Folders of labelled images: images/, a label file for each image, and manifest.csv, which assigns each to a clip and
+a split."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ PICTURES = (".jpg", ".jpeg", ".png")
 
 @dataclass(frozen=True)
 class ManifestRow:
-    """What is said of an image; split is empty where nothing is."""
+    """Entry of an image; split is empty if none is given."""
 
     clip: str
     split: str
 
 
 def read_manifest(folder: Path) -> dict[str, ManifestRow]:
-    """By id of an image, in the order of the file; empty where there is none. The columns id and clip are needed, split
-    where there is one; others are left alone. Raises LabelError naming the line."""
+    """Read the manifest of a folder, by id of an image, in the order of the file; empty if there is no manifest. The
+    columns id and clip are required, split is optional; others are ignored. Raises LabelError naming the line."""
     path = folder / FILE
     if not path.is_file():
         return {}
@@ -59,10 +59,11 @@ def _check_sides(path: Path, rows: Mapping[str, ManifestRow]) -> None:
 def images_with(
     folder: Path, labels: str, suffix: str, hint: str = ""
 ) -> Iterator[tuple[str, ManifestRow, Path, Path]]:
-    """Name, what the manifest says, image and label file (LABELS/NAME.suffix) of each image of a folder, in the order
-    of the manifest where there is one; without, each image is a clip of its own.
+    """Yield name, manifest row, image file and label file (LABELS/NAME.suffix) of each image of a folder, in the order
+    of the manifest if there is one; without it, each image is a clip of its own.
 
-    Raises LabelError where images, label files and manifest are not of the same names.
+    Raises LabelError if the names of images, label files and manifest do not match. hint: added where a label file is
+    missing.
     """
     listed = read_manifest(folder)
     images, beside = files_of(folder / "images", *PICTURES), files_of(folder / labels, suffix)
@@ -84,7 +85,7 @@ def images_with(
 
 
 def files_of(folder: Path, *suffixes: str) -> dict[str, Path]:
-    """Files by their names without suffix, in order of the names; none where there is no folder."""
+    """Files with one of the suffixes by their names without it, in order; empty if there is no folder."""
     if not folder.is_dir():
         return {}
     return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in suffixes}

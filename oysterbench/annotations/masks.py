@@ -1,12 +1,12 @@
-"""Predictions as files of one image each, in a folder, or as the arrays of one .npz.
+"""Predictions as one file per image, in a folder, or as the arrays of one .npz.
 
-NAME.png   8 or 16 bits: a mask (0, and 1 or the greatest number), a probability by the greatest number, classes, or the
-           numbers of single oysters
+NAME.png   8 or 16 bits: a mask (0, and 1 or the greatest number), probabilities scaled to the greatest number, classes,
+           or the numbers of single oysters
 NAME.npy   (H, W) bool, integer or float: a mask, classes or probabilities from 0 to 1
 NAME.npz   the same, one array
 all.npz    an array per image, by its name
 
-NAME is the image's name, which may hold folders.
+NAME is the image's name, which may contain folders.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ SUFFIXES = (".png", ".npy", ".npz")
 PNG_MAGIC, PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 
 NUMBERS = 0.01
-"""Of the greatest number of 16 bits: up to this, numbers of oysters; maps of probabilities of which none is above 1 %
-say nothing."""
+"""Share of the greatest 16-bit number up to which values may be numbers of oysters: a probability map without any value
+above 1 % would be meaningless."""
 UNIFORM = 0.8
-"""Of the pixels with a number, that at least have their right neighbour's: numbers lie in patches, probabilities do
-not."""
+"""Minimum share of the numbered pixels with the same value as their right neighbour: numbers lie in patches,
+probabilities do not."""
 
 MOST_BYTES = 8 * LARGEST_IMAGE_PX
 
@@ -47,12 +47,12 @@ T = TypeVar("T")
 
 
 class MaskFiles:
-    """Predictions by the name of their image, each read when it is asked for.
+    """Predictions by the name of their image, each read on access.
 
-    form: what numbers mean. "auto": floating point numbers are probabilities; integers of 0 and 1 alone are masks;
-    other integers probabilities, as shares of the type's greatest number, or, of 16 bits, small and in patches in all
-    files, the numbers of single oysters. Files of which some could be masks of 0 and 1 and others are probabilities are
-    refused: then the form must be said.
+    form: meaning of the values. "auto": floating-point numbers are probabilities; integers of only 0 and 1 are masks;
+    other integers are probabilities, as shares of the type's greatest number, or, if of 16 bits, small and in patches
+    in all files, the numbers of single oysters. If some files could be masks of 0 and 1 and others are probabilities,
+    they are refused: then the form must be given.
     """
 
     def __init__(
@@ -71,11 +71,11 @@ class MaskFiles:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all images that there is a prediction of."""
+        """Names of all images with a prediction."""
         return tuple(self._readers)
 
     def get(self, name: str) -> EstimateImage:
-        """The prediction of an image. Raises LabelError naming its file."""
+        """Read the prediction for an image. Raises LabelError naming its file."""
         values, where = self.plane(name), self.where(name)
         if values.dtype == bool:
             return EstimateImage(name, oyster=values)
@@ -91,7 +91,7 @@ class MaskFiles:
 
     @cached_property
     def numbered(self) -> bool:
-        """Whether numbers are those of single oysters: so said, or all that there are look like it."""
+        """Whether values are numbers of single oysters: by `form`, or, if that is "auto", judging by all files."""
         if self.form != "auto":
             return self.form == "instances"
         fullest = None
@@ -107,18 +107,18 @@ class MaskFiles:
         return bool((left == right)[left > 0].mean() > UNIFORM) if left.any() else False
 
     def numbers(self, name: str) -> NDArray[np.int32] | None:
-        """(H, W) numbers of the single oysters of an image; None where the files do not number them. Raises LabelError
+        """Numbers (H, W) of the single oysters of an image; None if the files do not number them. Raises LabelError
         naming its file."""
         if not self.numbered:
             return None
         return np.asarray(instance_numbers(self.plane(name), self.where(name)), dtype=np.int32)
 
     def where(self, name: str) -> str:
-        """The file of an image's prediction; of an .npz of all, with the array's name."""
+        """Path of an image's prediction, for messages; for an .npz of all images, with the array's name."""
         return str(self._files[name]) if name in self._files else f"{self.place}: {name}"
 
     def plane(self, name: str) -> NDArray[Any]:
-        """(H, W) bool, integer or float, as it is kept for an image. Raises LabelError naming its file."""
+        """Array (H, W) stored for an image, bool, integer or float. Raises LabelError naming its file."""
         values = np.asarray(self._readers[name]())
         where = self.where(name)
         if values.ndim == 3 and 1 in (values.shape[0], values.shape[-1]):
@@ -130,7 +130,7 @@ class MaskFiles:
         return values
 
     def _integers(self, name: str, values: NDArray[Any], where: str) -> EstimateImage:
-        """Integers whose meaning is to be guessed, or that are said to be probabilities."""
+        """Interpret integers whose meaning must be guessed, or that are declared to be probabilities."""
         greatest, most = int(values.max(initial=0)), np.iinfo(values.dtype).max
         if int(values.min(initial=0)) < 0 or values.dtype not in (np.uint8, np.uint16):
             raise LabelError(
@@ -158,7 +158,7 @@ class MaskFiles:
 
 
 def as_mask(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
-    """A mask of 0 and one other number, which is an oyster's. Raises LabelError for more numbers."""
+    """Convert a plane of 0 and one other number, which marks oysters, to a mask. Raises LabelError for more numbers."""
     if values.dtype == bool:
         return values
     greatest = values.max(initial=0)
@@ -172,7 +172,7 @@ def as_mask(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
 
 
 def open_predictions(place: Path, form: Form = "auto") -> MaskFiles:
-    """The predictions in a folder or an .npz file. Raises LabelError where there are none."""
+    """Open the predictions in a folder or an .npz file. Raises LabelError if there are none."""
     if place.is_file() and place.suffix == ".npz":
         return MaskFiles(place, _arrays(place), form)
     if not place.is_dir():
@@ -200,8 +200,8 @@ def _reader(path: Path) -> Callable[[], NDArray[Any]]:
 
 
 def read_png(path: Path) -> NDArray[Any]:
-    """(H, W) uint8 or uint16. Raises LabelError naming the file, also where its end is missing: the decoder would fill
-    in what is not there without a word."""
+    """Read a PNG as (H, W) uint8 or uint16. Raises LabelError naming the file, also if its end is missing: the decoder
+    would silently fill in the rest."""
     try:
         with open(path, "rb") as file:
             head = file.read(24)
@@ -221,7 +221,7 @@ def read_png(path: Path) -> NDArray[Any]:
 
 @contextmanager
 def _reading(what: str) -> Iterator[None]:
-    """In one line what numpy and zipfile, each in its own ways, raise for bytes that a stranger may have made."""
+    """Turn whatever numpy and zipfile raise for untrusted bytes into a LabelError of one line."""
     try:
         yield
     except LabelError:
@@ -265,13 +265,14 @@ def _single(path: Path) -> NDArray[Any]:
 
 
 def check_names(truth: Iterable[str], predicted: Iterable[str], place: Path) -> None:
-    """Refuse predictions that are not of just the truth's images: what is missing would else be silently left out."""
+    """Refuse predictions that are not of exactly the truth's images: missing ones would otherwise be silently left
+    out."""
     wanted, given = set(truth), set(predicted)
     for missing, text in ((wanted - given, "no prediction for"), (given - wanted, "no image of the truth is named")):
         if missing:
             names = sorted(missing)
             more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-            # Such as a JPEG, in which the values of a mask blur.
+            # Such as a JPEG, whose compression changes the values of a mask.
             other = (
                 next((path.name for path in sorted(place.glob(f"{escape(names[0])}.*"))), "") if place.is_dir() else ""
             )

@@ -1,4 +1,4 @@
-"""Which kind of labelled data a path holds."""
+"""Detection of the kind of labelled data at a path, and its opening."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ KINDS = {
 
 
 def open_labelled(path: str | Path) -> LabelledSet:
-    """The labelled images at a path, of the kind that its content says (`KINDS`). Raises LabelError where it is none,
-    or where it could be several.
+    """Open the labelled images at a path, whose kind is detected from its content (`KINDS`). Raises LabelError if it is
+    none of them, or could be several.
 
     Examples
     --------

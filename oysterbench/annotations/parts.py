@@ -1,4 +1,4 @@
-"""The connected parts of a mask, each taken for an oyster where a method does not tell oysters apart."""
+"""Connected parts of a mask, each taken for an oyster if a method does not separate oysters."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 SHORTEST_MM = 25.0
-"""Shell height of the smallest of 1122 oysters measured in Virginia (24.9 mm), as rendered reefs have it too."""
+"""Shell height of the smallest of 1122 oysters measured in Virginia (24.9 mm), and of those on rendered reefs."""
 
 NARROWNESS = 2 / 3
-"""Of a shell's length to its height (Galtsoff 1964, ch. 2)."""
+"""Ratio of a shell's length to its height (Galtsoff 1964, ch. 2)."""
 
 WIDEST_MM = 1650.0
-"""Of the bottom that an image shows across where its scale is not known: from 1.2 m above, as high as surveys go, by a
-lens of 69 degrees under water."""
+"""Width of the bottom assumed to be in an image of unknown scale: from 1.2 m above, as high as surveys go, with a field
+of view of 69 degrees under water."""
 
 
 def connected_parts(
     mask: NDArray[np.bool_], probability: NDArray[np.floating[Any]] | None = None
 ) -> tuple[NDArray[np.int32], NDArray[np.float64] | None]:
-    """Numbers (H, W) of the parts of a mask (H, W) that are connected by edges or corners, from 1 on, and the mean
-    probability over each, (N,); None without probabilities (H, W)."""
+    """Number the parts of a mask (H, W) that are connected by edges or corners. Returns their numbers (H, W), from 1,
+    and the mean probability (N,) over each part; None without probabilities (H, W)."""
     count, labels = cv2.connectedComponents(np.ascontiguousarray(mask).view(np.uint8), connectivity=8)
     numbers = np.asarray(labels, np.int32)
     if probability is None:
@@ -35,7 +35,7 @@ def connected_parts(
 
 
 def without_specks(numbers: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Numbers (H, W), with 0 for those of fewer pixels than the smallest oyster has (`speck_px`)."""
+    """Set the numbers (H, W) of parts with fewer pixels than the smallest oyster (`speck_px`) to 0."""
     areas = np.bincount(numbers.ravel())
     return np.where(areas[numbers] < speck_px(numbers.shape), 0, numbers).astype(np.int32)
 

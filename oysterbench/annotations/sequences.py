@@ -1,4 +1,4 @@
-"""Labelled images of rendered sequences: every frame whose class and instance layers are in the file."""
+"""Labelled images of rendered sequences: every frame with class and instance layers in the file."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from oysterbench.sequence import Sequence, open_sequence
 from oysterbench.sequence.export.parts import labelled_cameras
 
 LEAST_VISIBILITY = 0.1
-"""Share of an oyster that must be seen for it to count; of less, not even a person could say what it is."""
+"""Minimum visible share of an oyster for it to count; with less, not even a person could tell what it is."""
 LEAST_PIXELS = 16
-"""Of an oyster, for it to count: 4 x 4."""
+"""Minimum number of pixels of an oyster for it to count: 4 x 4."""
 
 
 def sequence_set(
     name: str, paths: Iterable[Path], conditions: Mapping[str, Mapping[str, float | str]] | None = None
 ) -> LabelledSet:
-    """The frames of all cameras of sequences that have the layers class and instance, sequence by sequence.
+    """Open the frames of all cameras of sequences that have the layers class and instance, sequence by sequence.
 
-    A clip is a sequence: its cameras look at one reef at one time. Oysters of which less than `LEAST_VISIBILITY` is
-    seen (where the layer visibility says so) or fewer than `LEAST_PIXELS` are no instances, and their pixels are
-    ignored. conditions: by name of a sequence. Raises LabelError where no sequence has labels.
+    A clip is a sequence: its cameras look at the same reef at the same time. Oysters of which less than
+    `LEAST_VISIBILITY` is visible (if there is a layer visibility) or fewer than `LEAST_PIXELS` are not instances, and
+    their pixels are ignored. conditions: by name of a sequence. Raises LabelError if no sequence has labels.
     """
     entries: list[Entry] = []
     names = []
@@ -71,7 +71,8 @@ def _read(
 def countable(
     classes: NDArray[np.uint8], instances: NDArray[np.uint16], visibility: NDArray[np.float32] | None
 ) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """(H, W) instances without the oysters that are too small or too hidden, and (H, W) where these are."""
+    """Split off the oysters that are too small or too hidden: return the other instances (H, W), and their mask
+    (H, W)."""
     sizes = np.bincount(instances.ravel())
     bad = sizes < LEAST_PIXELS
     if visibility is not None:

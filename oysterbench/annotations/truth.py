@@ -1,4 +1,4 @@
-"""The truth, clip by clip, image by image: of rendered sequences, labelled folders, plain folders of masks, COCO."""
+"""Ground truth by clip and image: from rendered sequences, labelled folders, plain folders of masks, or COCO."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from oysterbench.sequence.export.parts import frames_with_layers, labelled_camer
 from oysterbench.sequence.export.ply import points_at, rays_at
 
 IGNORED = 255
-"""Number of class images at which nothing is asked."""
+"""Value of pixels to be ignored in class images."""
 
-GRID = 16  # px between the rays by which the seabed in an image is measured
+GRID = 16  # px between the rays from which the area of seabed in an image is computed
 
 Seen = tuple[TruthImage, NDArray[np.uint8] | None]
-"""A truth and its picture (H, W, 3) uint8 RGB, where there is one."""
+"""Truth of an image and its pixels (H, W, 3) uint8 RGB, if there are any."""
 
 
 @dataclass(frozen=True)
 class LabelledSequence:
-    """Images taken in one go. names: of all of them, without reading any; images: reads one after the other.
+    """Images of one recording. names: of all of them, known without reading any; images: reads them one by one.
 
-    digest: of the files; coco: where the truth is COCO annotations, whose instances may overlap
+    digest: of the files; coco: set if the truth is COCO annotations, whose instances may overlap
     """
 
     name: str
@@ -52,7 +52,7 @@ class LabelledSequence:
     coco: CocoFile | None = None
 
     def instances(self, truth: TruthImage) -> ImageInstances:
-        """Single oysters of one of its images."""
+        """Return the single oysters of one of the images. Raises LabelError if the truth does not separate them."""
         if self.coco is not None:
             return self.coco.instances(truth.name, scored=False)
         if truth.instances is None:
@@ -64,7 +64,8 @@ class LabelledSequence:
         return from_planes(truth.name, numbers, truth.ignore, truth.footprint_m2, live=truth.live)
 
     def single(self) -> Iterator[tuple[ImageInstances, Seen | None]]:
-        """The single oysters of each image, and its truth and picture; None where the truth has boxes alone."""
+        """Yield the single oysters of each image, with its truth and pixels; None for these if the truth has boxes
+        without masks."""
         if self.coco is not None and self.coco.boxes_alone:
             yield from ((self.coco.instances(name, scored=False), None) for name in self.names)
             return
@@ -73,8 +74,8 @@ class LabelledSequence:
 
 
 def labelled_sequence(path: Path, conditions: Mapping[str, float | str] | None = None) -> LabelledSequence:
-    """The frames of all cameras that have the layers class and instance. Oysters that are hardly seen are ignored
-    (`sequences.countable`); their depth, shell heights and the seabed in view come along where known."""
+    """Open the frames of all cameras of a sequence with the layers class and instance. Oysters that are hardly visible
+    are ignored (`sequences.countable`); depth, shell heights and the area of seabed in view are included if known."""
     sequence = open_sequence(path)
     cameras = labelled_cameras(sequence, "visibility", "depth")
     if not cameras:
@@ -118,7 +119,7 @@ def _frames(sequence: Sequence, cameras: Mapping[str, list[str]]) -> Iterator[Se
 
 
 def _heights_mm(sequence: Sequence) -> Array | None:
-    """(N,) shell heights by the numbers of the oysters, NaN where there is none; None where no height is known."""
+    """Shell heights (N,) in mm by the numbers of the oysters, NaN where there is none; None if no height is known."""
     oysters = sequence.oysters()
     if "height_m" not in oysters:
         return None
@@ -128,7 +129,7 @@ def _heights_mm(sequence: Sequence) -> Array | None:
 
 
 def footprint_rays(camera: CameraCalibration) -> Array:
-    """(R, C, 3): rays of some of a camera's pixels, as `pixel_rays` gives them, on a grid that reaches its corners."""
+    """Rays (R, C, 3) of a camera's pixels, as from `pixel_rays`, on a coarse grid that reaches the image's corners."""
     columns, rows = np.meshgrid(_grid(camera.width), _grid(camera.height))
     return rays_at(camera, columns.astype(float), rows.astype(float))
 
@@ -138,8 +139,8 @@ def _grid(size: int) -> NDArray[np.int64]:
 
 
 def footprint_m2(depth_m: NDArray[np.float32], rays: Array, T_map_camera: Array) -> float | None:
-    """Area, as seen from above, of what an image shows: of the patches between rays on a grid (`footprint_rays`), where
-    all four corners have a depth (H, W), m along the optical axis."""
+    """Area, m^2 seen from above, of the ground that an image shows: sum over the patches of a grid of rays
+    (`footprint_rays`) whose four corners all have a depth (H, W), m along the optical axis. None if no patch has."""
     depth = depth_m[np.ix_(_grid(depth_m.shape[0]), _grid(depth_m.shape[1]))].astype(float)
     depth = np.where(np.isfinite(rays[..., 0]), depth, 0.0)
     points = points_at(rays.reshape(-1, 3), depth.ravel()).reshape(*depth.shape, 3)
@@ -152,11 +153,11 @@ def footprint_m2(depth_m: NDArray[np.float32], rays: Array, T_map_camera: Array)
 
 
 def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = None) -> list[LabelledSequence]:
-    """The clips at a path: sequences, labelled folders (`opening.KINDS`), COCO annotations without their
-    images, or a plain folder of PNG files, masks or (labels="classes") numbers of classes.
+    """Open the clips at a path: sequences, labelled folders (`opening.KINDS`), COCO annotations without their
+    images, or a plain folder of PNG files, masks or (labels="classes") class numbers.
 
-    Clips of a plain folder are its folders, or what its manifest.csv (id, clip) says. ignore_value: number at which
-    nothing is asked; 255 of classes by default.
+    Clips of a plain folder are its subfolders, or as given in its manifest.csv (id, clip). ignore_value: value of
+    pixels to be ignored; for classes 255 by default.
     """
     if place.suffix.lower() == ".json" and place.is_file():
         return _coco_clips(place)
@@ -172,7 +173,7 @@ def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = Non
 
 def _labelled_clips(place: Path) -> list[LabelledSequence]:
     found = open_labelled(place)
-    if all(entry.clip == entry.name for entry in found.entries):  # nothing is known of clips
+    if all(entry.clip == entry.name for entry in found.entries):  # no clips are known
         groups = {found.name: list(found.entries)}
     else:
         groups = {clip: [entry for entry in found.entries if entry.clip == clip] for clip in found.clips}

@@ -1,4 +1,4 @@
-"""Data sets in YOLO form: images/ID.jpg, labels/ID.txt with a polygon a line."""
+"""Data sets in YOLO format: images/ID.jpg, labels/ID.txt with one polygon per line."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from oysterbench.evaluate.detection.instances import OUTSIDE
 
 
 def yolo_set(folder: Path, classes: Mapping[int, str] | None = None) -> LabelledSet:
-    """A folder with images/, labels/ and, where clips and splits are known, manifest.csv.
+    """Open a folder with images/, labels/ and, if clips and splits are known, manifest.csv.
 
     A line of a label file is `CLASS x1 y1 x2 y2 ...` in fractions of width and height. classes: names of the numbers,
-    {0: "oyster"} by default; an image without a label file, a number without a name or a class that is no oyster is
-    refused, by file and line. Where a polygon leaves the image, the mask ends.
+    {0: "oyster"} by default; an image without a label file, a number without a name or a class other than oyster is
+    refused, by file and line. Polygons are clipped to the image.
     """
     names = dict(classes or {0: "oyster"})
     entries = []
@@ -40,7 +40,7 @@ def _read(image: Path, label: Path, classes: Mapping[int, str], name: str, clip:
 
 
 def read_yolo(path: Path, classes: Mapping[int, str]) -> list[NDArray[np.float64]]:
-    """Polygons (N, 2) in fractions of width and height. Raises LabelError naming file and line."""
+    """Read polygons (N, 2) in fractions of width and height. Raises LabelError naming file and line."""
     polygons = []
     try:
         lines = path.read_text(encoding="utf-8").splitlines()

@@ -1,1 +1,1 @@
-"""Oysters in people's own images and videos: counts, cover and sizes, with a method of images."""
+"""Oysters in a user's own images and videos: counts, cover and sizes, with any method for images."""

@@ -1,4 +1,4 @@
-"""How far a method counts off on labelled pictures: from the results of an evaluation, or the card of its weights."""
+"""Counting error of a method on labelled images: from the results of an evaluation, or the card of its weights."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from oysterbench.results.records import read_results
 TRUTH, ESTIMATE = "count_truth", "count_estimate"
 TRACK = "detection"
 OF_COUNTS = ("count_bias", "count_mae")
-"""Metrics of the track that say how far counts are off."""
+"""Metrics of the track that state the error of counts."""
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """labelled, counted: oysters over all labelled pictures; where: which these are; other_weights: whether they were
-    counted with other weights than are here."""
+    """Accuracy of counts. labelled, counted: oysters over all labelled images; where: names of their splits or
+    sequences; other_weights: whether they were counted with other weights than those here."""
 
     labelled: float
     counted: float
@@ -31,14 +31,14 @@ class Accuracy:
 
     @property
     def percent(self) -> float:
-        """Too many, or below 0 too few, of those labelled; NaN where none is."""
+        """Error of the count in % of those labelled: above 0 for too many; NaN if none is labelled."""
         return 100 * (self.counted / self.labelled - 1) if self.labelled else math.nan
 
 
 def read_accuracy(path: Path, method: str, weights: Mapping[str, str] | None = None) -> Accuracy:
-    """Of a method, over all sequences of a file results.json (or of the folder that has it) of the track detection.
+    """Read the accuracy of a method from a results.json of the detection track (or its folder), over all sequences.
 
-    weights: SHA-256 of those that are here, by name. Raises ResultError where the results are of other methods.
+    weights: SHA-256 of the weights that are here, by name. Raises ResultError if it has no results of the method.
     """
     path = path / "results.json" if path.is_dir() else path
     records = [one for one in read_results(path) if one.track == TRACK and one.failure is None]
@@ -56,7 +56,7 @@ def read_accuracy(path: Path, method: str, weights: Mapping[str, str] | None = N
 
 
 def figures_of_counts(weights: Mapping[str, Path], method: str) -> list[Figure]:
-    """What the cards of weights, by name, say of how far a method counts off; nothing of weights that have no card."""
+    """Figures on a method's counting error from the cards of weights, by name; none for weights without a card."""
     here = (weights_here(path) for path in weights.values())
     figures = (one for known in here if known is not None and known.model is not None for one in known.model.figures)
     return [one for one in figures if one.track == TRACK and one.method == method and one.metric in OF_COUNTS]

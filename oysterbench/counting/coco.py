@@ -1,4 +1,4 @@
-"""Counts as COCO annotations, to be corrected by hand in a program for labelling, or scored."""
+"""Counts as COCO annotations, to be corrected by hand in a labelling tool, or scored."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ CATEGORY = {"id": 1, "name": "oyster", "supercategory": "reef"}
 
 
 def coco_document(store: Store, pictures: Sequence[PictureCount]) -> dict[str, Any]:
-    """A document of all oysters that are counted, with `score`, and `live` where the method tells; polygons give back
-    each mask, where there are masks."""
+    """COCO document of all oysters that count, with `score`, and `live` if the method provides them; polygons reproduce
+    each mask exactly, if there are masks."""
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for k, one in enumerate(pictures, start=1):

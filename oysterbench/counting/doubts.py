@@ -1,4 +1,4 @@
-"""What casts doubt on all counts of a set of images, in words: for the terminal, the page and the summary."""
+"""Warnings that concern all counts of a set of images, as text for the terminal, the page and the summary."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Iterator, Sequence
 from oysterbench.counting.measure import PictureCount
 
 PLAUSIBLE_MM = (5.0, 400.0)
-"""Mean lengths of oysters, with room on both sides: 24.9 to 172 mm were measured in 1122 of Virginia. What is outside
-is no oyster, but a scale in another unit."""
+"""Plausible mean lengths of oysters, with a margin on both sides: 1122 from Virginia measured 24.9 to 172 mm. Outside,
+the scale is probably in another unit."""
 
 WHOLE = 0.9
-"""Share of a quadrat that its image shows, from which on it is taken to be whole."""
+"""Minimum share of a quadrat visible in its image for it to count as whole."""
 
 UNITS = {
     "plain": "--mm-per-px takes millimetres per pixel",
@@ -30,9 +30,9 @@ def doubts(
     copies: Sequence[tuple[str, str]] = (),
     quadrat_m2: float = math.nan,
 ) -> Iterator[str]:
-    """A sentence for each. length_mm: mean of all, NaN where it is not known; scale: its kind, empty for none; copies:
-    names of files with those of others that are the same; quadrat_m2: area of a whole quadrat, if there are
-    any."""
+    """Yield a sentence for each warning. length_mm: mean of all oysters, NaN if unknown; scale: its kind, empty for
+    none; copies: names of files, each with that of the file of which it is a copy; quadrat_m2: area of a whole quadrat,
+    NaN if there are none."""
     if copies:
         listed = ", ".join(f"{name} is {first}" for name, first in copies[:3]) + ", ..." * (len(copies) > 3)
         files = "file is a copy of another" if len(copies) == 1 else "files are copies of others"

@@ -1,4 +1,4 @@
-"""What is wrong with a file of pixels, by its bytes: what decoders pass over in silence, or refuse without a reason."""
+"""Faults of an image or video file, found from its bytes: those that decoders ignore, or refuse without a reason."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from oysterbench.core.pictures import LARGEST_IMAGE_PX
 
 AGAIN = "copy it again from the camera"
 UNREADABLE = {b"hei": "HEIC", b"hev": "HEIC", b"mif": "HEIC", b"avi": "AVIF", b"crx": "a raw image"}
-"""Begin of the brand of an ISO 14496-12 file -> what it holds that OpenCV's wheels cannot decode."""
+"""First bytes of the brand of an ISO 14496-12 file -> its format, which OpenCV's wheels cannot decode."""
 KIND, BITS, PHOTOMETRIC, PLANES = 254, 258, 262, 284
-"""Tags of a TIFF (Adobe, TIFF 6.0): NewSubfileType, of which 1 is a smaller copy of another page; BitsPerSample;
-PhotometricInterpretation, of which 0 has white as 0; PlanarConfiguration, of which 2 has one plane after another."""
+"""Tags of a TIFF (Adobe, TIFF 6.0): NewSubfileType, where bit 0 marks a reduced copy of another page; BitsPerSample;
+PhotometricInterpretation, where 0 means that white is 0; PlanarConfiguration, where 2 means separate planes."""
 
 DAMAGE = ("Corrupt JPEG data", "Premature end of JPEG")
-"""What libjpeg says of a picture whose scans it cannot read to their end; other errors are those of OpenCV, too."""
+"""Messages of libjpeg for an image whose scans it cannot read to their end; OpenCV reports other errors itself."""
 EXTRANEOUS = re.compile(r"(\d+) extraneous bytes before marker 0xd9")
-"""The same, of bytes between the picture and its end marker."""
+"""Message of libjpeg for bytes between the image and its end marker."""
 
 MOST = 1000
-"""Pages of a TIFF, and tags of a page, that are looked at: more are those of a file made to be slow."""
+"""Maximum number of pages of a TIFF, and of tags of a page, to examine: more suggest a file made to be slow."""
 FORMS = {1: "B", 3: "H", 4: "I"}
-"""Of a value of a TIFF, by its type: BYTE, SHORT, LONG."""
+"""Type of a TIFF value -> its `struct` format: BYTE, SHORT, LONG."""
 
 
 def picture_fault(data: bytes) -> str:
-    """Why the bytes are no single whole image; empty where nothing is known to be wrong. Of a JPEG or PNG that ends too
-    early decoders fill in the rest in grey, and of several images they decode the first."""
+    """Reason why the bytes are not a single, complete image; empty if nothing is known to be wrong. Decoders fill in
+    the rest of a truncated JPEG or PNG with grey, and decode only the first of several images."""
     if not data:
         return "empty file"
     if data.startswith(b"\xff\xd8") and ((end := _jpeg_end(data)) < 0 or _jpeg_damaged(data, end)):
@@ -47,7 +47,7 @@ def picture_fault(data: bytes) -> str:
 
 
 def video_fault(path: Path) -> str:
-    """Why a video has no frame that can be decoded, as far as its bytes tell."""
+    """Reason why no frame of a video can be decoded, as far as its bytes tell."""
     size = path.stat().st_size
     if size == 0:
         return "empty file"
@@ -66,8 +66,8 @@ def video_fault(path: Path) -> str:
 
 
 def _jpeg_end(data: bytes) -> int:
-    """Where the end marker is that follows the first scan; -1 without one. Before it there may be that of a thumbnail,
-    and behind it what cameras append, so that it need not be the end of the file."""
+    """Offset of the end marker after the first scan; -1 if there is none. A thumbnail may have an end marker before it,
+    and cameras may append data after it, so that it need not be at the end of the file."""
     at = 2
     while at + 4 <= len(data) and data[at] == 0xFF:
         kind = data[at + 1]
@@ -81,10 +81,10 @@ def _jpeg_end(data: bytes) -> int:
 
 
 def _jpeg_damaged(data: bytes, end: int) -> bool:
-    """Whether its scans do not decode as they should, which OpenCV passes over: it makes up what it cannot read.
+    """Whether scans of a JPEG are damaged, which OpenCV does not report: it makes up what it cannot read.
 
-    Of lost blocks of 512 bytes all are found, of 16 bytes three quarters, and of single bytes one in four: the others
-    decode as another picture would (306 pictures of real dives). end: where its end marker is.
+    All lost blocks of 512 bytes are found, three quarters of those of 16 bytes, and one in four single bytes: the rest
+    decode as a different but valid image (306 images of real dives). end: offset of its end marker.
     """
     try:
         height, width, *_ = simplejpeg.decode_jpeg_header(data)
@@ -92,7 +92,7 @@ def _jpeg_damaged(data: bytes, end: int) -> bool:
             simplejpeg.decode_jpeg(data, colorspace="GRAY", strict=True)
     except ValueError as error:
         if found := EXTRANEOUS.search(str(error)):
-            return len(set(data[end - int(found[1]) : end])) > 1  # of one value, a camera filled up a block with them
+            return len(set(data[end - int(found[1]) : end])) > 1  # if all are equal, a camera padded a block
         return any(words in str(error) for words in DAMAGE)
     return False
 
@@ -104,14 +104,14 @@ def _tiff_fault(pages: list[dict[int, int]]) -> str:
     first = pages[0]
     if not whole or first is not whole[0]:
         return "a TIFF that begins with a reduced copy: expected one image in a file: save it as JPEG or PNG"
-    # OpenCV 5.0 reads these, and what it gives is wrong.
+    # OpenCV 5.0 reads these, but returns wrong pixels.
     if first.get(BITS, 8) > 8 and (first.get(PLANES) == 2 or first.get(PHOTOMETRIC) == 0):
         return "a TIFF of 16 bits in separate planes, or with white as 0, cannot be read: save it as PNG"
     return ""
 
 
 def _tiff_pages(data: bytes) -> list[dict[int, int]]:
-    """The tags of each page of a TIFF or BigTIFF, with the first of their numbers; nothing of another format."""
+    """Tags of each page of a TIFF or BigTIFF, each with the first of its numbers; empty for another format."""
     kinds = {b"II*\0": ("<", False), b"MM\0*": (">", False), b"II+\0": ("<", True), b"MM\0+": (">", True)}
     if data[:4] not in kinds:
         return []
@@ -140,13 +140,13 @@ def _tiff_pages(data: bytes) -> list[dict[int, int]]:
 
 
 def _moves(data: bytes) -> bool:
-    """Whether it is an animated WebP or PNG."""
+    """Whether the bytes are an animated WebP or PNG."""
     webp = data[:4] == b"RIFF" and data[8:16] == b"WEBPVP8X" and len(data) > 20 and bool(data[20] & 2)
     return webp or (data.startswith(b"\x89PNG") and b"acTL" in data[: max(0, data.find(b"IDAT"))])
 
 
 def _boxes(path: Path, size: int) -> list[str]:
-    """Kinds of the whole outermost boxes of an MP4 or MOV (ISO 14496-12, 4.2); those of another file mean nothing."""
+    """Kinds of the complete top-level boxes of an MP4 or MOV (ISO 14496-12, 4.2); meaningless for another file."""
     kinds, at = [], 0
     with open(path, "rb") as file:
         while at + 8 <= size:

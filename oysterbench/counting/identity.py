@@ -1,4 +1,4 @@
-"""What a count is known by, so that it is made once and made anew where anything that it depends on has changed."""
+"""Identity of a count: it is made once, and made anew if anything that it depends on has changed."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def file_digest(path: Path) -> str:
 
 
 def method_identity(reference: str, method: object, options: Mapping[str, Any]) -> dict[str, Any]:
-    """A method as far as its answers depend on it: reference, versions, the code of its package, the weights that it
-    says it runs on (`methods.weights`), and every file that an option names."""
+    """Everything about a method that its results depend on: reference, versions, the code of its package, the weights
+    that it declares (`methods.weights`), and every file that an option names."""
     files = [path for path in weights_of(method).values() if path.is_file()]
     files += [Path(value) for value in options.values() if isinstance(value, str) and value and Path(value).is_file()]
     return {
@@ -36,7 +36,7 @@ def method_identity(reference: str, method: object, options: Mapping[str, Any]) 
 
 
 def _code(module: str) -> str:
-    """SHA-256 of the Python files beside a module of a package, or of the file of one that is of none."""
+    """SHA-256 of the Python files of a module's package folder, or of the module's file if it is in no package."""
     found = sys.modules.get(module)
     file = getattr(found, "__file__", None)
     if file is None:
@@ -46,5 +46,5 @@ def _code(module: str) -> str:
 
 
 def key_of(values: Mapping[str, Any]) -> str:
-    """SHA-256 of what a count depends on."""
+    """SHA-256 of the values that a count depends on."""
     return hashlib.sha256(json.dumps({"format": FORMAT, **values}, sort_keys=True).encode()).hexdigest()

@@ -1,9 +1,9 @@
-"""What is known of the mean over many pictures: ratios of sums with intervals, by resampling blocks of neighbours.
+"""Means over many images: ratios of sums with confidence intervals, by resampling blocks of neighbours.
 
-Pictures are a sample of a bottom. What they have in common with their neighbours is no further evidence: frames of a
-video follow each other over the same ground, and so blocks of time are resampled, each as a whole (Carlstein 1986),
-with the mean of the blocks weighed by what they hold (`evaluate.statistics.bootstrap_interval`). An interval holds the
-scatter of sampling. It does not hold what the method itself counts too many or too few.
+Images are a sample of the bottom. What neighbours have in common is no further evidence: frames of a video follow each
+other over the same ground, so blocks of time are resampled, each as a whole (Carlstein 1986), with the mean of the
+blocks weighted by their denominators (`evaluate.statistics.bootstrap_interval`). An interval covers the scatter of
+sampling, but not the method's own over- or undercounting.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from oysterbench.counting.measure import PictureCount
 from oysterbench.evaluate.statistics import LEAST_SEQUENCES, Interval, bootstrap_interval, mean_of, too_few
 
 BLOCK_S = 10.0
-"""Of a video: at the 0.1 to 0.3 m/s of a survey a camera then sees other ground."""
+"""Length of a block of a video, s: at the 0.1 to 0.3 m/s of a survey, a camera then sees other ground."""
 
 LEAST_FOR_LIKENESS = 12
-"""Blocks from which on it is asked whether neighbours are alike."""
+"""Minimum number of blocks to test whether neighbours are correlated."""
 ALIKE = 0.4
-"""Correlation of neighbouring blocks from which on it is said that they are alike, if it is also twice what chance
-gives, 2 / sqrt(n)."""
+"""Minimum correlation of neighbouring blocks to be reported, if it is also at least 2 / sqrt(n), twice what chance
+gives."""
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """A sum over pictures by another; NaN where there is nothing to divide by. blocks: that were resampled."""
+    """Ratio of two sums over images; NaN if there is nothing to divide by. blocks: number of blocks resampled."""
 
     value: float
     interval: Interval
@@ -39,10 +39,10 @@ class Ratio:
 
 
 def block_labels(pictures: Sequence[PictureCount], neighbours: int | None = None) -> NDArray[np.intp]:
-    """(n,) number of the block of each picture, which stand in the order of their names.
+    """Block number (n,) of each image; images are in the order of their names.
 
-    neighbours: how many pictures of a folder, or frames of a video, are a block; by default a picture is one, and of a
-    video what falls into the same `BLOCK_S`.
+    neighbours: how many images of a folder, or frames of a video, form a block; by default, each image does, and the
+    frames of a video within the same `BLOCK_S`.
     """
     keys = []
     counted: dict[str, int] = {}
@@ -58,7 +58,7 @@ def block_labels(pictures: Sequence[PictureCount], neighbours: int | None = None
 
 
 def ratio(above: Sequence[float], below: Sequence[float], labels: NDArray[np.intp], noun: str = "block") -> Ratio:
-    """The sum of `above` by that of `below`, each (n,), over pictures of blocks `labels` (n,)."""
+    """Sum of `above` over that of `below`, each (n,), for images of the blocks `labels` (n,)."""
     sums, weights = _by_block(above, labels), _by_block(below, labels)
     held = weights > 0
     values, weights = sums[held] / weights[held], weights[held]
@@ -77,7 +77,7 @@ def ratio_of(
     below: Callable[[PictureCount], float] = lambda one: 1.0,
     noun: str = "block",
 ) -> Ratio:
-    """The same of what is known of each picture; those of which `above` is None are left out."""
+    """As `ratio`, of values computed for each image; images for which `above` is None are left out."""
     known = [
         (value, below(one), k) for one, k in zip(pictures, labels, strict=True) if (value := above(one)) is not None
     ]
@@ -86,7 +86,7 @@ def ratio_of(
 
 
 def likeness(values: Sequence[float], labels: NDArray[np.intp]) -> float:
-    """Correlation of the means of neighbouring blocks; NaN where there are too few, or it may be chance."""
+    """Correlation of the means of neighbouring blocks; NaN if there are too few, or it may be due to chance."""
     sizes = np.bincount(labels) if len(labels) else np.zeros(0)
     means = _by_block(values, labels) / np.maximum(sizes, 1)
     n = len(means)

@@ -1,4 +1,4 @@
-"""The smallest oyster that counts: what a method calls oyster and is smaller is a speck."""
+"""Size of the smallest oyster that counts: a smaller detection is a speck."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from oysterbench.annotations.parts import SHORTEST_MM, speck_px
 
 @dataclass(frozen=True)
 class Least:
-    """length_mm: longer side of the smallest rectangle around an oyster; area_px: of its mask, or its box. Nothing is
-    too small for 0; None is the default, to which only connected parts of a mask are held: a method that tells oysters
-    apart tells specks apart as well."""
+    """Minimum size of an oyster. length_mm: longer side of the smallest rectangle around it; area_px: of its mask, or
+    its box. 0 means no minimum; None means the default, which applies only to connected parts of a mask: a method that
+    separates oysters is trusted to discard specks as well."""
 
     length_mm: float | None = None
     area_px: float | None = None
 
     def for_image(self, shape: tuple[int, int], parts: bool, scaled: bool) -> tuple[float, float]:
-        """mm and px that an oyster has at least in an image (H, W); parts: whether they are those of a mask; scaled:
-        whether lengths are known there.
+        """Minimum length in mm and area in px of an oyster in an image (H, W); parts: whether oysters are connected
+        parts of a mask; scaled: whether lengths are known there.
 
         >>> Least().for_image((480, 640), parts=True, scaled=True)
         (25.0, 0.0)
@@ -30,11 +30,11 @@ class Least:
         return (SHORTEST_MM, 0.0) if scaled else (0.0, speck_px(shape))
 
     def as_dict(self) -> dict[str, float | None]:
-        """For records."""
+        """Return the settings as a dict, for records."""
         return {"length_mm": self.length_mm, "area_px": self.area_px}
 
     def described(self, parts: bool, scaled: bool) -> str:
-        """In words; empty where nothing is too small."""
+        """Describe the minimum size in words; empty if there is none."""
         length_mm, area_px = self.for_image((0, 640), parts, scaled)
         by_size = " in an image of 640 px, scaled with the image" if self.area_px is None else ""
         said = [f"{length_mm:g} mm long"] * (length_mm > 0) + [f"{area_px:.0f} px{by_size}"] * (area_px > 0)

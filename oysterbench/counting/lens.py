@@ -1,4 +1,4 @@
-"""The lens of a camera that somebody calibrated: from its pixels to rays, read from the usual files."""
+"""Calibrated camera lenses: from pixels to rays, read from the usual calibration files."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ EXPECTED = (
     "sequence (.mcap, EuRoC folder)"
 )
 UNDONE_PX = 0.5
-"""By how much a point may miss its pixel after the lens was undone and done again; more, and undoing it failed."""
+"""Maximum error of a pixel after undistortion and redistortion, px; if it is greater, undistortion failed."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """matrix: (3, 3) in px; distortion as in sensor_msgs/CameraInfo: of plumb_bob k1, k2, p1, p2[, k3], of equidistant
-    k1 to k4. width, height: px, of the pictures that it was calibrated with."""
+    """Intrinsic calibration. matrix: (3, 3) in px; distortion as in sensor_msgs/CameraInfo: k1, k2, p1, p2[, k3] for
+    plumb_bob, k1 to k4 for equidistant. width, height: px, of the images that it was calibrated with."""
 
     width: int
     height: int
@@ -35,8 +35,8 @@ class Lens:
     model: str = "plumb_bob"
 
     def rays(self, points: Array) -> Array:
-        """(N, 2) x, y at a distance of 1 along the axis, of pixels (N, 2) x, y, where a pixel's middle is at whole
-        numbers. Raises SequenceError where the lens cannot be undone, as beyond what it was calibrated on."""
+        """Rays (N, 2), x, y at unit distance along the axis, of pixels (N, 2) x, y, with pixel centres at whole
+        numbers. Raises SequenceError if the distortion cannot be undone, as outside the calibrated area."""
         given = np.asarray(points, dtype=float).reshape(-1, 1, 2)
         lens = cv2.fisheye if self.model == "equidistant" else cv2
         found = np.asarray(lens.undistortPoints(given, self.matrix, self.distortion)).reshape(-1, 2)
@@ -60,8 +60,8 @@ class Lens:
         return np.asarray(found, dtype=float).reshape(-1, 2)
 
     def resized(self, width: int, height: int) -> Lens:
-        """Of the same pictures at another size, or upright where they were calibrated lying (`turned`). Raises
-        SequenceError where that has other proportions."""
+        """Return the lens for the same images at another size, or in portrait if it was calibrated in landscape, and
+        vice versa (`turned`). Raises SequenceError if the aspect ratio differs."""
         if (width, height) == (self.width, self.height):
             return self
         if _alike(width, height, self.height, self.width) and not _alike(width, height, self.width, self.height):
@@ -78,8 +78,8 @@ class Lens:
         return replace(self, width=width, height=height, matrix=matrix)
 
     def turned(self) -> Lens:
-        """Of pictures turned a quarter clockwise. Of such as are turned the other way, lengths differ only by as
-        much as its principal point and tangential distortion lie off the middle."""
+        """Return the lens for images rotated clockwise by 90 deg. For those rotated the other way, lengths differ only
+        as far as the principal point is off centre and there is tangential distortion."""
         (fx, _, cx), (_, fy, cy), _ = self.matrix
         matrix = np.array([[fy, 0.0, self.height - 1 - cy], [0.0, fx, cx], [0.0, 0.0, 1.0]])
         distortion = self.distortion.copy()
@@ -89,12 +89,12 @@ class Lens:
 
 
 def _alike(width: int, height: int, of_width: int, of_height: int) -> bool:
-    """Whether two sizes are of the same proportions, to a pixel of rounding."""
+    """Whether two sizes have the same aspect ratio, up to rounding to a pixel."""
     return abs(width * of_height - height * of_width) <= max(width, height)
 
 
 def read_lens(path: Path, camera: str | None = None) -> Lens:
-    """The lens of a calibration; camera: which of several, by default the first. Raises SequenceError naming the
+    """Read a lens from a calibration; camera: which of several, by default the first. Raises SequenceError naming the
     file."""
     lenses = _of_sequence(path) if path.is_dir() or path.suffix == ".mcap" else _of_yaml(path)
     name = camera or next(iter(lenses))
@@ -137,7 +137,7 @@ def _why(error: Exception) -> str:
 
 
 def _camera(values: Mapping[str, Any]) -> Lens:
-    """Of Kalibr, EuRoC (`intrinsics`), or ROS (`camera_matrix`)."""
+    """Lens from the values of Kalibr, EuRoC (`intrinsics`), or ROS (`camera_matrix`)."""
     if values.get("camera_model", "pinhole") != "pinhole":
         raise ValueError(f"camera_model: expected pinhole, got {values['camera_model']}")
     said = str(values.get("distortion_model", "plumb_bob"))

@@ -1,4 +1,4 @@
-"""What is counted and measured of the oysters of a picture."""
+"""Counts and measurements of the oysters in an image."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from oysterbench.counting.oysters import Oyster, Oysters
 from oysterbench.counting.scale import QuadratScale, Scale, area_m2, border, length_and_width_mm, polygon_area
 
 UNLIKE = 1.0
-"""Novelty above which a picture is unlike all that a method has learnt from (`methods.images.Segmentation`)."""
+"""Novelty above which an image is unlike a method's training data (`methods.images.Segmentation`)."""
 
 CUT_WEIGHT = 0.5
-"""Of an oyster that the picture's edge cuts, in a density: of those, half have their middle inside."""
+"""Weight, in a density, of an oyster cut by the image's edge: half of those have their centre inside."""
 
 
 @dataclass(frozen=True)
 class OysterRow:
-    """One oyster, for a table; None where something is not known.
+    """One oyster, for a table; None for an unknown value.
 
-    counted: whether its centre lies in what is counted, and it is large enough; small: whether it is not; cut: by the
-    edge of the picture, so that its sizes are those of a part. Boxes and areas in px, sizes in mm.
+    counted: whether its centre lies in the counted region, and it is large enough; small: whether it lies there and is
+    too small; cut: by the edge of the image, so that its sizes are those of a part. Boxes and areas in px, sizes in mm.
     """
 
     number: int
@@ -44,17 +44,18 @@ class OysterRow:
 
 @dataclass(frozen=True)
 class PictureCount:
-    """What is counted of a picture, or of a frame of a video.
+    """Counts of an image, or of a frame of a video.
 
-    name, file:  of the picture; path of its file
+    name, file:  name of the image; path of its file
     width, height: px; index, time_s: of a frame of a video
-    oysters:     large enough, with their centre in what is counted; cut: how many of these the edge of the picture cuts
-    live, dead:  of these; the method does not tell of the rest
-    cover:       share of what is counted that oysters cover, on the ground in a quadrat, else of the pixels; None for
-                 only boxes
-    area_m2:     of what is counted; None without a scale
-    measured:    how many of them have sizes and are not cut; length_mm: the mean of theirs
-    novelty:     as of a `Segmentation`
+    oysters:     number of those that are large enough, with their centre in the counted region; cut: how many of these
+                 the edge of the image cuts
+    live, dead:  how many of these; the method does not tell for the rest
+    cover:       share of the counted region covered by oysters, of the ground in a quadrat, else of the pixels; None if
+                 there are only boxes
+    area_m2:     of the counted region; None without a scale
+    measured:    how many of the oysters have sizes and are not cut; length_mm: their mean length
+    novelty:     see `Segmentation`
     small:       how many more there would be if none were too small
     parts:       whether they are connected parts of a mask (`oysters.Oysters`)
     """
@@ -79,35 +80,35 @@ class PictureCount:
 
     @property
     def said(self) -> str:
-        """How many are counted, of what."""
+        """The count in words: number of oysters, or of parts."""
         noun = "part" if self.parts else "oyster"
         return f"{self.oysters} {noun}{'' if self.oysters == 1 else 's'}"
 
     @property
     def unlike(self) -> bool:
-        """Whether it is unlike all that the method has learnt from."""
+        """Whether the image is unlike the method's training data."""
         return self.novelty is not None and self.novelty > UNLIKE
 
     @property
     def weighed(self) -> float:
-        """Oysters, those that the edge cuts a half each."""
+        """Number of oysters, with those cut by the edge weighted by a half."""
         return self.oysters - (1 - CUT_WEIGHT) * self.cut
 
     @property
     def per_m2(self) -> float | None:
-        """Oysters per square metre."""
+        """Oysters per square metre; None without a scale."""
         return self.weighed / self.area_m2 if self.area_m2 else None
 
     @property
     def video(self) -> bool:
-        """Whether it is a frame of one."""
+        """Whether it is a frame of a video."""
         return self.index is not None
 
 
 def measure(
     found: Oysters, name: str, file: str, shape: tuple[int, int], scale: Scale | None, least: Least = EVERY_SIZE
 ) -> tuple[PictureCount, list[OysterRow]]:
-    """Count and measure the oysters of a picture (H, W). What is too small covers nothing either."""
+    """Count and measure the oysters of an image (H, W). Those that are too small do not count towards cover either."""
     region = border(shape) if scale is None else scale.region(shape)
     smallest = least.for_image(shape, found.parts, scale is not None)
     rows = [_row(one, region, scale, *smallest) for one in found.each]
@@ -136,7 +137,7 @@ def measure(
 
 def _row(one: Oyster, region: Array, scale: Scale | None, shortest_mm: float, fewest_px: float) -> OysterRow:
     inside = len(region) > 2 and polygon_holds(region, one.centre)
-    # Beyond the quadrat the homography may lie near the horizon.
+    # Outside the quadrat, a point may be near the horizon of the homography.
     length_mm, width_mm = (None, None) if scale is None or not inside else length_and_width_mm(scale, one.hull)
     area_px = one.box[2] * one.box[3] if math.isnan(one.area_px) else one.area_px
     small = inside and (area_px < fewest_px or (length_mm is not None and length_mm < shortest_mm))
@@ -156,7 +157,7 @@ def _row(one: Oyster, region: Array, scale: Scale | None, shortest_mm: float, fe
 
 
 def _without(numbers: NDArray[np.uint16], left_out: list[int]) -> NDArray[np.bool_]:
-    """(H, W) where there is an oyster whose number is not left out."""
+    """Mask (H, W) of the oysters whose numbers are not left out."""
     kept = np.ones(int(numbers.max(initial=0)) + 1, dtype=bool)
     kept[[0, *(number for number in left_out if number < len(kept))]] = False
     return np.asarray(kept[numbers])

@@ -1,4 +1,4 @@
-"""A picture with the outlines of its oysters, to be looked at."""
+"""Overlays: images with the outlines of their oysters, for inspection."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from oysterbench.core.geometry import Array
 from oysterbench.counting.measure import OysterRow, PictureCount
 
 LONGEST_PX = 2048
-"""Of a picture with outlines: larger ones are reduced to it, with lines as strong as they look in it."""
+"""Longest side of an overlay: larger images are reduced to it before drawing, so that lines keep their width."""
 
 SHORTEST_PX = 640
-"""Smaller ones are enlarged to about it, by whole steps, at most by `MOST_ENLARGED`: lines and writing need room."""
+"""Smaller images are enlarged to about this, by an integer of at most `MOST_ENLARGED`: lines and text need room."""
 MOST_ENLARGED = 8
 
 COLOURS = {"unknown": (240, 228, 66), "live": (86, 180, 233), "dead": (213, 94, 0), "left out": (190, 190, 190)}
-"""RGB of outlines: yellow, sky blue, vermilion and grey, which all kinds of colour vision tell apart (Okabe & Ito
+"""RGB of outlines: yellow, sky blue, vermilion and grey, distinguishable with all types of colour vision (Okabe & Ito
 2008)."""
 
 CASING = (0, 0, 0)
 QUADRAT = (255, 255, 255)
 WARNING = "unlike the training data"
 FONT = cv2.FONT_HERSHEY_SIMPLEX
-FIXED = 4  # bits behind the point of the places of lines
+FIXED = 4  # fractional bits of line coordinates
 
 Pixels = NDArray[np.uint8]
 
@@ -39,8 +39,8 @@ def overlay(
     picture: PictureCount,
     region: Array | None,
 ) -> Pixels:
-    """(h, w, 3) uint8 RGB of a picture (H, W, 3): outlines by state, each on a dark casing; those that are not counted
-    grey; region (K, 2) px, of a quadrat, in white; the count and any warning in a strip above it."""
+    """Draw an overlay (h, w, 3) uint8 RGB of an image (H, W, 3): outlines coloured by state, each on a dark casing,
+    grey if not counted; region (K, 2) px, of a quadrat, in white; the count and any warning in a strip above."""
     height, width = pixels.shape[:2]
     factor = overlay_factor((height, width))
     size = (max(1, round(width * factor)), max(1, round(height * factor)))
@@ -59,7 +59,7 @@ def overlay(
 
 
 def overlay_factor(shape: tuple[int, int]) -> float:
-    """By how much a picture (H, W) is enlarged or reduced."""
+    """Factor by which an image (H, W) is enlarged or reduced."""
     longest = max(shape)
     if longest >= SHORTEST_PX:
         return min(1.0, LONGEST_PX / longest)
@@ -67,7 +67,7 @@ def overlay_factor(shape: tuple[int, int]) -> float:
 
 
 def jpeg(pixels: Pixels, quality: int = 88, widest: int | None = None) -> bytes:
-    """(H, W, 3) uint8 RGB as JPEG, reduced to a width in px where it is wider."""
+    """Encode an image (H, W, 3) uint8 RGB as JPEG, reduced to `widest` px if it is wider."""
     height, width = pixels.shape[:2]
     if widest is not None and width > widest:
         size = (widest, max(1, round(height * widest / width)))
@@ -79,7 +79,7 @@ def jpeg(pixels: Pixels, quality: int = 88, widest: int | None = None) -> bytes:
 
 
 def _outline(row: OysterRow, numbers: NDArray[np.uint16] | None) -> list[Array]:
-    """Polygons (K, 2) px around an oyster, from the corner of the first pixel."""
+    """Polygons (K, 2) px around an oyster, measured from the corner of the first pixel."""
     x, y, w, h = row.box
     if numbers is None:
         return [np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]])]
@@ -107,8 +107,8 @@ def _said(picture: PictureCount) -> str:
 
 
 def _with_strip(drawn: Pixels, text: str, unlike: bool) -> Pixels:
-    """The picture below a dark strip with the text, where that is wide enough to be read; of one that is warned of,
-    orange, and a frame around it."""
+    """Add a dark strip with the text above the image, if it is wide enough to be legible; for an image unlike the
+    training data, the strip is orange, and so is a frame around the image."""
     height, width = drawn.shape[:2]
     tall = max(22, round(math.sqrt(height * width) / 24))
     ground, ink = ((213, 94, 0), (255, 255, 255)) if unlike else ((20, 32, 43), (255, 255, 255))
@@ -118,7 +118,7 @@ def _with_strip(drawn: Pixels, text: str, unlike: bool) -> Pixels:
     scale = min(tall / 40, (width - 8) / max(wide, 1))
     if unlike:
         cv2.rectangle(drawn, (0, 0), (width - 1, height - 1), ground, max(1, round(max(height, width) / 160)))
-    if scale <= 0.2:  # no writing
+    if scale <= 0.2:  # too small to read
         return drawn
     place = (4 + tall // 6, round(tall / 2 + 11 * scale))
     cv2.putText(strip, text, place, FONT, scale * 0.94, ink, max(1, round(2 * scale)), cv2.LINE_AA)

@@ -1,4 +1,4 @@
-"""The single oysters of a picture, of whatever a method of images predicts."""
+"""Single oysters in an image, from whatever a method for images predicts."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from oysterbench.evaluate.segmentation import EstimateImage
 from oysterbench.methods.images import Detections, Segmentation
 
 MOST = 65535
-"""Oysters of a picture, as their numbers are kept in 16 bits."""
+"""Maximum number of oysters in an image, as their numbers are stored in 16 bits."""
 
 
 @dataclass(frozen=True)
 class Oyster:
-    """One oyster in a picture.
+    """One oyster in an image.
 
     number:  of its pixels in the plane of numbers, from 1
-    box:     x, y, width, height in px; area_px: of its mask, NaN where there is none
+    box:     x, y, width, height in px; area_px: of its mask, NaN if there is none
     centre:  (2,) x, y in px, of its mask, or else of its box
     hull:    (N, 2) x, y in px: the corners of the convex hull of its pixels, or of its box
-    score:   how sure the method is; NaN where it does not say
-    live:    probability that it is alive; NaN where the method cannot tell
-    cut:     whether the edge of the picture cuts it
+    score:   confidence of the method; NaN if it gives none
+    live:    probability that it is alive; NaN if the method cannot tell
+    cut:     whether the edge of the image cuts it
     """
 
     number: int
@@ -54,11 +54,11 @@ class Oyster:
 
 @dataclass(frozen=True)
 class Oysters:
-    """What is found in a picture.
+    """All oysters found in an image.
 
-    numbers: (H, W) uint16, 0 for none, the surest on top where oysters overlap; None where there are only boxes
-    novelty: as of a `Segmentation`; NaN where the method does not say
-    parts:   whether they are the connected parts of a mask, so that those that touch are one
+    numbers: (H, W) uint16, 0 for none, the most confident on top where oysters overlap; None if there are only boxes
+    novelty: see `Segmentation`; NaN if the method gives none
+    parts:   whether they are the connected parts of a mask, so that touching oysters are one
     """
 
     each: tuple[Oyster, ...]
@@ -68,15 +68,15 @@ class Oysters:
 
 
 class TooManyError(MethodError):
-    """More than can be numbered are found in an image, as in one of noise."""
+    """Error for more oysters in an image than can be numbered, as in an image of noise."""
 
 
 def oysters_of(prediction: Segmentation | Detections, method: str, shape: tuple[int, int], threshold: float) -> Oysters:
-    """The oysters of a picture (H, W) whose score is at least `threshold`.
+    """Extract the oysters of an image (H, W) whose score is at least `threshold`.
 
-    Of masks and classes, and of probabilities from `threshold` on, what hangs together, by edges and corners, is one;
-    its score is its mean probability. A stranger's arrays are checked: raises MethodError or LabelError; TooManyError
-    for more oysters than `MOST`.
+    In masks and classes, and in probabilities of at least `threshold`, each part connected by edges or corners is one
+    oyster; its score is its mean probability. The arrays of a method are not trusted but checked: raises MethodError or
+    LabelError; TooManyError for more oysters than `MOST`.
     """
     where = f"method {method!r} on {prediction.name}"
     novelty = _novelty(prediction.novelty, where)
@@ -97,7 +97,8 @@ def oysters_of(prediction: Segmentation | Detections, method: str, shape: tuple[
 
 @dataclass(frozen=True)
 class _Parts:
-    """Numbers (H, W); top, left and mask of each that has any; scores and live of numbers 1, 2, ..."""
+    """Oysters before measurement: numbers (H, W); top, left and mask of each number that has pixels; scores and live of
+    numbers 1, 2, ..."""
 
     numbers: NDArray[np.integer[Any]]
     pieces: Mapping[int, tuple[int, int, NDArray[np.bool_]]]
@@ -115,7 +116,8 @@ def _connected(prediction: Segmentation, where: str, shape: tuple[int, int], thr
 
 
 def _masked(prediction: Detections, where: str, shape: tuple[int, int], threshold: float) -> _Parts:
-    """Masks that may overlap: the surest is on top in the plane, and each is measured by the whole of its own."""
+    """Oysters of masks that may overlap: the most confident is on top in the plane, but each is measured by its whole
+    mask."""
     scores, live = _scores(prediction, where)
     masks = np.asarray(prediction.masks)
     _check_shape(masks.shape[1:] if masks.ndim == 3 else masks.shape, where, shape)
@@ -182,7 +184,7 @@ def _measured(found: _Parts, shape: tuple[int, int]) -> Iterator[Oyster]:
 
 
 def _hull(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
-    """(N, 2) x, y: the convex hull of whole pixels, each of which covers [column, column + 1)."""
+    """Convex hull (N, 2), x, y, of whole pixels, each of which covers [column, column + 1)."""
     first = cv2.convexHull(np.stack([columns, rows], axis=1).astype(np.int32)).reshape(-1, 2)
     corners = np.concatenate([first + step for step in ((0, 0), (1, 0), (0, 1), (1, 1))])
     return cv2.convexHull(corners.astype(np.int32)).reshape(-1, 2).astype(float)

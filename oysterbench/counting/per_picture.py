@@ -1,4 +1,4 @@
-"""The scale of each picture, from what is given for all of them or for each."""
+"""Scale of each image, from values given for all images or for each one."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from oysterbench.counting.sources import Source
 from oysterbench.counting.tables import PictureTable
 
 CORNERS = tuple(f"{axis}{k}" for k in range(1, 5) for axis in "xy")
-"""Columns of a table of quadrats: x1, y1, ..., x4, y4 in px of the upright picture."""
+"""Columns of a table of quadrats: x1, y1, ..., x4, y4 in px of the upright image."""
 
 ALTITUDE = ("altitude_m",)
 
 
 def same_for_all(scale: Scale) -> ScaleOf:
-    """One scale."""
+    """Use one scale for all images."""
     return lambda source, name: scale
 
 
 def plain(mm_per_px: float) -> ScaleOf:
-    """Of a length that is known."""
+    """Use a known size of a pixel, in mm, for all images."""
     return same_for_all(PlainScale(mm_per_px))
 
 
 def quadrats(size_m: float, corners: PictureTable) -> ScaleOf:
-    """Of quadrats of one size, whose corners are in a table. Raises OptionError where the size is in another unit, and
-    LabelError where all corners are."""
+    """Scale each image by a quadrat of one size, whose corners are in a table. Raises OptionError if the size seems to
+    be in another unit, and LabelError if all corners are fractions of the image's size."""
     check_quadrat(size_m)
     if corners.rows and all(0 <= min(row) <= max(row) <= 1 for row in corners.rows.values()):
         name, row = next(iter(corners.rows.items()))
@@ -44,7 +44,8 @@ def quadrats(size_m: float, corners: PictureTable) -> ScaleOf:
 
 
 def altitudes(lens: Lens, altitude: float | PictureTable) -> ScaleOf:
-    """Of a calibrated camera that looks straight down; altitude: in m, of all pictures or in a table."""
+    """Scale each image by the altitude of a calibrated camera that looks straight down; altitude: in m, for all images
+    or in a table."""
     if not isinstance(altitude, PictureTable):
         return same_for_all(AltitudeScale(lens, altitude))
     table = altitude

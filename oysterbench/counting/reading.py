@@ -1,4 +1,4 @@
-"""Pixels of people's own pictures and videos: upright, 8 bits, RGB, in bounded memory."""
+"""Reading of a user's own images and videos: upright, 8 bits, RGB, in bounded memory."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import LARGEST_IMAGE_PX, decode_picture
 from oysterbench.counting.faults import picture_fault, video_fault
 
-# What FFmpeg says of a broken file on its own goes between the lines of a progress bar; it is said in one line here.
+# FFmpeg's own messages on a broken file would break up the progress bar; the error is reported in one line here.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 COMPLETE = 0.95
-"""Share of the frames that a video claims to have, below which it is called cut short: the claim is often a frame or
-two off."""
+"""Share of the frames that a video claims to have below which it is truncated: the claim is often off by a frame or
+two."""
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """Which frames of a video are looked at: so many a second, or, where it is given, every N-th."""
+    """Which frames of a video are used: so many per second, or every N-th if that is given."""
 
     per_second: float = 1.0
     every: int | None = None
@@ -34,8 +34,8 @@ class Sampling:
 
 @dataclass(frozen=True)
 class VideoFrame:
-    """index: from 0, over all frames of the video; time_s: from its begin; pixels: (H, W, 3) uint8 RGB, None where they
-    were not wanted."""
+    """A frame of a video. index: from 0, over all frames of the video; time_s: from its start; pixels: (H, W, 3) uint8
+    RGB, None if they were not needed."""
 
     index: int
     time_s: float
@@ -43,12 +43,12 @@ class VideoFrame:
 
 
 def decode(data: bytes, where: str) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 RGB of an image file, turned as its EXIF orientation says; grey becomes RGB, alpha is left out,
-    and of more than 8 bits the upper 8 that are used remain (`used_bits`). Raises LabelError, beginning with `where`,
-    for what cannot be decoded as a whole, and for several images in one file."""
+    """Decode an image file to (H, W, 3) uint8 RGB, rotated by its EXIF orientation; grey becomes RGB, alpha is dropped,
+    and of more than 8 bits the upper 8 that are used are kept (`used_bits`). Raises LabelError, starting with `where`,
+    for an image that cannot be decoded completely, and for several images in one file."""
     if fault := picture_fault(data):
         raise LabelError(f"{where}: {fault}")
-    with _quiet():  # not as RGB at once: of a TIFF with 16 bits OpenCV 5.0 then leaves the memory as it was
+    with _quiet():  # not directly as RGB: for a 16-bit TIFF, OpenCV 5.0 then returns uninitialised memory
         pixels = decode_picture(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if pixels is None:
         raise LabelError(
@@ -63,8 +63,8 @@ def decode(data: bytes, where: str) -> NDArray[np.uint8]:
 
 
 def used_bits(pixels: NDArray[np.uint16]) -> int:
-    """Bits that the numbers of an image use: 8, or what cameras have, kept in 16: 10, 12, 14 or 16. Taken for 16, those
-    of 12 would be almost black.
+    """Number of bits that an image uses: 8, or those of a camera stored in 16: 10, 12, 14 or 16. Taken as 16 bits, an
+    image of 12 bits would be almost black.
 
     >>> used_bits(np.array([0, 4095], np.uint16)), used_bits(np.array([0, 255], np.uint16))
     (12, 8)
@@ -75,7 +75,7 @@ def used_bits(pixels: NDArray[np.uint16]) -> int:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """OpenCV without what it writes on stderr."""
+    """Silence OpenCV's messages on stderr."""
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
@@ -85,7 +85,7 @@ def _quiet() -> Iterator[None]:
 
 
 class Video:
-    """A video file. Raises LabelError where it cannot be opened. claimed: frames, as its head says; 0 where not."""
+    """A video file. Raises LabelError if it cannot be opened. claimed: number of frames by its header; 0 if unknown."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -98,14 +98,14 @@ class Video:
         self.claimed = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
 
     def estimate(self, sampling: Sampling) -> int:
-        """About how many frames will be looked at."""
+        """Estimate how many frames will be used."""
         step = sampling.every or (self.rate_hz / sampling.per_second if self.rate_hz else 1.0)
         return max(1, round(self.claimed / max(step, 1.0)))
 
     def frames(self, sampling: Sampling, done: Callable[[int], bool] = lambda index: False) -> Iterator[VideoFrame]:
-        """The frames that are looked at, in order; those that are done, by their index, without their pixels.
+        """Yield the frames to use, in order; those for whose index `done` is true come without pixels.
 
-        Raises LabelError, after all that could be read, where there is no frame, or the video breaks off.
+        Raises LabelError, after all frames that could be read, if there is none, or the video is truncated.
         """
         index, due_s = 0, 0.0
         while self._capture.grab():
@@ -127,7 +127,7 @@ class Video:
             )
 
     def _time_s(self, index: int) -> float:
-        """Of the frame that was grabbed last; by the rate, where the file has no stamps."""
+        """Time, s, of the frame that was grabbed last; from the frame rate if the file has no timestamps."""
         stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
         return stamp_s if stamp_s > 0 or not self.rate_hz else index / self.rate_hz
 

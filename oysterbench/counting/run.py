@@ -1,4 +1,4 @@
-"""Counting the oysters of pictures and videos with a method, each picture once."""
+"""Counting the oysters in images and videos with a method, each image once."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from oysterbench.methods.interfaces.images import Prediction, predictions
 Pixels = NDArray[np.uint8]
 
 ScaleOf = Callable[[Source, str], Scale | None]
-"""Of a source and the name of its picture or frame: the scale there, None where none is asked for. Raises LabelError
-where there should be one and is none."""
+"""Function of a source and the name of its image or frame that returns its scale, None if no scale is used. Raises
+LabelError if there should be one and is none."""
 
 FAILURES = 3
-"""Of a method, one after the other, after which it is not tried on further pictures."""
+"""Number of consecutive failures of a method after which it is not tried on further images."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """threshold: score from which on an oyster counts; sampling: of videos; scale: of each picture; least: size from
-    which on an oyster counts."""
+    """Settings of a count. threshold: minimum score of an oyster; sampling: of videos; scale: of each image; least:
+    minimum size of an oyster."""
 
     threshold: float = 0.5
     sampling: Sampling = field(default_factory=Sampling)
@@ -52,9 +52,9 @@ class Settings:
 
 @dataclass
 class Counted:
-    """What came of it. pictures: in the order of their names; made: how many of them in this run; failures: by name of
-    a picture or video; films: by name of a video; cpu_s: of the method, in this run; copies: names of files, each with
-    that of an earlier one that is the same (`copies`)."""
+    """Result of a count. pictures: in the order of their names; made: how many of them were counted in this run;
+    failures: reasons by name of an image or video; films: paths by name of a video; cpu_s: of the method, in this run;
+    copies: names of files, each with that of the earlier one of which it is a copy (`copies`)."""
 
     pictures: list[PictureCount] = field(default_factory=list)
     made: int = 0
@@ -66,7 +66,7 @@ class Counted:
 
 @dataclass(frozen=True)
 class _Work:
-    """A picture that is to be counted. place: of its source; small: its thumbnail, of a frame none."""
+    """An image to be counted. place: index of its source; small: its thumbnail, None for a frame."""
 
     place: int
     name: str
@@ -79,8 +79,8 @@ class _Work:
 
 
 class Counting:
-    """One run over sources. identity: of the method (`identity.method_identity`); progress: is told how many pictures
-    are done, of how many."""
+    """One run over sources. identity: of the method (`identity.method_identity`); progress: is called with the number
+    of images done and their total."""
 
     def __init__(
         self,
@@ -100,13 +100,13 @@ class Counting:
         self._expected = {source.name: 1 for source in sources}
 
     def run(self) -> Counted:
-        """Count what is not finished yet.
+        """Count the images that are not finished yet.
 
-        What cannot be read, and what a method fails on, is told of in `failures`, and the rest goes on. Raises
-        MethodError where the method cannot be run, or does not answer as agreed.
+        Images that cannot be read, or on which the method fails, are listed in `failures`, and the rest continues.
+        Raises MethodError if the method cannot be run, or its output violates the interface.
         """
         works, watch = self._works(), Stopwatch()
-        first = next(works, None)  # where nothing is left to do, nothing that a method needs is loaded
+        first = next(works, None)  # if nothing is left to do, nothing that the method needs is loaded
         works = works if first is None else itertools.chain([first], works)
         in_row = 0
         while first is not None:
@@ -128,7 +128,7 @@ class Counting:
         return self.result
 
     def _answers(self, works: Iterator[_Work], waiting: dict[str, _Work], watch: Stopwatch) -> str | None:
-        """Take what the method answers, until all is done (None), or an exception of its own, which is returned."""
+        """Process the method's predictions until all are done (None), or it raises an exception, which is returned."""
 
         def given() -> Iterator[Picture]:
             for work in works:
@@ -167,7 +167,7 @@ class Counting:
         self._keep(work.place, picture)
 
     def _works(self) -> Iterator[_Work]:
-        """What is to be counted, read one by one; what is finished already is kept on the way."""
+        """Yield the images to be counted, read one by one; those already finished are added to the result."""
         for place, source in enumerate(self.sources):
             try:
                 yield from self._frames(place, source) if source.video else self._picture(place, source)
@@ -175,7 +175,7 @@ class Counting:
                 self._fail(source.name, str(error))
             except OSError as error:
                 self._fail(source.name, f"{source.path}: cannot be read: {error.strerror or error}")
-            except Exception as error:  # decoders each have their own, for bytes that a stranger may have made
+            except Exception as error:  # decoders each raise their own for untrusted bytes
                 self._fail(source.name, f"{source.path}: cannot be read: {type(error).__name__}: {in_one_line(error)}")
 
     def _picture(self, place: int, source: Source) -> Iterator[_Work]:
@@ -218,7 +218,7 @@ class Counting:
         self.store.write_frames(source.name, whole, taken, why)
 
     def _frame(self, place: int, source: Source, digest: str, frame: VideoFrame) -> Iterator[_Work]:
-        """A frame, unless it is finished, or cannot be counted."""
+        """Yield a frame, unless it is finished, or cannot be counted."""
         name = frame_name(source, frame.index)
         if frame.pixels is None:
             done = self._done(source, digest, frame.index)
@@ -234,7 +234,7 @@ class Counting:
         yield replace(work, index=frame.index, time_s=frame.time_s)
 
     def _all_kept(self, place: int, source: Source, digest: str, frames: Sequence[tuple[int, float]], why: str) -> bool:
-        """Keep all frames of a video, if each is finished: then it need not be decoded."""
+        """Keep all frames of a video if every one is finished, so that it need not be decoded; return whether so."""
         held = [self._done(source, digest, index) for index, _ in frames]
         done = [one for one in held if one is not None]
         if len(done) < len(held):
@@ -250,7 +250,7 @@ class Counting:
         name = frame_name(source, index)
         try:
             return self.store.finished(name, self._key(source, name, digest, index)[0])
-        except LabelError:  # it has no scale
+        except LabelError:  # no scale is given for it
             return None
 
     def _key(self, source: Source, name: str, digest: str, index: int | None = None) -> tuple[str, Scale | None]:
@@ -274,7 +274,7 @@ class Counting:
         self._tell()
 
     def _keep(self, place: int, picture: PictureCount) -> None:
-        """What was finished before may have been so at another place."""
+        """Add a finished image to the result; its file may have been elsewhere when it was counted."""
         self._found[picture.name] = place, replace(picture, file=str(self.sources[place].path))
         self._tell()
 
@@ -283,7 +283,7 @@ class Counting:
         self.progress(done, max(done, sum(self._expected.values())))
 
     def _films(self) -> None:
-        """Of each video, unless it is there of just these overlays."""
+        """Write the film of each video, unless it exists already for exactly these overlays."""
         for source in self.sources:
             if not source.video:
                 continue
@@ -300,7 +300,7 @@ class Counting:
 
 
 def frame_name(source: Source, index: int) -> str:
-    """Of a frame of a video: VIDEO/NUMBER.
+    """Name of a frame of a video: VIDEO/NUMBER.
 
     >>> frame_name(Source("dive 1.mp4", Path("dive 1.mp4"), True), 30)
     'dive 1.mp4/000030'

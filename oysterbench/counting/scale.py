@@ -1,7 +1,7 @@
-"""From the pixels of a picture to metres on the bottom, which is taken to be flat.
+"""Conversion from pixels of an image to metres on the bottom, which is assumed to be flat.
 
-What is counted of a picture is a region: the whole picture, or what lies in a quadrat. Points are (x, y) in px from the
-corner of the first pixel, whose middle lies at (0.5, 0.5).
+The region of an image that is counted is the whole image, or what lies in a quadrat. Points are (x, y) in px from the
+corner of the first pixel, whose centre is at (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -19,44 +19,44 @@ from oysterbench.core.geometry import Array
 from oysterbench.counting.lens import Lens
 
 BORDER_PX = 16.0
-"""Between points of a picture's border, where a lens bends it."""
+"""Spacing of points along an image's border, which a lens bends on the ground."""
 
 LEAST_QUADRAT_PX = 8.0
-"""Side of the smallest square that a quadrat may cover in a picture: less is no quadrat but a slip."""
+"""Side of a square with the minimum area of a quadrat in an image, px: anything smaller is a mistake."""
 
 LEAST_SEEN = 0.4
-"""Share of a quadrat that its picture shows at least: less, and the corners are of a picture of another size."""
+"""Minimum share of a quadrat that its image shows: with less, the corners are of an image of another size."""
 
 LARGEST_QUADRAT_M = 10.0
-"""More is a size in centimetres: no diver carries such a frame, and no picture under water shows it."""
+"""Maximum side of a quadrat; a larger value is in centimetres: no diver carries such a frame, no image shows it."""
 
 FLAT = 1000
-"""Pixels along a side of a quadrat that is seen from straight above: a millimetre for one of a metre."""
+"""Pixels along the side of a rectified quadrat: one per millimetre for a side of a metre."""
 
 
 class Scale(Protocol):
-    """What tells metres in a picture."""
+    """Scale of an image: maps its points to metres on the bottom."""
 
     def fitted(self, shape: tuple[int, int]) -> Scale:
-        """The same for a picture (H, W). Raises SequenceError or LabelError where it does not fit one."""
+        """Return the scale for an image (H, W). Raises SequenceError or LabelError if it does not fit the image."""
         ...
 
     def region(self, shape: tuple[int, int]) -> Array:
-        """(K, 2) px: the corners, going round, of what is counted of a picture (H, W)."""
+        """Corners (K, 2) px, in order around it, of the region of an image (H, W) that is counted."""
         ...
 
     def to_ground(self, points: Array) -> Array:
-        """(N, 2) m on the bottom of points (N, 2) px."""
+        """Map points (N, 2) px to points (N, 2) m on the bottom."""
         ...
 
     def as_dict(self) -> dict[str, Any]:
-        """What it is, for records."""
+        """Return the scale as a dict, for records."""
         ...
 
 
 @dataclass(frozen=True)
 class PlainScale:
-    """A picture straight down, without a lens's distortion, of which a length is known."""
+    """Scale of an image taken straight down, without lens distortion, in which the size of a pixel is known."""
 
     mm_per_px: float
 
@@ -64,7 +64,7 @@ class PlainScale:
         _above_zero("--mm-per-px", self.mm_per_px, "millimetres")
 
     def fitted(self, shape: tuple[int, int]) -> PlainScale:
-        """Whatever its size."""
+        """Return the scale itself: it fits an image of any size."""
         return self
 
     def region(self, shape: tuple[int, int]) -> Array:
@@ -72,17 +72,17 @@ class PlainScale:
         return border(shape)
 
     def to_ground(self, points: Array) -> Array:
-        """Millimetres per pixel, everywhere."""
+        """Scale the points by the same factor everywhere."""
         return np.asarray(points, dtype=float) * self.mm_per_px * 1e-3
 
     def as_dict(self) -> dict[str, Any]:
-        """Kind and value."""
+        """Return kind and value."""
         return {"kind": "plain", "mm_per_px": self.mm_per_px}
 
 
 @dataclass(frozen=True)
 class AltitudeScale:
-    """A picture straight down, from so many metres above the bottom, by a calibrated camera."""
+    """Scale of an image taken straight down by a calibrated camera, from a known altitude above the bottom."""
 
     lens: Lens
     altitude_m: float
@@ -91,7 +91,7 @@ class AltitudeScale:
         _above_zero("--altitude", self.altitude_m, "metres")
 
     def fitted(self, shape: tuple[int, int]) -> AltitudeScale:
-        """With the lens of pictures of its size."""
+        """Return the scale with the lens resized to the image."""
         return replace(self, lens=self.lens.resized(shape[1], shape[0]))
 
     def region(self, shape: tuple[int, int]) -> Array:
@@ -99,11 +99,11 @@ class AltitudeScale:
         return border(shape)
 
     def to_ground(self, points: Array) -> Array:
-        """Rays to a plane at right angles to the axis."""
+        """Intersect the rays of the points with a plane perpendicular to the axis."""
         return self.lens.rays(np.asarray(points, dtype=float) - 0.5) * self.altitude_m
 
     def as_dict(self) -> dict[str, Any]:
-        """Kind, altitude and calibration."""
+        """Return kind, altitude and calibration."""
         lens = self.lens
         return {
             "kind": "altitude",
@@ -116,11 +116,11 @@ class AltitudeScale:
 
 
 class QuadratScale:
-    """A square of known size that lies on the bottom: a homography from its four corners, so that the picture may be
-    oblique. Only what lies in it is counted.
+    """Scale by a square of known size that lies on the bottom: a homography from its four corners, so that the image
+    may be oblique. Only oysters inside it are counted.
 
-    corners: (4, 2) px, in any order. Raises OptionError where the size is no length of a quadrat, and LabelError,
-    beginning with `where`, where they are no corners of a square seen from above.
+    corners: (4, 2) px, in any order. Raises OptionError if the size is not that of a quadrat, and LabelError, starting
+    with `where`, if the corners cannot be those of a square seen from above.
     """
 
     def __init__(self, size_m: float, corners: Array, where: str = "quadrat") -> None:
@@ -132,7 +132,7 @@ class QuadratScale:
         self._matrix = cv2.getPerspectiveTransform(self.corners.astype(np.float32), square.astype(np.float32))
 
     def fitted(self, shape: tuple[int, int]) -> QuadratScale:
-        """Its corners are of one picture, of any size. Raises LabelError where that shows too little of the quadrat."""
+        """Return the scale itself: its corners are of one image. Raises LabelError if that shows too little of it."""
         seen = polygon_area(self.region(shape)) / polygon_area(self.corners)
         if seen < LEAST_SEEN:
             raise LabelError(
@@ -142,7 +142,7 @@ class QuadratScale:
         return self
 
     def region(self, shape: tuple[int, int]) -> Array:
-        """The part of the quadrat that the picture shows; (0, 2) for none."""
+        """The part of the quadrat that the image shows; (0, 2) if it shows none."""
         height, width = shape
         whole = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float32)
         _, part = cv2.intersectConvexConvex(self.corners.astype(np.float32), whole)
@@ -156,20 +156,20 @@ class QuadratScale:
         return np.asarray(cv2.perspectiveTransform(given, self._matrix), dtype=float).reshape(-1, 2)
 
     def flattened(self, plane: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """(FLAT, FLAT) as seen from straight above, of a plane (H, W) of the picture; 0 where that does not reach."""
+        """Rectify a plane (H, W) of the image to the quadrat (FLAT, FLAT) seen from above; 0 outside the image."""
         to_flat = np.diag([FLAT / self.size_m, FLAT / self.size_m, 1.0]) @ self._matrix
-        # Of OpenCV, the middle of the first pixel lies at (0, 0).
+        # In OpenCV, the centre of the first pixel is at (0, 0).
         half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
         matrix = np.linalg.inv(half) @ to_flat @ half
         return np.asarray(cv2.warpPerspective(plane, matrix, (FLAT, FLAT), flags=cv2.INTER_NEAREST), dtype=np.uint8)
 
     def as_dict(self) -> dict[str, Any]:
-        """Kind, size and corners."""
+        """Return kind, size and corners."""
         return {"kind": "quadrat", "size_m": self.size_m, "corners_px": self.corners.tolist()}
 
 
 def check_quadrat(size_m: float) -> None:
-    """Raises OptionError for what is no side of a quadrat in metres."""
+    """Refuse a size that cannot be the side of a quadrat in metres. Raises OptionError."""
     _above_zero("--quadrat", size_m, "metres")
     if size_m > LARGEST_QUADRAT_M:
         unit, each = ("cm", 100) if size_m < 200 else ("mm", 1000)
@@ -180,7 +180,7 @@ def check_quadrat(size_m: float) -> None:
 
 
 def border(shape: tuple[int, int]) -> Array:
-    """(K, 2) px: points around a picture (H, W), close to each other, going round."""
+    """Points (K, 2) px, closely spaced along the border of an image (H, W), in order around it."""
     height, width = shape
     across = np.linspace(0, width, max(2, math.ceil(width / BORDER_PX) + 1))
     down = np.linspace(0, height, max(2, math.ceil(height / BORDER_PX) + 1))
@@ -194,26 +194,26 @@ def border(shape: tuple[int, int]) -> Array:
 
 
 def area_m2(scale: Scale, shape: tuple[int, int]) -> float:
-    """Of the bottom, of what is counted of a picture (H, W)."""
+    """Area of the bottom, m^2, in the region of an image (H, W) that is counted."""
     return polygon_area(scale.to_ground(scale.region(shape)))
 
 
 def polygon_area(corners: Array) -> float:
-    """Of a polygon (K, 2) that does not cross itself: the shoelace formula."""
+    """Area of a polygon (K, 2) that does not intersect itself, by the shoelace formula."""
     x, y = np.asarray(corners, dtype=float).reshape(-1, 2).T
     return abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))) / 2
 
 
 def length_and_width_mm(scale: Scale, hull: Array) -> tuple[float, float]:
-    """Sides of the smallest rectangle around an oyster on the bottom; hull: (N, 2) px."""
+    """Longer and shorter side, mm, of the smallest rectangle around an oyster on the bottom; hull: (N, 2) px."""
     ground = scale.to_ground(hull) * 1e3
     _, sides, _ = cv2.minAreaRect((ground - ground.mean(axis=0)).astype(np.float32))
     return max(sides), min(sides)
 
 
 def _going_round(corners: Array, where: str) -> Array:
-    """The same corners in the order in which one goes round them. Four points that each stick out have one such order,
-    up to where it begins and its sense, which neither areas nor lengths depend on."""
+    """Sort the corners into their order around the quadrat. The corners of a convex quadrilateral have only one, up to
+    its start and direction, on which neither areas nor lengths depend. Raises LabelError for anything else."""
     if corners.shape != (4, 2) or not np.isfinite(corners).all():
         raise LabelError(f"{where}: expected four corners x, y in px, got {corners.tolist()}")
     if corners.min() >= 0 and corners.max() <= 1:

@@ -1,4 +1,4 @@
-"""What lies at the paths that somebody gives: pictures, videos, and what is neither."""
+"""Files at the paths that a user gives: images, videos, and others."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ VIDEOS = (
     ".gif",
 )
 CONVERT = (".heic", ".heif", ".avif", ".dng", ".gpr", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2")
-"""Pictures that OpenCV cannot decode: said apart from what is no picture, so that nobody misses them."""
+"""Suffixes of images that OpenCV cannot decode: reported separately from other files, so that nobody misses them."""
 
 RESULTS = ("finished", "overlays")
-"""Folders in that of results (`store.Store`)."""
+"""Folders that mark a folder of results (`store.Store`)."""
 LABELS = ("masks", "instances", "ignore")
-"""Folders beside images/ whose pictures are labels (`annotations.folders`)."""
+"""Folders beside images/ whose images are labels (`annotations.folders`)."""
 
 LONGEST_NAME = 220
-"""Bytes of a file's name: results have names a little longer, and file systems allow 255."""
+"""Maximum length of a file name in bytes: results have slightly longer names, and file systems allow 255."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """A file of a picture or a video.
+    """An image or video file.
 
-    name: unlike that of any other: its path below the folder that all have in common. Pictures go without their
-    suffix, where that leaves them apart; a video keeps it, since its frames are named VIDEO/NUMBER.
+    name: unique: its path relative to the folder that all have in common. Images lose their suffix if they remain
+    unique; a video keeps it, since its frames are named VIDEO/NUMBER.
     """
 
     name: str
@@ -54,17 +54,17 @@ class Source:
 
 @dataclass(frozen=True)
 class Found:
-    """What lies at some paths.
+    """Files found at some paths.
 
     root:       the folder that all have in common
     sources:    in the order of their names
-    others:     files that are neither picture nor video
-    to_convert: pictures in formats that cannot be read
+    others:     files that are neither image nor video
+    to_convert: images in formats that cannot be read
     skipped:    folders of labels, or of results of another count
-    copies:     such pictures beside a readable one of their name, as cameras keep raw ones
-    misnamed:   pictures and videos whose names cannot be those of results
-    closed:     folders that may not be looked into
-    repeated:   other paths, and links, of files that are among the sources
+    copies:     images in such formats beside a readable one of the same name, as cameras store raw images
+    misnamed:   images and videos whose names cannot be used for results
+    closed:     folders that may not be read
+    repeated:   other paths and links to files that are among the sources
     """
 
     root: Path
@@ -78,7 +78,7 @@ class Found:
     repeated: tuple[Path, ...] = ()
 
     def unreadable(self) -> dict[str, str]:
-        """Name of what is to be converted, renamed or opened -> why it cannot be counted."""
+        """Name of each file or folder that must be converted, renamed or opened -> why it cannot be counted."""
         convert = "a format that cannot be read: save it as JPEG, PNG or TIFF"
         rename = f"expected a name in UTF-8 of at most {LONGEST_NAME} bytes: rename it"
         found = [(path, convert) for path in self.to_convert] + [(path, rename) for path in self.misnamed]
@@ -87,11 +87,11 @@ class Found:
 
 
 def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
-    """All pictures and videos at the paths: files, and folders with all that lies below them, by their suffix.
+    """Find all images and videos at the paths, by their suffix: files, and folders with everything below them.
 
-    leave_out: a folder that is not looked into, as that of the results; nor are links to folders, folders of labels
-    beside images/, and of results of other counts, whose pictures would be counted as further ones. Raises LabelError
-    where a path is not there or one of results, and where nothing is a picture or a video.
+    leave_out: a folder that is not searched, such as that of the results; nor are links to folders, folders of labels
+    beside images/, and results of other counts, whose images would be counted as well. Raises LabelError if a path does
+    not exist or is one of results, and if there is neither an image nor a video.
     """
     files: dict[Path, None] = {}  # in order, each once
     skipped: list[Path] = []
@@ -153,7 +153,7 @@ def _below(folder: Path, leave_out: Path | None, skipped: list[Path], closed: li
 
 
 def _misnamed(path: Path) -> bool:
-    """Whether results cannot be called so: its name or a folder's is too long, or no text, as from an old archive."""
+    """Whether results cannot have this name: a part of the path is too long, or no text, as from an old archive."""
     try:
         str(path).encode()
     except UnicodeEncodeError:
@@ -171,9 +171,9 @@ def _holds_results(path: Path) -> bool:
 
 def _kind(path: Path) -> str:
     suffix = path.suffix.lower()
-    if path.name.startswith("."):  # such as ._IMG.JPG, by which macOS keeps what other disks cannot
+    if path.name.startswith("."):  # such as ._IMG.JPG, in which macOS stores metadata on other file systems
         return "others"
-    if path.exists() and not path.is_file():  # a pipe, whose end never comes
+    if path.exists() and not path.is_file():  # such as a pipe, which may never end
         return "others"
     kinds = {"pictures": PICTURES, "videos": VIDEOS, "convert": CONVERT}
     return next((kind for kind, suffixes in kinds.items() if suffix in suffixes), "others")
@@ -187,7 +187,7 @@ def _pictures(files: Sequence[Path], root: Path) -> list[Source]:
     whole = {path: _name(path, root) for path in files}
     bare = {path: _name(path.with_suffix(""), root) for path in files}
     apart = Counter(bare.values())
-    # A name without its suffix may also be that of another file with it: a.jpg.tif beside a.jpg and a.png.
+    # A name without suffix may equal another file's name with suffix: a.jpg.tif beside a.jpg and a.png.
     kept = {whole[path] for path in files if apart[bare[path]] > 1}
     named = ((path, whole[path] if apart[bare[path]] > 1 or bare[path] in kept else bare[path]) for path in files)
     return [Source(name, path, False) for path, name in named]
@@ -205,7 +205,7 @@ def _nothing(paths: Sequence[Path], to_convert: Sequence[Path], others: Sequence
 
 
 def listed(paths: Sequence[Path], most: int = 3) -> str:
-    """Names of some files, and how many more there are.
+    """List the names of some files, and how many more there are.
 
     >>> listed([Path("a.txt"), Path("b.txt")], most=1)
     'a.txt and 1 more'

@@ -1,11 +1,11 @@
-"""The folder of counts: what is finished is kept picture by picture, so that the same command resumes from there.
+"""Folder of counts: finished work is stored image by image, so that the same command resumes from there.
 
 ```
-masks/NAME.png        16 bits: numbers of oysters, 0 for none; none where a method gives only boxes
-overlays/NAME.jpg     the picture with outlines
+masks/NAME.png        16 bits: numbers of oysters, 0 for none; no file if a method gives only boxes
+overlays/NAME.jpg     the image with outlines
 videos/NAME.mp4       overlays of the frames of a video
-finished/NAME.json    what is counted, and the digest of what it depends on; written last
-finished/VIDEO/.frames.json    which frames of a video are looked at, once all have been; .film: what its film is of
+finished/NAME.json    the count, and the digest of what it depends on; written last
+finished/VIDEO/.frames.json    which frames of a video are used, once all have been read; .film: key of its film
 ```
 """
 
@@ -24,11 +24,11 @@ from oysterbench.counting.copies import SIDE
 from oysterbench.counting.measure import OysterRow, PictureCount
 
 UNITS = 256
-"""Of a thumbnail as it is kept, in a grey level."""
+"""Units of a stored thumbnail per grey level."""
 
 
 class _Finished(msgspec.Struct, frozen=True):
-    """A picture that is counted. small: its thumbnail, in units of 1/256 grey level, little-endian; none of a frame."""
+    """Record of a counted image. small: thumbnail in units of 1/256 grey level, little-endian; empty for a frame."""
 
     key: str
     picture: PictureCount
@@ -37,7 +37,7 @@ class _Finished(msgspec.Struct, frozen=True):
 
 
 class _Frames(msgspec.Struct, frozen=True):
-    """The frames of a video that are looked at, as index and time in s, and why it may have ended before its time."""
+    """Record of the frames of a video that are used, as index and time in s, and why it ended early, if it did."""
 
     key: str
     frames: list[tuple[int, float]]
@@ -45,26 +45,26 @@ class _Frames(msgspec.Struct, frozen=True):
 
 
 class Store:
-    """A folder of counts. again: nothing in it counts as finished."""
+    """A folder of counts. again: treat nothing in it as finished."""
 
     def __init__(self, folder: Path, again: bool = False) -> None:
         self.folder, self.again = folder, again
 
     @property
     def begun(self) -> bool:
-        """Whether a count has kept something in it."""
+        """Whether a count has stored anything in it."""
         return (self.folder / "finished").is_dir()
 
     def mask(self, name: str) -> Path:
-        """Where the numbers of a picture's oysters are."""
+        """Path of the numbers of an image's oysters."""
         return self.folder / "masks" / f"{name}.png"
 
     def overlay(self, name: str) -> Path:
-        """Where a picture with outlines is."""
+        """Path of the overlay of an image."""
         return self.folder / "overlays" / f"{name}.jpg"
 
     def film(self, video: str) -> Path:
-        """Where the overlays of a video are."""
+        """Path of the film of a video's overlays."""
         return self.folder / "videos" / (video if video.lower().endswith(".mp4") else f"{video}.mp4")
 
     def write(
@@ -76,7 +76,7 @@ class Store:
         overlay: bytes,
         small: NDArray[np.float32] | None = None,
     ) -> None:
-        """Keep a picture, with its thumbnail (`copies`); what says that it is finished comes last."""
+        """Store a counted image, with its thumbnail (`copies`); the record that marks it as finished comes last."""
         self._record(picture.name).unlink(missing_ok=True)
         if numbers is not None:
             write_picture(self.mask(picture.name), numbers)
@@ -86,36 +86,36 @@ class Store:
         write_atomically(self._record(picture.name), content)
 
     def finished(self, name: str, key: str) -> PictureCount | None:
-        """The count of a picture, if it is there with that key, and with its overlay, and its mask, if it has one."""
+        """Count of an image, if it is stored with that key, its overlay, and its mask, if it has one; else None."""
         held = None if self.again else self._read(name)
         if held is None or held.key != key or not self.overlay(name).is_file():
             return None
         return held.picture if held.picture.cover is None or self.mask(name).is_file() else None
 
     def small(self, name: str) -> NDArray[np.float32] | None:
-        """The thumbnail of a picture that is finished, if it was kept."""
+        """Thumbnail of a finished image, if it was stored."""
         held = self._read(name)
         if held is None or len(held.small) != 2 * SIDE**2:
             return None
         return np.frombuffer(held.small, "<u2").reshape(SIDE, SIDE).astype(np.float32) / np.float32(UNITS)
 
     def others(self, names: Collection[str]) -> list[str]:
-        """Pictures and frames that are counted in it, and not among these names: of earlier counts."""
+        """Names of images and frames counted in it that are not among `names`: those of earlier counts."""
         folder = self.folder / "finished"
         found = (path.relative_to(folder).as_posix().removesuffix(".json") for path in sorted(folder.rglob("*.json")))
         return [name for name in found if name not in names and not Path(name).name.startswith(".")]
 
     def oysters(self, name: str) -> list[OysterRow]:
-        """Of a picture that is finished."""
+        """Oysters of a finished image; empty if there is none."""
         held = self._read(name)
         return [] if held is None else held.oysters
 
     def write_frames(self, video: str, key: str, frames: Sequence[tuple[int, float]], failure: str) -> None:
-        """Keep which frames of a video are looked at."""
+        """Store which frames of a video are used."""
         write_atomically(self._frames(video), msgspec.json.encode(_Frames(key, list(frames), failure)))
 
     def frames(self, video: str, key: str) -> tuple[list[tuple[int, float]], str] | None:
-        """Frames of a video that was read to its end, and why that came early, if it did."""
+        """Frames of a video that has been read, and why it ended early, if it did; None if there is no such record."""
         if self.again:
             return None
         try:
@@ -125,12 +125,12 @@ class Store:
         return (held.frames, held.failure) if held.key == key else None
 
     def film_is_of(self, video: str, key: str) -> bool:
-        """Whether the film of a video is there, made of what the key says."""
+        """Whether the film of a video exists, and was made from what the key stands for."""
         held = self._film_key(video)
         return self.film(video).is_file() and held.is_file() and held.read_text(encoding="utf-8") == key
 
     def write_film_key(self, video: str, key: str) -> None:
-        """Keep what a film was made of."""
+        """Store the key of what a film was made from."""
         write_atomically(self._film_key(video), key.encode())
 
     def _record(self, name: str) -> Path:
@@ -145,5 +145,5 @@ class Store:
     def _read(self, name: str) -> _Finished | None:
         try:
             return msgspec.json.decode(self._record(name).read_bytes(), type=_Finished)
-        except (OSError, msgspec.DecodeError):  # not there, or another version's
+        except (OSError, msgspec.DecodeError):  # missing, or from another version
             return None

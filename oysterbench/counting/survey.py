@@ -1,4 +1,4 @@
-"""All that is known of a set of pictures: totals, means with intervals, warnings."""
+"""Results over a set of images: totals, means with intervals, warnings."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from oysterbench.hub.model import Figure
 from oysterbench.results.records import plain
 
 PARTS = "connected parts of a mask, not separate oysters"
-"""What is counted where a method gives only masks."""
+"""Description of what is counted if a method gives only masks."""
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A mean over pictures. value and interval of `ratio` are in the unit."""
+    """A mean over images. Value and interval of `ratio` are in `unit`."""
 
     key: str
     heading: str
@@ -35,10 +35,10 @@ class Measure:
 
 @dataclass(frozen=True)
 class Survey:
-    """title: what was counted; method: its name; measures: those of which something is known; neighbours: pictures that
-    are a block, where that was given; alike: correlation of neighbouring blocks, NaN where they do not look alike;
-    accuracy, figures: how far the method counts off on pictures that somebody labelled, where that is known; doubts: in
-    all counts, a sentence each; at_least: size of what counts, in words, empty for any."""
+    """Results of a survey. title: what was counted; method: its name; measures: those with a value; neighbours: number
+    of images in a block, if given; alike: correlation of neighbouring blocks, NaN if they are not correlated; accuracy,
+    figures: counting error of the method on labelled images, if known; doubts: warnings about all counts, a sentence
+    each; at_least: minimum size of what counts, in words, empty for none."""
 
     title: str
     method: str
@@ -54,37 +54,37 @@ class Survey:
 
     @property
     def unlike(self) -> list[PictureCount]:
-        """Pictures that are warned of, the most unlike first."""
+        """Images unlike the training data, the most unlike first."""
         return sorted((one for one in self.pictures if one.unlike), key=lambda one: -(one.novelty or 0.0))
 
     @property
     def novelty_known(self) -> bool:
-        """Whether the method says of any picture how unlike it is."""
+        """Whether the method gives a novelty for any image."""
         return any(one.novelty is not None for one in self.pictures)
 
     @property
     def oysters(self) -> int:
-        """Counted in all pictures, each picture anew."""
+        """Number of oysters over all images, each image counted separately."""
         return sum(one.oysters for one in self.pictures)
 
     @property
     def small(self) -> int:
-        """Not counted, since they are too small."""
+        """Number of oysters that are not counted, since they are too small."""
         return sum(one.small for one in self.pictures)
 
     @property
     def parts(self) -> bool:
-        """Whether what is counted are connected parts of masks, and not separate oysters."""
+        """Whether connected parts of masks are counted, and not separate oysters."""
         return any(one.parts for one in self.pictures)
 
     @property
     def area_m2(self) -> float:
-        """Of what is counted, over all pictures; 0 without a scale."""
+        """Area of the counted regions over all images, m^2; 0 without a scale."""
         return math.fsum(one.area_m2 or 0.0 for one in self.pictures)
 
     @property
     def block(self) -> str:
-        """What was resampled, in words."""
+        """Description of what was resampled, in words."""
         if self.neighbours is not None and self.neighbours > 1:
             return f"blocks of {self.neighbours} neighbours"
         if any(one.video for one in self.pictures) and self.neighbours is None:
@@ -92,7 +92,7 @@ class Survey:
         return "images"
 
     def as_plain(self) -> dict[str, Any]:
-        """For JSON; null where there is no number."""
+        """Return the survey as a JSON-compatible dict; null where there is no number."""
         measures = {
             one.key: {
                 "value": one.ratio.value,
@@ -143,8 +143,8 @@ def survey(
     copies: Sequence[tuple[str, str]] = (),
     quadrat_m2: float = math.nan,
 ) -> Survey:
-    """Of pictures in the order of their names, and frames in that of their times. scale: its kind, empty for none;
-    least: what they were counted with; copies, quadrat_m2: see `doubts`."""
+    """Summarise counts of images, in the order of their names, and frames, in that of their times. scale: its kind,
+    empty for none; least: minimum size that was used; copies, quadrat_m2: see `doubts`."""
     labels = block_labels(pictures, neighbours)
     noun = "image" if len(labels) == len(np.unique(labels)) else "block"
 

@@ -1,4 +1,4 @@
-"""Tables that people bring: a number or several for each picture, as corners of quadrats, or altitudes."""
+"""Tables supplied by users: one or more numbers for each image, such as corners of quadrats, or altitudes."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ PICTURE = "picture"
 
 @dataclass(frozen=True)
 class PictureTable:
-    """Numbers by the name of a picture, of a frame of a video, or of a video, which is for all its frames.
+    """Numbers by the name of an image, of a frame of a video, or of a video, which apply to all its frames.
 
-    unused: rows that name none of the sources
+    unused: names in the table that match none of the sources
     """
 
     path: Path
@@ -28,15 +28,16 @@ class PictureTable:
     unused: tuple[str, ...] = ()
 
     def of(self, source: Source, name: str) -> tuple[float, ...] | None:
-        """Of a picture or frame of a source, if there are any."""
+        """Numbers of an image or frame of a source; None if there are none."""
         return self.rows.get(name, self.rows.get(source.name))
 
 
 def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) -> PictureTable:
-    """A CSV of `picture` and further columns of numbers; with semicolons, commas may be decimal, as spreadsheets write.
+    """Read a CSV with the column `picture` and further columns of numbers. If it is separated by semicolons, commas may
+    be decimal, as spreadsheets write them.
 
-    A picture is called by its name, as pictures.csv has it, or by that of its file where only one has it; a frame by
-    VIDEO/NUMBER. Raises LabelError by line.
+    An image is identified by its name, as in pictures.csv, or by that of its file if it is unique; a frame by
+    VIDEO/NUMBER. Raises LabelError naming the line.
     """
     try:
         text = path.read_bytes().decode("utf-8-sig")
@@ -72,8 +73,8 @@ def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) ->
 
 
 class _Names:
-    """By what the images and videos may be called in a table. Letters with marks are the same whether they are one
-    character or several, as files from macOS have them."""
+    """Names that images and videos may have in a table. Letters with diacritics match whether they are one character or
+    several, as in file names from macOS."""
 
     def __init__(self, sources: Sequence[Source]) -> None:
         self._own = {_composed(one.name): one.name for one in sources}
@@ -85,7 +86,8 @@ class _Names:
                 self._files.setdefault(called, []).append(one.name)
 
     def find(self, said: str, where: str) -> str | None:
-        """The name by which it is known here; None where there is none."""
+        """Return the name of the source or frame that is meant; None if there is none. Raises LabelError if several
+        images have that name."""
         said = _composed(said)
         video, _, frame = said.rpartition("/")
         if video in self._videos:

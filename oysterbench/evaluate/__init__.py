@@ -1,1 +1,1 @@
-"""Evaluators: estimate and truth in, result out."""
+"""Evaluators: each scores an estimate against the ground truth."""

@@ -1,16 +1,16 @@
-"""What a sequence may be like: numbers to plot errors against, and classes to group sequences by."""
+"""Conditions of a sequence: numbers to plot errors against, and classes to group sequences by."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 STRATA = ("difficulty", "disturbance", "water", "light", "density", "motion")
-"""The conditions that are classes; each sequence is in one class of each that its split states."""
+"""The conditions that are classes; a sequence belongs to one class of each condition that its split states."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """How a condition is written: a name and a unit; empty for a class or a plain number."""
+    """How a condition is displayed: its name and unit; the unit is empty for a class or a plain number."""
 
     name: str
     unit: str = ""

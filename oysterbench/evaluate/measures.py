@@ -1,4 +1,4 @@
-"""The numbers of an evaluation while they are gathered."""
+"""Containers for the values of an evaluation, finished or still being collected."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Score:
-    """Values by keys of a track's metrics; NaN where there is none, with the reason in `reasons`."""
+    """Values by metric key of a track; NaN where a metric has no value, with the reason in `reasons`."""
 
     metrics: Mapping[str, float]
     reasons: Mapping[str, str]
@@ -16,7 +16,7 @@ class Score:
 
 @dataclass
 class Measures:
-    """Values by key, with the reason for each that is NaN, and what should be said about them."""
+    """Values by key, the reason for each value that is NaN, and notes for the reader."""
 
     values: dict[str, float] = field(default_factory=dict)
     reasons: dict[str, str] = field(default_factory=dict)
@@ -29,13 +29,13 @@ class Measures:
         return self.values[key]
 
     def missing(self, reason: str, *keys: str) -> None:
-        """Values that cannot be had."""
+        """Set values that cannot be computed to NaN, and record the reason."""
         for key in keys:
             self.values[key] = float("nan")
             self.reasons[key] = reason
 
     def ratio(self, key: str, top: float, bottom: float, reason: str) -> None:
-        """top / bottom, or nothing for that reason where there is nothing below."""
+        """Set a value to top / bottom, or to NaN with the given reason unless bottom is positive."""
         if bottom > 0:
             self.values[key] = top / bottom
         else:

@@ -1,4 +1,4 @@
-"""What is said of a metric, and which metrics a track shows."""
+"""Descriptions of metrics, and which metrics a track shows."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Column:
-    """How a metric stands in a narrow column: its heading, and the line below it (a unit, most often).
+    """How a metric is shown in a narrow column: its heading, and the line below it (usually a unit).
 
-    digits: decimals; one more is shown where a value lies below `small`
-    factor: from the value to the number shown: 100 for a share in %
+    digits: decimals; one more is shown for values below `small`
+    factor: multiplies the value to give the number shown: 100 for a share in %
     """
 
     heading: str
@@ -25,16 +25,16 @@ class Column:
 
 @dataclass(frozen=True)
 class Metric:
-    """One number of a result: everything that a table, a report and the board say of it.
+    """One number of a result, with everything that a table, a report and the board say about it.
 
     definition: one sentence
-    heading:    of a table's column where there is room
-    unit:       as written behind the number; empty where it has none
-    better:     the direction of improvement; empty for what describes the sequence or the run
-    weight:     key of the metric that weighs sequences in a mean over them: that of the denominator of a ratio, so
-                that the mean is the ratio over the whole data set; empty where every sequence has one vote
-    column:     where there is little room; heading and unit where not given
-    limits:     least and greatest value, where better and unit do not say them (`range`)
+    heading:    column heading in a table with enough room
+    unit:       as written after the number; empty where there is none
+    better:     the direction of improvement; empty for a number that describes the sequence or the run
+    weight:     key of the metric that weights sequences in a mean over them: the denominator of a ratio, so that the
+                mean is the ratio over the whole data set; empty where all sequences have equal weight
+    column:     used where there is little room; default: heading and unit
+    limits:     minimum and maximum value, where `better` and `unit` do not imply them (`range`)
     """
 
     definition: str
@@ -48,7 +48,7 @@ class Metric:
 
     @property
     def range(self) -> tuple[float, float]:
-        """Least and greatest value that can be: errors are not below 0, and what has no unit is a share of 1."""
+        """Minimum and maximum possible value: errors are at least 0, and a value without a unit is a share of 1."""
         if self.limits is not None:
             return self.limits
         if not self.better:
@@ -67,12 +67,12 @@ class Metric:
 
     @property
     def small(self) -> float:
-        """Below it, a table shows one decimal more."""
+        """Value below which a table shows one decimal more."""
         return self.column.small if self.column else 0.1
 
     @property
     def factor(self) -> float:
-        """From the value to the number that a table shows."""
+        """Factor that converts the value to the number shown in a table."""
         return self.column.factor if self.column else Column.factor
 
 
@@ -83,34 +83,34 @@ def higher(
     weight: str = "",
     limits: tuple[float, float] | None = None,
 ) -> Callable[[str], Metric]:
-    """A metric of which greater is better, once called with its definition: `higher("Recall")("Share of ...")`."""
+    """Return a function that makes a greater-is-better metric of a definition: `higher("Recall")("Share of ...")`."""
     return lambda text: Metric(text, heading, unit=unit, better="higher", weight=weight, column=column, limits=limits)
 
 
 def lower(heading: str, unit: str = "", column: Column | None = None, weight: str = "") -> Callable[[str], Metric]:
-    """A metric of which less is better; see `higher`."""
+    """Return a function that makes a lower-is-better metric of a definition; see `higher`."""
     return lambda text: Metric(text, heading, unit=unit, better="lower", weight=weight, column=column)
 
 
 def neutral(heading: str, unit: str = "", column: Column | None = None, weight: str = "") -> Callable[[str], Metric]:
-    """A metric that has no better direction; see `higher`."""
+    """Return a function that makes a metric without a better direction of a definition; see `higher`."""
     return lambda text: Metric(text, heading, unit=unit, weight=weight, column=column)
 
 
 @dataclass(frozen=True)
 class TrackMetrics:
-    """The metrics of a track by their key, and which are shown.
+    """The metrics of a track by their key, and which of them are shown where.
 
     title:    of the track
-    table:    those of one line per method and sequence, the one that ranks first
-    standing: those of the standings, beside rank, score and interval
-    beside:   the one that is shown beside the one that ranks, over conditions and over runs
-    failed:   the values of a run without a scored estimate: it answers nothing, and its errors do not exist
-    costs:    those of what a run cost, behind `table` where any run has them
-    wide:     those of both that a terminal leaves out where it is too narrow: the others fit into 80 characters
-    errors:   those of both without a bound, which one lost sequence would decide alone: over sequences, the median over
-              those that are not lost (`oysterbench.results.lost`) stands for them
-    lost_below: of the one that ranks: a sequence that scores less is lost. None where a track has no such thing
+    table:    metrics in a table with one line per method and sequence; the first is the ranking metric
+    standing: metrics in the standings, beside rank, score and interval
+    beside:   the metric shown beside the ranking one, over conditions and over runs
+    failed:   values of a run without a scored estimate: it answers nothing, and its errors do not exist
+    costs:    metrics of what a run cost, shown after `table` where any run has them
+    wide:     metrics of `table` and `costs` that a narrow terminal leaves out: the others fit into 80 characters
+    errors:   metrics of both that are unbounded, so that a single lost sequence would dominate their mean: over
+              sequences they are given as the median over those that are not lost (`oysterbench.results.lost`)
+    lost_below: value of the ranking metric below which a sequence is lost; None for a track without this notion
     """
 
     title: str

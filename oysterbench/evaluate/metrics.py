@@ -1,4 +1,4 @@
-"""What is measured: name, unit, direction and definition of every metric that a result may hold, of every track."""
+"""Name, unit, direction and definition of every metric that a result of any track may contain."""
 
 from __future__ import annotations
 
@@ -25,13 +25,14 @@ FAILED = {name: track.failed for name, track in TRACKS.items()}
 """Track -> the values of a run without a scored estimate."""
 
 SPEEDS = ("realtime_factor", "cpu_s_per_s", "steps_per_s", "pictures_per_s")
-"""What a failed run has not, whatever it cost: nothing that it got through can be scored."""
+"""Metrics that a failed run does not have, whatever it cost: nothing that it processed can be scored."""
 
 
 def find_metric(key: str, track: str = "") -> Metric | None:
-    """The metric of that key, of that track where it has one (each has its own coverage), else of the first that has.
+    """Find the metric with this key in the given track, or else in the first track that has it; None if none does.
 
-    Those over another time, path, angle, share or class than the listed are found too.
+    The track matters, as each has its own coverage, for example. Metrics over another time, path length, angle, share
+    or class than the listed ones are found too.
     """
     first = [TRACKS[track]] if track in TRACKS else []
     listed = (each.metrics[key] for each in (*first, *TRACKS.values()) if key in each.metrics)

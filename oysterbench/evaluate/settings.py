@@ -1,4 +1,4 @@
-"""Settings of an evaluator: fields of a frozen dataclass that carry what they allow, and are checked when made."""
+"""Base of evaluator settings: frozen dataclasses whose fields state what they allow, checked on construction."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from oysterbench.core.errors import OysterbenchError
 
 @dataclass(frozen=True)
 class EvaluatorSettings:
-    """What all evaluators' settings have in common. A bad value raises `error`, with key, what is allowed and value."""
+    """Base class of all evaluators' settings. An invalid value raises `error`, naming key, allowed values and value."""
 
     error: ClassVar[type[OysterbenchError]]
 
@@ -30,31 +30,31 @@ class EvaluatorSettings:
                 self.refuse(key.name, key.metadata["expected"], value)
 
     def refuse(self, key: str, expected: str, value: Any) -> None:
-        """Raise the error for a value."""
+        """Raise `error` for an invalid value."""
         raise self.error(f"evaluator setting {key!r}: expected {expected}, got {value!r}")
 
     def as_dict(self) -> dict[str, Any]:
-        """The settings for JSON."""
+        """The settings as a JSON-compatible dict."""
         return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
 
 
 def setting(default: Any, expected: str, allows: Callable[[Any], bool]) -> Any:
-    """A field: its default, what it expects in words, and whether it allows a value."""
+    """Declare a field: its default, what it expects in words, and a predicate that tells whether a value is allowed."""
     return field(default=default, metadata={"expected": expected, "allows": allows})
 
 
 def positive(default: float, unit: str) -> Any:
-    """A finite number above 0."""
+    """Declare a field for a finite number above 0."""
     return setting(default, f"more than 0 {unit}", lambda value: is_number(value) and 0 < value < math.inf)
 
 
 def share(default: float, most: float) -> Any:
-    """A number above 0, up to `most`."""
+    """Declare a field for a number above 0, up to `most`."""
     return setting(default, f"more than 0, up to {most:g}", lambda value: is_number(value) and 0 < value <= most)
 
 
 def whole(default: int | None, least: int) -> Any:
-    """A whole number from `least`; None too where that is the default."""
+    """Declare a field for an integer of at least `least`; None is allowed too if it is the default."""
     return setting(
         default,
         f"a whole number from {least}",
@@ -66,7 +66,7 @@ def whole(default: int | None, least: int) -> Any:
 
 
 def edges(*default: float) -> Any:
-    """Numbers above 0, each greater than the one before: between classes."""
+    """Declare a field for class boundaries: numbers above 0, each greater than the one before."""
     return setting(
         default,
         "rising numbers above 0",
@@ -75,5 +75,5 @@ def edges(*default: float) -> Any:
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is a number, and not one that is none."""
+    """Whether a value is an int or a float, but neither a bool nor NaN."""
     return isinstance(value, int | float) and not isinstance(value, bool) and not math.isnan(value)

@@ -1,13 +1,13 @@
 """Statistics over runs and sequences: means with intervals, and paired comparisons of methods.
 
-A sample is one metric of one method: for each sequence the values of its runs, NaN where a run has none. Every
-sequence has one vote, the mean of its runs. What is asked is how the method does on sequences like these, so sequences
-are resampled, each with all its runs: their scatter already holds that of the runs. Resampling runs as well would count
-the runs' scatter twice (Davison & Hinkley 1997, section 3.8): on synthetic data such 95 % intervals held the mean in 97
-to 99 % of cases, these in 95 %.
+A sample is one metric of one method: for each sequence the values of its runs, NaN where a run has none. Each sequence
+has equal weight, with the mean of its runs as its value. The question is how the method performs on sequences like
+these, so sequences are resampled, each with all its runs: their scatter already contains that of the runs. Resampling
+runs as well would count the runs' scatter twice (Davison & Hinkley 1997, section 3.8): on synthetic data such 95 %
+intervals contained the mean in 97 to 99 % of cases, these in 95 %.
 
-A ratio of sums over a data set, such as IoU, is the mean of the sequences' ratios weighed by their denominators. Where
-weights are given, "mean" is that mean, and resamples carry the weights along with the values.
+A ratio of sums over a data set, such as IoU, is the mean of the sequences' ratios weighted by their denominators. Where
+weights are given, "mean" is that mean, and each resampled value keeps its weight.
 """
 
 from __future__ import annotations
@@ -31,21 +31,22 @@ Sample = Mapping[str, Sequence[float]]
 Verdict = Literal["better", "worse", "not significantly different"]
 
 LEVEL = 0.95
-"""Of every interval, and of every statement that one method is better than another."""
+"""Confidence level of every interval, and of every statement that one method is better than another."""
 
 RESAMPLES = 10_000
 
 TIE = 1e-9
-"""Of a value: what differs by less is equal, by the last digits of its computation."""
+"""Relative difference below which two values are equal: they differ by rounding errors."""
 
 LEAST_SEQUENCES = 6
-"""The mean of a symmetric population lies in the whole range of n values with probability 1 - 2^(1 - n): 6 is the first
-n for which this passes 95 %. With fewer, no resampling of the values can carry that level."""
+"""Minimum number of sequences for an interval. The mean of a symmetric population lies within the range of n values
+with probability 1 - 2^(1 - n): 6 is the first n for which this exceeds 95 %. With fewer, no resampling of the values
+can reach that level."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Where the mean lies at `LEVEL`: low and high, or NaN with the reason why it cannot be said."""
+    """Confidence interval at `LEVEL`: low and high, or NaN with the reason why there is none."""
 
     low: float
     high: float
@@ -59,14 +60,14 @@ class Interval:
 
 @dataclass(frozen=True)
 class Summary:
-    """One metric of one method; NaN where there is no value, with the reason in `reason`.
+    """Summary of one metric of one method; NaN where there is no value, with the reason in `reason`.
 
     sequences, runs:    how many have a value; of_sequences, of_runs: how many there are
     mean, median:       over sequences, of the means of their runs
-    low, high:          least and greatest of these
+    low, high:          smallest and largest of these means
     sequence_deviation: their standard deviation; NaN for fewer than two
-    run_deviation:      standard deviation of runs on one sequence, pooled over sequences; NaN where none has two
-    interval:           of the mean, over sequences
+    run_deviation:      standard deviation of the runs on a sequence, pooled over sequences; NaN if none has two runs
+    interval:           confidence interval of the mean over sequences
     """
 
     sequences: int
@@ -85,11 +86,11 @@ class Summary:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Method a against method b over the sequences on which both have a value.
+    """Comparison of method a with method b over the sequences on which both have a value.
 
     difference: mean of a minus b, in the metric's unit; NaN where they share no sequence
-    wins, ties, losses: on how many sequences a is better than, equal to, worse than b
-    verdict:    about a; "not significantly different" too where there is no interval, with the reason in `interval`
+    wins, ties, losses: number of sequences on which a is better than, equal to, worse than b
+    verdict:    on a; also "not significantly different" if there is no interval, with the reason in `interval`
     """
 
     sequences: int
@@ -102,7 +103,8 @@ class Comparison:
 
 
 def sequence_means(sample: Sample) -> dict[str, float]:
-    """The mean of the runs of each sequence that has a value, by name in order: results do not depend on theirs."""
+    """Mean over the runs of each sequence that has a value, by name. Sorted, so that results do not depend on the order
+    of the sample."""
     means = {}
     for name in sorted(sample):
         values = [float(value) for value in sample[name] if not math.isnan(value)]
@@ -112,14 +114,14 @@ def sequence_means(sample: Sample) -> dict[str, float]:
 
 
 def sequence_weights(sample: Sample, weights: Sample | None) -> dict[str, float]:
-    """The weight of each sequence that has a value: the mean of its runs' weights; 1 where none are given."""
+    """Weight of each sequence that has a value: the mean of its runs' weights; 1 if no weights are given."""
     if weights is None:
         return dict.fromkeys(sequence_means(sample), 1.0)
     return {name: math.fsum(weights[name]) / len(weights[name]) for name in sequence_means(sample)}
 
 
 def weighed_means(sample: Sample, weights: Sample | None) -> dict[str, float]:
-    """As `sequence_means`, the runs of a sequence weighed by their own weights; alike where these are all 0."""
+    """As `sequence_means`, but with the runs of a sequence weighted by their weights; equally if these are all 0."""
     if weights is None:
         return sequence_means(sample)
     means = sequence_means(sample)
@@ -132,16 +134,16 @@ def weighed_means(sample: Sample, weights: Sample | None) -> dict[str, float]:
 
 
 def mean_over_sequences(sample: Sample, weights: Sample | None = None) -> float:
-    """The mean of `summarise` alone; NaN where no run has a value."""
+    """Only the mean of `summarise`; NaN if no run has a value."""
     means = np.array(list(weighed_means(sample, weights).values()))
     shares = None if weights is None else np.array(list(sequence_weights(sample, weights).values()))
     return mean_of(means, shares) if len(means) else math.nan
 
 
 def summarise(sample: Sample, weights: Sample | None = None) -> Summary:
-    """Mean, median, spread and interval of a metric. An empty sample has none of them, and says so.
+    """Compute mean, median, spread and interval of a metric. For an empty sample all are NaN, with the reason.
 
-    weights: of the values, shaped like the sample; the mean, and its interval, are then weighed by them.
+    weights: of the values, shaped like the sample; the mean and its interval are then weighted by them.
 
     Examples
     --------
@@ -172,14 +174,14 @@ def summarise(sample: Sample, weights: Sample | None = None) -> Summary:
 
 
 def bootstrap_interval(values: Array, weights: Array | None = None) -> Interval:
-    """Interval of the mean of values (n,), one per sequence, by resampling them, with their weights (n,) if given.
+    """Bootstrap interval of the mean of values (n,), one per sequence, with their weights (n,) if given.
 
-    Percentiles of the bootstrap are too near each other for small n, by the factor sqrt((n - 1) / n) and by normal in
-    place of t quantiles; they are taken at Phi(-sqrt(n / (n - 1)) t_(n - 1)) instead (Hesterberg 2015, the expanded
-    percentile interval). Measured: the mean of normal values is held in 92 % of cases for n = 6 and in 95 % from 10 on;
-    of values as skewed as a standard lognormal in 88 % for n = 20. The score, within 0 and 1, is not that skewed.
+    For small n, bootstrap percentiles are too close together, by the factor sqrt((n - 1) / n) and by using normal
+    instead of t quantiles; they are taken at Phi(-sqrt(n / (n - 1)) t_(n - 1)) instead (Hesterberg 2015, the expanded
+    percentile interval). Measured coverage of the mean: for normal values 92 % at n = 6 and 95 % from n = 10; for
+    values as skewed as a standard lognormal 88 % at n = 20. The score, between 0 and 1, is not that skewed.
 
-    The resamples are a named stream: equal values give the equal interval.
+    The resamples are drawn from a named random stream: equal values give equal intervals.
     """
     n = len(values)
     if n < LEAST_SEQUENCES:
@@ -189,27 +191,27 @@ def bootstrap_interval(values: Array, weights: Array | None = None) -> Interval:
 
 @lru_cache(maxsize=8192)
 def _interval_of(values: tuple[float, ...], weights: tuple[float, ...] | None) -> Interval:
-    """Every page of a site that compares a method asks for its intervals again."""
+    """`bootstrap_interval` with a cache: every page of a site that compares a method asks for its intervals again."""
     means = _resampled_means(np.array(values), None if weights is None else np.array(weights))
     return resampled_interval(means, len(values))
 
 
 def _resampled_means(values: Array, weights: Array | None) -> Array:
-    """(RESAMPLES,) means; the plain one where the weights of a resample are all 0."""
+    """Means (RESAMPLES,) of resampled values (n,); unweighted where the weights of a resample are all 0."""
     return np.asarray(
         _resampled_rows(values[None], None if weights is None else weights[None], _weights(len(values)))[0]
     )
 
 
 def resample_counts(n: int) -> Array | None:
-    """(RESAMPLES, n): how often each of n sequences is in each resample; None where n is too small for an interval."""
+    """(RESAMPLES, n): how often each resample contains each of n sequences; None if n is too small for an interval."""
     return None if n < LEAST_SEQUENCES else np.round(_weights(n) * n)
 
 
 def resampled_interval(values: Array, n: int) -> Interval:
-    """Interval of a statistic from its values (R,) in resamples of n sequences: expanded percentiles.
+    """Interval of a statistic from its values (R,) over resamples of n sequences: expanded percentiles.
 
-    Resamples in which it does not exist (NaN) are left out; where it does in fewer than half, there is no interval.
+    Resamples in which it is undefined (NaN) are left out; if it is defined in fewer than half, there is no interval.
     """
     known = values[~np.isnan(values)]
     if len(known) < len(values) / 2:
@@ -220,26 +222,26 @@ def resampled_interval(values: Array, n: int) -> Interval:
 
 @lru_cache(maxsize=64)
 def _tails(n: int) -> tuple[float, float]:
-    """Between which quantiles of the resamples of n sequences the mean lies: expanded percentiles (Hesterberg 2015)."""
+    """Quantiles of the resamples of n sequences that bound the interval: expanded percentiles (Hesterberg 2015)."""
     tail = float(scipy.special.ndtr(-math.sqrt(n / (n - 1)) * scipy.special.stdtrit(n - 1, 0.5 + LEVEL / 2)))
     return tail, 1 - tail
 
 
 def _settled(value: float) -> float:
-    """Without the digits in which processors differ over the order of a sum."""
+    """Round to 12 significant digits: processors differ in the others, by the order of summation."""
     return float(f"{value:.12g}")
 
 
 @lru_cache(maxsize=32)
 def _weights(n: int) -> Array:
-    """(RESAMPLES, n): share of each of n values in each resample."""
+    """(RESAMPLES, n): share of each of n values in each resample, from a named random stream."""
     chosen = stream(0, b"", "statistics", "bootstrap", n).integers(0, n, (RESAMPLES, n))
     places = chosen + n * np.arange(RESAMPLES)[:, None]
     return np.bincount(places.ravel(), minlength=RESAMPLES * n).reshape(RESAMPLES, n) / n
 
 
 def too_few(sequences: int, noun: str = "sequence") -> str:
-    """Why so few sequences have no interval."""
+    """State why so few sequences have no interval."""
     return (
         f"{sequences} {noun}{'' if sequences == 1 else 's'}: no {LEVEL:.0%} interval is possible with fewer than "
         f"{LEAST_SEQUENCES}"
@@ -249,10 +251,10 @@ def too_few(sequences: int, noun: str = "sequence") -> str:
 def compare(
     a: Sample, b: Sample, better: Literal["lower", "higher"], weights: tuple[Sample, Sample] | None = None
 ) -> Comparison:
-    """Paired comparison: the interval is that of the difference of the means on the same sequences.
+    """Compare two methods pairwise: the interval is that of the difference of their means over the same sequences.
 
-    Sequences on which only one has a value are left out; their number is the caller's to show. For the score there are
-    none, since a failed run scores 0. Two ratios over a data set have weights each of its own.
+    Sequences on which only one has a value are left out; it is up to the caller to show how many. For the score there
+    are none, since a failed run scores 0. weights: of a and of b, as each ratio over a data set has its own.
 
     Examples
     --------
@@ -287,7 +289,7 @@ def compare(
 
 
 def _weighed_difference(a: Array, b: Array, weights_a: Array, weights_b: Array) -> tuple[float, Interval]:
-    """Difference of two weighed means over the same sequences (n,), and its interval, from the same resamples."""
+    """Difference of two weighted means over the same sequences (n,), and its interval, from the same resamples."""
     difference = _difference(mean_of(a, weights_a), mean_of(b, weights_b))
     if len(a) < LEAST_SEQUENCES:
         return difference, Interval(math.nan, math.nan, too_few(len(a)))
@@ -295,8 +297,8 @@ def _weighed_difference(a: Array, b: Array, weights_a: Array, weights_b: Array) 
 
 
 def bootstrap_intervals(values: Array, weights: Array | None = None) -> Array:
-    """(R, 2) low and high of the means of R rows of values (R, n), NaN where a row has none: `bootstrap_interval` of
-    each row's values that are not NaN, with their weights (R, n) if given."""
+    """Intervals (R, 2), low and high, of the means of R rows of values (R, n): `bootstrap_interval` of each row's
+    values that are not NaN, with their weights (R, n) if given. NaN for a row without an interval."""
     found = np.full((len(values), 2), math.nan)
     for rows, known, drawn in _by_known(values):
         means = _resampled_rows(values[rows][:, known], None if weights is None else weights[rows][:, known], drawn)
@@ -307,15 +309,15 @@ def bootstrap_intervals(values: Array, weights: Array | None = None) -> Array:
 def significant_signs(
     one: Array, others: Array, weights: Array | None = None, weights_of_others: Array | None = None
 ) -> Array:
-    """(R,) sign of the mean of values `one` (n,) less that of each row of `others` (R, n): 0 where `compare` finds no
-    significant difference. NaN where there is no value; weights shaped like the values, for all or none."""
+    """Signs (R,) of the mean of `one` (n,) minus that of each row of `others` (R, n): 0 where `compare` finds no
+    significant difference. Missing values are NaN; weights are shaped like the values, given for both or neither."""
     signs = np.zeros(len(others))
     for rows, known, drawn in _by_known(np.where(np.isnan(one), math.nan, others)):
         a, b = one[known], others[rows][:, known]
         if weights is None or weights_of_others is None:
             equal = np.abs(a - b) <= TIE * np.maximum(np.abs(a), np.abs(b))
             differences = np.where(equal, 0.0, a - b)
-            # Differences of one sign have resamples of that sign, all but those that drew zeros alone.
+            # Where all differences have the same sign, so have all resamples: nothing to compute.
             unclear = (differences <= 0).any(axis=1) & (differences >= 0).any(axis=1)
             signs[rows] = np.sign(differences.sum(axis=1))
             rows, resampled = rows[unclear], differences[unclear] @ drawn.T
@@ -327,8 +329,9 @@ def significant_signs(
 
 
 def _by_known(values: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.bool_], Array]]:
-    """Rows of values (R, n) that have a value in the same columns, these columns (n,), and shares (RESAMPLES, k) of
-    each of them in each resample; rows with too few for an interval are left out."""
+    """Group rows of values (R, n) by which columns have a value. Yield the indices of a group's rows, these columns
+    (n,) bool, and the shares (RESAMPLES, k) of each of the k columns in each resample; groups with too few columns for
+    an interval are left out."""
     missing = np.isnan(values)
     patterns, which = missing[:1], np.zeros(len(values), int)
     if missing.any():
@@ -340,7 +343,7 @@ def _by_known(values: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.bool
 
 
 def _quantiles(values: Array, shares: Sequence[float]) -> Array:
-    """(R, len(shares)) quantiles of each row (R, n), interpolated as by `np.quantile`, but along the memory."""
+    """Quantiles (R, len(shares)) of each row (R, n), interpolated as in `np.quantile`, but along contiguous memory."""
     places = [share * (values.shape[1] - 1) for share in shares]
     kept = [place for at in places for place in (math.floor(at), math.ceil(at))]
     ordered = np.partition(values, sorted(set(kept)), axis=1)
@@ -349,7 +352,7 @@ def _quantiles(values: Array, shares: Sequence[float]) -> Array:
 
 
 def _resampled_rows(values: Array, weights: Array | None, drawn: Array) -> Array:
-    """(R, RESAMPLES) means of values (R, n); the plain one where the weights of a resample are all 0."""
+    """Means (R, RESAMPLES) of resampled values (R, n); unweighted where the weights of a resample are all 0."""
     plain: Array = values @ drawn.T
     if weights is None:
         return plain
@@ -358,10 +361,10 @@ def _resampled_rows(values: Array, weights: Array | None, drawn: Array) -> Array
 
 
 def _signs_off_zero(resampled: Array, n: int) -> Array:
-    """(R,) sign of what each row (R, RESAMPLES), resampled over n sequences, has an interval of; 0 where it holds 0.
+    """Sign (R,) of the interval of each row (R, RESAMPLES), resampled over n sequences; 0 where it contains 0.
 
-    A quantile lies between two neighbours of the sorted values: where both have one sign, so has it, and counting is
-    enough. Only where zero falls between just these two is it computed.
+    A quantile lies between two neighbouring sorted values: if both have the same sign, so does the quantile, and
+    counting is enough. It is computed only where zero falls between these two.
     """
     tails = _tails(n)
     neighbour = math.floor(tails[0] * (resampled.shape[1] - 1))
@@ -374,19 +377,19 @@ def _signs_off_zero(resampled: Array, n: int) -> Array:
 
 
 def _difference(a: float, b: float) -> float:
-    """a - b, zero where only the last digits differ: one estimate, written in two ways, is a tie with itself."""
+    """a - b, or zero where only the last digits differ: an estimate written in two ways ties with itself."""
     return 0.0 if math.isclose(a, b, rel_tol=TIE) else a - b
 
 
 def mean_of(values: Array, weights: Array | None = None) -> float:
-    """The plain mean, too, where all weights are 0: there is nothing to choose by."""
+    """Weighted mean of values (n,); the plain mean without weights, or if all of them are 0."""
     if weights is None or not weights.any():
         return math.fsum(values) / len(values)
     return math.fsum(values * weights) / math.fsum(weights)
 
 
 def _pooled_deviation(runs: Sequence[Sequence[float]]) -> float:
-    """Standard deviation of runs about the mean of their sequence."""
+    """Standard deviation of runs about the mean of their sequence, pooled over sequences; NaN if none has two runs."""
     several = [np.array(values) for values in runs if len(values) > 1]
     if not several:
         return math.nan

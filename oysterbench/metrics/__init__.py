@@ -1,7 +1,7 @@
-"""Each metric as a function of its own, of files, arrays or poses; plain Python numbers come back.
+"""Metrics as functions of files, arrays or poses, which return plain Python numbers.
 
-They are the evaluators' own: `ate(truth, estimate)` is the `ate_rmse_m` of a result, to the last digit. `table()` lists
-all metrics that a result may hold.
+They are computed by the evaluators: `ate(truth, estimate)` is the `ate_rmse_m` of a result, to the last digit.
+`table()` lists all metrics that a result may contain.
 
 >>> import oysterbench
 >>> oysterbench.metrics.count_mae([12, 7], [11, 9])
@@ -11,7 +11,7 @@ trajectories    ate, ate_rotation, rpe, rpe_rotation, drift, velocity_error, sca
 masks           iou, dice, precision, recall, boundary_iou, image_iou
 single oysters  average_precision, average_recall, panoptic_quality, count_mae, count_rmse, count_bias
 steering        oysterbench.metrics.steering: accuracy, balanced_accuracy, macro_f1, skill, ...
-over sequences  summarise (mean with interval), compare (who is better)
+over sequences  summarise (mean with interval), compare (which method is better)
 """
 
 from oysterbench.evaluate.statistics import compare, summarise

@@ -1,7 +1,7 @@
 """Metrics of single oysters, each a function of the true and the estimated ones.
 
-truth, estimate: planes (H, W) of integers, a number for each oyster and 0 for none, one for each picture; or
-`oysterbench.evaluate.detection.ImageInstances`, which may hold boxes instead. They are matched by pycocotools:
+truth, estimate: for each image a plane (H, W) of integers, a number for each oyster and 0 for none; or
+`oysterbench.evaluate.detection.ImageInstances`, which may have boxes instead. They are matched by pycocotools:
 pip install 'oysterbench[score]'.
 """
 
@@ -30,28 +30,28 @@ def average_precision(
     kind: Literal["mask", "box"] = "mask",
     overlap: Literal[50, 75] | None = None,
 ) -> float:
-    """Average precision as COCO has it, over the 300 surest estimates of each picture.
+    """Average precision as defined by COCO, over the 300 most confident estimates of each image.
 
     Parameters
     ----------
     truth, estimate : (H, W) or (N, H, W) array of int, or a list of (H, W) or ImageInstances
-        The oysters of each picture, by number; 0 is none.
+        The oysters of each image, by number; 0 is none.
     scores : list of dict of int to float, optional
-        Of each picture: how sure each estimated oyster is, by its number; all alike by default.
+        For each image, the confidence of each estimated oyster by its number; all equal by default.
     kind : {"mask", "box"}
         What is matched.
     overlap : {50, 75}, optional
-        % of intersection over union from which on an estimate is right; the mean over 50, 55, ..., 95 by default.
+        Minimum intersection over union, in %, of a match; by default, the mean over 50, 55, ..., 95.
 
     Returns
     -------
     float
-        0 to 1; NaN where there is no oyster in the truth.
+        0 to 1; NaN if there is no oyster in the truth.
 
     Raises
     ------
     oysterbench.core.errors.LabelError
-        They are not of one size and number, or pycocotools is not installed.
+        Truth and estimate differ in size or number of images, or pycocotools is not installed.
 
     Examples
     --------
@@ -71,7 +71,7 @@ def average_precision(
 def average_recall(
     truth: Planes, estimate: Planes, scores: Scores | None = None, kind: Literal["mask", "box"] = "mask"
 ) -> float:
-    """Recall of all estimates, the mean over overlaps of 50, 55, ..., 95 %; parameters as of `average_precision`.
+    """Recall of all estimates, the mean over overlaps of 50, 55, ..., 95 %; parameters as for `average_precision`.
 
     Examples
     --------
@@ -85,8 +85,8 @@ def average_recall(
 
 
 def panoptic_quality(truth: Planes, estimate: Planes, scores: Scores | None = None) -> float:
-    """Panoptic quality of the class oyster (Kirillov et al. 2019): the overlaps of all matches by the number of matches
-    and half of all that have none; parameters as of `average_precision`.
+    """Panoptic quality of the class oyster (Kirillov et al. 2019): the sum of the overlaps of all matches over the
+    number of matches plus half the number of unmatched oysters; parameters as for `average_precision`.
 
     Examples
     --------
@@ -100,17 +100,17 @@ def panoptic_quality(truth: Planes, estimate: Planes, scores: Scores | None = No
 
 
 def count_mae(truth: Counts, estimate: Counts) -> float:
-    """Mean absolute error of the number of oysters in a picture.
+    """Mean absolute error of the number of oysters in an image.
 
     Parameters
     ----------
     truth, estimate : (N,) numbers
-        Of oysters in each of N pictures.
+        Number of oysters in each of N images.
 
     Raises
     ------
     oysterbench.core.errors.LabelError
-        They are not as many, or none.
+        Truth and estimate differ in length, or are empty.
 
     Examples
     --------
@@ -122,7 +122,7 @@ def count_mae(truth: Counts, estimate: Counts) -> float:
 
 
 def count_rmse(truth: Counts, estimate: Counts) -> float:
-    """Root mean square error of the number of oysters in a picture; parameters as of `count_mae`.
+    """Root mean square error of the number of oysters in an image; parameters as for `count_mae`.
 
     Examples
     --------
@@ -134,8 +134,7 @@ def count_rmse(truth: Counts, estimate: Counts) -> float:
 
 
 def count_bias(truth: Counts, estimate: Counts) -> float:
-    """Mean error of the number of oysters in a picture, above 0 where too many are counted; parameters as of
-    `count_mae`.
+    """Mean error of the number of oysters in an image, above 0 for overcounting; parameters as for `count_mae`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What can be measured, as a table."""
+"""Table of all metrics."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def table(track: str | None = None) -> pd.DataFrame:
-    """Every metric that a result may hold.
+    """List every metric that a result may contain.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def table(track: str | None = None) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        Indexed by track and key: heading, unit, better (higher, lower or nothing), definition.
+        Indexed by track and key: heading, unit, better (higher, lower or empty), definition.
 
     Examples
     --------

@@ -1,11 +1,11 @@
 """Metrics of masks, each a function of the true and the estimated ones.
 
-truth: (H, W) bool, or 0 and 1: where there is an oyster; or several, as (N, H, W) or one after the other.
-estimate: the same, or probabilities from 0 to 1, called oyster from `threshold` on.
-ignore: of the shape of truth, pixels that nobody is asked about.
+truth: mask (H, W) of the oysters, bool or 0 and 1; or several, as (N, H, W) or an iterable.
+estimate: the same, or probabilities from 0 to 1, which count as oyster from `threshold` on.
+ignore: of the shape of truth, pixels that are not scored.
 
-Of several pictures the pixels are counted together, as over a data set: never a mean over pictures, but of `image_iou`.
-Tensors on the processor are arrays, too.
+The pixels of several images are counted together, as over a data set, never averaged over images, except by
+`image_iou`. CPU tensors are accepted as arrays.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ Masks = ArrayLike | Iterable[ArrayLike]
 
 
 def iou(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: float = 0.5) -> float:
-    """Intersection over union of the oysters, over all pictures together; 1 where neither has any.
+    """Intersection over union of the oysters, over all images together; 1 if neither has any.
 
     Parameters
     ----------
     truth : (H, W) or (N, H, W) array of bool, or several of (H, W)
-        Where there is an oyster.
+        True masks of the oysters.
     estimate : the same, or probabilities from 0 to 1
-        Where there is said to be one.
+        Estimated masks.
     ignore : as truth, optional
-        Pixels that nobody is asked about.
+        Pixels that are not scored.
     threshold : float
-        Of probabilities.
+        Minimum probability that counts as oyster.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def iou(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: f
     Raises
     ------
     oysterbench.core.errors.LabelError
-        They are not of one size and number, or neither masks nor probabilities.
+        The arguments differ in size or number, or are neither masks nor probabilities.
 
     Examples
     --------
@@ -61,7 +61,7 @@ def iou(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: f
 
 
 def dice(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: float = 0.5) -> float:
-    """Twice the intersection by the sum of both areas (F1 of the pixels); parameters as of `iou`.
+    """Twice the intersection over the sum of both areas (F1 of the pixels); parameters as for `iou`.
 
     Examples
     --------
@@ -73,7 +73,7 @@ def dice(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: 
 
 
 def precision(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: float = 0.5) -> float:
-    """Share (0 to 1) of the pixels called oyster that are; NaN where none is called so; parameters as of `iou`.
+    """Share (0 to 1) of the pixels predicted as oyster that are; NaN if there are none; parameters as for `iou`.
 
     Examples
     --------
@@ -85,7 +85,7 @@ def precision(truth: Masks, estimate: Masks, ignore: Masks | None = None, thresh
 
 
 def recall(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: float = 0.5) -> float:
-    """Share (0 to 1) of the oysters' pixels that are called so; NaN where there is none; parameters as of `iou`.
+    """Share (0 to 1) of the oyster pixels that are predicted as such; NaN if there are none; parameters as for `iou`.
 
     Examples
     --------
@@ -99,12 +99,12 @@ def recall(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold
 def boundary_iou(
     truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: float = 0.5, share: float = 0.02
 ) -> float:
-    """Intersection over union of the masks' borders (Cheng et al. 2021); further parameters as of `iou`.
+    """Intersection over union of the masks' borders (Cheng et al. 2021); other parameters as for `iou`.
 
     Parameters
     ----------
     share : float
-        Of the picture's diagonal: how deep a border is, one pixel at least.
+        Depth of a border as a share of the image's diagonal, at least one pixel.
 
     Examples
     --------
@@ -118,7 +118,7 @@ def boundary_iou(
 
 
 def image_iou(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: float = 0.5) -> float:
-    """Mean over pictures of their intersection over union, each picture with one vote; parameters as of `iou`.
+    """Mean over images of their intersection over union, all weighted equally; parameters as for `iou`.
 
     Examples
     --------
@@ -147,7 +147,7 @@ def _metric(key: str, truth: Masks, estimate: Masks, ignore: Masks | None, thres
 
 
 def _pictures(masks: Masks) -> Iterator[NDArray[Any]]:
-    """One after the other, each (H, W)."""
+    """Yield the images one by one, each (H, W)."""
     if isinstance(masks, list | tuple) and masks and np.ndim(masks[0]) < 2:
         masks = np.asarray(masks)
     if hasattr(masks, "ndim") or hasattr(masks, "__array__"):

@@ -1,8 +1,9 @@
 """Metrics of trajectories, each a function of the true and the estimated poses.
 
 truth, estimate: poses (`oysterbench.Trajectory`), or files of them. settings: fields of `SlamSettings`, such as
-`align="se3"`; by default translation and yaw are fitted, as they are free where gravity is known. NaN where there is no
-sample: `oysterbench.score(truth, estimate).reasons` says why. Several metrics of one pair are had faster from that.
+`align="se3"`; by default translation and yaw are fitted, which are free where gravity is known. A metric is NaN where
+there is no sample: `oysterbench.score(truth, estimate).reasons` says why. For several metrics of one pair, that is
+faster as well.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ def ate(truth: Poses, estimate: Poses, **settings: Any) -> float:
     Returns
     -------
     float
-        m, over the truth stamps that the estimate answers; see `coverage` for how many these are.
+        m, over the truth stamps that the estimate covers; see `coverage` for how many these are.
 
     Raises
     ------
     oysterbench.core.errors.TrajectoryError
-        Both have no time in common, or no motion that would align them.
+        The two do not overlap in time, or their motion does not determine the alignment.
 
     Examples
     --------
@@ -53,7 +54,7 @@ def ate(truth: Poses, estimate: Poses, **settings: Any) -> float:
 
 
 def ate_rotation(truth: Poses, estimate: Poses, **settings: Any) -> float:
-    """Root mean square angle between true and aligned estimated attitudes, deg; parameters as of `ate`.
+    """Root mean square angle between true and aligned estimated attitudes, deg; parameters as for `ate`.
 
     Examples
     --------
@@ -77,16 +78,16 @@ def rpe(truth: Poses, estimate: Poses, delta: float = 1.0, unit: Unit = "s", **s
     truth, estimate : Trajectory or path
         Poses of the body.
     delta : float
-        How far two poses of a pair are apart.
+        Distance between the two poses of a pair.
     unit : {"s", "m", "deg", "frames"}
-        Of delta: time, true path, truly turned angle, or matched poses.
+        Unit of delta: time, true path length, true angle turned, or number of matched poses.
     **settings
         Fields of `oysterbench.SlamSettings`, such as ``rpe_pairs="consecutive"``.
 
     Returns
     -------
     float
-        m; NaN where no two poses are so far apart.
+        m; NaN if no two poses are that far apart.
 
     Examples
     --------
@@ -102,7 +103,7 @@ def rpe(truth: Poses, estimate: Poses, delta: float = 1.0, unit: Unit = "s", **s
 
 
 def rpe_rotation(truth: Poses, estimate: Poses, delta: float = 1.0, unit: Unit = "s", **settings: Any) -> float:
-    """Relative pose error: root mean square angle of the relative motions' errors, deg; parameters as of `rpe`.
+    """Relative pose error: root mean square angle of the relative motions' errors, deg; parameters as for `rpe`.
 
     Examples
     --------
@@ -119,9 +120,9 @@ def rpe_rotation(truth: Poses, estimate: Poses, delta: float = 1.0, unit: Unit =
 
 
 def drift(truth: Poses, estimate: Poses, **settings: Any) -> float:
-    """Mean relative translation error over segments, % of their length (Geiger et al. 2012); parameters as of `ate`.
+    """Mean relative translation error over segments, % of their length (Geiger et al. 2012); parameters as for `ate`.
 
-    Segments are of 10, 20, 30, 40 and 50 % of the true path, or of the lengths that `subpath_m` says.
+    Segments have lengths of 10, 20, 30, 40 and 50 % of the true path, or those given by `subpath_m`.
 
     Examples
     --------
@@ -137,7 +138,7 @@ def drift(truth: Poses, estimate: Poses, **settings: Any) -> float:
 
 
 def velocity_error(truth: Poses, estimate: Poses, **settings: Any) -> float:
-    """Root mean square error of the mean velocity over `velocity_step_s`, m/s; parameters as of `ate`.
+    """Root mean square error of the mean velocity over `velocity_step_s`, m/s; parameters as for `ate`.
 
     Examples
     --------
@@ -153,7 +154,7 @@ def velocity_error(truth: Poses, estimate: Poses, **settings: Any) -> float:
 
 
 def scale_error(truth: Poses, estimate: Poses, **settings: Any) -> float:
-    """Median error of the scale of segments, %; parameters as of `ate`.
+    """Median error of the scale of segments, %; parameters as for `ate`.
 
     Examples
     --------
@@ -169,7 +170,7 @@ def scale_error(truth: Poses, estimate: Poses, **settings: Any) -> float:
 
 
 def coverage(truth: Poses, estimate: Poses, **settings: Any) -> float:
-    """Share (0 to 1) of the truth stamps that the estimate answers; parameters as of `ate`.
+    """Share (0 to 1) of the truth stamps that the estimate covers; parameters as for `ate`.
 
     Examples
     --------
@@ -184,8 +185,8 @@ def coverage(truth: Poses, estimate: Poses, **settings: Any) -> float:
 
 
 def trajectory_score(truth: Poses, estimate: Poses, **settings: Any) -> float:
-    """The score that ranks (0 to 1): the mean over all truth stamps of 1 / (1 + e / e0), 0 where there is no answer,
-    with e the position error and e0 1 % of the true path; parameters as of `ate`.
+    """Score that ranks methods (0 to 1): the mean over all truth stamps of 1 / (1 + e / e0), 0 where there is no
+    estimate, with e the position error and e0 1 % of the true path; parameters as for `ate`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Labelled sets in the formats of those who train networks, a file per format: `export_set` writes one as a folder."""
+"""Export of labelled sets for training networks, with one module per format: `export_set` writes them as a folder."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ SET_FORMATS = {
     "webdataset": "WebDataset: tar shards of images, classes, instances and JSON, with a card for Hugging Face",
     "parquet": "Hugging Face: a data-set card (README.md) and Parquet shards (needs oysterbench[parquet])",
 }
-"""Formats of labelled pictures, and what they are: each is the module of its name, `write(parts, folder, step)`."""
+"""Formats of labelled images -> their descriptions; each is a module of that name with a function `write` (`Write`)."""
 
 Progress = Callable[[int, int], None]
-"""Called with what is done, and what there is to do."""
+"""Called with the number of images done, and their total."""
 
 Write = Callable[[str, Parts, Path, Callable[[], None]], list[str]]
-"""Fills a folder with the parts of a set of a name, tells of each picture, and returns what there is to say."""
+"""Writes the parts of a set of a given name to a folder, calls a function after each image, and returns notes."""
 
 
 def export_set(
@@ -33,12 +33,12 @@ def export_set(
     out: str | os.PathLike[str],
     progress: Progress = lambda done, total: None,
 ) -> tuple[Path, list[str]]:
-    """Write labelled sets in a format (`SET_FORMATS`) as the folder `out`, which is there whole or not at all.
+    """Write labelled sets in a format (`SET_FORMATS`) as the folder `out`, atomically.
 
-    Which part (train, val, test) an image is of: as its own set says; else by the set's name where that ends in -train,
-    -val or -test; else train. The same sets give the same bytes. Returns the folder and what there is to say about it.
-    Raises LabelError where `out` is there already, or two images have one name, and MissingExtraError where a format
-    needs what is not installed, and MachineError where it will not fit on the disk.
+    The part of an image (train, val, test) is as its set states; else by the set's name if that ends in -train, -val or
+    -test; else train. The same sets give the same bytes. Returns the folder and notes about it. Raises LabelError if
+    `out` already has content, or two images have the same name, MissingExtraError if a format needs a package that is
+    not installed, and MachineError if the export will not fit on the disk.
     """
     if form not in SET_FORMATS:
         raise LabelError(f"unknown format {form!r}; formats: {', '.join(SET_FORMATS)}")

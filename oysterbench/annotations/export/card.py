@@ -1,4 +1,4 @@
-"""The card of a data set for Hugging Face: README.md, whose front matter says what `datasets` finds where."""
+"""Data-set card for Hugging Face: README.md, whose front matter tells `datasets` where to find what."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from oysterbench.recipe import CLASSES
 from oysterbench.version import VERSION
 
 SPLITS = {TRAIN: "train", VAL: "validation", TEST: "test"}
-"""Parts -> what Hugging Face calls them."""
+"""Part -> its name on Hugging Face."""
 
 SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 LARGEST = "1M<n<10M"
@@ -32,11 +32,11 @@ for sample in webdataset.WebDataset("data/{part}-00000.tar", shardshuffle=False)
     instances = Image.open(io.BytesIO(sample["instance.png"]))  # 16 bits, as decoders to RGB do not keep
     facts = json.loads(sample["json"])""",
 }
-"""Format -> how it is read."""
+"""Format -> code that reads it."""
 
 
 def write_card(folder: Path, name: str, parts: Parts, objects: Mapping[str, int], form: str) -> None:
-    """README.md. objects: how many are labelled, by part."""
+    """Write README.md. objects: number of labelled objects by part."""
     suffix = {"parquet": "parquet", "webdataset": "tar"}[form]
     total = sum(map(len, parts.values()))
     size = next((label for limit, label in SIZES if total < limit), LARGEST)

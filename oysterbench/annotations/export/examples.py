@@ -1,4 +1,4 @@
-"""The images of sets as exports take them: divided into parts, named for files, their pictures as they were stored."""
+"""Images of sets prepared for export: divided into parts, with file names, and their image files as stored."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from oysterbench.sequence.pictures import encoded_pictures, png_bytes
 
 TRAIN, VAL, TEST = "train", "val", "test"
 Parts = dict[str, list[Entry]]
-"""Part -> its images, in order; only those that have some."""
+"""Part -> its images, in order; only parts that have some."""
 
 SUFFIXES = {"jpeg": "jpg", "png": "png"}
 
 
 @dataclass(frozen=True)
 class Example:
-    """An image as it is written. key: its name, for files; suffix, data: the picture as an image file."""
+    """An image to be written. key: its name for files; suffix, data: suffix and content of its image file."""
 
     key: str
     image: LabelledImage
@@ -39,8 +39,8 @@ class Example:
     data: bytes
 
     def objects(self) -> list[dict[str, Any]]:
-        """What is labelled one by one: number, class, box [x, y, width, height] px, area in px, and of oysters whether
-        they are live or dead; unknown where nobody says."""
+        """Objects that are labelled individually: number, class, box [x, y, width, height] px, area in px, and state:
+        live or dead for oysters, unknown for others and where it is not known."""
         instances, classes = self.image.instances, self.image.classes
         found = []
         for number in np.unique(instances[instances > 0]).tolist():
@@ -61,17 +61,17 @@ class Example:
         return found
 
     def conditions(self) -> str:
-        """What it was taken in, as a JSON object."""
+        """Conditions in which the image was taken, as a JSON object."""
         return json.dumps(dict(self.image.conditions), sort_keys=True)
 
     def planes(self) -> dict[str, NDArray[Any]]:
-        """Classes uint8, instances uint16, and where nothing may be said (255), each (H, W)."""
+        """Planes (H, W): classes uint8, instances uint16, and ignore uint8, 255 for pixels to be ignored."""
         ignore = np.where(self.image.ignore, 255, 0).astype(np.uint8)
         return {"class": self.image.classes, "instance": self.image.instances, "ignore": ignore}
 
 
 def parted(sets: Sequence[LabelledSet]) -> Parts:
-    """The images by part; train, val and test first. Raises LabelError where two have one name for files."""
+    """Divide the images into parts, train, val and test first. Raises LabelError if two have the same file name."""
     found: Parts = {TRAIN: [], VAL: [], TEST: []}
     for one in sets:
         own = next((part for part in (TRAIN, VAL, TEST) if one.name.endswith(f"-{part}")), TRAIN)
@@ -90,7 +90,7 @@ def parted(sets: Sequence[LabelledSet]) -> Parts:
 
 
 def key_of(name: str) -> str:
-    """The name of an image as that of a file: no folders and no dots, which WebDataset cuts names at.
+    """File name of an image: without folders, and without dots, at which WebDataset splits names.
 
     >>> key_of("mini-01/cam_front/1767225600000000000")
     'mini-01_cam_front_1767225600000000000'
@@ -99,7 +99,7 @@ def key_of(name: str) -> str:
 
 
 def examples(entries: Sequence[Entry]) -> Iterator[Example]:
-    """Each image, read, with its picture: as the bytes that it is stored as where they show the same, else as PNG."""
+    """Read each image, with its image file: the stored bytes if they decode to the same pixels, else a PNG."""
     for entry in entries:
         image = entry.read()
         suffix, data = _stored(entry, image) or ("png", png_bytes(image.pixels))
@@ -107,8 +107,8 @@ def examples(entries: Sequence[Entry]) -> Iterator[Example]:
 
 
 def _stored(entry: Entry, image: LabelledImage) -> tuple[str, bytes] | None:
-    """Suffix and bytes of the picture as its set keeps it; None where these show another, as where a viewer is asked to
-    turn them."""
+    """Suffix and bytes of the image file in its set; None if it decodes to other pixels, as when EXIF asks the viewer
+    to rotate it."""
     file = entry.files[0]
     if file.suffix == ".mcap":
         camera, stamp = entry.name.rsplit("/", 2)[1:]
@@ -128,5 +128,5 @@ def _opened(file: Path) -> OpenSequence:
 
 
 def rendered(parts: Parts) -> bool:
-    """Whether all of it comes out of sequences, and none of it is anybody's photographs."""
+    """Whether all images come from sequences, and none are photographs."""
     return all(entry.files[0].suffix == ".mcap" for entries in parts.values() for entry in entries)

@@ -1,6 +1,6 @@
-"""Hugging Face: README.md, the data set's card, and data/PART-00000.parquet and on, which `datasets` opens with types.
+"""Hugging Face: README.md, the data-set card, and data/PART-00000.parquet and on, which `datasets` opens with types.
 
-Pictures and planes are images in the columns, as files of their form; the schema carries what `datasets` reads them by.
+Images and planes are image files in the columns; the metadata of the schema tells `datasets` how to read them.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from oysterbench.recipe import CLASSES
 from oysterbench.sequence.pictures import png_bytes
 
 SHARD_BYTES = 300_000_000
-"""At which a shard is full; before compression."""
+"""Size at which a shard is full, before compression."""
 ROWS = 32
-"""Of a row group, which is what a reader holds at least."""
+"""Rows of a row group, the least that a reader loads at once."""
 STATES = ("unknown", "live", "dead")
 
 PICTURES = ("image", "class", "instance", "ignore")
 
 
 def write(name: str, parts: Parts, folder: Path, step: Callable[[], None], shard_bytes: int = SHARD_BYTES) -> list[str]:
-    """Shards and card. Raises MissingExtraError without pyarrow."""
+    """Write shards and card. Raises MissingExtraError without pyarrow."""
     try:
         import pyarrow as arrow
         from pyarrow import parquet
@@ -64,7 +64,7 @@ def write(name: str, parts: Parts, folder: Path, step: Callable[[], None], shard
 
 
 def _rows(entries: Sequence[Entry], step: Callable[[], None]) -> Iterator[list[dict[str, Any]]]:
-    """Some rows at a time, as many as go into a row group."""
+    """Yield the rows of one row group at a time."""
     made = examples(entries)
     while batch := list(islice(made, ROWS)):
         rows = []
@@ -75,7 +75,7 @@ def _rows(entries: Sequence[Entry], step: Callable[[], None]) -> Iterator[list[d
 
 
 def row_of(example: Example) -> dict[str, Any]:
-    """A row, as Python values."""
+    """Make the row of an image, as Python values."""
     image = example.image
     height, width = image.classes.shape
     numbers = {name: number for number, name in CLASSES.items()}
@@ -100,7 +100,7 @@ def row_of(example: Example) -> dict[str, Any]:
 
 
 def _schema(arrow: Any) -> Any:
-    """Of the columns, with the features of `datasets` among its metadata."""
+    """Schema of the columns, with the features of `datasets` in its metadata."""
     picture = arrow.struct([("bytes", arrow.binary()), ("path", arrow.string())])
     found = arrow.struct(
         [
@@ -120,7 +120,7 @@ def _schema(arrow: Any) -> Any:
 
 
 def _features() -> dict[str, Any]:
-    """As `datasets.Features.to_dict` has them."""
+    """Features in the form of `datasets.Features.to_dict`."""
     text, whole = {"dtype": "string", "_type": "Value"}, {"dtype": "int32", "_type": "Value"}
     found = {
         "id": whole,

@@ -1,6 +1,6 @@
-"""WebDataset: data/PART-00000.tar and on, each image a run of files KEY.image.jpg, KEY.class.png, and so on.
+"""WebDataset: data/PART-00000.tar and on, each image as consecutive files KEY.image.jpg, KEY.class.png, and so on.
 
-`webdataset` and `datasets` read them as streams. The tars hold no time, owner or mode of this machine.
+`webdataset` and `datasets` read them as streams. The tar files contain no time, owner or mode of this machine.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from oysterbench.annotations.export.examples import Example, Parts, examples
 from oysterbench.sequence.pictures import png_bytes
 
 SHARD_BYTES = 300_000_000
-"""At which a tar is full: a few are held at a time by who reads them in parallel."""
+"""Size at which a tar file is full: parallel readers hold a few at a time."""
 
 
 def write(name: str, parts: Parts, folder: Path, step: Callable[[], None], shard_bytes: int = SHARD_BYTES) -> list[str]:
-    """Shards and card."""
+    """Write shards and card."""
     data = folder / "data"
     data.mkdir()
     notes, objects = [], {}
@@ -40,7 +40,7 @@ def write(name: str, parts: Parts, folder: Path, step: Callable[[], None], shard
 
 
 def files_of(example: Example) -> dict[str, bytes]:
-    """What a sample holds: extension -> bytes."""
+    """Files of a sample: extension -> bytes."""
     height, width = example.image.classes.shape
     facts = {
         "id": example.image.name,
@@ -56,7 +56,7 @@ def files_of(example: Example) -> dict[str, bytes]:
 
 @contextmanager
 def _shards(folder: Path, part: str, shard_bytes: int) -> Iterator[Callable[[str, dict[str, bytes]], None]]:
-    """To add samples to the tars of a part, of which a new one begins where one is full."""
+    """Provide a function that adds samples to the tar files of a part, starting a new one when one is full."""
     number, written, tar = -1, shard_bytes, None
 
     def add(key: str, files: dict[str, bytes]) -> None:

@@ -1,7 +1,7 @@
 """YOLO: data.yaml, images/PART/ and labels/PART/, once with polygons (segment/) and once with boxes (detect/).
 
 One class, oyster. A line is `0 x1 y1 x2 y2 ...`, or `0 x y width height` about the centre, in fractions of width and
-height. An oyster that others cut into pieces is one polygon, whose pieces are joined by slits of no width.
+height. An oyster that others divide into pieces is one polygon, whose pieces are joined by slits of zero width.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from oysterbench.core.polygons import mask_polygons
 from oysterbench.core.streams import stream
 
 SEGMENT, DETECT = "segment", "detect"
-VAL_SHARE = 0.2  # of the clips, where no set for validation was given
-DIGITS = 7  # of a fraction: a hundredth of a pixel in pictures of 100 000 px
+VAL_SHARE = 0.2  # of the clips, if no set for validation was given
+DIGITS = 7  # of a fraction: a hundredth of a pixel in images of 100 000 px
 
 
 def write(name: str, parts: Parts, folder: Path, step: Callable[[], None]) -> list[str]:
-    """Both folders; a picture is one file under two names where the disk can do that."""
+    """Write both folders; an image is one file under two names (a hard link) if the file system supports that."""
     parts, notes = with_val(parts)
     ignored = 0
     for part, entries in parts.items():
@@ -55,15 +55,15 @@ def write(name: str, parts: Parts, folder: Path, step: Callable[[], None]) -> li
 
 
 def with_val(parts: Parts) -> tuple[Parts, list[str]]:
-    """The parts with one for validation, for which whole clips of train are taken where there is none, or the last
-    images where each is a clip of its own; and what there is to say of that. Clips are drawn by their names, so that
-    the same clips give the same parts."""
+    """Return the parts with one for validation, and notes about it. If there is none, it takes whole clips of train, or
+    the last images if there is only one clip, or each image is one. Clips are drawn by their names, so that the same
+    clips give the same parts."""
     if VAL in parts or TRAIN not in parts:
         return parts, []
     entries = parts[TRAIN]
     clips = sorted({entry.clip for entry in entries})
     if len(clips) == len(entries) > 1:
-        # Neighbours by name, as frames of one film are, at least stay together.
+        # At least neighbours by name, such as frames of a video, stay together.
         entries = sorted(entries, key=lambda entry: entry.name)
         held = entries[math.ceil((1 - VAL_SHARE) * len(entries)) :] or entries[-1:]
         note = (
@@ -85,14 +85,14 @@ def with_val(parts: Parts) -> tuple[Parts, list[str]]:
 
 
 def oyster_masks(example: Example) -> Iterator[NDArray[np.bool_]]:
-    """(H, W) of each oyster, by its number."""
+    """Masks (H, W) of the oysters, in the order of their numbers."""
     instances = np.where(example.image.classes == OYSTER, example.image.instances, 0)
     return (instances == number for number in np.unique(instances[instances > 0]))
 
 
 def joined_polygon(polygons: list[Array]) -> Array:
-    """One polygon (N, 2) of several, each joined to those before by a slit between their nearest corners: filled by the
-    even-odd rule it covers what they cover."""
+    """Join several polygons into one (N, 2), each by a slit between its nearest corner and those before: filled by the
+    even-odd rule, it covers the same area."""
     whole = polygons[0]
     for piece in polygons[1:]:
         between = np.linalg.norm(whole[:, None] - piece[None], axis=2)
@@ -119,7 +119,7 @@ def _box(mask: NDArray[np.bool_]) -> str:
 
 
 def _edges(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """Left, right, top and bottom of the box around a mask, px."""
+    """Left, right, top and bottom of the bounding box of a mask, px."""
     columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
     return int(columns[0]), int(columns[-1]) + 1, int(rows[0]), int(rows[-1]) + 1
 
@@ -129,7 +129,7 @@ def _line(values: list[float]) -> str:
 
 
 def _data(name: str, task: str, parts: Parts) -> str:
-    """data.yaml, whose paths are from the folder that it lies in; YOLO needs a train and a val in any case."""
+    """Content of data.yaml, with paths relative to its folder; YOLO always requires a train and a val."""
     only = next(iter(parts))
     places = {part: part if part in parts else only for part in (TRAIN, VAL)} | {part: part for part in parts}
     lines = [f"{part}: images/{place}" for part, place in places.items()]

@@ -1,1 +1,1 @@
-"""Scoring maps of oysters against the true ones."""
+"""Scoring oyster maps against the ground truth."""

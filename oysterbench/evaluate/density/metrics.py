@@ -1,4 +1,4 @@
-"""What is measured of maps of oysters: name, unit, direction and definition of every metric."""
+"""Metrics of oyster maps: name, unit, direction and definition of each."""
 
 from __future__ import annotations
 

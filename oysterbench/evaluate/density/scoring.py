@@ -1,4 +1,4 @@
-"""Scoring a map of oysters against the true one, cell by cell."""
+"""Scoring an oyster map against the ground truth, cell by cell."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ EVALUATOR = "density 2"
 """Name and version of this evaluator; the version rises whenever a number may change."""
 
 CLASS_EDGES_PER_M2 = (15.0, 50.0)
-"""Live oysters per m^2 of a restored reef, at least and as aimed at (Oyster Metrics Workgroup, 2011)."""
+"""Live oysters per m^2 of a restored reef, minimum and target (Oyster Metrics Workgroup, 2011)."""
 HALF_PER_M2 = 15.0  # error that counts half in the score
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell that was seen enough: its seen area, m^2, and the live oysters on it."""
+    """A cell of which enough was seen: its seen area, m^2, and the live oysters on it."""
 
     area_m2: float
     live: float
@@ -33,13 +33,13 @@ class Cell:
 
 
 Cells = Mapping[tuple[int, int], Cell]
-"""By column and row: the world's x and y over the cells' edge, rounded down."""
+"""Cells by column and row: x and y in the world frame divided by the edge length of a cell, rounded down."""
 
 
 @dataclass(frozen=True)
 class TrueCount:
-    """The truth of the ground that was seen. shown, live: oysters that some picture shows, and the live of them;
-    hidden: those that none does."""
+    """True count on the ground that was seen. shown, live: oysters visible in some image, and the live ones of these;
+    hidden: those visible in none; area_m2: of that ground."""
 
     cells: Cells
     shown: int
@@ -50,9 +50,9 @@ class TrueCount:
 
 @dataclass(frozen=True)
 class MapCount:
-    """A map. count, live: of oysters; low, high: interval of the count.
+    """An estimated map. count, live: number of oysters, and of live ones; low, high: interval of the count.
 
-    owners: for each of its entries the true oyster behind it, 0 for none; found: true oysters that are in some entry
+    owners: for each map entry, the true oyster behind it, 0 for none; found: true oysters that are in some entry
     """
 
     cells: Cells
@@ -65,7 +65,7 @@ class MapCount:
 
 
 def score_density(truth: TrueCount, estimate: MapCount) -> Score:
-    """Score a map: cells that were truly seen are asked about, and no others."""
+    """Score a map on the cells that were truly seen, and no others."""
     measures = Measures()
     asked = len(truth.cells)
     errors = {at: estimate.cells[at].per_m2 - cell.per_m2 for at, cell in truth.cells.items() if at in estimate.cells}

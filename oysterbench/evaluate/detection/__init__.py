@@ -1,7 +1,7 @@
 """Scoring single oysters: average precision of boxes and masks, counts, panoptic quality.
 
-Precision is pycocotools' to the last digit: its matching, image by image, and its 101-point curve, over which this
-package only sums (`precision`), so that clips can be resampled. What is pinned where there is nothing to score (held by
+Precision equals that of pycocotools to the last digit: its matching, image by image, and its 101-point curve, which is
+only summed here (`precision`), so that clips can be resampled. Values defined where there is nothing to score (see
 `tests/evaluate/test_detection.py`):
 
 | truth | estimate | AP, recall | counts | panoptic quality |
@@ -9,15 +9,15 @@ package only sums (`precision`), so that clips can be resampled. What is pinned 
 | no oyster in the clip | none | none | error 0 | none |
 | no oyster in the clip | some | none | error = their number | 0 |
 | oysters | none | 0 | error = minus their number | 0 |
-| oyster, ignored | on it | none: not asked | not counted | not counted |
-| oyster, ignored | none | none: not asked | error 0 | none |
+| oyster, ignored | on it | none: not scored | not counted | not counted |
+| oyster, ignored | none | none: not scored | error 0 | none |
 
-A crowd region (iscrowd) is a region to be ignored: what lies on it by more than the threshold of overlap (AP) or by
-more than half of itself (counts, panoptic quality) is neither right nor wrong.
+A crowd region (iscrowd) is a region to be ignored: an estimate that overlaps it by more than the overlap threshold (AP)
+or by more than half of its own area (counts, panoptic quality) is neither right nor wrong.
 
-At most `max_detections` of an image count, the surest ones. COCO's 100 would leave out oysters of a dense reef, of
-which an image of seg-val shows up to 205: 150 perfect detections reach an AP of 0.663 at 100. Of equal scores the order
-given decides, as in pycocotools.
+At most `max_detections` of an image count, the most confident ones. COCO's 100 would leave out oysters of a dense reef,
+of which an image of seg-val shows up to 205: 150 perfect detections reach an AP of 0.663 at 100. Equal scores keep the
+order given, as in pycocotools.
 """
 
 from oysterbench.evaluate.detection.clip import DetectionClip, DetectionScorer

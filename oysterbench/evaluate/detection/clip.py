@@ -23,15 +23,15 @@ NO_TRUTH = "the ground truth has no such oyster"
 NO_MASKS = "the estimate has boxes, and no masks"
 NOTHING = "there is neither a true nor an estimated oyster"
 NO_MATCH = "no estimate matches an oyster"
-RESAMPLES = 1000  # for the interval of AP: each is a curve of its own
+RESAMPLES = 1000  # for the interval of AP: each needs a curve of its own
 
 
 @dataclass(frozen=True)
 class DetectionClip:
-    """What scoring a clip gives: metrics by keys of `DETECTION`, NaN with a reason; and what they are made of.
+    """Result of scoring a clip: metrics by keys of `DETECTION`, NaN with a reason; and what they are computed from.
 
-    matches: by kind ("box", "mask") and the names of `matching.AREAS`; curve: precision (101,) of masks, or boxes
-    where there are no masks, at the overlap 0.5 and the recalls of `precision.RECALLS`
+    matches: by kind ("box", "mask") and the names of `matching.AREAS`; curve: precision (101,) of masks, or of boxes
+    if there are no masks, at the overlap 0.5 and the recalls of `precision.RECALLS`
     """
 
     metrics: Mapping[str, float]
@@ -45,7 +45,7 @@ class DetectionClip:
 
 
 class DetectionScorer:
-    """Takes image after image of a clip; run lengths and numbers are kept, no pixels."""
+    """Scorer that takes the images of a clip one by one; it keeps run lengths and numbers, but no pixels."""
 
     def __init__(self, settings: DetectionSettings | None = None) -> None:
         self.settings = settings or DetectionSettings()
@@ -53,7 +53,7 @@ class DetectionScorer:
         self._estimates: list[ImageInstances] = []
 
     def add(self, truth: ImageInstances, estimate: ImageInstances) -> None:
-        """Take an image. Raises LabelError where both are not of one image and size, or scores are not numbers."""
+        """Add an image. Raises LabelError if the two are not of the same image and size, or scores are not finite."""
         if truth.name != estimate.name:
             raise LabelError(f"expected the estimate of image {truth.name}, got that of {estimate.name}")
         if (truth.height, truth.width) != (estimate.height, estimate.width):
@@ -68,7 +68,7 @@ class DetectionScorer:
         self._estimates.append(estimate)
 
     def result(self) -> DetectionClip:
-        """Of all images so far. Raises LabelError where there is none."""
+        """Return the result over all images so far. Raises LabelError if there is none."""
         if not self._truths:
             raise LabelError("expected at least one image to score, got none")
         detections = [one for image in self._estimates for one in image.instances]
@@ -99,7 +99,7 @@ def finish(
     states: StateCounts | None,
     settings: DetectionSettings,
 ) -> DetectionClip:
-    """The result of matches and counts."""
+    """Compute the result from matches and counts."""
     metrics: dict[str, float] = {}
     reasons: dict[str, str] = {}
     curve = np.full(101, np.nan)
@@ -137,8 +137,8 @@ def finish(
 
 
 def over_clips(clips: Sequence[DetectionClip]) -> tuple[DetectionClip, dict[str, Interval]]:
-    """The result over all clips, and intervals of AP, panoptic quality and counts by resampling clips with all their
-    images."""
+    """Compute the result over all clips, and intervals of AP, panoptic quality and counts by resampling clips, each
+    with all its images."""
     kinds = [kind for kind in ("mask", "box") if all(kind in clip.matches for clip in clips)]
     matches = {
         kind: {area: join([clip.matches[kind][area] for clip in clips]) for area in clips[0].matches[kind]}
@@ -164,7 +164,7 @@ def _interval(clips: Sequence[Matches]) -> Interval:
 
 
 def _count_intervals(clips: Sequence[tuple[ImageCount, ...]]) -> dict[str, Interval]:
-    """Of the mean over images of the error of the number of oysters, and of its absolute value."""
+    """Intervals of the mean over images of the error in the number of oysters, and of its absolute value."""
     errors = [np.array([one.error for one in counts], dtype=float) for counts in clips]
     sums = np.array([[len(of), of.sum(), np.abs(of).sum()] for of in errors])
     return {key: _ratio_interval(sums[:, column], sums[:, 0]) for key, column in (("count_bias", 1), ("count_mae", 2))}
@@ -179,7 +179,7 @@ def _quality_interval(parts: Sequence[PanopticCounts], clips: Sequence[Detection
 
 
 def _ratio_interval(over: Array, under: Array) -> Interval:
-    """Of the sum of the one by that of the other, (C,) by clip."""
+    """Interval of the sum of `over` divided by that of `under`, each (C,), one value per clip."""
     drawn = resample_counts(len(over))
     if drawn is None:
         return Interval(math.nan, math.nan, too_few(len(over)))

@@ -1,4 +1,4 @@
-"""How many oysters there are: counts of images and clips against the truth's."""
+"""Number of oysters: counts of images and clips against those of the truth."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from oysterbench.core.geometry import Array
 from oysterbench.evaluate.detection.instances import ImageInstances, Instance, mask_tools, numpy_2
 
 LEVELS = (1, 2, 3)
-"""Of GAME: at level L an image has 4^L cells."""
+"""Levels of GAME: at level L an image has 4^L cells."""
 
 NO_FOOTPRINT = "it is not known how much of the seabed the images show"
 
 
 @dataclass(frozen=True)
 class ImageCount:
-    """Of one image: true and estimated number of oysters, and the seabed that it shows in m^2, NaN if unknown.
+    """Count of one image: true and estimated number of oysters, and the area of seabed in m^2, NaN if unknown.
 
-    cells: errors of the numbers in the cells of each of `LEVELS`, absolute, added
+    cells: sum over cells of the absolute errors in number, for each of `LEVELS`
     """
 
     name: str
@@ -32,12 +32,13 @@ class ImageCount:
 
     @property
     def error(self) -> int:
-        """Above 0 where there are too many."""
+        """Estimated minus true number: above 0 for too many."""
         return self.estimate - self.truth
 
 
 def count(truth: ImageInstances, estimate: ImageInstances, threshold: float) -> ImageCount:
-    """Estimates from a score on, without those that lie on crowd regions by more than half."""
+    """Count the oysters of an image: estimates with a score of at least `threshold`, except for those that lie on crowd
+    regions by more than half of their area."""
     crowds = [one for one in truth.instances if one.crowd]
     true = [one for one in truth.instances if not one.crowd]
     detections = [one for one in estimate.instances if one.score >= threshold]
@@ -57,7 +58,7 @@ def count(truth: ImageInstances, estimate: ImageInstances, threshold: float) -> 
 
 
 def _in_cells(instances: Sequence[Instance], image: ImageInstances, level: int) -> Array:
-    """(4^level,) instances by the cell of the image that the centre of their box lies in."""
+    """Number of instances (4^level,) in each cell of the image, by the centre of their box."""
     side = 2**level
     boxes = np.array([one.box for one in instances], dtype=float).reshape(-1, 4)
     centres = (boxes[:, :2] + boxes[:, 2:] / 2) / (image.width, image.height)
@@ -66,7 +67,7 @@ def _in_cells(instances: Sequence[Instance], image: ImageInstances, level: int) 
 
 
 def count_metrics(counts: Sequence[ImageCount]) -> tuple[dict[str, float], dict[str, str]]:
-    """Metrics of a clip, and reasons for those that are NaN."""
+    """Compute the metrics of a clip, and the reasons for those that are NaN."""
     errors = np.array([each.error for each in counts], dtype=float)
     areas = np.array([each.footprint_m2 for each in counts])
     metrics = {

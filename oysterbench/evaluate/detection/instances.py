@@ -1,4 +1,4 @@
-"""Single oysters in an image: the truth's, and what a method says."""
+"""Single oysters in an image: those of the truth, or of an estimate."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError
 
 OUTSIDE = 1.0
-"""Widths or heights of the image by which a box or a corner may lie outside, as after a crop."""
+"""Distance by which a box may extend beyond the image, as after a crop, in widths or heights of the image."""
 
 Runs = Mapping[str, Any]
-"""A mask as run lengths: `size` [H, W] and compressed `counts`, as pycocotools has them."""
+"""A run-length encoded mask as in pycocotools: `size` [H, W] and compressed `counts`."""
 
 
 def mask_tools() -> Any:
-    """pycocotools' functions on masks. Raises LabelError where it is not installed."""
+    """Return pycocotools' mask module. Raises LabelError if it is not installed."""
     try:
         from pycocotools import mask
     except ImportError:
@@ -36,7 +36,7 @@ def mask_tools() -> Any:
 
 @contextmanager
 def numpy_2() -> Iterator[None]:
-    """pycocotools 2.0.11 hands its arrays to numpy in the way of numpy 1, which numpy 2 warns of, and does."""
+    """Silence numpy 2's warning that pycocotools 2.0.11 passes arrays as numpy 1 expected, which still works."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "__array__ implementation", DeprecationWarning)
         yield
@@ -47,11 +47,11 @@ class Instance:
     """One oyster.
 
     box:   x, y, width, height in px
-    mask:  None where only the box is known
-    area:  px, by which COCO calls it small, medium or large
-    score: of an estimate, greater is surer; NaN of the truth
-    crowd: of the truth: a region that is to be ignored
-    live:  probability that it is alive, 1 or 0 of the truth; NaN where that is not known
+    mask:  None if only the box is known
+    area:  px, which COCO's classes small, medium and large refer to
+    score: confidence of an estimate; NaN for the truth
+    crowd: true for a region of the truth that is to be ignored
+    live:  probability that it is alive, 1 or 0 for the truth; NaN if unknown
     """
 
     box: tuple[float, float, float, float]
@@ -64,7 +64,10 @@ class Instance:
 
 @dataclass(frozen=True)
 class ImageInstances:
-    """The oysters of one image, H x W px; footprint_m2: how much of the seabed, seen from above, it shows."""
+    """The oysters of one image, H x W px; footprint_m2: area of seabed that it shows, seen from above.
+
+    Raises LabelError for a box that is not finite, or too far outside the image.
+    """
 
     name: str
     height: int
@@ -86,8 +89,8 @@ class ImageInstances:
 
 
 def instance_numbers(values: NDArray[Any], where: str) -> NDArray[np.integer]:
-    """The same plane (H, W), of numbers of instances: integers from 0, for none, that an int32 holds. Raises
-    LabelError."""
+    """Check a plane (H, W) of instance numbers and return it: integers from 0, for none, that fit an int32. Raises
+    LabelError that starts with `where`."""
     most = np.iinfo(np.int32).max
     if values.ndim == 2 and values.dtype.kind in "iu" and 0 <= values.min(initial=0) <= values.max(initial=0) <= most:
         return values
@@ -100,7 +103,7 @@ def instance_numbers(values: NDArray[Any], where: str) -> NDArray[np.integer]:
 def from_mask(
     mask: NDArray[np.bool_], score: float = math.nan, crowd: bool = False, live: float = math.nan
 ) -> Instance:
-    """An instance of a mask (H, W) that has at least a pixel."""
+    """Make an instance from a mask (H, W) with at least one pixel."""
     tools = mask_tools()
     with numpy_2():
         runs = tools.encode(np.asfortranarray(truth_values(mask, "mask").view(np.uint8)))
@@ -116,10 +119,10 @@ def from_planes(
     scores: Mapping[int, float] | None = None,
     live: Mapping[int, float] | None = None,
 ) -> ImageInstances:
-    """The instances of a plane (H, W) of numbers, 0 for none; scores, live: by number, the latter where it is known;
+    """Extract the instances of a plane (H, W) of numbers, 0 for none; scores, live: by number, the latter where known;
     ignore (H, W) becomes a crowd region.
 
-    Each is cut out of its box before it is encoded, as encoding the whole plane for each takes most of the time.
+    Each mask is taken from its bounding box, as comparing the whole plane for each would take most of the time.
     """
     found = []
     height, width = numbers.shape
@@ -134,7 +137,7 @@ def from_planes(
 
 
 def pieces(numbers: NDArray[np.integer]) -> dict[int, tuple[int, int, NDArray[np.bool_]]]:
-    """Top, left and mask of each number of a plane (H, W) but 0, the mask cut to its box."""
+    """Top, left and mask of each number of a plane (H, W) except 0, the mask cropped to its bounding box."""
     from scipy.ndimage import find_objects
 
     found = {}

@@ -1,4 +1,4 @@
-"""Matching estimates to truths, by pycocotools: which of the estimates are right at which overlap."""
+"""Matching of estimates to truths by pycocotools: which estimates are right at which overlap."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from oysterbench.evaluate.detection.instances import ImageInstances, Instance, m
 Kind = Literal["box", "mask"]
 
 OVERLAPS = np.linspace(0.5, 0.95, 10)
-"""Of a match, at least: COCO's."""
+"""Minimum overlaps (IoU) of a match: COCO's."""
 
 AREAS = {"all": (0.0, 1e10), "small": (0.0, 32.0**2), "medium": (32.0**2, 96.0**2), "large": (96.0**2, 1e10)}
-"""px of the truths that are asked for: COCO's."""
+"""Ranges of area, px, of the truths to be found: COCO's."""
 
 
 @dataclass(frozen=True)
 class Matches:
-    """Of some images, for one range of areas. D estimates, image by image and in each by falling score.
+    """Matches of D estimates in some images, for one range of areas; image by image, and by falling score in each.
 
-    scores (D,); right (T, D): matched to a truth that is asked for, at each of `OVERLAPS`; ignored (T, D): matched to
-    one that is not, or not matched and of another area; truths: number of those that are asked for.
+    scores (D,); right (T, D): matched to a truth in the range of areas, at each of `OVERLAPS`; ignored (T, D): matched
+    to an ignored truth, or unmatched and outside the range; truths: number of truths that are not ignored.
     """
 
     scores: Array
@@ -41,13 +41,14 @@ class Matches:
 def match(
     truths: Sequence[ImageInstances], estimates: Sequence[ImageInstances], kind: Kind, max_detections: int
 ) -> dict[str, Matches]:
-    """By the names of `AREAS`. truths and estimates are of the same images, one by one."""
+    """Match estimates to truths, for each range of `AREAS`, by its name. truths, estimates: of the same images, in the
+    same order."""
     mask_tools()
     from pycocotools.coco import COCO
     from pycocotools.cocoeval import COCOeval
 
     images = [{"id": k, "height": t.height, "width": t.width} for k, t in enumerate(truths, start=1)]
-    with contextlib.redirect_stdout(io.StringIO()), numpy_2():  # it tells of its progress
+    with contextlib.redirect_stdout(io.StringIO()), numpy_2():  # it prints its progress
         sides = []
         for side in (truths, estimates):
             coco = COCO()
@@ -65,7 +66,7 @@ def match(
 
 
 def _annotations(side: Sequence[ImageInstances], kind: Kind) -> list[dict[str, Any]]:
-    """Ids from 1: pycocotools takes a match to id 0 for none."""
+    """COCO annotations of the images. Their ids start at 1: pycocotools mistakes a match with id 0 for none."""
     found: list[dict[str, Any]] = []
     for image_id, image in enumerate(side, start=1):
         for instance in image.instances:
@@ -87,7 +88,7 @@ def _annotations(side: Sequence[ImageInstances], kind: Kind) -> list[dict[str, A
 
 
 def _area(instance: Instance, kind: Kind) -> float:
-    """Of an estimate, that of what is scored; of a truth, the one that it is given."""
+    """Area in px: of an estimate, that of its mask or box, whichever is scored; of a truth, the one it was given."""
     is_truth = np.isnan(instance.score)
     return instance.area if is_truth or kind == "mask" else instance.box[2] * instance.box[3]
 

@@ -1,4 +1,4 @@
-"""What is measured of single oysters: name, unit, direction and definition of every metric."""
+"""Metrics of single oysters: name, unit, direction and definition of each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Panoptic quality (Kirillov et al. 2019) of the class oyster, and which estimates are asked about at all."""
+"""Panoptic quality (Kirillov et al. 2019) of the class oyster, and which estimates are scored at all."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from oysterbench.evaluate.detection.instances import ImageInstances, Instance, mask_tools, numpy_2
 
 OVERLAP = 0.5
-"""More than this, and a pair is a match; it is then the only one (Kirillov et al. 2019, section 4.1)."""
+"""IoU above which a pair is a match, which is then unique (Kirillov et al. 2019, section 4.1)."""
 
 
 @dataclass(frozen=True)
 class PanopticCounts:
-    """Sums over images: matches, their overlaps added, estimates and truths without a match."""
+    """Sums over images: number of matches, sum of their overlaps, number of unmatched estimates and truths."""
 
     matched: int = 0
     overlap: float = 0.0
@@ -28,7 +28,7 @@ class PanopticCounts:
 
     @property
     def quality(self) -> tuple[float, float, float]:
-        """Panoptic, segmentation and recognition quality; NaN without any truth or estimate (or match, for the 2nd)."""
+        """Panoptic, segmentation and recognition quality; NaN without any truth or estimate (the 2nd: any match)."""
         whole = self.matched + 0.5 * (self.extra + self.missed)
         return (
             self.overlap / whole if whole else np.nan,
@@ -38,9 +38,9 @@ class PanopticCounts:
 
 
 def paint(image: ImageInstances, chosen: list[Instance]) -> NDArray[np.int32]:
-    """(H, W) numbers from 1 of the chosen instances; where several lie on a pixel it is of the last.
+    """Paint the chosen instances into a plane (H, W) by their number from 1; where they overlap, the last one wins.
 
-    Each is painted within the box of its mask: its other pixels, by far the most, take most of the time.
+    Each is painted only within the bounding box of its mask: the pixels outside would take most of the time.
     """
     tools = mask_tools()
     plane = np.zeros((image.height, image.width), dtype=np.int32)
@@ -54,10 +54,10 @@ def paint(image: ImageInstances, chosen: list[Instance]) -> NDArray[np.int32]:
 
 @dataclass(frozen=True)
 class Pairing:
-    """Which estimates of an image are which truths, of N and M that are asked about.
+    """Pairing of the N truths and M estimates of an image that are scored.
 
-    truths (N,), estimates (M,): the instances; overlap (N, M): where they match, else 0; missed (N,) and extra (M,)
-    bool: without a match, and wrong for it
+    truths (N,), estimates (M,): the instances; overlap (N, M): IoU of matches, else 0; missed (N,) and extra (M,) bool:
+    unmatched, and an error for it
     """
 
     truths: tuple[Instance, ...]
@@ -68,16 +68,17 @@ class Pairing:
 
     @property
     def counts(self) -> PanopticCounts:
-        """Summed up."""
+        """Counts of the image."""
         matches = self.overlap > 0
         total = float(self.overlap[matches].sum())
         return PanopticCounts(int(matches.sum()), total, int(self.extra.sum()), int(self.missed.sum()))
 
 
 def pair(truth: ImageInstances, estimate: ImageInstances, threshold: float) -> Pairing:
-    """Matches of an image. Segments may not overlap: a pixel is of the surest estimate, and of the smallest truth.
+    """Match the estimates of an image that score at least `threshold` to its truths.
 
-    Pixels of crowd regions are void: out of the union, and an unmatched estimate that lies on them by more than half
+    Segments must not overlap: a pixel belongs to the most confident estimate, and to the smallest truth. Pixels of
+    crowd regions are void: excluded from the union, and an unmatched estimate with more than half of its pixels there
     is no error (section 4.2).
     """
     true = sorted((one for one in truth.instances if not one.crowd), key=lambda one: -one.area)
@@ -92,7 +93,7 @@ def pair(truth: ImageInstances, estimate: ImageInstances, threshold: float) -> P
     union = of_truth + of_estimate - pairs - on_void
     overlap = np.where(union > 0, pairs / np.maximum(union, 1), 0.0)[1:, 1:]
     overlap[overlap <= OVERLAP] = 0.0
-    hidden = of_estimate[1:] == 0  # behind surer ones: it says nothing of its own
+    hidden = of_estimate[1:] == 0  # entirely behind more confident ones
     excused = (on_void[1:] > 0.5 * of_estimate[1:]) | hidden
     seen = of_truth[1:, 0] > 0
     matches = overlap > 0

@@ -14,7 +14,7 @@ _TINY = np.spacing(1)
 
 
 def join(parts: Sequence[Matches]) -> Matches:
-    """Of several clips, in their order."""
+    """Concatenate the matches of several clips, in their order."""
     return Matches(
         np.concatenate([part.scores for part in parts]),
         np.concatenate([part.right for part in parts], axis=1),
@@ -24,7 +24,7 @@ def join(parts: Sequence[Matches]) -> Matches:
 
 
 class PrecisionCurve:
-    """Precision over recall of the matches of several clips."""
+    """Curve of precision over recall from the matches of several clips."""
 
     def __init__(self, clips: Sequence[Matches]) -> None:
         whole = join(clips)
@@ -36,8 +36,8 @@ class PrecisionCurve:
         self._truths = np.array([part.truths for part in clips], dtype=float)
 
     def at(self, times: Array | None = None) -> tuple[Array, Array]:
-        """Precision (T, 101) at `RECALLS` and the last recall (T,), each clip taken so many times (clips,), once by
-        default; NaN where there is no truth to be found."""
+        """Compute precision (T, 101) at `RECALLS` and the final recall (T,), counting each clip `times` (clips,) over,
+        once by default; NaN if there is no truth to be found."""
         right, wrong, truths = self._right, self._wrong, self._truths
         if times is not None:
             weight = times[self._clip]

@@ -1,4 +1,4 @@
-"""The settings of the evaluator of single oysters."""
+"""Settings of the evaluator of single oysters."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ EVALUATOR = "detection 1"
 
 @dataclass(frozen=True)
 class DetectionSettings(EvaluatorSettings):
-    """How instances are scored.
+    """Settings for scoring instances.
 
-    max_detections: of an image that count towards precision and recall, the surest ones
-    threshold:      score from which on an instance is counted, and takes part in panoptic quality
+    max_detections: how many detections of an image count towards precision and recall, the most confident ones
+    threshold:      minimum score at which an instance is counted and enters panoptic quality
     """
 
     error = LabelError

@@ -1,4 +1,4 @@
-"""Live oysters told from dead ones: each state as a class of its own, and the states of those that were found."""
+"""Distinction of live from dead oysters: each state as a class of its own, and the states of those that were found."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from oysterbench.evaluate.detection.panoptic import Pairing
 STATE_METRICS = ("f1_live", "f1_dead", "state_accuracy", "live_error")
 
 ALIVE = 0.5
-"""Probability from which on an oyster is called live, and below which dead."""
+"""Probability from which an oyster counts as live, and below which as dead."""
 
 NO_STATES = "the truth does not tell live oysters from dead ones"
 NOT_TOLD = "the estimate does not tell live oysters from dead ones"
@@ -23,9 +23,9 @@ NOT_TOLD = "the estimate does not tell live oysters from dead ones"
 class StateCounts:
     """Sums over images.
 
-    live, dead:         true ones, of those that an image shows
-    said_live, said_dead: estimated ones, without those that are no error and those of truths of unknown state
-    live_as_live ...:   matches, by the true state and the one that is said; `_untold` where none is
+    live, dead:         true ones that are visible in an image
+    said_live, said_dead: estimated ones, except those that are excused or matched to a truth of unknown state
+    live_as_live ...:   matches, by true and estimated state; `_untold` if no state was estimated
     """
 
     live: int = 0
@@ -44,10 +44,10 @@ class StateCounts:
 
 
 def states_of(pairing: Pairing) -> StateCounts:
-    """Counts of an image. An estimate is said to be alive from a probability of `ALIVE` on."""
+    """Count the states in an image. An estimate is live from a probability of `ALIVE`."""
     true = np.array([one.live for one in pairing.truths], dtype=float)
     said = np.array([one.live for one in pairing.estimates], dtype=float)
-    live, dead = true >= ALIVE, true < ALIVE  # neither, where it is NaN
+    live, dead = true >= ALIVE, true < ALIVE  # neither for NaN
     said_live, said_dead = said >= ALIVE, said < ALIVE
     matches = pairing.overlap > 0
     seen = matches.any(axis=1) | pairing.missed
@@ -63,7 +63,7 @@ def states_of(pairing: Pairing) -> StateCounts:
 
 
 def state_metrics(counts: StateCounts) -> tuple[dict[str, float], dict[str, str]]:
-    """Values of `STATE_METRICS`, and reasons for those that are NaN."""
+    """Compute the values of `STATE_METRICS`, and the reasons for those that are NaN."""
     if counts.live + counts.dead == 0 or counts.said_live + counts.said_dead == 0:
         why = NO_STATES if counts.live + counts.dead == 0 else NOT_TOLD
         return dict.fromkeys(STATE_METRICS, math.nan), dict.fromkeys(STATE_METRICS, why)

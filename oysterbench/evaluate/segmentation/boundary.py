@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 
 def boundary_depth(shape: tuple[int, ...], share: float) -> int:
-    """How many pixels deep a border is in an image (H, W): a share of its diagonal, one at least."""
+    """Depth of a border in an image (H, W), px: a share of its diagonal, at least 1."""
     return max(1, round(share * math.hypot(*shape)))
 
 
 def inner_boundary(mask: NDArray[np.bool_], depth: int) -> NDArray[np.bool_]:
-    """Pixels of a mask (H, W) that a pixel outside it, or outside the image, is near: at most `depth` off in x and y.
+    """Pixels of a mask (H, W) with a pixel outside it, or outside the image, at most `depth` px away in x and y.
 
-    Cheng et al. 2021 (Boundary IoU), whose program erodes `depth` times by 3 x 3; a square of 2 depth + 1 does it once.
+    Cheng et al. 2021 (Boundary IoU); their code erodes `depth` times by 3 x 3, here once by a square of 2 depth + 1.
     """
     eroded = cv2.erode(
         mask.view(np.uint8),

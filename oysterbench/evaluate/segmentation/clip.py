@@ -1,4 +1,4 @@
-"""Scoring the images of a clip one by one: only counts and a line per image are kept."""
+"""Scoring the images of a clip one by one: only counts and one entry per image are kept."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from oysterbench.evaluate.segmentation.tally import Tally, add, tally_image
 from oysterbench.evaluate.segmentation.thresholds import STEPS, ThresholdCurve, curve, histogram
 
 IMAGE_METRICS = ("iou", "boundary_iou", "precision", "recall", "dice", "cover", "cover_error")
-"""Of a line per image."""
+"""Metrics given for each image."""
 
 
 @dataclass(frozen=True)
 class ImageScore:
-    """One image: its name, its metrics (`IMAGE_METRICS`; IoU and Dice are NaN where all is ignored), its counts."""
+    """Score of one image: its name, metrics (`IMAGE_METRICS`; IoU and Dice are NaN if all is ignored) and counts."""
 
     name: str
     metrics: Mapping[str, float]
@@ -30,12 +30,12 @@ class ImageScore:
 
 @dataclass(frozen=True)
 class ClipResult:
-    """What scoring a clip, or a whole data set, gives.
+    """Result of scoring a clip, or a whole data set.
 
     metrics:   values by keys of `SEGMENTATION`; NaN where there is no sample, with the reason in `reasons`
-    tally:     the counts that they are of
-    histogram: (2, STEPS) of a method that gives probabilities (`thresholds.histogram`); None of others
-    images:    a line each, in the order in which they were scored
+    tally:     the counts from which they are computed
+    histogram: (2, STEPS) for a method that gives probabilities (`thresholds.histogram`); None for others
+    images:    scores of the images, in the order in which they were scored
     """
 
     metrics: Mapping[str, float]
@@ -47,12 +47,12 @@ class ClipResult:
 
     @property
     def curve(self) -> ThresholdCurve | None:
-        """Precision, recall and IoU over thresholds, of a method that gives probabilities."""
+        """Precision, recall and IoU over thresholds, for a method that gives probabilities; None for others."""
         return None if self.histogram is None else curve(self.histogram)
 
 
 class ClipScorer:
-    """Takes image after image, and gives the result of them all."""
+    """Scorer that takes images one by one, and returns the result over all of them."""
 
     def __init__(self, settings: SegmentationSettings | None = None) -> None:
         self.settings = settings or SegmentationSettings()
@@ -62,7 +62,8 @@ class ClipScorer:
         self._kinds: set[str] = set()
 
     def add(self, truth: TruthImage, estimate: EstimateImage) -> ImageScore:
-        """Score one image. Raises LabelError where truth and estimate are not of one image and size."""
+        """Score one image. Raises LabelError if truth and estimate are not of the same image and size, or the estimate
+        is of another kind than those before."""
         check_pair(truth, estimate)
         oyster = np.ascontiguousarray(estimate.mask(self.settings.threshold))
         tally = tally_image(truth, estimate, oyster, self.settings)
@@ -81,7 +82,7 @@ class ClipScorer:
         return score
 
     def result(self) -> ClipResult:
-        """Of all images so far. Raises LabelError where there is none."""
+        """Return the result over all images so far. Raises LabelError if there is none."""
         if not self._images:
             raise LabelError("expected at least one image to score, got none")
         counts = self._histogram if "probabilities" in self._kinds else None
@@ -91,7 +92,7 @@ class ClipScorer:
 def finish(
     tally: Tally, counts: NDArray[np.int64] | None, images: tuple[ImageScore, ...], settings: SegmentationSettings
 ) -> ClipResult:
-    """The result of counts."""
+    """Compute the result from counts."""
     metrics, reasons = measure(tally)
     if counts is not None:
         metrics["best_iou"], metrics["best_threshold"] = curve(counts).best
@@ -99,7 +100,7 @@ def finish(
 
 
 def join(results: list[ClipResult]) -> ClipResult:
-    """The result over several clips: that of their counts, added."""
+    """Compute the result over several clips from the sum of their counts."""
     histograms = [result.histogram for result in results if result.histogram is not None]
     counts = np.sum(histograms, axis=0) if len(histograms) == len(results) else None
     images = tuple(image for result in results for image in result.images)

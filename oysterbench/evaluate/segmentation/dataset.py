@@ -1,4 +1,4 @@
-"""Over a data set: every metric of all counts together, with an interval by resampling clips."""
+"""Results over a data set: every metric from the sum of all counts, with an interval by resampling clips."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from oysterbench.evaluate.statistics import Interval, resample_counts, resampled
 
 @dataclass(frozen=True)
 class DatasetResult:
-    """The result over all clips, and the interval of each metric of it: neighbouring frames are near duplicates, so
-    that clips are resampled, each with all its images."""
+    """The result over all clips, and the interval of each of its metrics. Neighbouring frames are near-duplicates, so
+    clips are resampled, each with all its images."""
 
     whole: ClipResult
     intervals: Mapping[str, Interval]
@@ -23,7 +23,7 @@ class DatasetResult:
 
 
 def over_dataset(clips: Sequence[ClipResult]) -> DatasetResult:
-    """All counts together."""
+    """Compute the result over all clips together, and the intervals of its metrics."""
     whole = join(list(clips))
     drawn = resample_counts(len(clips))
     if drawn is None:

@@ -1,4 +1,4 @@
-"""What the evaluator is given of one image: its truth, and what a method says of it."""
+"""Input of the evaluator for one image: its ground truth, and what a method estimates."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from oysterbench.core.errors import LabelError
 from oysterbench.recipe import CLASSES
 
 OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
-"""Number of the class in class images."""
+"""Number of the class oyster in class images."""
 
 
 @dataclass(frozen=True)
 class TruthImage:
-    """The truth of one image.
+    """Ground truth of one image.
 
     name:       unique in its clip
-    classes:    (H, W) uint8, numbers of `recipe.CLASSES`; where only oysters are masked, only their number counts
+    classes:    (H, W) uint8, numbers of `recipe.CLASSES`; if only oysters are masked, only their number matters
     named:      whether classes other than oyster are told apart
-    ignore:     (H, W) bool, pixels that nobody is asked about; None where there is none
-    depth_m:    (H, W) float32, m along the optical axis, 0 = none; None where it is not known
-    instances:  (H, W) uint16, which oyster (or other thing) a pixel shows, 0 = none; None where it is not known
-    heights_mm: shell height of each instance by its number (N,), NaN where it has none; None where it is not known
-    footprint_m2: how much of the seabed, seen from above, is in the image; None where it is not known
-    live:       1 of live oysters, 0 of dead ones, by number; None where it is not known
+    ignore:     (H, W) bool, pixels that are not scored; None if there are none
+    depth_m:    (H, W) float32, m along the optical axis, 0 = none; None if unknown
+    instances:  (H, W) uint16, number of the oyster (or other object) at each pixel, 0 = none; None if unknown
+    heights_mm: shell height of each instance by its number (N,), NaN where it has none; None if unknown
+    footprint_m2: area of seabed in the image, seen from above; None if unknown
+    live:       1 for live oysters, 0 for dead ones, by number; None if unknown
     """
 
     name: str
@@ -44,17 +44,17 @@ class TruthImage:
 
     @property
     def oyster(self) -> NDArray[np.bool_]:
-        """(H, W) where there is an oyster."""
+        """Mask (H, W) of the oysters."""
         return np.asarray(self.classes == OYSTER)
 
 
 @dataclass(frozen=True)
 class EstimateImage:
-    """What is said of one image, one of three: (H, W) bool, where there is an oyster; (H, W) float, the probability of
-    it; or (H, W) uint8, numbers of `recipe.CLASSES`.
+    """Estimate for one image, exactly one of: oyster (H, W) bool; probability of an oyster (H, W) float; or classes
+    (H, W) uint8, numbers of `recipe.CLASSES`.
 
-    Arrays of strangers come in here: they are checked, and kept as these types (`core.arrays.truth_values`). Raises
-    LabelError naming the image.
+    Arrays from untrusted sources enter here: they are checked, and converted to these types
+    (`core.arrays.truth_values`). Raises LabelError naming the image.
     """
 
     name: str
@@ -96,12 +96,12 @@ class EstimateImage:
 
     @property
     def kind(self) -> str:
-        """What is given, in a word."""
+        """Kind of the estimate: "probabilities", "masks" or "classes"."""
         return "probabilities" if self.probability is not None else "masks" if self.oyster is not None else "classes"
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """(H, W)."""
+        """Shape (H, W) of the estimate."""
         return self._given[0].shape
 
     @property
@@ -109,7 +109,7 @@ class EstimateImage:
         return [array for array in (self.oyster, self.probability, self.classes) if array is not None]
 
     def mask(self, threshold: float) -> NDArray[np.bool_]:
-        """(H, W) where it says that there is an oyster."""
+        """Mask (H, W) of the estimated oysters; the threshold applies to probabilities."""
         if self.oyster is not None:
             return self.oyster
         if self.probability is not None:
@@ -126,8 +126,8 @@ def check_pair(truth: TruthImage, estimate: EstimateImage) -> None:
 
 
 def check_size(estimate: EstimateImage, shape: tuple[int, ...], where: str) -> None:
-    """Refuse an estimate of another size than that of the truth (H, W). Raises LabelError that begins with `where`, as
-    the file's path, and says how to resize what was given."""
+    """Refuse an estimate whose size differs from that of the truth (H, W). Raises LabelError that starts with `where`,
+    such as the file's path, and says how to resize what was given."""
     if estimate.shape != shape:
         (h, w), (eh, ew) = shape, estimate.shape
         advice = "is it turned or transposed?" if (eh, ew) == (w, h) else _resizing(estimate)

@@ -1,4 +1,4 @@
-"""Ratios from counts: the same for an image, a clip, a data set, and many resamples of one at once."""
+"""Ratios from counts: of an image, a clip, a data set, or many resamples of a data set at once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _REASONS = {
     **dict.fromkeys(("image_iou", "image_dice", "cover", "cover_error"), NO_IMAGE),
 }
 ONE_IF_EMPTY = ("iou", "dice", "boundary_iou")
-"""Right where neither truth nor estimate has an oyster."""
+"""Metrics that are 1 where neither truth nor estimate has an oyster."""
 
 _PARTS = ("true_positive", "false_positive", "false_negative")
 
@@ -32,9 +32,10 @@ _SIZE = re.compile(r"((?:area|height)_\w[\w.]*)_truth_px")
 
 
 def measure(tally: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Metrics (see `metrics`) and the reasons of those that are NaN, from counts.
+    """Compute metrics (see `metrics`), and the reasons for those that are NaN, from counts.
 
-    Counts may be numbers, or arrays (R,) of resamples; the metrics are alike. Of arrays, no reasons are given.
+    Counts may be numbers, or arrays (R,) of resamples, and metrics are of the same form. For arrays, no reasons are
+    given.
     """
     values = {key: _ratio(*parts, 1.0 if key in ONE_IF_EMPTY else np.nan) for key, parts in _of_all(tally).items()}
     values |= _classes(tally)
@@ -45,7 +46,7 @@ def measure(tally: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def weights(tally: Mapping[str, float]) -> dict[str, float]:
-    """The denominators: by them clips count in a mean (`Metric.weight`)."""
+    """Denominators of the metrics, by which clips are weighted in a mean (`Metric.weight`)."""
     found = {key: tally[key] for key in ("images", "scored_images", "empty_images", "empty_px", "ignored_px")}
     parts = _of_all(tally)
     for key in ("iou", "recall", "precision", "dice", "cover", "boundary_iou"):
@@ -54,7 +55,7 @@ def weights(tally: Mapping[str, float]) -> dict[str, float]:
 
 
 def _of_all(tally: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Numerator and denominator of each metric of all pixels or images."""
+    """Numerator and denominator of each metric over all pixels or images."""
     hit, extra, missed = (tally[f"{part}_px"] for part in _PARTS)
     union = hit + extra + missed
     asked = union + tally["true_negative_px"]
@@ -74,7 +75,7 @@ def _of_all(tally: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
 
 
 def _of_strata(tally: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Numerator and denominator of each metric of a class of range, area or height."""
+    """Numerator and denominator of each metric over one class of range, area or height."""
     found = {}
     for key in tally:
         if match := _RANGE.fullmatch(key):
@@ -86,7 +87,7 @@ def _of_strata(tally: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
 
 
 def _classes(tally: Mapping[str, Any]) -> dict[str, Any]:
-    """IoU of each class that truth or estimate has, and their mean, where classes were counted."""
+    """IoU of each class in truth or estimate, and their mean; empty if classes were not counted."""
     names = [name for name in CLASSES.values() if f"class_{name}_union_px" in tally]
     if not names:
         return {}
@@ -97,7 +98,7 @@ def _classes(tally: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _ratio(numerator: Any, denominator: Any, empty: float = np.nan) -> Any:
-    """numerator / denominator, and `empty` where that is 0 / 0."""
+    """numerator / denominator, or `empty` where the denominator is 0."""
     above, below = np.asarray(numerator, dtype=float), np.asarray(denominator, dtype=float)
     value = np.where(below > 0, above / np.where(below > 0, below, 1.0), empty)
     return float(value) if value.ndim == 0 else value

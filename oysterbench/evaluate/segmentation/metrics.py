@@ -1,4 +1,4 @@
-"""What is measured of masks: name, unit, direction and definition of every metric."""
+"""Metrics of masks: name, unit, direction and definition of each."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ _STRATA = {
 
 
 def find_segmentation(key: str) -> Metric | None:
-    """Metrics of single classes, and of classes of range and size."""
+    """Return a metric of a single class, or of a class of range or size; None for an unknown key."""
     for pattern, (definition, unit) in _STRATA.items():
         if match := re.fullmatch(pattern, key):
             name = class_text(match[1], unit)
@@ -85,7 +85,7 @@ def find_segmentation(key: str) -> Metric | None:
 
 
 def class_text(name: str, unit: str) -> str:
-    """The name of a class as a text: `0.6to0.9m` is "0.6 to 0.9 m"."""
+    """Format the name of a class of range or size as text: `0.6to0.9m` becomes "0.6 to 0.9 m"."""
     plain = name.removesuffix(unit)
     if plain.startswith("below_"):
         return f"below {plain[6:]} {unit}"

@@ -1,4 +1,4 @@
-"""The settings of the evaluator of masks."""
+"""Settings of the mask evaluator."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ EVALUATOR = "segmentation 1"
 
 @dataclass(frozen=True)
 class SegmentationSettings(EvaluatorSettings):
-    """How masks are scored.
+    """Settings for scoring masks.
 
-    threshold:      a probability from which on a pixel is called oyster
-    boundary_share: of the image's diagonal: how deep a border is (Cheng et al. 2021: 0.02), one pixel at least
-    range_m:        edges of the classes of range along the optical axis, where the truth has depth
-    height_mm:      edges of the classes of true shell height, where the truth knows each oyster
+    threshold:      minimum probability at which a pixel counts as oyster
+    boundary_share: depth of a border as a share of the image's diagonal (Cheng et al. 2021: 0.02), at least one pixel
+    range_m:        edges of the classes of range along the optical axis, if the truth has depth
+    height_mm:      edges of the classes of true shell height, if the truth has each oyster's
     area_px:        edges of the classes of an oyster's visible area (COCO's: 32^2 and 96^2)
     """
 
@@ -33,7 +33,7 @@ class SegmentationSettings(EvaluatorSettings):
 
 
 def class_names(edges: tuple[float, ...], unit: str) -> list[str]:
-    """Names of the classes between edges, as they stand in keys: `below_0.6m`, `0.6to0.9m`, `from_0.9m`."""
+    """Names of the classes between edges, as used in keys: `below_0.6m`, `0.6to0.9m`, `from_0.9m`."""
     if not edges:
         return [f"any_{unit}"]
     between = [f"{low:g}to{high:g}{unit}" for low, high in pairwise(edges)]

@@ -1,4 +1,4 @@
-"""What is counted of one image. Counts are sums: those of a clip or a data set are the sums of their images'."""
+"""Counts of one image. Counts are additive: those of a clip or a data set are the sums over its images."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from oysterbench.evaluate.segmentation.settings import SegmentationSettings, cla
 from oysterbench.recipe import CLASSES
 
 Tally = dict[str, float]
-"""Count -> number. Pixels end in `_px`; sums over images in `_sum`."""
+"""Name of a count -> number. Names of pixel counts end in `_px`, those of sums over images in `_sum`."""
 
 _PARTS = ("true_negative", "false_positive", "false_negative", "true_positive")
-"""By 2 * truth + estimate."""
+"""Indexed by 2 * truth + estimate."""
 
 
 def tally_image(
     truth: TruthImage, estimate: EstimateImage, oyster: NDArray[np.bool_], settings: SegmentationSettings
 ) -> Tally:
-    """Everything that is counted of one image; oyster (H, W): where the estimate says that there is one."""
+    """Compute all counts of one image; oyster (H, W): the estimated mask."""
     true = truth.oyster
     asked = None if truth.ignore is None else ~truth.ignore
     codes = true.view(np.uint8) * np.uint8(2) + oyster.view(np.uint8)
@@ -48,7 +48,7 @@ def _histogram(values: NDArray[Any], asked: NDArray[np.bool_] | None, n: int) ->
 
 
 def _by_image(tally: Mapping[str, float]) -> Tally:
-    """The part of one image in means over images, and in what is asked of images without oysters."""
+    """Contribution of one image to means over images, and to the metrics of images without oysters."""
     hit, extra, missed = (tally[f"{name}_px"] for name in ("true_positive", "false_positive", "false_negative"))
     asked = hit + extra + missed + tally["true_negative_px"]
     empty = asked > 0 and hit + missed == 0
@@ -108,7 +108,7 @@ def _tally_range(
 def _tally_size(
     truth: TruthImage, oyster: NDArray[np.bool_], asked: NDArray[np.bool_] | None, settings: SegmentationSettings
 ) -> Tally:
-    """Pixels of truth by the size of their oyster, and how many of them are found. False positives have no size."""
+    """Count true pixels by the size of their oyster, and how many of them are found. False positives have no size."""
     assert truth.instances is not None
     where = truth.oyster if asked is None else truth.oyster & asked
     numbers = truth.instances[where]
@@ -134,5 +134,5 @@ def _tally_size(
 
 
 def add(tallies: list[Tally]) -> Tally:
-    """Sums, over all that have a count."""
+    """Sum tallies; a count missing in one is 0 there."""
     return {key: sum(tally.get(key, 0) for tally in tallies) for key in dict.fromkeys(chain(*tallies))}

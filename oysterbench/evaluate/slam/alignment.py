@@ -1,4 +1,4 @@
-"""Alignment of an estimate to the truth, and how well their geometry determines it."""
+"""Alignment of an estimate to the ground truth, and how well their geometry determines it."""
 
 from __future__ import annotations
 
@@ -24,28 +24,28 @@ from oysterbench.evaluate.slam.association import Association, associate
 from oysterbench.evaluate.slam.settings import SCALED, Align, SlamSettings
 
 NARROW = 0.1
-"""Spread across the main direction over spread along it, below which a path is asked whether it determines a turn."""
+"""Spread across a path's main direction over spread along it, below which a rotation may be ill-determined."""
 SURE_RAD = np.deg2rad(5.0)
-"""A turn that is uncertain by more than this is mentioned."""
+"""A rotation whose uncertainty exceeds this is mentioned in a note."""
 GUESS_RAD = 1.0
-"""A turn that is uncertain by more than this is a guess: the errors are as large as the distances that determine it."""
+"""A rotation whose uncertainty exceeds this is a guess: errors are as large as the distances that determine it."""
 EXPLAINED = 0.5
-"""Of the truth's motion: a scaled estimate that explains less was shrunk to do little harm."""
+"""Share of the true motion: a scaled estimate that explains less was merely shrunk until it does little harm."""
 SCALES = (0.01, 100.0)
-"""Scales outside are mentioned: centimetres, or an estimate that hardly moves."""
+"""Scales outside this range are mentioned in a note: centimetres, or an estimate that hardly moves."""
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """What brings an estimate to the truth.
+    """Transform that aligns an estimate to the ground truth, and how well it is determined.
 
-    similarity:      takes the estimate's world into the truth's
+    similarity:      maps the estimate's world frame to the truth's
     singular_values: (3,) m^2, of the covariance of truth and scaled estimate, largest first (se3, sim3);
-                     (2,) horizontal, of the truth (posyaw); empty where nothing is fitted
-    condition:       root of the largest over the smallest stiffness of the fit against a turn: 1 where all turns are
-                     equally determined, large for a path that is nearly a line; NaN where no turn is fitted
-    sigma_rad:       uncertainty of the least determined turn, rad; NaN where none is fitted
-    notes:           what is doubtful about it, in sentences
+                     (2,) horizontal, of the truth (posyaw); empty if nothing is fitted
+    condition:       square root of the ratio of the largest to the smallest stiffness of the fit against a rotation: 1
+                     if all rotations are equally determined, large for a nearly straight path; NaN if none is fitted
+    sigma_rad:       uncertainty of the least determined rotation, rad; NaN if none is fitted
+    notes:           what is doubtful about the alignment, in sentences
     """
 
     similarity: Similarity
@@ -56,10 +56,10 @@ class Alignment:
 
 
 def meet(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -> tuple[Association, Alignment]:
-    """Truth and estimate associated, and what aligns them.
+    """Associate an estimate with the truth, and fit the alignment.
 
-    A scale is fitted to the poses of the frame that was estimated, and the lever arm to the body is applied to the path
-    that has it: in metres it belongs to no other. All other alignments are fitted to the poses of the body.
+    A scale is fitted to the poses of the frame that was estimated, and the lever arm to the body is applied to the
+    scaled path: it is in metres, as only that path is. All other alignments are fitted to the poses of the body.
     """
     T = estimate.T_body_estimate if settings.align in SCALED else None
     met = associate(poses_of_frame(truth, T), poses_of_frame(estimate, T), settings)
@@ -70,10 +70,10 @@ def meet(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -> tup
 
 
 def fit_alignment(truth: Trajectory, estimate: Trajectory, align: Align, first: int | None = None) -> Alignment:
-    """The alignment of matched poses (N,), fitted to the first of them or all.
+    """Fit the alignment to matched poses (N,): to the `first` ones, or to all.
 
-    Raises TrajectoryError where geometry does not determine it: no motion, a stuck estimate, a line (for se3, sim3)
-    or a vertical (for posyaw), exact or with no more than noise across it.
+    Raises TrajectoryError where the geometry does not determine it: no motion, a stuck estimate, a straight line (for
+    se3, sim3) or a vertical one (for posyaw), exact or with no more than noise across it.
     """
     if align == "none":
         return Alignment(IDENTITY, np.empty(0))
@@ -95,12 +95,14 @@ def fit_alignment(truth: Trajectory, estimate: Trajectory, align: Align, first: 
 
 
 def _weigh_rotation(truth: Array, estimate: Array, fit: Similarity, align: Align) -> Alignment:
-    """How well matched points (N, 3) determine a fitted rotation.
+    """Assess how well matched points (N, 3) determine a fitted rotation.
 
-    A turn by a small angle about the k-th main direction costs N (d_i + d_j) / 2 angle^2, with d the singular values
-    of the covariance of the points (the Hessian of Umeyama's cost at its optimum). An error of r across the main
-    direction thus leaves the turn about it uncertain by r / sqrt(d_2 + d_3). Errors of trajectories go together over
-    time, so their number does not divide that.
+    A rotation by a small angle about the k-th principal axis costs N (d_i + d_j) / 2 angle^2, with d the singular
+    values of the covariance of the points (the Hessian of Umeyama's cost at its optimum). An error of r across the main
+    direction thus leaves the rotation about it uncertain by r / sqrt(d_2 + d_3). As errors of a trajectory are
+    correlated over time, this is not divided by the root of their number.
+
+    Raises ValueError where the path is nearly straight and the rotation about it is a guess.
     """
     fitted = fit.apply(estimate)
     u, d, vt = np.linalg.svd(covariance(truth, fitted))
@@ -131,9 +133,10 @@ def _weigh_rotation(truth: Array, estimate: Array, fit: Similarity, align: Align
 
 
 def _weigh_yaw(truth: Array, estimate: Array, fit: Similarity) -> Alignment:
-    """How well matched points (N, 3) determine a fitted yaw: an error of r over the root of the horizontal spread.
+    """Assess how well matched points (N, 3) determine a fitted yaw: its uncertainty is r / sqrt(c), for an error of r.
 
-    A turn by a small angle about z costs N c / 2 angle^2, with c the mean product of the horizontal points.
+    A rotation by a small angle about z costs N c / 2 angle^2, with c the mean product of the horizontal points.
+    Raises ValueError where the path is nearly vertical and the yaw is a guess.
     """
     fitted = fit.apply(estimate)
     stiffness = max(float(np.trace(covariance(truth[:, :2], fitted[:, :2]))), 0.0)
@@ -156,7 +159,7 @@ def _weigh_yaw(truth: Array, estimate: Array, fit: Similarity) -> Alignment:
 
 
 def _guess(error_m: float, common_m: float, sigma_rad: float, turn: str) -> str:
-    """What is said of a turn that errors as large as the motion leave open, whatever the shape of the path."""
+    """Note on a rotation left undetermined by errors as large as the motion, whatever the shape of the path."""
     uncertain = f"{np.rad2deg(sigma_rad):.0f} deg" if sigma_rad < np.pi else "any angle"
     return (
         f"over the poses used for alignment, the estimate errs by {error_m:.3g} m and has "
@@ -165,7 +168,7 @@ def _guess(error_m: float, common_m: float, sigma_rad: float, turn: str) -> str:
 
 
 def _scale_notes(truth: Array, estimate: Array, scale: float) -> tuple[str, ...]:
-    """What is doubtful about the scale of matched points (N, 3), of which the estimate's are not scaled."""
+    """Notes on what is doubtful about a scale fitted to matched points (N, 3); the estimate's are not yet scaled."""
     explained = (scale * spread(estimate) / spread(truth)) ** 2
     if explained < EXPLAINED:
         return (
@@ -178,7 +181,7 @@ def _scale_notes(truth: Array, estimate: Array, scale: float) -> tuple[str, ...]
 
 
 def _ratio(value: float, by: float) -> float:
-    """value / by; infinite where something is divided by nothing, 0 where nothing is."""
+    """value / by; for by <= 0, infinite if value is positive, else 0."""
     if by > 0:
         return float(value / by)
     return float("inf") if value > 0 else 0.0

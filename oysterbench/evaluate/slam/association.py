@@ -1,4 +1,4 @@
-"""Which poses of an estimate answer which stamps of the truth."""
+"""Association of an estimate's poses with the timestamps of the ground truth."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from oysterbench.evaluate.slam.settings import MIN_MATCHED, SlamSettings
 Stamps = NDArray[np.int64]
 
 EDGE_NS = 1_000_000
-"""Beyond the estimate's ends within which its first and last poses answer: files round their timestamps."""
+"""Tolerance, ns, beyond the estimate's ends, within which its first and last pose count: files round timestamps."""
 
 FEW = 0.9
-"""Share of the poses that could be compared; where fewer are, a reader is told."""
+"""If a smaller share of the poses that could be compared is matched, a note says so."""
 
 SPARSE_S, SPARSE = 0.2, 5.0
-"""A truth whose stamps are farther apart than this, and by this factor farther than the estimate's, is sparse."""
+"""A truth is sparse if its stamps are at least SPARSE_S, and SPARSE times the estimate's spacing, apart."""
 
 
 @dataclass(frozen=True)
 class Association:
-    """Truth and estimate, met.
+    """Matched poses of truth and estimate.
 
-    covered:    (T,) which truth stamps the estimate covers, by a pose or between two close ones
+    covered:    (T,) which truth stamps the estimate covers, with a pose or between two close ones
     associated: (N,) indices of the truth stamps that are compared; all of `covered` with interpolation
-    truth:      (N,) poses of the truth there
-    estimate:   (N,) poses of the estimate for them, with the truth's stamps
-    positions:  (C, 3) m, those of the estimate at the C covered stamps, before alignment
+    truth:      (N,) poses of the truth at these stamps
+    estimate:   (N,) poses of the estimate matched to them, with the truth's stamps
+    positions:  (C, 3) m, positions of the estimate at the C covered stamps, before alignment
     """
 
     covered: NDArray[np.bool_]
@@ -44,7 +44,7 @@ class Association:
 
 
 def associate(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -> Association:
-    """Match an estimate to the truth's stamps. Raises TrajectoryError where too little of them meets."""
+    """Match an estimate to the truth's stamps. Raises TrajectoryError where they do not overlap or too few match."""
     check_overlap(truth, estimate, settings)
     covered = covered_stamps(truth.stamps_ns, estimate.stamps_ns, settings.max_gap_s)
     if settings.associate == "interpolate":
@@ -58,7 +58,7 @@ def associate(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -
     _check_matched(len(associated), truth, estimate, settings)
     covered[associated] = True
     matched = estimate.select(taken)
-    # Stamps between the associated ones are covered as well: recall asks all of them.
+    # Stamps between the associated ones may be covered as well: recall takes all of these into account.
     positions = np.empty((len(truth), 3))
     between_ns = np.clip(truth.stamps_ns[covered], estimate.stamps_ns[0], estimate.stamps_ns[-1])
     positions[covered] = _positions_at(estimate, between_ns)
@@ -68,7 +68,7 @@ def associate(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -
 
 
 def _interpolated(estimate: Trajectory, stamps_ns: Stamps) -> Trajectory:
-    """Poses at covered stamps (N,); just beyond an end, the pose there."""
+    """Interpolate poses at covered stamps (N,); just beyond an end, take the pose at that end."""
     within_ns = np.clip(stamps_ns, estimate.stamps_ns[0], estimate.stamps_ns[-1])
     return replace(estimate.at(within_ns), stamps_ns=stamps_ns)
 
@@ -80,9 +80,10 @@ def _positions_at(estimate: Trajectory, stamps_ns: Stamps) -> Array:
 
 
 def covered_stamps(stamps_ns: Stamps, estimate_ns: Stamps, max_gap_s: float) -> NDArray[np.bool_]:
-    """Which stamps (N,) the estimate answers: on one of its poses, or between two that are at most max_gap_s apart.
+    """Which stamps (N,) the estimate covers: on one of its poses, or between two that are at most max_gap_s apart.
 
-    So are those within EDGE_NS of its first pose and its last. Both are int64 ns, increasing; returns (N,).
+    Stamps within EDGE_NS of its first or last pose are covered as well. Both inputs are int64 ns, increasing; returns
+    (N,).
     """
     after = np.searchsorted(estimate_ns, stamps_ns, side="left")
     inside = (after > 0) & (after < len(estimate_ns))
@@ -97,8 +98,8 @@ def covered_stamps(stamps_ns: Stamps, estimate_ns: Stamps, max_gap_s: float) -> 
 def nearest_pairs(stamps_ns: Stamps, estimate_ns: Stamps, max_difference_s: float) -> tuple[Index, Index]:
     """Indices (M,) into stamps (N,) and into estimate stamps (K,), both increasing: the pairs nearest in time.
 
-    Each stamp asks for its nearest pose, if that is at most max_difference_s away; a pose goes to the nearest of
-    those that ask for it, so that none is used twice.
+    Each stamp claims its nearest pose, if that is at most max_difference_s away; a pose goes to the nearest stamp that
+    claims it, so that none is used twice.
     """
     after = np.clip(np.searchsorted(estimate_ns, stamps_ns), 1, len(estimate_ns) - 1)
     before_is_nearer = stamps_ns - estimate_ns[after - 1] <= estimate_ns[after] - stamps_ns
@@ -113,11 +114,12 @@ def nearest_pairs(stamps_ns: Stamps, estimate_ns: Stamps, max_difference_s: floa
 
 @dataclass(frozen=True)
 class Gaps:
-    """Where the estimate is silent.
+    """Gaps in the estimate.
 
-    first_fix_s: from the first truth stamp to the first that is answered, s
-    number:      runs of unanswered truth stamps after the first fix
-    longest_s:   of them: from the last answered stamp before to the first after, or to the end of the truth, s
+    first_fix_s: from the first truth stamp to the first covered one, s
+    number:      number of runs of uncovered truth stamps after the first fix
+    longest_s:   duration of the longest: from the last covered stamp before to the first after, or to the end of the
+                 truth, s
     """
 
     first_fix_s: float
@@ -126,7 +128,7 @@ class Gaps:
 
 
 def find_gaps(stamps_ns: Stamps, covered: NDArray[np.bool_]) -> Gaps:
-    """The gaps in the answers to truth stamps (T,) int64 ns, at least one of which is covered (T,)."""
+    """Find the gaps in the coverage (T,) of truth stamps (T,), int64 ns; at least one stamp is covered."""
     associated = np.flatnonzero(covered)
     ends = np.append(associated[1:], len(stamps_ns))
     holes = np.flatnonzero(ends - associated > 1)
@@ -140,7 +142,7 @@ def find_gaps(stamps_ns: Stamps, covered: NDArray[np.bool_]) -> Gaps:
 
 
 def rate_notes(truth: Trajectory, estimate: Trajectory) -> list[str]:
-    """Whether the truth is asked so rarely that most of the estimate goes unscored, in a sentence."""
+    """Note on a truth whose stamps are so sparse that most of the estimate is not scored, if so."""
     asked_s, given_s = (float(np.median(np.diff(t.stamps_ns))) * 1e-9 for t in (truth, estimate))
     if asked_s < SPARSE_S or asked_s < SPARSE * given_s:
         return []
@@ -151,8 +153,8 @@ def rate_notes(truth: Trajectory, estimate: Trajectory) -> list[str]:
 
 
 def match_notes(truth: Trajectory, estimate: Trajectory, met: Association, settings: SlamSettings) -> list[str]:
-    """Whether many poses that could have been compared found no partner near enough, in a sentence. With interpolation
-    all do."""
+    """Note on many poses that could have been compared but had no partner close enough, if so. With interpolation, all
+    have one."""
     first, last = np.searchsorted(estimate.stamps_ns, [truth.stamps_ns[0], truth.stamps_ns[-1]])
     possible = min(int(met.covered.sum()), int(last - first))
     if len(met.associated) >= FEW * possible:
@@ -165,7 +167,7 @@ def match_notes(truth: Trajectory, estimate: Trajectory, met: Association, setti
 
 
 def check_overlap(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -> None:
-    """Refuse two time spans that do not meet."""
+    """Refuse two trajectories whose time spans do not overlap."""
     allowed_ns = round(settings.max_difference_s * 1e9) if settings.associate == "nearest" else 0
     first, last = int(truth.stamps_ns[0]), int(truth.stamps_ns[-1])
     begin, end = int(estimate.stamps_ns[0]), int(estimate.stamps_ns[-1])
@@ -181,7 +183,7 @@ def check_overlap(truth: Trajectory, estimate: Trajectory, settings: SlamSetting
 
 
 def _check_matched(matched: int, truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -> None:
-    """Refuse too few matched poses, and say what keeps them from matching."""
+    """Refuse too few matched poses, and state what limits the matching."""
     if matched >= MIN_MATCHED:
         return
     step_s = float(np.median(np.diff(estimate.stamps_ns))) * 1e-9

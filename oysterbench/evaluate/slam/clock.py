@@ -1,4 +1,4 @@
-"""The offset between the clocks of an estimate and the truth, from how fast each of them moves."""
+"""Clock offset between an estimate and the ground truth, found from how fast each of them moves."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from oysterbench.core.geometry import Array, rotation_angle
 from oysterbench.core.trajectory import Trajectory
 
 MIN_STEP_S = 0.05
-"""Speeds are taken over this time or the longer of the median steps: noise goes with its inverse, lag with it."""
+"""Speeds are averaged over this time or the longer of the median steps: noise falls with it, lag grows with it."""
 MIN_OVERLAP = 0.5
-"""Of the shorter trajectory: what must lie on the other at an offset that is tried."""
+"""Share of the shorter trajectory that must overlap the other one at an offset to be tried."""
 MIN_CORRELATION = 0.6
-"""Below, the two do not move alike at any offset."""
+"""If the best correlation is below this, the two do not move alike at any offset."""
 MIN_LEAD = 0.02
-"""Of correlation: what the best offset must have before any other that is not beside it."""
+"""Difference in correlation by which the best offset must exceed any other that is not adjacent to it."""
 MAX_SAMPLES = 2**20
 
 
 @dataclass(frozen=True)
 class Offset:
-    """What is added to the estimate's stamps.
+    """Time offset to add to the estimate's stamps.
 
     offset_s:    s
-    sigma_s:     its standard deviation, s, from how sharply the speeds fit there
+    sigma_s:     its standard deviation, s, from how sharply the fit of the speeds peaks there
     correlation: of the two speeds at the offset, -1 to 1
     signal:      which speed was compared
     """
@@ -40,11 +40,11 @@ class Offset:
 
 
 def estimate_offset(truth: Trajectory, estimate: Trajectory) -> Offset:
-    """The offset at which the speeds of truth and estimate agree best.
+    """Find the offset at which the speeds of truth and estimate agree best.
 
-    Angular speed and the speed of the position do not depend on the choice of the world frame, the first not on that
-    of the body frame either. Each is sampled evenly, correlated at all offsets with enough overlap, and refined
-    between the samples; the one with the smaller uncertainty counts. Raises TrajectoryError where both fail.
+    Neither angular nor linear speed depends on the choice of the world frame, and angular speed not on that of the body
+    frame either. Each is sampled evenly, correlated at all offsets with enough overlap, and refined between the
+    samples; the one with the smaller uncertainty is used. Raises TrajectoryError where both fail.
     """
     step_s = max(MIN_STEP_S, _median_step(truth), _median_step(estimate))
     step_s = max(step_s, _duration(truth) / MAX_SAMPLES, _duration(estimate) / MAX_SAMPLES)
@@ -64,7 +64,7 @@ def estimate_offset(truth: Trajectory, estimate: Trajectory) -> Offset:
 
 
 def shift(trajectory: Trajectory, offset_s: float) -> Trajectory:
-    """The trajectory with offset_s added to its stamps, to the nanosecond."""
+    """Return the trajectory with offset_s added to its stamps, rounded to the nanosecond."""
     if offset_s == 0.0:
         return trajectory
     return replace(trajectory, stamps_ns=trajectory.stamps_ns + round(offset_s * 1e9))
@@ -79,7 +79,7 @@ def _duration(trajectory: Trajectory) -> float:
 
 
 def _speed(trajectory: Trajectory, step_s: float, signal: str) -> Array:
-    """Mean speed (K,) in rad/s or m/s in each step of step_s from the first stamp on."""
+    """Mean speed (K,) in rad/s or m/s over each interval of step_s from the first stamp on."""
     count = int(_duration(trajectory) / step_s) + 1
     stamps_ns = trajectory.stamps_ns[0] + np.round(np.arange(count) * step_s * 1e9).astype(np.int64)
     poses = trajectory.at(np.minimum(stamps_ns, trajectory.stamps_ns[-1]))
@@ -89,7 +89,10 @@ def _speed(trajectory: Trajectory, step_s: float, signal: str) -> Array:
 
 
 def _fit(truth: Array, estimate: Array, step_s: float, signal: str) -> Offset:
-    """Offset between the first stamps of two evenly sampled speeds (K,), (L,)."""
+    """Find the offset between the first stamps of two evenly sampled speeds (K,), (L,).
+
+    Raises ValueError where there are too few samples, too little variation or correlation, or no distinct maximum.
+    """
     shortest = min(len(truth), len(estimate))
     if shortest < 8:
         raise ValueError(f"there are {shortest} samples, at least 8 are needed")
@@ -108,7 +111,7 @@ def _fit(truth: Array, estimate: Array, step_s: float, signal: str) -> Offset:
 
 
 def _correlations(truth: Array, estimate: Array, least: int) -> tuple[NDArray[np.int64], Array]:
-    """Pearson's correlation of truth[k + lag] and estimate[k] over their overlap, at all lags with `least` samples."""
+    """Lags with `least` or more overlapping samples, and there Pearson's correlation of truth[k + lag], estimate[k]."""
     a, b = truth - truth.mean(), estimate - estimate.mean()
     one_a, one_b = np.ones_like(a), np.ones_like(b)
     count, sum_a, sum_b, squares_a, squares_b, products = (
@@ -123,7 +126,7 @@ def _correlations(truth: Array, estimate: Array, least: int) -> tuple[NDArray[np
 
 
 def _correlated(x: Array, y: Array) -> Array:
-    """Sums of x[k + lag] y[k] over k at all lags, to the bit as scipy.signal.correlate has them of method "fft", which
+    """Sums of x[k + lag] y[k] over k at all lags, bit for bit those of scipy.signal.correlate with method "fft", which
     takes half a second to import."""
     fft = scipy.fft
     length = len(x) + len(y) - 1
@@ -132,7 +135,7 @@ def _correlated(x: Array, y: Array) -> Array:
 
 
 def _rival(correlation: Array, peak: int) -> float:
-    """The highest correlation at any other hill than that of the peak."""
+    """Highest correlation at any local maximum other than the peak; -1 if there is none."""
     inner = correlation[1:-1]
     hills = 1 + np.flatnonzero((inner >= correlation[:-2]) & (inner >= correlation[2:]))
     ends = [k for k in (0, len(correlation) - 1) if abs(k - peak) > 1]
@@ -141,12 +144,12 @@ def _rival(correlation: Array, peak: int) -> float:
 
 
 def _refine(truth: Array, estimate: Array, lag: int) -> tuple[float, float]:
-    """Lag and its standard deviation, in samples, where the line through the two speeds leaves the least.
+    """Lag with the smallest residuals of a linear fit between the two speeds, and its standard deviation, in samples.
 
-    The deviation is that of least squares, sqrt(s^2 / sum(v'^2)) of the residuals' deviation s and the slope v', with
-    the number of independent residuals counted by their correlation from one sample to the next.
+    The deviation is that of least squares, sqrt(s^2 / sum(v'^2)), with s the standard deviation of the residuals and v'
+    the slope, where the number of independent residuals follows from their correlation from one sample to the next.
     """
-    from scipy.optimize import minimize_scalar  # a third of a second, where no clock is sought
+    from scipy.optimize import minimize_scalar  # here, as it takes a third of a second to import, seldom needed
 
     index = np.arange(max(1, 1 - lag), min(len(estimate) - 1, len(truth) - 1 - lag))
     known = np.arange(len(truth))

@@ -1,12 +1,12 @@
-"""Whether an estimate errs as much as its covariances say.
+"""Consistency: whether an estimate's errors are as large as its covariances say.
 
-Covariances grow from where an estimate starts, while an alignment that is fitted to the whole path spreads what the end
-errs over all of it: it makes the first poses err, which the estimate rightly calls exact, and hides what the last ones
-do. So NEES has an alignment of its own: by the first matched pose, in the freedom that the evaluator's alignment grants
-the method (position and yaw for posyaw; position and attitude for origin, se3 and sim3, this one with its scale;
-nothing for none and scale). What the first pose itself errs then turns and shifts all others; its covariance says how
-much, and is added to theirs, as independent of them. Of an estimate that starts from an exact pose, as odometry does,
-it is nothing; of one whose errors are as large everywhere, it is as large as theirs.
+Covariances grow from the start of an estimate, while an alignment fitted to the whole path distributes the errors at
+the end over all of it: it adds errors to the first poses, which the estimate rightly calls exact, and hides those of
+the last. NEES therefore has an alignment of its own: to the first matched pose, within the freedom that the evaluator's
+alignment grants the method (position and yaw for posyaw; position and attitude for origin, se3 and sim3, the last with
+its scale; none for none and scale). The error of the first pose itself then rotates and shifts all others; its
+covariance says by how much, and is added to theirs, as if independent of them. For an estimate that starts from an
+exact pose, as odometry does, it is zero; for one whose errors are equally large everywhere, it is as large as theirs.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from oysterbench.evaluate.slam.pose_errors import absolute_errors
 from oysterbench.evaluate.slam.settings import Align
 
 THREE_SIGMA = 0.9973002039367398
-"""Probability of three standard deviations of a normal distribution, and of the ellipsoid that is meant by them."""
+"""Probability within three standard deviations of a normal distribution, and within a 3-sigma ellipsoid."""
 CONFIDENCE = 0.95
-"""Of the band in which the mean NEES of a consistent estimate lies."""
+"""Probability that the mean NEES of a consistent estimate lies within `Nees.band`."""
 
 
 @dataclass(frozen=True)
 class Nees:
     """Normalised estimation error squared e^T C^-1 e (Bar-Shalom, Li, Kirubarajan 2001, sec. 5.4.2).
 
-    values: (N,), chi-square with `freedom` degrees where covariances and errors agree
+    values: (N,), chi-square distributed with `freedom` degrees of freedom if the covariances match the errors
     """
 
     values: Array
@@ -40,33 +40,33 @@ class Nees:
 
     @property
     def mean(self) -> float:
-        """Over its stamps; `freedom` is expected. Above it the estimate is overconfident."""
+        """Mean over the stamps; `freedom` is expected. If it is greater, the estimate is overconfident."""
         return float(np.mean(self.values))
 
     @property
     def band(self) -> tuple[float, float]:
-        """Where the mean lies with CONFIDENCE, if errors at different stamps are independent."""
+        """Interval that contains the mean with probability CONFIDENCE, if errors are independent between stamps."""
         n = len(self.values) * self.freedom
         low, high = _chi2_quantile(np.array([0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2]), n) / len(self.values)
         return float(low), float(high)
 
     @property
     def within_3sigma(self) -> float:
-        """Share of stamps inside the ellipsoid that holds THREE_SIGMA of a consistent estimate's errors."""
+        """Share of stamps inside the ellipsoid that contains THREE_SIGMA of a consistent estimate's errors."""
         return float(np.mean(self.values <= _chi2_quantile(THREE_SIGMA, self.freedom)))
 
 
 def _chi2_quantile(probability: float | Array, freedom: int) -> Any:
-    """As scipy.stats has it, which takes every command half a second to import."""
+    """Chi-square quantile, as in scipy.stats, whose import would cost every command half a second."""
     return 2.0 * scipy.special.gammaincinv(freedom / 2.0, probability)
 
 
 def nees(truth: Trajectory, estimate: Trajectory, align: Align, fit: Similarity) -> dict[str, Nees]:
-    """NEES of position, rotation and pose, of matched poses (N,) of the truth and of the estimate as it was given.
+    """NEES of position, rotation and pose, from matched poses (N,) of the truth and of the unaligned estimate.
 
-    align, fit: the evaluator's alignment, whose freedom and scale are taken over. The estimate's covariances (N, 6, 6)
-    are about the axes of its world, and turn and scale with it. Where the first pose aligns, it is no sample: (N - 1,).
-    Raises ValueError where a covariance is not positive definite.
+    align, fit: the evaluator's alignment, whose freedom and scale are adopted. The estimate's covariances (N, 6, 6) are
+    in the axes of its world frame, and rotate and scale with it. If the first pose is used for alignment, it is not a
+    sample: (N - 1,). Raises ValueError where a covariance is not positive definite.
     """
     covariances = estimate.covariances
     if covariances is None:
@@ -76,7 +76,7 @@ def nees(truth: Trajectory, estimate: Trajectory, align: Align, fit: Similarity)
     change = _by_first(truth, estimate, align, fit.scale) if by_first else fit
     aligned = Trajectory(truth.stamps_ns, change.apply(estimate.positions), change.rotate(estimate.quaternions))
     turn = scipy.spatial.transform.Rotation.from_quat(absolute_errors(truth, aligned).turn).as_rotvec()
-    # The error in the estimate's axes, with its covariance as it was given, is the same number and costs less.
+    # In the estimate's axes, with its covariances unchanged, NEES is the same number and costs less.
     error = np.column_stack([(aligned.positions - truth.positions) / change.scale, turn])
     error = np.einsum("nkj,ji->nki", error.reshape(-1, 2, 3), change.rotation).reshape(-1, 6)
     if by_first:
@@ -90,20 +90,20 @@ def nees(truth: Trajectory, estimate: Trajectory, align: Align, fit: Similarity)
 
 
 def _by_first(truth: Trajectory, estimate: Trajectory, align: Align, scale: float) -> Similarity:
-    """What takes the estimate's first pose onto the truth's: its position, and its yaw or all of its attitude."""
+    """Similarity that moves the estimate's first pose onto the truth's: position, and yaw or the whole attitude."""
     first = align_origin(truth.matrices[0], estimate.matrices[0]).rotation
     if align == "posyaw":
-        # The turn about z that is nearest to it.
+        # The rotation about z that is closest to it.
         angle = np.arctan2(first[1, 0] - first[0, 1], first[0, 0] + first[1, 1])
         first = scipy.spatial.transform.Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
     return Similarity(first, truth.positions[0] - scale * first @ estimate.positions[0], scale)
 
 
 def _of_first(estimate: Trajectory, covariance: Array, align: Align) -> Array:
-    """(N, 6, 6) what the error of the first pose, of a covariance (6, 6), does to all poses when it is taken out.
+    """Covariances (N, 6, 6) that aligning by the first pose, whose covariance is (6, 6), adds to those of all poses.
 
-    With d_k the way from the first position and t the part of the first pose's turn that is taken out, position k is
-    moved by -dp + d_k x t, and its attitude turned by -t.
+    With dp the error of the first position, d_k the displacement from it and t the part of the first pose's rotation
+    error that the alignment removes, position k is moved by -dp + d_k x t, and its attitude rotated by -t.
     """
     taken = np.diag([0.0, 0.0, 1.0]) if align == "posyaw" else np.eye(3)
     x, y, z = (estimate.positions - estimate.positions[0]).T
@@ -118,7 +118,7 @@ def _of_first(estimate: Trajectory, covariance: Array, align: Align) -> Array:
 
 
 def _check(covariances: Array) -> None:
-    """Raises ValueError, which names the first of covariances (N, 6, 6) that is not positive definite."""
+    """Refuse covariances (N, 6, 6) that are not positive definite. Raises ValueError naming the first of these."""
     for begin in range(0, len(covariances), BLOCK):
         part = covariances[begin : begin + BLOCK]
         try:
@@ -129,7 +129,7 @@ def _check(covariances: Array) -> None:
 
 
 def _squared(covariances: Array, errors: Array) -> Array:
-    """e^T C^-1 e of (N, K, K) and (N, K), as the squared length of L^-1 e with C = L L^T."""
+    """e^T C^-1 e (N,) of covariances (N, K, K) and errors (N, K), as the squared length of L^-1 e with C = L L^T."""
     squared = np.empty(len(errors))
     for begin in range(0, len(errors), BLOCK):
         part = slice(begin, begin + BLOCK)

@@ -1,4 +1,4 @@
-"""How an estimate may have been written wrongly, found by holding it against the truth."""
+"""Mistakes in how an estimate was written, found by comparing it with the ground truth."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ from oysterbench.evaluate.slam.clock import estimate_offset
 from oysterbench.evaluate.slam.validate import check_trajectory
 
 SAMPLES = 2000
-"""Poses that are compared: enough for every decision here, and the same for an hour as for a minute."""
+"""Number of poses compared: enough for every decision here, and the same for an hour as for a minute."""
 
 FITS = 0.25
-"""Turns that err by less than this share of their size are of the same motion."""
+"""Rotations that err by less than this share of their size belong to the same motion."""
 GAIN = 4.0
-"""How many times better another reading must fit before it is believed."""
+"""Factor by which another interpretation must fit better before it is believed."""
 MIN_TURN_RAD = np.deg2rad(3.0)
-"""Attitudes that turn less say nothing about their axes."""
+"""Attitudes that rotate by less than this say nothing about their axes."""
 USUAL_TURN_RAD = np.deg2rad(15.0)
-"""Turn between two compared attitudes that stands well above their noise, and is not wrapped."""
+"""Rotation between two compared attitudes that stands well above their noise and does not wrap."""
 MIN_AXES = 0.05
-"""Turn about the second axis over that about the first, from which a constant rotation is determined."""
+"""Minimum ratio of the rotation about the second axis to that about the first that determines a constant rotation."""
 LEVEL_RAD = np.deg2rad(10.0)
-"""Tilt within which two attitudes agree on where up is."""
+"""Tilt within which two attitudes agree on the direction of up."""
 TILTED_RAD = np.deg2rad(30.0)
 """Tilt beyond which they do not."""
 
 MILLI = 1000.0
 SCALE_TOLERANCE = 0.1
-"""Of a scale of 1000: what drift of scale a unit is still recognised under."""
+"""Relative deviation from a scale of 1000, by drift of scale, up to which millimetres are still recognised."""
 SHAPE = 0.1
-"""Of the truth's spread: the error of positions that are those of the same path."""
+"""Maximum error of positions along the same path, as a share of the truth's spread."""
 
 TIME_UNITS = {1e-9: "ns", 1e-6: "us", 1e-3: "ms", 1e9: "s"}
-"""Factor that brings stamps which were read in the wrong unit to the truth's -> the unit that they are in.
+"""Factor that corrects stamps read in the wrong unit -> the unit that they are actually in.
 
-Stamps are read as seconds where nothing else is known, and as nanoseconds in EuRoC files (the last row).
+Stamps are read as seconds where nothing else is known, and as nanoseconds in EuRoC files (the last entry).
 """
 
 Cause = Literal[
@@ -64,11 +64,11 @@ class Finding:
     """One suspicion about a pair of trajectories.
 
     cause:    its kind
-    sentence: what was seen, with numbers
-    decide:   what to type to decide it; empty where no option does
-    changes:  `ReadOptions` of the estimate with which it would be gone
-    severity: `certain`: only one reading is possible, and it may be taken; `refuse`: scoring makes no sense before
-              somebody decides; `note`: worth a sentence
+    sentence: what was observed, with numbers
+    decide:   what to type to settle it; empty if no option does
+    changes:  `ReadOptions` of the estimate that would resolve it
+    severity: `certain`: only one interpretation is possible, and it may be applied; `refuse`: scoring makes no sense
+              before the user decides; `note`: worth a sentence
     """
 
     cause: Cause
@@ -82,11 +82,11 @@ class Finding:
 
 
 def diagnose(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
-    """What is suspicious about an estimate; an empty list where nothing is.
+    """List what is suspicious about an estimate; empty if nothing is.
 
     Raises TrajectoryError for poses that `check_trajectory` refuses.
     """
-    # First of all: stamps in a wrong unit may be such that no check of stamps passes them.
+    # Comes first: stamps in a wrong unit may fail every check of stamps.
     if findings := _time_unit(truth, estimate):
         return findings
     truth, estimate = check_trajectory(truth, "truth"), check_trajectory(estimate, "estimate")
@@ -99,10 +99,10 @@ def diagnose(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
     findings = _swapped(truth, estimate)
     if len(index) >= 3:
         taken = estimate.select(index)
-        # Only the poses around the samples are needed, and few of a long truth.
+        # Only the poses around the samples are needed: few of a long truth.
         after = np.searchsorted(truth.stamps_ns, taken.stamps_ns)
         there = truth.select(np.unique([np.maximum(after - 1, 0), after])).at(taken.stamps_ns)
-        # Attitudes of inverted poses are not worth a suspicion of their own.
+        # If poses are inverted, their attitudes are no separate suspicion.
         findings += _inverted(there.positions, taken) or [
             *_unit(there.positions, taken.positions),
             *_attitude(there.quaternions, taken.quaternions),
@@ -111,7 +111,7 @@ def diagnose(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
 
 
 def _time_unit(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
-    """Whether the two spans of time meet in another unit only."""
+    """Check whether the two time spans overlap only if the estimate's stamps are in another unit."""
     if not len(truth) or not len(estimate):
         return []
     first, last = int(truth.stamps_ns[0]), int(truth.stamps_ns[-1])
@@ -134,7 +134,7 @@ def _time_unit(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
 
 
 def _overlap(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
-    """Whether the two spans of time meet, and if not, which constant offset would make them."""
+    """Check whether the two time spans overlap and, if not, which constant offset would make them."""
     first, last = int(truth.stamps_ns[0]), int(truth.stamps_ns[-1])
     begin, end = int(estimate.stamps_ns[0]), int(estimate.stamps_ns[-1])
     if begin <= last and end >= first:
@@ -159,13 +159,13 @@ def _overlap(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
 
 
 def _share(begin: float, end: float, first: float, last: float) -> float:
-    """Overlap of two spans over the longer of them."""
+    """Overlap of two spans as a share of the longer one."""
     longer = max(end - begin, last - first)
     return max(min(end, last) - max(begin, first), 0.0) / longer if longer > 0 else 0.0
 
 
 def _swapped(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
-    """Whether the truth looks like the estimate of the two: it covers less, more coarsely, or knows its own errors."""
+    """Check whether the truth looks like an estimate: it covers less, more coarsely, or it alone has covariances."""
     seen = []
     spans = [int(t.stamps_ns[-1]) - int(t.stamps_ns[0]) for t in (truth, estimate)]
     inside = truth.stamps_ns[0] >= estimate.stamps_ns[0] and truth.stamps_ns[-1] <= estimate.stamps_ns[-1]
@@ -184,7 +184,7 @@ def _swapped(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
 
 
 def _inverted(truth: Array, estimate: Trajectory) -> list[Finding]:
-    """Whether matched poses have the shape of the true path (N, 3) when they are inverted, and not as they are."""
+    """Check whether matched poses have the shape of the true path (N, 3) only when they are inverted."""
     size = spread(truth)
     as_is = _misfit(truth, estimate.positions)
     turned_round = _misfit(truth, inverted(estimate).positions)
@@ -203,7 +203,7 @@ def _inverted(truth: Array, estimate: Trajectory) -> list[Finding]:
 
 
 def _misfit(truth: Array, estimate: Array) -> float:
-    """What is left, m (RMS), of the distance of matched paths (N, 3) after the alignment that does most."""
+    """RMS distance, m, between matched paths (N, 3) after the most general alignment; infinite for a straight line."""
     try:
         return spread(align_umeyama(truth, estimate, with_scale=True).apply(estimate) - truth)
     except ValueError:  # a line has too little shape to tell
@@ -211,7 +211,7 @@ def _misfit(truth: Array, estimate: Array) -> float:
 
 
 def _unit(truth: Array, estimate: Array) -> list[Finding]:
-    """Whether one of two matched paths (N, 3) is the other in millimetres."""
+    """Check whether one of two matched paths (N, 3) is in millimetres."""
     sizes = spread(truth), spread(estimate)
     if min(sizes) <= 0:
         return []
@@ -227,7 +227,7 @@ def _unit(truth: Array, estimate: Array) -> list[Finding]:
             if spread(fit.apply(estimate) - truth) > SHAPE * sizes[0]:
                 continue
         except ValueError:
-            pass  # a straight line: its length is all that there is to compare
+            pass  # a straight line: only its length can be compared
         return [
             Finding(
                 cause,  # type: ignore[arg-type]
@@ -241,10 +241,10 @@ def _unit(truth: Array, estimate: Array) -> list[Finding]:
 
 
 def _attitude(truth: Array, estimate: Array) -> list[Finding]:
-    """Whether the attitudes, matched quaternions (N, 4), are in another order or of another frame.
+    """Check whether the attitudes, matched quaternions (N, 4), are in another order or of another frame.
 
-    Turns between poses do not depend on the world frame: where R_estimate = A R_truth X, with A between the worlds
-    and X between the frames that are fixed to the vehicle, the vector of a turn is X^T times the true one.
+    Rotations between poses do not depend on the world frame: if R_estimate = A R_truth X, with A between the world
+    frames and X between the frames fixed to the vehicle, the rotation vector is X^T times the true one.
     """
     true_turns = _turns(truth, lag := _lag(truth))
     size = _rms(true_turns)
@@ -296,20 +296,21 @@ def _attitude(truth: Array, estimate: Array) -> list[Finding]:
 
 
 def _lag(truth: Array) -> int:
-    """Over how many poses to take turns: the fewest over which they are usually large, or those of the largest."""
+    """Choose the number of poses over which to take rotations: the fewest over which the median is large enough, else
+    that with the largest median."""
     lags = sorted({lag for k in range(11) if (lag := 2**k) < len(truth)} | {1})
     sizes = {lag: float(np.median(np.linalg.norm(_turns(truth, lag), axis=1))) for lag in lags}
     return next((lag for lag in lags if sizes[lag] >= USUAL_TURN_RAD), max(lags, key=lambda lag: sizes[lag]))
 
 
 def _turns(quaternions: Array, lag: int) -> Array:
-    """Vectors (N - lag, 3) in rad of the turns from each attitude to that `lag` further on."""
+    """Rotation vectors (N - lag, 3) in rad from each attitude to the one `lag` poses later."""
     rotations = scipy.spatial.transform.Rotation.from_quat(quaternions)
     return np.asarray((rotations[:-lag].inv() * rotations[lag:]).as_rotvec())
 
 
 def _constant_turn(true_turns: Array, turns: Array) -> scipy.spatial.transform.Rotation | None:
-    """The rotation X with turns = X^T true_turns that fits best (Wahba 1965), or None where one axis has them all."""
+    """Fit the rotation X in turns = X^T true_turns (Wahba 1965); None if they are all about one axis."""
     u, d, vt = np.linalg.svd(true_turns.T @ turns)
     if d[1] < MIN_AXES**2 * d[0]:
         return None
@@ -318,7 +319,7 @@ def _constant_turn(true_turns: Array, turns: Array) -> scipy.spatial.transform.R
 
 
 def _level(truth: Array, estimate: Array) -> list[Finding]:
-    """What the direction of up says of attitudes that hardly turn; both worlds must have z up for that."""
+    """Check attitudes that hardly rotate by their direction of up; this requires z up in both world frames."""
     up = scipy.spatial.transform.Rotation.from_quat(truth).inv().apply([0.0, 0.0, 1.0])
     tilts = {}
     for name, quaternions, fixed in (

@@ -1,4 +1,4 @@
-"""How a scored trajectory looks in a notebook."""
+"""Display of a scored trajectory in a notebook."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ ON_A_CARD = (*SHOWN, "ate_percent", "subpath_translation_percent", "scale", "tim
 
 
 def outline(result: SlamResult) -> str:
-    """The main numbers, in a line."""
+    """The main numbers in one line."""
     parts = [f"{metric.heading} {written(result.metrics[key], metric)}" for key, metric in _metrics(SHOWN, result)]
     return ", ".join([*parts, f"aligned by {result.settings.align}"])
 
 
 def result_card(result: SlamResult) -> str:
-    """The main numbers with what they mean, and what should be known of them."""
+    """The main numbers as an HTML card, with their definitions and the notes of the result."""
     rows = [
         (metric.heading, written(result.metrics[key], metric), result.reasons.get(key, metric.definition), key)
         for key, metric in _metrics(ON_A_CARD, result)
@@ -35,7 +35,7 @@ def result_card(result: SlamResult) -> str:
 
 
 def result_table(result: SlamResult) -> pd.DataFrame:
-    """All numbers, a row each."""
+    """All metrics, one row each."""
     import pandas as pd
 
     rows = {}
@@ -48,7 +48,7 @@ def result_table(result: SlamResult) -> pd.DataFrame:
 
 
 def written(value: float, metric: Metric) -> str:
-    """A number as tables have it, with its unit."""
+    """Format a value as in tables, with its unit; "none" for NaN."""
     if math.isnan(value):
         return "none"
     unit = metric.narrow[1]

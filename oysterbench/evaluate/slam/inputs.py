@@ -1,4 +1,4 @@
-"""A truth and an estimate from files, ready to be scored: what is certain is done and said, what is not is refused."""
+"""Reading a truth and an estimate for scoring: what is certain is corrected and noted, what is doubtful is refused."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from oysterbench.evaluate.slam.diagnose import Finding, diagnose
 from oysterbench.evaluate.slam.settings import SCALED, SlamSettings
 
 KITTI_STEP_NS = 100_000_000
-"""Between poses of files without times: KITTI's cameras are triggered at 10 Hz (Geiger et al. 2012)."""
+"""Interval, ns, between the poses of files without times: KITTI's cameras run at 10 Hz (Geiger et al. 2012)."""
 
 DECIDED_BY = {
     "time-unit": ("time_unit",),
@@ -27,11 +27,11 @@ DECIDED_BY = {
     "frame": ("frame", "T_body_estimate"),
     "turned": ("frame", "T_body_estimate"),
 }
-"""Cause of a finding -> options of the estimate, any of which shows that somebody has decided it."""
+"""Cause of a finding -> options of the estimate, any of which shows that the user has decided it."""
 
 
 Poses = str | os.PathLike[str] | Trajectory
-"""A file of poses, or poses."""
+"""A trajectory, or the path of its file."""
 
 
 def open_pair(
@@ -41,7 +41,7 @@ def open_pair(
     truth_options: ReadOptions | None = None,
     estimate_options: ReadOptions | None = None,
 ) -> tuple[Trajectory, Trajectory]:
-    """The two trajectories, from files by `read_pair`; those in memory are taken as they are."""
+    """Return the two trajectories, read from files by `read_pair`; those in memory are taken as they are."""
     if not isinstance(estimate, Trajectory):
         scaled = settings.align in SCALED
         return read_pair(truth, estimate, truth_options, estimate_options, settings.time_offset_s, scaled)
@@ -56,12 +56,12 @@ def read_pair(
     time_offset_s: float | Literal["estimate"] = 0.0,
     any_scale: bool = False,
 ) -> tuple[Trajectory, Trajectory]:
-    """The two trajectories; what was decided is in their `notes`.
+    """Read the two trajectories, with the decisions taken in their `notes`.
 
-    A truth that is a trajectory already is taken as it is. A KITTI file without times takes the truth's stamps, one to
-    one; two such files meet by index, KITTI_STEP_NS apart. time_offset_s is what the scoring will add to the estimate's
-    stamps; any_scale, whether it will fit a scale, so that none is wrong. Raises TrajectoryError naming the file, the
-    cause and the option that decides.
+    A truth that is already a trajectory is taken as it is. A KITTI file without times takes the truth's stamps, one to
+    one; two such files are matched by index, KITTI_STEP_NS apart. time_offset_s is what the scoring will add to the
+    estimate's stamps; any_scale says whether it will fit a scale, so that no scale is wrong. Raises TrajectoryError
+    naming the file, the cause and the option that decides it.
     """
     options = estimate_options or ReadOptions()
     truth_options = truth_options or ReadOptions()
@@ -95,7 +95,7 @@ def read_pair(
 
 
 def _by_index(estimate_path: str | os.PathLike[str], options: ReadOptions, missing: NoStampsError) -> NDArray[np.int64]:
-    """Stamps (N,), ns, to read a truth without stamps whose estimate has none either; raises `missing` where it has."""
+    """Stamps (N,), ns, for a truth without times whose estimate has none either; raises `missing` if it has some."""
     if options.times is None:
         try:
             read_trajectory(estimate_path, options)
@@ -114,7 +114,7 @@ def _findings(truth: Trajectory, estimate: Trajectory, time_offset_s: float | Li
     try:
         offset_s = estimate_offset(truth, estimate).offset_s if time_offset_s == "estimate" else float(time_offset_s)
     except TrajectoryError:
-        return []  # without common time there is nothing to compare; the scoring says why there is none
+        return []  # no offset, so nothing can be compared; the scoring will report why
     return diagnose(truth, shift(estimate, offset_s))
 
 

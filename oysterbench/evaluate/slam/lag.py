@@ -1,4 +1,4 @@
-"""Whether an estimate's clock is off, told from the errors of a scored one: said, and never mended unasked."""
+"""Detection of a clock offset from the errors of a scored estimate: reported, but never corrected unasked."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from oysterbench.evaluate.slam.clock import estimate_offset, shift
 from oysterbench.evaluate.slam.settings import SCALED, SlamSettings
 
 MIN_SHARE = 0.25
-"""Of the squared errors: what one lag must explain before an offset is sought, which takes longer."""
+"""Share of the squared errors that a lag must explain before an offset is estimated, which takes longer."""
 MIN_SIGMAS = 5.0
-"""By which an offset must differ from none."""
+"""Number of standard deviations by which an offset must differ from zero."""
 LEAST_POSES, MOST_POSES = 20, 5000
-"""That are looked at."""
+"""Minimum and approximate maximum number of poses examined."""
 MIN_GAIN = 0.2
-"""Of the ATE: what mending the clock must take away."""
+"""Share of the ATE that correcting the clock must remove."""
 
 
 def lag_notes(
     truth: Trajectory, estimate: Trajectory, matched: Trajectory, aligned: Trajectory, settings: SlamSettings
 ) -> list[str]:
-    """A note where the estimate's stamps are off and that costs much of the ATE; else nothing.
+    """Note that the estimate's stamps are off, if that accounts for much of the ATE; else an empty list.
 
     matched, aligned: matched true and aligned estimated poses (N,). A lag shows as an error along the velocity, as
-    p(t - d) - p(t) = -d v to first order; where that explains much of what no alignment could take away, the offset is
-    sought by `estimate_offset`.
+    p(t - d) - p(t) = -d v to first order; where that explains much of what no alignment could remove, the offset is
+    estimated by `estimate_offset`.
     """
     if _share(matched, aligned) < MIN_SHARE:
         return []
@@ -53,7 +53,7 @@ def lag_notes(
 
 
 def _share(matched: Trajectory, aligned: Trajectory) -> float:
-    """Share (0 to 1) that a lag explains of the squared position errors that no alignment takes away."""
+    """Share (0 to 1) of the squared position errors, less what an alignment could remove, that a lag explains."""
     if len(matched.stamps_ns) < LEAST_POSES:
         return 0.0
     seconds = (matched.stamps_ns - matched.stamps_ns[0]) * 1e-9
@@ -66,7 +66,7 @@ def _share(matched: Trajectory, aligned: Trajectory) -> float:
 
 
 def _unaligned(positions: Array, *fields: Array) -> list[Array]:
-    """Fields (N, 3) along positions (N, 3), without what a small translation, rotation and change of scale does."""
+    """Vectors (N, 3) at positions (N, 3), less the part due to a small translation, rotation and change of scale."""
     centred = positions - positions.mean(axis=0)
     moved = [np.broadcast_to(axis, centred.shape) for axis in np.eye(3)]
     turned = [np.cross(axis, centred) for axis in np.eye(3)]

@@ -30,18 +30,18 @@ from oysterbench.evaluate.slam.recall import PERCENTS, Recall, recall
 from oysterbench.evaluate.slam.settings import SlamSettings
 
 SUBPATH_PERCENTS = (10, 20, 30, 40, 50)
-"""Of the true path: lengths of the segments where none are given (Zhang & Scaramuzza 2018, sec. VI)."""
+"""Default lengths of the segments, % of the true path (Zhang & Scaramuzza 2018, sec. VI)."""
 MIN_CHORD = 0.1
-"""Of a segment's length: its ends must be this far apart for the estimate's scale to be told from them."""
+"""Minimum distance between a segment's ends, as a share of its length, for the scale to be estimated from them."""
 
 
 @dataclass(frozen=True)
 class Matched:
-    """An estimate that was brought to the truth.
+    """An estimate associated with the truth and aligned to it.
 
-    truth:     all poses (T,)
+    truth:     all poses of the truth (T,)
     met:       which of them are associated, and with which poses (N,)
-    aligned:   the estimate's (N,), in the truth's world
+    aligned:   the estimate's poses (N,), in the truth's world frame
     absolute:  their errors
     covered_m: (C,) position errors at all covered stamps, m
     fit:       the alignment
@@ -56,7 +56,10 @@ class Matched:
 
 
 def measure_recall(matched: Matched, settings: SlamSettings, path_m: float, measures: Measures) -> Recall | None:
-    """The score, recall at some errors, and its curve; None where the truth does not move. path_m: of the truth"""
+    """Measure the score and recall at some errors, and return the recall curve; None where the truth does not move.
+
+    path_m: length of the true path
+    """
     shares = [f"recall_{percent:g}percent" for percent in PERCENTS]
     if path_m < MIN_PATH_M:
         measures.missing(STILL, "score", *shares)
@@ -70,7 +73,7 @@ def measure_recall(matched: Matched, settings: SlamSettings, path_m: float, meas
 
 
 def measure_relative(matched: Matched, settings: SlamSettings, path_m: Array, measures: Measures) -> None:
-    """Relative errors over frames, seconds, metres and degrees."""
+    """Measure relative errors over frames, seconds, metres and degrees; path_m (T,) along the true path."""
     met, consecutive = matched.met, settings.rpe_pairs == "consecutive"
     frames, seconds = settings.rpe_frames, settings.rpe_delta_s
     metres, degrees = settings.rpe_delta_m, settings.rpe_delta_deg
@@ -101,7 +104,7 @@ def _pairs_over_angle(matched: Matched, settings: SlamSettings) -> Index:
 
 
 def measure_segments(matched: Matched, settings: SlamSettings, path_m: Array, measures: Measures) -> None:
-    """Errors over segments by the length that the segment has, each segment counting alike (Geiger et al. 2012)."""
+    """Measure errors over segments relative to their length, all segments weighted equally (Geiger et al. 2012)."""
     met, total_m = matched.met, float(path_m[-1])
     rank = np.full(len(path_m), -1)
     rank[met.associated] = np.arange(len(met.associated))
@@ -149,7 +152,7 @@ def measure_segments(matched: Matched, settings: SlamSettings, path_m: Array, me
 
 
 def _scale_ratios(truth: Trajectory, estimate: Trajectory, pairs: Index, least_m: float) -> Array:
-    """Estimated over true distance between the ends of pairs (M, 2) that are truly least_m apart or more."""
+    """Ratio of estimated to true distance between the poses of pairs (M, 2) whose true distance is at least least_m."""
     i, j = run_of(pairs[:, 0]), run_of(pairs[:, 1])
     true_m, estimated_m = _lengths(between(truth.positions, i, j)), _lengths(between(estimate.positions, i, j))
     told = true_m >= least_m
@@ -165,7 +168,7 @@ def _no_segment(length_m: float, total_m: float) -> str:
 
 
 def measure_drift(matched: Matched, path_m: Array, measures: Measures) -> None:
-    """What the estimate is off at its last pose if its first one is laid on the truth."""
+    """Measure the error of the estimate at its last pose when its first pose is made to coincide with the truth."""
     met = matched.met
     path_length_m = float(path_m[met.associated[-1]] - path_m[met.associated[0]])
     if path_length_m < MIN_PATH_M:
@@ -178,7 +181,7 @@ def measure_drift(matched: Matched, path_m: Array, measures: Measures) -> None:
 
 
 def measure_velocity(matched: Matched, settings: SlamSettings, measures: Measures) -> None:
-    """Error of the velocity between poses some time apart."""
+    """Measure the error of the mean velocity between poses velocity_step_s apart."""
     stamps, step_s = matched.met.truth.stamps_ns, settings.velocity_step_s
     pairs = pairs_over_time(stamps, step_s)
     if not len(pairs):
@@ -192,7 +195,7 @@ def measure_velocity(matched: Matched, settings: SlamSettings, measures: Measure
 
 
 def measure_answers(matched: Matched, path_m: float, measures: Measures) -> None:
-    """How much of the truth is answered, and where it is not."""
+    """Measure how much of the truth the estimate covers, and the gaps."""
     truth, covered = matched.truth, matched.met.covered
     gaps = find_gaps(truth.stamps_ns, covered)
     measures["coverage"] = float(np.mean(covered))
@@ -207,7 +210,7 @@ def measure_answers(matched: Matched, path_m: float, measures: Measures) -> None
 
 
 def measure_alignment(fit: Alignment, settings: SlamSettings, measures: Measures) -> None:
-    """Scale of the alignment, and how well the path determines its rotation."""
+    """Measure the scale of the alignment, and how well the path determines its rotation."""
     measures["scale"] = float(fit.similarity.scale)
     for key, value in (
         ("alignment_condition", fit.condition),
@@ -222,7 +225,7 @@ def measure_alignment(fit: Alignment, settings: SlamSettings, measures: Measures
 
 
 def measure_consistency(matched: Matched, settings: SlamSettings, measures: Measures) -> dict[str, Nees]:
-    """NEES by part of the pose, where the estimate says how sure it is; else nothing."""
+    """Measure NEES and return it by part of the pose; empty if the estimate has no valid covariances."""
     if matched.met.estimate.covariances is None:
         return {}
     parts = ("position", "rotation", "pose")
@@ -248,5 +251,5 @@ def _lengths(vectors: Array) -> Array:
 
 
 def _spaced(name: str) -> str:
-    """ "10deg" as "10 deg"."""
+    """Insert a space before the unit: "10deg" becomes "10 deg"."""
     return re.sub(r"(?<=[0-9.])(?=[a-z]+$)", " ", name)

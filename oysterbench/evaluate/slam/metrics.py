@@ -1,4 +1,4 @@
-"""What is measured of trajectories: name, unit, direction and definition of every metric."""
+"""Metrics of trajectories: name, unit, direction and definition of each."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, higher, lo
 
 
 def _consistency(part: str, freedom: int, of: str) -> dict[str, Metric]:
-    """Metrics of one part of the pose, where the estimate has covariances."""
+    """Metrics of one part of the pose, for estimates with covariances."""
     band = f"end of the 95 % chi-square band of nees_{part}, for errors independent in time."
     return {
         f"nees_{part}": neutral(f"NEES {part}")(
@@ -168,7 +168,7 @@ SLAM: dict[str, Metric] = {
         "the largest process's peak, as recorded by the kernel, and of their sum, sampled every 0.2 s."
     ),
 }
-"""Metrics of the SLAM track by their key, which carries the unit; without one a metric is a plain number."""
+"""Metrics of the SLAM track by their key, which ends in the unit, if there is one."""
 
 _VARIED = {
     r"rpe_([0-9.e+-]+)(s|m|deg|frames)_(\w+)": ("rpe_1s_{2}", "1 s"),
@@ -176,13 +176,13 @@ _VARIED = {
     r"subpath_([0-9.e+-]+)(m)_translation_percent": ("subpath_10m_translation_percent", "10 m"),
     r"subpath_([0-9.e+-]+)(percent)_translation_percent": ("subpath_10percent_translation_percent", "10 %"),
 }
-"""Keys that carry a number and its unit -> the key that defines them all, and how the number is written in it."""
+"""Pattern of keys that contain a number and its unit -> the key that defines them all, and its number as text."""
 
 _WRITTEN = {"percent": "%", "frames": "poses"}
 
 
 def find_slam(key: str) -> Metric | None:
-    """Metrics over another time, path, angle or share than those of `SLAM`."""
+    """Return a metric over another time, path length, angle or share than those in `SLAM`; None for an unknown key."""
     for pattern, (defining, number) in _VARIED.items():
         match = re.fullmatch(pattern, key)
         if match and (defined := SLAM.get(defining.format("", "", match[3] if match.re.groups > 2 else ""))):
@@ -224,5 +224,5 @@ TRACK = TrackMetrics(
     ),
     lost_below=0.25,
 )
-"""Errors of the standings are relative to the path, as they are over paths of several lengths. A dive is lost below the
-score of an estimate that is 3 % of the path off throughout, or that is right over a quarter of the dive."""
+"""Errors in the standings are relative to the path, since they cover paths of different lengths. A dive is lost below
+the score of an estimate that is off by 3 % of the path throughout, or that is right over a quarter of the dive."""

@@ -1,7 +1,7 @@
-"""Which two poses a relative error is taken between.
+"""Pairs of poses between which relative errors are taken.
 
-Every choice is made along one axis on which poses only go forward: their number, stamp, true path or truly turned
-angle. It is the truth's, so that all estimates are asked the same.
+Each choice is made along one axis on which poses only move forward: index, stamp, true path or true angle turned. The
+axis is the truth's, so that all estimates are evaluated on the same pairs.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ Index = NDArray[np.intp]
 NO_PAIRS: Index = np.empty((0, 2), dtype=np.intp)
 
 TIME_TOLERANCE = 0.05
-"""Of a time: how far a pair's distance may be from it, where no stamp falls on start + time."""
+"""Relative tolerance of a pair's time difference, where no stamp falls on start + time."""
 TOLERANCE = 0.1
-"""Of a path or angle, likewise; evo's."""
+"""The same for a path or an angle; evo's value."""
 MAX_DIRECT = 20_000
-"""Poses of which all pairs are tried for the angle between them: their number goes with the square."""
+"""Maximum number of poses of which all pairs are tried for the angle between them: pairs grow with its square."""
 
 
 def pairs_over_frames(n: int, delta: int, consecutive: bool = False) -> Index:
@@ -30,11 +30,11 @@ def pairs_over_frames(n: int, delta: int, consecutive: bool = False) -> Index:
 
 
 def pairs_over_time(stamps_ns: NDArray[np.int64], delta_s: float, consecutive: bool = False) -> Index:
-    """Index pairs (M, 2) of stamps (N,) that lie delta_s apart, from every start that has such an end.
+    """Index pairs (M, 2) of stamps (N,) that are delta_s apart, from every start that has such an end.
 
-    The end is the stamp nearest to start + delta_s, if within half the median step, so that the last starts do not
-    take an earlier end instead of none, and within TIME_TOLERANCE of delta_s. Consecutive: of those pairs the first,
-    and then each first one that begins where the last one ended or later.
+    The end is the stamp nearest to start + delta_s, if within TIME_TOLERANCE of delta_s and within half the median
+    step, so that the last starts have no end rather than one that is too early. Consecutive: the first of those pairs,
+    then always the next one that starts where the last one ended or later.
     """
     n = len(stamps_ns)
     if n < 2:
@@ -51,7 +51,7 @@ def pairs_over_time(stamps_ns: NDArray[np.int64], delta_s: float, consecutive: b
 
 
 def pairs_along(axis: Array, delta: float, consecutive: bool = False) -> Index:
-    """Index pairs (M, 2) of poses that lie `delta` apart on an axis (N,) that never goes back (m or rad).
+    """Index pairs (M, 2) of poses that are `delta` apart on a non-decreasing axis (N,), in m or rad.
 
     All: from every start to the pose nearest to start + delta, if within TOLERANCE * delta. Consecutive: from the
     first pose to the first one that is delta or more ahead, and on from there (evo's two modes for metres).
@@ -67,7 +67,7 @@ def pairs_along(axis: Array, delta: float, consecutive: bool = False) -> Index:
     high = np.clip(np.searchsorted(axis, wanted, side="left"), last + 1, n - 1)
     low = np.maximum(high - 1, last + 1)
     low = np.where(wanted - axis[low] <= axis[high] - wanted, low, high)
-    # Of poses that stand in one place the first is meant.
+    # Of several poses at the same place, take the first.
     ends = np.maximum(np.searchsorted(axis, axis[low], side="left"), last + 1)
     fits = np.abs(axis[ends] - axis[:-1] - delta) <= TOLERANCE * delta
     return _paired(last[fits], ends[fits])
@@ -76,7 +76,8 @@ def pairs_along(axis: Array, delta: float, consecutive: bool = False) -> Index:
 def pairs_apart(quaternions: Array, delta_rad: float) -> Index:
     """All index pairs (M, 2) of attitudes (N, 4) between which the angle is delta_rad, within TOLERANCE of it.
 
-    However the body turned in between: evo's all pairs over an angle. Raises TrajectoryError above MAX_DIRECT poses.
+    It does not matter how the body rotated in between: evo's all pairs over an angle. Raises TrajectoryError for more
+    than MAX_DIRECT poses.
     """
     n = len(quaternions)
     if n > MAX_DIRECT:
@@ -93,11 +94,11 @@ def pairs_apart(quaternions: Array, delta_rad: float) -> Index:
 
 
 def segments(distances_m: Array, length_m: float, step: int = 1, nearest: float | None = None) -> Index:
-    """Index pairs (M, 2): from every step-th truth stamp to the end of the segment of that length.
+    """Index pairs (M, 2): from every step-th truth stamp to the end of a segment of length_m.
 
-    distances_m (T,) are along the whole true path. The end is the first stamp that is more than length_m on (KITTI
-    devkit, `lastFrameFromSegmentLength`). With `nearest`, it is the stamp nearest to length_m on, if within that
-    many metres (rpg_trajectory_evaluation). Starts without an end are left out, together with their own index.
+    distances_m (T,) are along the whole true path. The end is the first stamp that is more than length_m ahead (KITTI
+    devkit, `lastFrameFromSegmentLength`). With `nearest`, it is the stamp nearest to length_m ahead, if within that
+    many metres (rpg_trajectory_evaluation). Starts without an end are left out.
     """
     n = len(distances_m)
     starts = np.arange(0, n, step)
@@ -113,7 +114,7 @@ def segments(distances_m: Array, length_m: float, step: int = 1, nearest: float 
 
 
 def _paired(starts: NDArray[np.intp], ends: NDArray[np.intp]) -> Index:
-    """(M, 2) whose columns lie together in memory, as they are used one by one."""
+    """Pairs (M, 2) with each column contiguous in memory, as columns are used one at a time."""
     return np.stack([starts, ends]).T
 
 
@@ -124,12 +125,12 @@ def distances(positions: Array) -> Array:
 
 
 def turned(quaternions: Array) -> Array:
-    """Angle (N,) in rad through which attitudes (N, 4) have turned, step by step."""
+    """Accumulated rotation angle (N,) in rad of attitudes (N, 4), from step to step."""
     return np.concatenate([[0.0], np.cumsum(rotation_angle(quaternions[:-1], quaternions[1:]))])
 
 
 def run_of(index: NDArray[np.intp]) -> NDArray[np.intp] | slice:
-    """Indices (M,), at least one, as a slice where they count up one by one: nothing needs to be gathered then."""
+    """Return indices (M,), at least one, as a slice if they are consecutive: slicing needs no copy."""
     first, last = int(index[0]), int(index[-1])
     if last - first == len(index) - 1 and bool((index[1:] - index[:-1] == 1).all()):
         return slice(first, last + 1)
@@ -137,19 +138,19 @@ def run_of(index: NDArray[np.intp]) -> NDArray[np.intp] | slice:
 
 
 def pick(values: Array, index: NDArray[np.intp] | slice, axis: int = 0) -> Array:
-    """values[index] along an axis of two; for indices `take` is several times as fast."""
+    """values[index] along axis 0 or 1; for an index array, `take` is several times as fast."""
     if isinstance(index, slice):
         return values[index] if axis == 0 else values[:, index]
     return np.take(values, index, axis=axis)
 
 
 def between(points: Array, i: NDArray[np.intp] | slice, j: NDArray[np.intp] | slice) -> Array:
-    """Vectors (M, 3) from points (N, 3) i to points j."""
+    """Vectors (M, 3) from points i to points j of (N, 3)."""
     return pick(points, j) - pick(points, i)
 
 
 def _follow(following: Index) -> Index:
-    """Pairs (M, 2) of a chain from index 0, given for each index the one that follows it (N: none)."""
+    """Pairs (M, 2) of the chain that starts at index 0, given the successor of each index (N: none)."""
     onward = following.tolist()
     chain, here = [0], onward[0]
     while here < len(onward):
@@ -160,7 +161,7 @@ def _follow(following: Index) -> Index:
 
 
 def _chain(pairs: Index) -> Index:
-    """Of pairs (M, 2) in order those that do not overlap, taken greedily."""
+    """Select non-overlapping pairs, greedily, from pairs (M, 2) in order of their starts."""
     if not len(pairs):
         return pairs
     following = np.searchsorted(pairs[:, 0], pairs[:, 1], side="left").tolist()

@@ -1,4 +1,4 @@
-"""Absolute and relative errors of matched poses, and the numbers of the absolute ones."""
+"""Absolute and relative errors of matched poses, and the metrics of the absolute ones."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from oysterbench.evaluate.measures import Measures
 from oysterbench.evaluate.slam.pairs import Index, between, pick, run_of
 
 MIN_PATH_M = 1e-3
-"""A shorter path has no percentages."""
+"""Errors are not given as a percentage of a path shorter than this, m."""
 STILL = "the truth does not move: there is no path to take a percentage of"
 
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Errors E in SE(3) of N poses or relative motions, in the parts that metrics are taken of.
+    """Errors E in SE(3) of N poses or relative motions, split into the parts that metrics use.
 
     translation_m: (N,) length of the translation of E, m
-    turn:          (N, 4) unit quaternion x y z w of a rotation that is conjugate to that of E, about the fixed axes
-                   of the truth's world: the turn that is left of the estimated attitude once the true one is undone
+    turn:          (N, 4) unit quaternion x y z w of a rotation conjugate to that of E, in the axes of the truth's world
+                   frame: for poses, R_estimate R_truth^T
     """
 
     translation_m: Array
@@ -31,30 +31,30 @@ class PoseErrors:
 
     @cached_property
     def rotation_rad(self) -> Array:
-        """(N,) angle of E, 0 to pi, exact near both."""
+        """Rotation angle (N,) of E, 0 to pi, accurate near both ends."""
         x, y, z, w = self.turn.T
         return np.asarray(2.0 * np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w)))
 
     @cached_property
     def rotation_part(self) -> Array:
-        """(N,) Frobenius norm of R - I: 2 sqrt(2) |sin(angle / 2)|. evo's rotation part."""
+        """Frobenius norm (N,) of R - I: 2 sqrt(2) |sin(angle / 2)|. evo's rotation part."""
         x, y, z, _ = self.turn.T
         return np.asarray(np.sqrt(8.0 * (x * x + y * y + z * z)))
 
     @cached_property
     def full(self) -> Array:
-        """(N,) Frobenius norm of E - I, of metres and radians together. evo's full transformation."""
+        """Frobenius norm (N,) of E - I, mixing metres and radians. evo's full transformation."""
         return np.asarray(np.sqrt(self.translation_m**2 + self.rotation_part**2))
 
     @cached_property
     def yaw_rad(self) -> Array:
-        """(N,) angle 0 to pi of the turn about the vertical that follows a tilt to make `turn` (swing and twist)."""
+        """Angle (N,), 0 to pi, of the rotation about the vertical that follows a tilt to make `turn` (swing-twist)."""
         _, _, z, w = self.turn.T
         return np.asarray(2.0 * np.arctan2(np.abs(z), np.abs(w)))
 
     @cached_property
     def tilt_rad(self) -> Array:
-        """(N,) angle 0 to pi between the true vertical and the one that the estimate takes for it."""
+        """Angle (N,), 0 to pi, between the true vertical and the estimated one."""
         x, y, z, w = self.turn.T
         return np.asarray(2.0 * np.arctan2(np.sqrt(x * x + y * y), np.sqrt(z * z + w * w)))
 
@@ -69,7 +69,7 @@ def absolute_errors(truth: Trajectory, estimate: Trajectory) -> PoseErrors:
 
 
 def measure_absolute(errors: PoseErrors, path_m: float, measures: Measures) -> None:
-    """Absolute errors of all matched poses (Sturm et al. 2012, eq. 6). path_m: length of the true path"""
+    """Measure the absolute errors of all matched poses (Sturm et al. 2012, eq. 6). path_m: length of the true path"""
     error_m, rotation_deg = errors.translation_m, np.rad2deg(errors.rotation_rad)
     measures["ate_rmse_m"] = rms(error_m)
     if path_m < MIN_PATH_M:
@@ -91,8 +91,8 @@ def measure_absolute(errors: PoseErrors, path_m: float, measures: Measures) -> N
 def relative_errors(truth: Trajectory, estimate: Trajectory, pairs: Index, absolute: PoseErrors) -> PoseErrors:
     """E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j) of index pairs (M, 2) i, j into matched poses (Sturm et al. 2012, eq. 2).
 
-    With H = P Q^-1 the turns of the absolute errors, |trans E| = |H_i^-1 (p_j - p_i) - (q_j - q_i)|, and
-    H_j H_i^-1 is the rotation of E seen from the world: no pair needs a matrix.
+    With H = P Q^-1 the rotations of the absolute errors (`PoseErrors.turn`), |trans E| = |H_i^-1 (p_j - p_i) -
+    (q_j - q_i)|, and H_j H_i^-1 is the rotation of E seen from the world frame: no pair needs a matrix.
     """
     translation_m = np.empty(len(pairs))
     turn = np.empty((4, len(pairs))).T
@@ -108,7 +108,7 @@ def relative_errors(truth: Trajectory, estimate: Trajectory, pairs: Index, absol
 
 
 def _rotate(quaternions: Array, vectors: Array) -> Array:
-    """Vectors (N, 3) turned by unit quaternions (N, 4): v + 2 (w a + u x a), a = u x v."""
+    """Rotate vectors (N, 3) by unit quaternions (N, 4): v + 2 (w a + u x a), a = u x v."""
     ux, uy, uz, w = quaternions.T
     vx, vy, vz = vectors.T
     ax, ay, az = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx

@@ -9,17 +9,17 @@ import numpy as np
 from oysterbench.core.geometry import Array
 
 PERCENTS = (0.5, 1.0, 2.0, 5.0)
-"""Of the true path: the errors at which recall is a metric of its own."""
+"""Position errors, % of the true path, at which recall is a metric of its own."""
 
 
 @dataclass(frozen=True)
 class Recall:
-    """Share of all truth stamps at which the estimate is within an error.
+    """Recall curve: the share of all truth stamps whose position error is at most a given one.
 
     error_m: (K,) position errors in increasing order, m; at most `points` of them
-    share:   (K,) of all truth stamps that err by no more, 0 to 1; it ends at the coverage, not at 1
+    share:   (K,) share of all truth stamps with at most this error, 0 to 1; it ends at the coverage, not at 1
     scale_m: error that counts half in the area, m
-    area:    area under share over error / (error + scale), an axis from 0 to 1 that has no cut-off
+    area:    area under `share` over error / (error + scale), an axis from 0 to 1 without a cut-off
     """
 
     error_m: Array
@@ -29,12 +29,12 @@ class Recall:
 
 
 def recall(error_m: Array, stamps: int, scale_m: float, points: int = 500) -> Recall:
-    """The recall curve of position errors (C,) m at the answered ones of `stamps` truth stamps.
+    """Compute the recall curve from position errors (C,) m at the covered ones of `stamps` truth stamps.
 
     The share of stamps with error <= e, over u = e / (e + scale), is a step function that rises by 1 / stamps at
     each u_i. Its area from 0 to 1 is the mean over ALL stamps of 1 - u_i = 1 / (1 + e_i / scale), 0 where there is
-    no answer. Ten times the error costs less than a factor of ten, as 1 / (1 + 10 x) > 0.1 / (1 + x): an estimate
-    that answers a tenth of the stamps is always below one that answers all, ten times as badly.
+    no estimate. Ten times the error costs less than a factor of ten, as 1 / (1 + 10 x) > 0.1 / (1 + x): an estimate
+    that covers a tenth of the stamps always scores below one that covers all with ten times the error.
     """
     area = float(np.sum(1.0 / (1.0 + error_m / scale_m)) / stamps)
     ordered = np.sort(error_m)

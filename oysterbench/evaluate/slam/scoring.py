@@ -47,16 +47,16 @@ EVALUATOR = "slam 3"
 
 @dataclass(frozen=True, repr=False)
 class SlamResult:
-    """What `score` gives.
+    """Result of `score`.
 
     metrics:            values by keys of `METRICS`; NaN where there is no sample, with the reason in `reasons`
     notes:              what a reader of the numbers should know (suspected frames, little coverage), in sentences
     settings:           as they were used
     fit:                the alignment, its singular values and how well they determine it
     whole_truth:        all poses of the truth (T,)
-    covered:            (T,) which of them the estimate answers
+    covered:            (T,) which of them the estimate covers
     truth, estimate:    matched poses (N,), the estimate aligned and at the truth's stamps
-    error_m:            (N,) distance of the matched positions, m
+    error_m:            (N,) distance between the matched positions, m
     rotation_error_deg: (N,) angle between the matched attitudes, deg
     recall:             the recall curve, over all truth stamps; None where the truth does not move
     nees:               by part of the pose, at the last M of the matched stamps; empty without covariances
@@ -87,7 +87,7 @@ class SlamResult:
         return result_card(self)
 
     def summary(self) -> pd.DataFrame:
-        """All metrics, a row each, by their keys: value, unit, better (higher, lower or nothing), definition, and the
+        """All metrics, one row each, indexed by key: value, unit, better (higher, lower or empty), definition, and the
         reason where the value is NaN."""
         from oysterbench.evaluate.slam.display import result_table
 
@@ -95,20 +95,20 @@ class SlamResult:
 
     @property
     def alignment(self) -> Similarity:
-        """Takes the estimate's world into the truth's."""
+        """Similarity that maps the estimate's world frame to the truth's."""
         return self.fit.similarity
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
-        """(N,) stamps of the matched poses, ns."""
+        """Stamps (N,) of the matched poses, ns."""
         return self.truth.stamps_ns
 
 
 def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None = None) -> SlamResult:
     """Score an estimate against the truth: `score(truth, estimate, SlamSettings(align="se3")).metrics["ate_rmse_m"]`.
 
-    The steps: check both, mend the clock, associate, align, measure. What a number means says `METRICS`.
-    Raises TrajectoryError, in one line, where a number would mean nothing: poses that `check_trajectory` refuses,
+    The steps: check both, correct the clock, associate, align, measure. `METRICS` defines each number.
+    Raises TrajectoryError, in one line, where numbers would be meaningless: poses that `check_trajectory` refuses,
     no common time, too few matched poses, an alignment that the motion does not determine.
     """
     settings = settings or SlamSettings()

@@ -1,4 +1,4 @@
-"""The settings of the trajectory evaluator: how an estimate is brought to the truth, and over what errors are taken."""
+"""Settings of the trajectory evaluator: how an estimate is matched and aligned, and over what errors are taken."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Pairs = Literal["all", "consecutive"]
 Angle = Literal["turned", "direct"]
 
 MIN_MATCHED = 5
-"""Fewer poses are fitted by the alignment rather than scored: three are 9 numbers, of which sim3 fits 7."""
+"""Minimum number of matched poses; fewer are fitted rather than scored: three are 9 numbers, of which sim3 fits 7."""
 MAX_OFFSET_S = 4e9
-"""Less than the 146 years that a stamp may be from the epoch, and enough to bring stamps from zero to today."""
+"""Limit of a time offset: below the 146 years allowed for stamps, and enough to shift stamps from zero to today."""
 
 
 def _is_offset(value: Any) -> bool:
@@ -28,25 +28,25 @@ def _is_offset(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class SlamSettings(EvaluatorSettings):
-    """How an estimate is scored.
+    """Settings for scoring an estimate.
 
-    align:                none; origin (first matched pose); posyaw (translation and yaw, the freedom that a
-                          gravity-aware method has); se3 (translation and rotation); sim3 (and scale: monocular);
-                          scale (alone: nothing is turned or moved)
-    align_first:          how many matched poses, from the first, the alignment is fitted to; None: all of them
+    align:                none; origin (first matched pose); posyaw (translation and yaw, the freedom of a
+                          gravity-aware method); se3 (translation and rotation); sim3 (and scale: monocular);
+                          scale (alone: no rotation or translation)
+    align_first:          fit the alignment to this many matched poses, from the first; None: to all of them
     associate:            interpolate the estimate at the truth stamps, or take the nearest pose
-    max_gap_s:            the estimate is interpolated only between poses that are this close
-    max_difference_s:     between a truth stamp and its nearest pose
+    max_gap_s:            the estimate is interpolated only between poses at most this far apart
+    max_difference_s:     maximum difference between a truth stamp and its nearest pose
     time_offset_s:        added to the estimate's stamps before anything else; "estimate": found from the motion
-    recall_scale_percent: of the true path: the position error that counts half in the score
-    rpe_frames, rpe_delta_s, rpe_delta_m, rpe_delta_deg: over how many matched poses, over which time, true path and
-                          truly turned angle relative errors are taken
-    rpe_pairs:            from every start (all), or each pair beginning where the last one ended (consecutive)
-    rpe_angle:            over which rpe_delta_deg is counted: what the truth turned on the way (turned), or the angle
+    recall_scale_percent: position error, % of the true path, that counts half in the score
+    rpe_frames, rpe_delta_s, rpe_delta_m, rpe_delta_deg: number of matched poses, time, true path length and true angle
+                          turned over which relative errors are taken
+    rpe_pairs:            from every start (all), or each pair starting where the last one ended (consecutive)
+    rpe_angle:            angle that rpe_delta_deg refers to: that accumulated along the true path (turned), or that
                           between the two attitudes (direct: evo's all pairs, of at most 20 000 poses)
-    subpath_m:            lengths in m of the segments; none given: 10, 20, 30, 40 and 50 % of the true path
-    subpath_step:         a segment starts at every so many truth stamps
-    velocity_step_s:      over which time velocities are differenced
+    subpath_m:            lengths of the segments, m; default: 10, 20, 30, 40 and 50 % of the true path
+    subpath_step:         a segment starts at every n-th truth stamp
+    velocity_step_s:      time over which mean velocities are taken
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What an estimate errs in parts of a sequence that it tells apart, such as where it tracks and where it coasts."""
+"""Errors of an estimate in parts of a sequence by the method's own state, such as tracking or coasting."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from oysterbench.evaluate.slam.scoring import SlamResult
 def states_at(
     stamps_ns: NDArray[np.int64], states: NDArray[np.uint8], wanted_ns: NDArray[np.int64]
 ) -> NDArray[np.uint8]:
-    """Of states (N,) at increasing stamps (N,), N > 0, that of the stamp which is nearest to each wanted one (M,)."""
+    """States (M,) at wanted stamps (M,): of states (N,) at increasing stamps (N,), N > 0, those nearest in time."""
     after = np.clip(np.searchsorted(stamps_ns, wanted_ns), 1, max(1, len(stamps_ns) - 1))
     before = after - 1
     after = np.minimum(after, len(stamps_ns) - 1)
@@ -26,10 +26,10 @@ def states_at(
 def errors_by_state(
     result: SlamResult, states: NDArray[np.uint8], names: Sequence[str]
 ) -> dict[str, dict[str, float | None]]:
-    """Of each state that occurs, by its name: share of the matched stamps, RMSE of the position (m), and mean NEES.
+    """For each state that occurs, by name: its share of the matched stamps, position RMSE (m), and mean NEES.
 
-    states: (N,) of the matched stamps, indices of `names`. NEES is None where the estimate says nothing of how sure it
-    is; position and rotation have 3 where it is right. All errors are those after the alignment of the whole path.
+    states: (N,) at the matched stamps, indices into `names`. NEES is None where the estimate has no covariances; for
+    position and rotation each, 3 is expected if they are right. Position errors are after alignment of the whole path.
     """
     found = dict[str, dict[str, float | None]]()
     for value, name in enumerate(names):

@@ -1,4 +1,4 @@
-"""What must hold of a trajectory before it can be scored, and what a scored one looks like that was written wrongly."""
+"""Checks of a trajectory before it is scored, and signs in a scored one that it was written wrongly."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ MAX_STAMP_NS = 2**62
 """146 years from the epoch: differences of such stamps fit an int64."""
 
 SUSPICIOUS_RAD = np.deg2rad(20.0)
-"""Attitudes that err by less than this are taken as they are."""
+"""Attitudes with a smaller error than this are not suspicious."""
 SUSPICIOUS_GAIN = 4.0
-"""How many times better another reading of the poses must fit before it is mentioned."""
+"""Factor by which another interpretation of the poses must fit better before it is mentioned."""
 EXPLAINED = 0.1
-"""Of the truth's spread: an error below this is a fit, above it a curve shrunk or turned to do little harm."""
+"""Share of the truth's spread: a smaller error is a fit, a larger one a curve shrunk or rotated to do little harm."""
 
 
 def check_trajectory(trajectory: Trajectory, name: str) -> Trajectory:
-    """The same trajectory with quaternions of norm one, or TrajectoryError in one line that starts with `name`.
+    """Check a trajectory and return it with normalised quaternions.
 
-    Refused are: fewer than two poses, NaN or infinity, positions that have diverged, stamps that repeat or go back,
-    quaternions that are not rotations. Poses are counted from 1.
+    Raises TrajectoryError, in one line that starts with `name`, for fewer than two poses, NaN or infinity, positions
+    that have diverged, stamps that repeat or go back, quaternions that are not rotations. Poses are counted from 1.
     """
     n = len(trajectory)
     if n < MIN_POSES:
@@ -50,7 +50,7 @@ def check_trajectory(trajectory: Trajectory, name: str) -> Trajectory:
     return replace(
         trajectory,
         stamps_ns=trajectory.stamps_ns.astype(np.int64, copy=False),
-        # Row by row in memory, whatever a reader made of its columns: poses are gathered by the row.
+        # Row-major in memory, whatever the reader returned: poses are gathered by row.
         positions=np.ascontiguousarray(trajectory.positions),
         quaternions=np.ascontiguousarray(trajectory.quaternions / norms[:, None]),
     )
@@ -108,10 +108,10 @@ def _others(wrong: NDArray[np.bool_]) -> str:
 
 
 def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list[str]:
-    """What the attitudes look like, if not like those of `base_link`: one sentence for each suspicion.
+    """Note on attitudes that seem to be in another order or of another frame than `base_link`.
 
-    truth (N, 4) and estimate (N, 4) are matched quaternions x y z w, the estimate's before alignment. Scores are
-    never changed by this: it names the two mistakes that are made most often in writing a trajectory.
+    truth (N, 4) and estimate (N, 4) are matched quaternions x y z w, the estimate's before alignment. This never
+    changes scores: it only points out the two most common mistakes in writing a trajectory.
     """
     aligned = alignment.rotate(estimate)
     error = _rms(rotation_angle(truth, aligned))
@@ -127,7 +127,7 @@ def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list
     turns = from_quat(truth).inv() * from_quat(aligned)
     turn = turns.mean()
     rest = _rms(np.asarray((turns * turn.inv()).magnitude()))
-    # A turn about the vertical alone is what a wrong alignment of a level vehicle looks like.
+    # A rotation about the vertical alone is what a wrong alignment of a level vehicle looks like.
     tilt = np.arccos(np.clip(turn.as_matrix()[2, 2], -1.0, 1.0))
     if rest * SUSPICIOUS_GAIN < error and tilt > SUSPICIOUS_RAD:
         return [
@@ -139,10 +139,10 @@ def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list
 
 
 def alignment_notes(truth: Array, estimate: Array, align: str, rmse_m: float) -> list[str]:
-    """Whether a freer alignment of the matched positions (N, 3), or a mirror, explains nearly all of an error of
-    `rmse_m`.
+    """Note that a more general alignment of the matched positions (N, 3), or mirroring, would remove nearly all of an
+    error of `rmse_m`, if so.
 
-    Then the estimate is good but in another world frame or scale than the chosen alignment allows for, or left-handed.
+    The estimate is then good, but in another world frame or scale than the chosen alignment allows, or left-handed.
     """
     fit_m = EXPLAINED * spread(truth)
     if rmse_m * SUSPICIOUS_GAIN < fit_m:

@@ -1,4 +1,4 @@
-"""Steering over a reef: classes of commands against those of an expert, and rollouts in a closed loop."""
+"""Steering over a reef: classes of commands against those of an expert, and closed-loop rollouts."""
 
 from oysterbench.evaluate.steering.log import RolloutLog
 from oysterbench.evaluate.steering.pictures import Commands, Labels, PictureScore, score_pictures

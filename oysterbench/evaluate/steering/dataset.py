@@ -1,4 +1,4 @@
-"""All pictures of several sequences together, with intervals by resampling the sequences, each with its pictures."""
+"""Scores over all images of several sequences, with intervals by resampling sequences, each with all its images."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from oysterbench.evaluate.steering.pictures import (
 
 @dataclass(frozen=True)
 class Whole:
-    """score: over all pictures; intervals: of those of its metrics that have one, or the reason why not."""
+    """Result over several sequences. score: over all images; intervals: of its metrics that have one, with the reason
+    if it is unknown."""
 
     score: PictureScore
     intervals: Mapping[str, Interval]
@@ -30,7 +31,7 @@ class Whole:
 
 
 def over_sequences(parts: Sequence[tuple[Labels, Commands]]) -> Whole:
-    """Score the commands at the pictures of at least one sequence together; all are of one task."""
+    """Score the commands for the images of one or more sequences together; all are of the same task."""
     score, scores = score_pictures(*_together(parts)), [score_pictures(*part) for part in parts]
     n = len(parts)
     counts = resample_counts(n)
@@ -68,7 +69,7 @@ def _together(parts: Sequence[tuple[Labels, Commands]]) -> tuple[Labels, Command
 
 
 def _sums(parts: Sequence[tuple[Labels, Commands]], scores: Sequence[PictureScore]) -> dict[str, tuple[Array, Array]]:
-    """Metric -> numerators and denominators (n,) of the sequences; of skill, those of what it lacks to 1."""
+    """Metric -> numerators and denominators (n,) of the sequences; for skill, those of 1 - skill."""
     pictures = np.array([len(truth.classes) for truth, _ in parts], dtype=float)
     regret = np.array([labels.regrets(truth.action_values, made.classes).sum() for truth, made in parts])
     chance = np.array([labels.chance_regrets(truth.action_values).sum() for truth, _ in parts])
@@ -82,7 +83,7 @@ def _sums(parts: Sequence[tuple[Labels, Commands]], scores: Sequence[PictureScor
 
 
 def _macro_f1(counts: Array, confusions: Sequence[Array]) -> Array:
-    """(R,) as `labels.macro_f1`, of each resample of the sequences' confusions (C, C)."""
+    """Macro F1 (R,), as `labels.macro_f1`, of each resample of the sequences' confusion matrices (C, C)."""
     stacked = np.stack(confusions)
     right = counts @ np.diagonal(stacked, axis1=1, axis2=2)
     met = counts @ (stacked.sum(axis=1) + stacked.sum(axis=2))

@@ -1,4 +1,4 @@
-"""What a closed loop leaves to be measured: a rollout of a policy over a reef."""
+"""Log of a closed-loop rollout of a policy over a reef, from which it is scored."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class RolloutLog:
-    """A rollout of K commands, step by step; the first of K + 1 moments is before the first command.
+    """A rollout of K commands, step by step; the first of K + 1 time steps is before the first command.
 
-    reef: the sequence's name; policy: the policy that steered. step_s: between two moments, s. states (K + 1, 5)
-    float64: x, y, z m in `map`, heading rad (from east, counter-clockwise), pitch rad (bow down positive).
-    altitude (K + 1,): over the bottom, m.
-    commands (K, 2) int: classes of yaw and pitch. seen (K + 1,) int: live oysters seen for the first time.
+    reef: the sequence's name; policy: the policy that steered. step_s: interval between time steps, s.
+    states (K + 1, 5) float64: x, y, z m in `map`, heading rad (from east, counter-clockwise), pitch rad (bow down
+    positive). altitude (K + 1,): above the bottom, m.
+    commands (K, 2) int: classes of yaw and pitch. seen (K + 1,) int: number of live oysters seen for the first time.
     contact (K + 1,) bool: the hull would have touched something and was held above it. turned (K + 1,) bool: turned
     back at the fence. covered (K + 1,): share of the area within the fence whose bottom has been seen so far.
-    half_m: the area is within -half_m and half_m in x and y. oysters (N, 3): x, y, z m of the live oysters within it;
-    found (N,) bool: seen in this rollout. wall_s, cpu_s: what rendering, steering and moving took.
+    half_m: the area extends from -half_m to half_m in x and y. oysters (N, 3): x, y, z m of the live oysters within it;
+    found (N,) bool: seen in this rollout. wall_s, cpu_s: time taken by rendering, steering and motion.
     """
 
     reef: str

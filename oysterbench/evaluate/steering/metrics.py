@@ -1,4 +1,4 @@
-"""What is measured of policies that explore: name, unit, direction and definition of every metric."""
+"""Metrics of policies that explore: name, unit, direction and definition of each."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ PICTURES: dict[str, Metric] = {
     "pictures": neutral("Pictures")("Number of images with a command."),
     "pictures_per_s": higher("Speed", "per s")("Images processed per wall time of the policy."),
 }
-"""Metrics of the track steering, over labelled pictures, by their key."""
+"""Metrics of the steering track, over labelled images, by their key."""
 
 ROLLOUTS: dict[str, Metric] = {
     "oysters_per_min": higher("Oysters", PER_MIN, Column("oysters", "per min", 1))(

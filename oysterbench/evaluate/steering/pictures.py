@@ -1,4 +1,4 @@
-"""Answers to labelled pictures, scored: both axes, and what the commands lose in oysters."""
+"""Scoring of commands for labelled images: by axis, and what the commands lose in oysters."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ NO_PICTURES = "no image has a command"
 
 @dataclass(frozen=True)
 class Labels:
-    """What the expert commands: classes (N, 2) int64 of yaw, pitch; action_values (N, Y, P) of each pair in oysters.
+    """Commands of the expert: classes (N, 2) int64 of yaw, pitch; action_values (N, Y, P) of each pair in oysters.
 
-    Raises LabelError where they do not fit the task, or a number is not finite.
+    Raises LabelError if they do not fit the task, or a number is not finite.
     """
 
     classes: NDArray[np.int64]
@@ -49,7 +49,7 @@ class Labels:
 
 @dataclass(frozen=True)
 class Commands:
-    """What a policy commands: classes (N, 2) int64; probabilities (N, Y) and (N, P), which add up to 1."""
+    """Commands of a policy: classes (N, 2) int64; probabilities (N, Y) and (N, P), each row of which adds up to 1."""
 
     classes: NDArray[np.int64]
     yaw_probability: Array
@@ -58,15 +58,15 @@ class Commands:
 
 @dataclass(frozen=True)
 class PictureScore(Score):
-    """Values by keys of `metrics.PICTURES`; yaw, pitch: pictures by the expert's class, the row, and the commanded one,
-    the column."""
+    """Values by keys of `metrics.PICTURES`; yaw, pitch: number of images by the expert's class (row) and the commanded
+    one (column)."""
 
     yaw: NDArray[np.int64]
     pitch: NDArray[np.int64]
 
 
 def score_pictures(truth: Labels, commands: Commands) -> PictureScore:
-    """Score the commands of N pictures."""
+    """Score the commands for N images."""
     n, task = len(truth.classes), truth.task
     metrics: dict[str, float] = {"skill": labels.skill(truth.action_values, commands.classes)}
     metrics["regret_oysters"] = float(labels.regrets(truth.action_values, commands.classes).mean()) if n else math.nan

@@ -1,4 +1,4 @@
-"""Rollouts of policies in a closed loop, measured, and policies compared over the same reefs."""
+"""Scoring of closed-loop rollouts, and comparison of policies over the same reefs."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from oysterbench.recipe.steering import SteeringRecipe
 
 @dataclass(frozen=True)
 class NormalisedScore:
-    """Where a policy stands between two others: 0 where it is as good as the lower, 1 as the upper; it may lie beyond.
+    """Score of a policy relative to two others: 0 if it is as good as the lower, 1 as the upper; it may lie beyond.
 
-    NaN, with the reason, where the two are not apart.
+    NaN, with the reason, if the upper is not above the lower.
     """
 
     value: float
@@ -36,7 +36,7 @@ class NormalisedScore:
 
 
 def score_rollout(log: RolloutLog, task: SteeringRecipe) -> Score:
-    """Measure a rollout: values by keys of `metrics.ROLLOUTS`."""
+    """Score a rollout: values by keys of `metrics.ROLLOUTS`."""
     measures = Measures()
     steps = len(log.commands)
     minutes = steps * log.step_s / 60.0
@@ -64,20 +64,20 @@ def score_rollout(log: RolloutLog, task: SteeringRecipe) -> Score:
 
 
 def episodes(marked: NDArray[np.bool_]) -> int:
-    """How many runs of True there are in (N,)."""
+    """Number of runs of consecutive True in (N,)."""
     return int((np.diff(np.concatenate([[False], marked]).astype(int)) == 1).sum())
 
 
 def seen_so_far(log: RolloutLog) -> tuple[Array, Array]:
-    """Time in s (K + 1,) and live oysters seen until then (K + 1,)."""
+    """Times in s (K + 1,) and number of live oysters seen by then (K + 1,)."""
     return np.arange(len(log.seen), dtype=float) * log.step_s, np.cumsum(log.seen).astype(float)
 
 
 def normalised_score(policy: Sample, lower: Sample, upper: Sample) -> NormalisedScore:
-    """(policy - lower) / (upper - lower), each the mean over the reefs that all three have driven over.
+    """(policy - lower) / (upper - lower), each the mean over the reefs common to all three.
 
-    samples: reef -> values of a metric. The interval is that of the ratio in resamples of the reefs, each with all
-    three policies (expanded percentiles, as of every mean: `statistics`); a resample in which the upper is not above
+    Samples: reef -> values of a metric. The interval is that of the ratio over resamples of the reefs, each with all
+    three policies (expanded percentiles, as for every mean: `statistics`); a resample in which the upper is not above
     the lower has no ratio.
     """
     means = [sequence_means(sample) for sample in (policy, lower, upper)]
