@@ -28,11 +28,12 @@ from oysterbench.core.text import in_one_line
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.database import open_engine
 from oysterbench_leaderboard.submissions.database import Database, metadata, sessions
+from oysterbench_leaderboard.submissions.estimates import Estimates, Upload
 from oysterbench_leaderboard.submissions.migrations import upgrade
 from oysterbench_leaderboard.submissions.settings import FILE, SubmissionSettings, load_settings
 
 ABOUT = "backup.json"
-PRIVATE = ("estimates/*", "scored/*/*.json", "key", FILE)
+PRIVATE = (FILE, "key", "scored/*/*.json")
 PUBLIC = ("records/*.json", "changes/*.json", "curves/*.json")
 """Files of the board's folder that are backed up; PRIVATE are those of the private folder."""
 
@@ -71,7 +72,7 @@ def backup(settings: SubmissionSettings, file: Path, board: Path | None = None) 
                     lines = [json.dumps(dict(row)) for row in found]
                     rows[table.name] = len(lines)
                     _add(archive, f"rows/{table.name}.jsonl", "\n".join(lines).encode())
-            for name, path in _files(settings.folder, board):
+            for name, path in _files(settings, board):
                 archive.add(path, name)
                 files += 1
     finally:
@@ -85,11 +86,17 @@ def _add(archive: tarfile.TarFile, name: str, data: bytes) -> None:
     archive.addfile(entry, io.BytesIO(data))
 
 
-def _files(folder: Path, board: Path | None) -> Iterator[tuple[str, Path]]:
-    """Yield the archive name and path of each file. Files still being written have other names and are skipped."""
-    for prefix, root, patterns in (("private", folder, PRIVATE), ("board", board or Path(), PUBLIC if board else ())):
-        for path in (path for pattern in patterns for path in sorted(root.glob(pattern))):
-            name = f"{prefix}/{path.relative_to(root).as_posix()}"
+def _files(settings: SubmissionSettings, board: Path | None) -> Iterator[tuple[str, Path]]:
+    """Yield the archive name and path of each file, the settings first, since they say where the estimates are. Files
+    still being written have other names and are skipped."""
+    groups: list[tuple[str, Path | None, tuple[str, ...]]] = [
+        ("private", settings.folder, PRIVATE),
+        ("private/estimates", Estimates(settings.place).folder, ("*",)),
+        ("board", board, PUBLIC),
+    ]
+    for prefix, root, patterns in groups:
+        for path in (path for pattern in patterns for path in sorted(root.glob(pattern) if root else ())):
+            name = f"{prefix}/{path.relative_to(root or path).as_posix()}"
             if KNOWN.fullmatch(name):
                 yield name, path
 
@@ -132,8 +139,13 @@ def _restore(archive: tarfile.TarFile, folder: Path, board: Path | None) -> Back
         place = folder if root == "private" else board
         if place is None or (name == FILE and (folder / FILE).exists()):
             continue
-        _extract(archive, entry, place / name, secret=root == "private")
         files += 1
+        kind, _, digest = name.partition("/")
+        if root == "private" and kind == "estimates":  # where the settings, which come before them, want them
+            _extract(archive, entry, folder / "incoming" / digest, secret=True)
+            Estimates(load_settings(folder).place).keep(Upload(folder / "incoming" / digest, digest, entry.size))
+            continue
+        _extract(archive, entry, place / name, secret=root == "private")
     engine = open_engine(load_settings(folder).url)
     try:
         with engine.execution_options(writes=True).begin() as connection:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import ResultError
+from oysterbench.core.files import appearing
 
 
 @dataclass(frozen=True)
@@ -36,15 +39,28 @@ class Estimates:
 
     place: str
 
+    @property
+    def folder(self) -> Path | None:
+        """The folder; None for a store."""
+        return None if "://" in self.place else Path(self.place)
+
     def keep(self, upload: Upload) -> None:
         """Store an upload; it is in the store, or synced to disk, when this returns. A folder has the file moved in."""
-        if self._is_far:
+        if self.folder is None:
             self._store().put_file(str(upload.path), f"{self.place}/{upload.digest}")
             return
         with open(upload.path, "rb") as file:
             os.fsync(file.fileno())
-        os.replace(upload.path, Path(self.place) / upload.digest)
-        folder = os.open(self.place, os.O_RDONLY)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        try:
+            os.replace(upload.path, self.folder / upload.digest)
+        except OSError as error:
+            if error.errno != errno.EXDEV:
+                raise
+            with appearing(self.folder / upload.digest, mode=0o600) as copy, open(upload.path, "rb") as file:
+                shutil.copyfileobj(file, copy)
+            upload.path.unlink()
+        folder = os.open(self.folder, os.O_RDONLY)
         try:
             os.fsync(folder)
         finally:
@@ -55,16 +71,12 @@ class Estimates:
         """Path of the file of that digest, valid while the block runs. Raises ResultError where its bytes do not match
         the digest, and OSError where there is no such file."""
         with tempfile.TemporaryDirectory(prefix="oysterbench-") as folder:
-            path = Path(folder if self._is_far else self.place) / digest
-            if self._is_far:
+            path = (self.folder or Path(folder)) / digest
+            if self.folder is None:
                 self._store().get_file(f"{self.place}/{digest}", str(path))
             if upload_of(path).digest != digest:
                 raise ResultError(f"{self.place}/{digest}: its bytes do not match its name: it was changed")
             yield path
-
-    @property
-    def _is_far(self) -> bool:
-        return "://" in self.place
 
     def _store(self) -> Any:
         try:

@@ -114,6 +114,8 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
 def _of_run(place: Path, sequences: Sequence[str], method: str, run: int) -> dict[str, Path]:
     """Find the estimates of a method in a folder of results, SEQUENCE-METHOD.tum, by the names they are sent under."""
     methods = methods_in(place / RESULTS)
+    if not methods:
+        raise ResultError(f"{place / RESULTS}: expected results of a method, found none; name the files SEQUENCE.tum")
     if not method and len(methods) > 1:
         raise ResultError(f"{place} has results of {', '.join(methods)}; say whose estimates to send (--of NAME)")
     chosen = method or methods[0]

@@ -230,8 +230,8 @@ def dispatch(
 
 def _settle(service: Service, connection: Connection, mine: Submission, future: Future[Ended]) -> None:
     try:
-        outcome = outcome_of(service, mine, future.result(timeout=0))
-    except (Stopped, CancelledError, TimeoutError):
+        outcome = outcome_of(service, mine, future.result()) if future.done() else {"state": "queued"}
+    except (Stopped, CancelledError):
         outcome = {"state": "queued"}
     except Exception as error:  # from a worker: it died repeatedly, cannot read the upload, or has another version
         outcome = outcome_of(service, mine, Ended(None, "crash", f"{type(error).__name__}: {error}"))

@@ -61,11 +61,11 @@ class Service:
         self.settings, self.catalogue, self.store, self.changed, self.clock = settings, catalogue, store, changed, clock
         self.database = Database(settings)
         self.incoming, self.estimates = settings.folder / "incoming", Estimates(settings.place)
-        for folder in (self.incoming, settings.folder / "estimates"):
-            folder.mkdir(exist_ok=True)
+        self.incoming.mkdir(exist_ok=True)
         self.scored = RecordStore(settings.folder / "scored")
         truths = {str(path.parent.resolve()) for one in catalogue.splits.values() for path in one.truth.values()}
-        self.hidden = (str(settings.folder.resolve()), *sorted(truths))
+        private = filter(None, (settings.folder, self.estimates.folder))
+        self.hidden = (*(str(folder.resolve()) for folder in private), *sorted(truths))
         self.wake = threading.Event()
         self.reads = DailyReads(settings.reads_per_day, self.clock)
         self._refusals = Sampler(settings.refusals_of_one, settings.refusals_of_strangers)

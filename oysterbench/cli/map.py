@@ -16,6 +16,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.evaluate import click_option, given_options
+from oysterbench.cli.numbers import Number
 from oysterbench.core.errors import OysterbenchError
 
 if TYPE_CHECKING:
@@ -72,15 +73,17 @@ class MapCommand(click.Command):
 )
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="With --masks a folder, else a .ply file.")
 @click.option("--camera", "cameras", multiple=True, metavar="NAME", help="Camera to use.  [default: the first]")
-@click.option("--far", "far_m", type=float, help="Maximum range, in m.  [default: map 2.5, cloud 6]")
+@click.option("--far", "far_m", type=Number(), help="Maximum range, in m.  [default: map 2.5, cloud 6]")
 @click.option("--depth", type=click.Choice(DEPTHS), help="Map: source of depths.  [default: stereo, or motion]")
 @click.option(
     "--masks-kind", "kind", type=click.Choice(KINDS), help="Map: meaning of the masks' values.  [default: auto]"
 )
-@click.option("--cell", "cell_m", type=float, help="Map: size of the grid cells, in m.  [default: 1]")
-@click.option("--threshold", type=float, help="Map: minimum score of an oyster.  [default: 0.5]")
+@click.option("--cell", "cell_m", type=Number(), help="Map: size of the grid cells, in m.  [default: 1]")
+@click.option("--threshold", type=Number(), help="Map: minimum score of an oyster.  [default: 0.5]")
 @click.option("--from", "source", type=click.Choice(SOURCES), help="Cloud: source of points.  [default: pictures]")
-@click.option("--voxel", "voxel_m", type=float, help="Cloud: voxel size, in m; one point per voxel.  [default: 0.01]")
+@click.option(
+    "--voxel", "voxel_m", type=Number(), help="Cloud: voxel size, in m; one point per voxel.  [default: 0.01]"
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 def map_command(
     sequence: Path,

@@ -57,7 +57,8 @@ def explore(
     """
     if split.steering is None:
         raise RecipeError(f"split {split.name} has no table [steering]; expected one of the track steering")
-    steps = round((split.steering.rollout_s if seconds is None else seconds) / split.steering.step_s)
+    seconds = split.steering.rollout_s if seconds is None else seconds
+    steps = round(seconds / split.steering.step_s)
     if steps < 1:
         raise RecipeError(f"seconds: expected at least a step of {split.steering.step_s:g} s, got {seconds:g}")
     simulated = build_sequence(split, reef, salt, device)

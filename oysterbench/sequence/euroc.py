@@ -31,7 +31,8 @@ class EurocSequence(Sequence):
         self.metadata = {"sequence": self.name, "format": "euroc"}
         if not (root / "imu0" / "data.csv").is_file():
             raise SequenceError(f"{self.folder}: expected an EuRoC folder with mav0/imu0/data.csv, found none")
-        self.cameras = {path.name: self._camera(path) for path in sorted(root.glob("cam[0-9]"))}
+        folders = [path for path in root.glob("cam[0-9]*") if path.name[3:].isdigit()]
+        self.cameras = {path.name: self._camera(path) for path in sorted(folders, key=lambda path: int(path.name[3:]))}
         settings = _read_yaml(root / "imu0" / "sensor.yaml")
         self.imu_calibration = ImuCalibration(
             rate_hz=_scalar(settings, "rate_hz", 200.0),

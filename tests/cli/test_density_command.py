@@ -25,6 +25,13 @@ def test_a_map_and_a_cloud_have_options_of_their_own(tmp_path):
     assert "a map uses one camera" in error_of(*common, "--out", "m", "--masks", "t", "--camera", "a", "--camera", "b")
 
 
+@pytest.mark.parametrize("option", ["--far", "--cell", "--voxel", "--threshold"])
+@pytest.mark.parametrize("value", ["inf", "nan"])
+def test_a_length_is_a_finite_number(option, value):
+    said = error_of("map", "x.mcap", "--trajectory", "p.tum", "--out", "m", option, value)
+    assert f"'{option}': '{value}' is not a finite number" in said
+
+
 def test_a_map_reads_every_kind_of_masks():
     assert KINDS == FORMS
 

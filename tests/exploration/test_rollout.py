@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -175,6 +175,9 @@ def test_requests_that_cannot_be_met_are_refused():
         explore(load_split("slam-mini"), "mini-01", "expert")
     with pytest.raises(RecipeError, match="at least a step of 1 s, got 0"):
         explore(SPLIT, REEF, "expert", seconds=0.0)
+    hasty = replace(SPLIT, steering=replace(SPLIT.steering, rollout_s=0.1))
+    with pytest.raises(RecipeError, match=r"at least a step of 1 s, got 0\.1"):
+        explore(hasty, REEF, "expert")
     with pytest.raises(ValueError, match="no reference policy 'shark'"):
         explore(SPLIT, REEF, "shark", seconds=1.0)
     with pytest.raises(RecipeError, match="no sequence 'reef-9'"):

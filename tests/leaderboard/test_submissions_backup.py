@@ -171,3 +171,24 @@ def test_it_is_done_by_commands(saved, tmp_path):
     done = run("leaderboard", "submissions", "restore", file, "--submissions", private)
     assert done.returncode == 0
     assert set(all_of(private)) == {"carp", "tench"}
+
+
+def test_estimates_in_a_folder_of_their_own_are_kept_hidden_saved_and_restored(tmp_path):
+    lay_split(tmp_path / "splits")
+    private, elsewhere = tmp_path / "private", tmp_path / "large disk" / "estimates"
+    private.mkdir()
+    (private / "settings.toml").write_text(f"estimates = {str(elsewhere)!r}\n")
+    with closing(make_service(tmp_path)) as service:
+        path = service.incoming / "carp"
+        path.write_bytes(answers(tmp_path, 0))
+        made, _ = service.submit("reef lab", Form("carp", "pool-test"), upload_of(path))
+        assert str(elsewhere) in service.hidden
+        assert [path.name for path in elsewhere.iterdir()] == [made.digest]
+        assert drain(service) == 1
+        saved = backup(service.settings, tmp_path / "all.tar")
+    shutil.rmtree(elsewhere.parent)
+    shutil.move(private, tmp_path / "lost")
+    assert restore(tmp_path / "all.tar", private) == saved
+    assert [path.name for path in elsewhere.iterdir()] == [made.digest]
+    assert not any((private / "incoming").iterdir())
+    assert not (private / "estimates").exists()

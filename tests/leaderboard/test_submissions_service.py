@@ -145,6 +145,18 @@ def test_a_scoring_without_an_answer_fails_with_a_sentence_of_the_list(service, 
     assert "/secret/place" not in str(events(service))
 
 
+def test_a_task_that_times_out_by_itself_has_as_many_attempts_as_any_other(service, tmp_path, monkeypatch):
+    """It is no scoring that is still going on, which goes back into the queue as often as it takes."""
+
+    def late(*args):
+        raise TimeoutError("the store did not answer")
+
+    made, _ = send(service, tmp_path)
+    monkeypatch.setattr(sandbox, "run", late)
+    assert drain(service) == service.settings.attempts
+    assert service.get("reef lab", made.id).state == "failed"
+
+
 def test_what_failed_by_the_servers_fault_may_be_sent_again_after_an_hour(service, tmp_path, monkeypatch):
     made, _ = send(service, tmp_path)
     with monkeypatch.context() as broken:

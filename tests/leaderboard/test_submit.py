@@ -168,6 +168,10 @@ def test_what_a_run_leaves_is_sent_by_the_name_of_its_method(site, tmp_path, est
     assert sent.exit_code == 0, sent.output
     found = json.loads(sent.stdout)
     assert (found["state"], found["method"], found["split"]) == ("queued", "Perch 2", "pool-test")
+    write_results(out / "results.json", [])
+    refused = submit(site, out, "--method", "carp", "--split", "pool-test", "--track", "slam")
+    assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1)
+    assert "results.json: expected results of a method, found none" in refused.stderr
 
 
 def test_a_run_that_left_no_estimates_is_sent_by_its_results(site, tmp_path):

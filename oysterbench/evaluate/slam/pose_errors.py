@@ -60,7 +60,7 @@ class PoseErrors:
 
 
 def absolute_errors(truth: Trajectory, estimate: Trajectory) -> PoseErrors:
-    """E = Q^-1 P of matched poses (N,), truth Q and aligned estimate P (Sturm et al. 2012, eq. 5)."""
+    """E = Q^-1 P of matched poses (N,), truth Q and aligned estimate P (Sturm et al. 2012, eq. 4)."""
     difference = estimate.positions - truth.positions
     return PoseErrors(
         np.sqrt(np.einsum("ij,ij->i", difference, difference)),
@@ -69,7 +69,7 @@ def absolute_errors(truth: Trajectory, estimate: Trajectory) -> PoseErrors:
 
 
 def measure_absolute(errors: PoseErrors, path_m: float, measures: Measures) -> None:
-    """Measure the absolute errors of all matched poses (Sturm et al. 2012, eq. 6). path_m: length of the true path"""
+    """Measure the absolute errors of all matched poses (Sturm et al. 2012, eq. 5). path_m: length of the true path"""
     error_m, rotation_deg = errors.translation_m, np.rad2deg(errors.rotation_rad)
     measures["ate_rmse_m"] = rms(error_m)
     if path_m < MIN_PATH_M:
@@ -89,7 +89,7 @@ def measure_absolute(errors: PoseErrors, path_m: float, measures: Measures) -> N
 
 
 def relative_errors(truth: Trajectory, estimate: Trajectory, pairs: Index, absolute: PoseErrors) -> PoseErrors:
-    """E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j) of index pairs (M, 2) i, j into matched poses (Sturm et al. 2012, eq. 2).
+    """E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j) of index pairs (M, 2) i, j into matched poses (Sturm et al. 2012, eq. 1).
 
     With H = P Q^-1 the rotations of the absolute errors (`PoseErrors.turn`), |trans E| = |H_i^-1 (p_j - p_i) -
     (q_j - q_i)|, and H_j H_i^-1 is the rotation of E seen from the world frame: no pair needs a matrix.

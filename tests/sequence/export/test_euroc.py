@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 import yaml
@@ -44,6 +46,15 @@ def test_euroc_keeps_the_calibration_relative_to_the_imu(sequence, folders):
     for path in folders["euroc"].glob("mav0/*/sensor.yaml"):
         settings = yaml.safe_load(path.read_text())
         assert np.array(settings["T_BS"]["data"]).size == 16, path
+
+
+def test_euroc_has_its_cameras_in_the_order_of_their_numbers(folders, tmp_path):
+    root = tmp_path / "rig" / "mav0"
+    shutil.copytree(folders["euroc"] / "mav0", root)
+    for number in (2, 10, 9):
+        shutil.copytree(root / "cam0", root / f"cam{number}")
+    (root / "camera_notes").mkdir()
+    assert list(oysterbench.open(tmp_path / "rig").cameras) == ["cam0", "cam1", "cam2", "cam9", "cam10"]
 
 
 def test_euroc_loads_in_evo(sequence, folders):
