@@ -1,1 +1,1 @@
-"""The baselines of oysterbench, each a method as anybody could write one. Found as `oysterbench_baselines`."""
+"""The baselines of oysterbench, each written as any outside method would be. Imported as `oysterbench_baselines`."""

@@ -1,1 +1,1 @@
-"""Rendered pictures that look like real ones: contrastive unpaired translation, and the cheap controls beside it."""
+"""Translation of rendered images so that they look real: contrastive unpaired translation, and cheap controls."""

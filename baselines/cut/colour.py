@@ -1,4 +1,4 @@
-"""The cheap controls: give a picture the colours of a real one, which needs no training and moves no edge."""
+"""The cheap controls: give an image the colours of a real one, which needs no training and moves no edge."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from oysterbench.core.streams import Streams
 from oysterbench_baselines.cut.pictures import Picture
 
 LEAST_SPREAD = 0.5
-"""Of L, a or b, that a picture is taken to have at least: what has no contrast is not blown up to noise."""
+"""Lower limit of an image's standard deviation in L, a or b: without contrast, nothing is amplified to noise."""
 
 
 def match_histograms(picture: Picture, model: Picture) -> Picture:
-    """A picture (H, W, 3) uint8 whose channels are distributed like those of `model`, of any size.
+    """Return an image (H, W, 3) uint8 whose channels are distributed like those of `model`, of any size.
 
-    Each level goes where the model's distribution function is what the picture's is in the middle of that level
-    (Gonzalez & Woods, histogram specification).
+    Each level is mapped to the one at which the model's distribution function equals the image's in the middle of that
+    level (Gonzalez & Woods, histogram specification).
     """
     found = np.empty_like(picture)
     for channel in range(3):
@@ -37,8 +37,8 @@ def match_histograms(picture: Picture, model: Picture) -> Picture:
 
 
 def match_reinhard(picture: Picture, model: Picture) -> Picture:
-    """A picture (H, W, 3) uint8 with the model's mean and standard deviation of L, a and b (Reinhard et al. 2001, in
-    CIELAB)."""
+    """Return an image (H, W, 3) uint8 with the model's mean and standard deviation of L, a and b (Reinhard et al. 2001,
+    in CIELAB)."""
     values, aims = lab(picture), lab(model)
     mean, spread = values.mean(axis=(0, 1)), np.maximum(values.std(axis=(0, 1)), LEAST_SPREAD)
     moved = (values - mean) / spread * aims.std(axis=(0, 1)) + aims.mean(axis=(0, 1))
@@ -47,7 +47,7 @@ def match_reinhard(picture: Picture, model: Picture) -> Picture:
 
 
 def lab(picture: Picture) -> NDArray[np.float32]:
-    """(H, W, 3) CIELAB, L from 0 to 100, of sRGB uint8."""
+    """Convert sRGB uint8 to CIELAB (H, W, 3) float32, L from 0 to 100."""
     return np.asarray(cv2.cvtColor(picture.astype(np.float32) / 255, cv2.COLOR_RGB2Lab), dtype=np.float32)
 
 
@@ -59,9 +59,11 @@ TRANSFERS: dict[str, Transfer] = {"histogram": match_histograms, "reinhard": mat
 def recoloured(
     images: Iterable[LabelledImage], models: LabelledSet, transfer: Transfer, seed: int = 0
 ) -> Iterator[LabelledImage]:
-    """Labelled images with the colours of real ones: a clip is drawn, then one of its pictures, by an image's name.
+    """Give labelled images the colours of real ones: for each, a clip and then one of its images is drawn, seeded by
+    the image's name.
 
-    So each clip of `models` gives its water to as many, however many pictures it has. Raises LabelError without models.
+    In this way each clip of `models` gives its water to equally many, whatever its number of images. Raises LabelError
+    without models.
     """
     if not len(models):
         raise LabelError(f"{models.name}: expected at least one picture to take colours from, got none")

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from oysterbench_baselines.cut.judge import Judge
 
 SAMPLES = 4
-"""Rows of a sample sheet."""
+"""Number of rows of a sample sheet."""
 SHEETS = 20
-"""Sample sheets of a training, about."""
+"""Approximate number of sample sheets of a training."""
 
 source_option = click.option(
     "--source", "sources", type=LABELLED, multiple=True, required=True, help="Labelled images; repeatable."
@@ -37,7 +37,7 @@ clip_option = click.option(
 
 
 def judge_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Who says whether labels still hold, and what follows from it."""
+    """Options for the judge of whether labels still hold, and for the consequence of its verdict."""
     for option in (
         click.option(
             "--keep",
@@ -208,9 +208,9 @@ reinhard_command = _recolour("reinhard")
 
 
 def targets(labelled: LabelledSet, side: str | None, clips: tuple[str, ...]) -> LabelledSet:
-    """The real images that may be looked at: those for training, where the set says which these are, and of some clips.
+    """Select the real images that may be used: those for training, where the set has splits, and only of some clips.
 
-    Raises LabelError for a side or a clip that is not there.
+    Raises LabelError for a side or a clip that does not exist.
     """
     from oysterbench.core.errors import LabelError
 
@@ -224,8 +224,8 @@ def targets(labelled: LabelledSet, side: str | None, clips: tuple[str, ...]) -> 
 
 
 def _judge(weights: Path | None, keep: float | None, device: str = "cpu") -> Judge | None:
-    """Who was asked for, before anything long begins. Raises MethodError for weights that are not there, or are none of
-    a segmentation network."""
+    """Load the judge that was asked for, before anything that takes long. Raises MethodError for weights that are
+    missing, or not those of a segmentation network."""
     if weights is None:
         if keep is not None:
             raise click.UsageError("--keep goes by what a judge sees: expected --judge beside it")
@@ -247,7 +247,7 @@ def _write(
     judge: Judge | None,
     keep: float | None,
 ) -> None:
-    """Write what `change` makes of the images as a folder of masks, and say how far masks have drifted."""
+    """Write the images that `change` returns as a folder of masks, and report how far masks have drifted."""
     from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.cut.writing import sentences, write_translated
 

@@ -1,4 +1,4 @@
-"""Mask drift: whether what a mask says is still there, in the same place, after a translation."""
+"""Mask drift: whether the content of a mask is still in the same place after a translation."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from oysterbench_baselines.cut.colour import lab
 from oysterbench_baselines.cut.pictures import Picture
 
 BAND = 4
-"""px on either side of a mask's border, where drift is looked for."""
+"""Width of the band on either side of a mask's border in which drift is measured, px."""
 REACH = 12
-"""px, the greatest shift of a border that is looked for."""
+"""Maximum shift of a border that is searched, px."""
 BLUR = 1.0
-"""px, standard deviation at which pictures are smoothed before their gradients are taken: noise is no edge."""
+"""Sigma by which images are smoothed before their gradients are computed, px: noise is not an edge."""
 LEAST_BORDER = 200
-"""px of a band, for a picture to be judged at all."""
+"""Minimum area of the bands for an image to be judged at all, px."""
 
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Drift:
-    """Of one picture. NaN where its masks have too little border to say.
+    """Drift of one image. NaN where its masks have too little border to measure.
 
-    edges:    correlation of the two pictures' gradient magnitudes in the bands along the masks' borders; 1: unmoved
-    kept:     the strongest tenth of the gradients in the bands, before: how much of it is so after, too (within 2 px)
+    edges:    correlation of the two images' gradient magnitudes in the bands along the masks' borders; 1: unmoved
+    kept:     share of the strongest tenth of the gradients in the bands that is still so after (within 2 px)
     flow:     px, median length of the optical flow from before to after, in the bands
-    offset:   px by which the mask, shifted as a whole, would best lie on the gradients after, less that before
+    offset:   px between the shifts of the whole mask that best fit the gradients before and after
     """
 
     edges: float
@@ -40,7 +40,7 @@ class Drift:
 
 
 def mask_drift(before: Picture, after: Picture, mask: Mask) -> Drift:
-    """Of a picture (H, W, 3), its translation and the mask (H, W) that both have."""
+    """Measure the drift between an image (H, W, 3) and its translation, given the mask (H, W) of both."""
     band = border_band(mask, BAND)
     if band.sum() < LEAST_BORDER:
         return Drift(np.nan, np.nan, np.nan, np.nan)
@@ -54,7 +54,7 @@ def mask_drift(before: Picture, after: Picture, mask: Mask) -> Drift:
 
 
 def border_band(mask: Mask, width: int) -> Mask:
-    """(H, W): what lies up to `width` px from a border of the mask, the picture's own border aside."""
+    """Band (H, W) of the pixels within `width` px of a border of the mask, excluding the image's own border."""
     inside = np.pad(mask.astype(np.uint8), 1, mode="edge")
     depth = cv2.distanceTransform(inside, cv2.DIST_L2, 3) + cv2.distanceTransform(1 - inside, cv2.DIST_L2, 3)
     if mask.all() or not mask.any():
@@ -63,14 +63,14 @@ def border_band(mask: Mask, width: int) -> Mask:
 
 
 def gradient(picture: Picture) -> NDArray[np.float64]:
-    """(H, W) magnitude of the gradient of L, smoothed."""
+    """Gradient magnitude (H, W) of the smoothed L."""
     light = cv2.GaussianBlur(lab(picture)[..., 0].astype(np.float64), (0, 0), BLUR)
     dy, dx = np.gradient(light)
     return np.asarray(np.hypot(dx, dy))
 
 
 def best_shift(edges: NDArray[np.float64], mask: Mask) -> tuple[int, int]:
-    """Rows and columns by which the mask's border, moved, meets the strongest gradients."""
+    """Shift in rows and columns for which the mask's border lies on the strongest gradients."""
     border = border_band(mask, 1).astype(np.float32)
     border[:REACH] = border[-REACH:] = border[:, :REACH] = border[:, -REACH:] = 0
     found = cv2.matchTemplate(edges.astype(np.float32), border[REACH:-REACH, REACH:-REACH], cv2.TM_CCORR)
@@ -86,7 +86,7 @@ def _kept(one: NDArray[np.float64], other: NDArray[np.float64], band: Mask) -> f
 
 
 def _flow(before: Picture, after: Picture) -> NDArray[np.float32]:
-    """(H, W, 2) px, dense, between the pictures' light with its slow changes and its contrast taken out."""
+    """Dense optical flow (H, W, 2) px between the images' lightness, with slow changes and contrast removed."""
     grey = [_levelled(picture) for picture in (before, after)]
     method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     start = np.zeros((*grey[0].shape, 2), dtype=np.float32)

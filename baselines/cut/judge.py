@@ -1,7 +1,7 @@
-"""A judge of label drift: what a trained segmentation network still sees of the labels after a translation.
+"""A judge of label drift: how well a trained segmentation network still finds the labels after a translation.
 
-`drift` measures whether edges have moved. It says nothing of an oyster that was painted over, or of one that was
-painted where there is only silt; a network that knows oysters does.
+`drift` measures whether edges have moved. It does not reveal an oyster that was painted over, or one that was painted
+where there is only silt; a network that knows oysters does.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Verdict:
-    """Pixels of one picture, or of many together; ignored ones aside.
+    """Pixel counts of one image, or of many together, without ignored pixels.
 
-    labelled: labelled oyster, and rest: all others. hits and false: of these, called oyster before the translation;
-    hits_after and false_after: after it. vanished: of the hits, not called oyster any more; appeared: of the rest,
-    called oyster only after it
+    labelled: labelled oyster, and rest: all others. hits and false: those of them classified as oyster before the
+    translation; hits_after and false_after: after it. vanished: of the hits, no longer classified as oyster; appeared:
+    of the rest, classified as oyster only after it
     """
 
     labelled: int
@@ -41,49 +41,49 @@ class Verdict:
 
     @property
     def iou(self) -> float:
-        """Of the network with the labels, before; NaN where neither has an oyster."""
+        """IoU of the network's mask with the labels before the translation; NaN where neither has an oyster."""
         return _share(self.hits, self.labelled + self.false)
 
     @property
     def iou_after(self) -> float:
-        """The same after the translation."""
+        """IoU of the network's mask with the labels after the translation; NaN where neither has an oyster."""
         return _share(self.hits_after, self.labelled + self.false_after)
 
     @property
     def vanished_share(self) -> float:
-        """Of what it recognised as oyster before: what it does not any more. NaN where it recognised none."""
+        """Share of the oyster recognised before that no longer is. NaN where none was recognised."""
         return _share(self.vanished, self.hits)
 
     @property
     def appeared_share(self) -> float:
-        """Of what it rightly took for none before: what it takes for oyster now."""
+        """Share of the background correctly recognised before that is now classified as oyster; NaN without any."""
         return _share(self.appeared, self.rest - self.false)
 
     def holds(self, share: float) -> bool:
-        """Whether the IoU after is at least this share of that before; so it is where there was none before."""
+        """Whether the IoU after is at least this share of that before; true where there was none before."""
         return not self.iou_after < share * self.iou
 
 
 class Judge:
     """A network of `oysterbench train unet` (or `unet_small`) from a file, with its views and its threshold.
 
-    Raises MethodError where the file is no such training.
+    Raises MethodError where the file is not such a checkpoint.
     """
 
     def __init__(self, path: Path, device: torch.device | None = None) -> None:
         self._model = read_unet(path, device, DEFAULT_VIEWS)
 
     def sees(self, pixels: NDArray[np.uint8]) -> Mask:
-        """(H, W): what it calls oyster of a picture (H, W, 3) RGB."""
+        """Mask (H, W) of the pixels classified as oyster in an image (H, W, 3) RGB."""
         return np.asarray(self._model.probabilities(pixels).oyster >= 0.5)
 
     def verdict(self, before: LabelledImage, after: LabelledImage) -> Verdict:
-        """Of a picture and its translation."""
+        """Judge an image and its translation by the labels of the former."""
         return compare(before.oysters, before.ignore, self.sees(before.pixels), self.sees(after.pixels))
 
 
 def compare(labels: Mask, ignored: Mask, before: Mask, after: Mask) -> Verdict:
-    """Of labels (H, W) with what is called oyster before and after."""
+    """Compare labels (H, W) with the masks predicted before and after a translation."""
     label, rest = labels & ~ignored, ~labels & ~ignored
     counts = (
         label,
@@ -99,7 +99,7 @@ def compare(labels: Mask, ignored: Mask, before: Mask, after: Mask) -> Verdict:
 
 
 def together(verdicts: Iterable[Verdict]) -> Verdict:
-    """Of all pictures as if they were one."""
+    """Sum the verdicts of several images, as if they were one."""
     return Verdict(*(sum(counts) for counts in zip(*(astuple(one) for one in verdicts), strict=True)))
 
 

@@ -1,4 +1,4 @@
-"""The two forces on a translation: to look real (least-squares GAN), and to stay what it was (PatchNCE)."""
+"""The two objectives of a translation: to look real (least-squares GAN), and to keep its content (PatchNCE)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def patch_nce(
     """Mean over layers and patches of -log softmax(q . k / tau) at the query's own place (Park et al. 2020, eq. 3).
 
     queries: unit vectors (B, P, D) of the translation by layer, keys: of its input at the same places. The negatives of
-    a patch are the other patches of the same picture; no gradient goes into the keys.
+    a patch are the other patches of the same image; no gradient flows into the keys.
     """
     losses = []
     for name, query in queries.items():
@@ -25,5 +25,5 @@ def patch_nce(
 
 
 def looks(verdicts: torch.Tensor, real: bool) -> torch.Tensor:
-    """Mean squared distance of verdicts from 1 for real, or 0 (Mao et al. 2017)."""
+    """Mean squared distance of the discriminator's verdicts from 1 for real, or from 0 (Mao et al. 2017)."""
     return torch.mean((verdicts - float(real)) ** 2)

@@ -1,4 +1,4 @@
-"""Generator with named encoder layers, PatchGAN discriminator, and the projections of patches."""
+"""Generator with named encoder layers, PatchGAN discriminator, and projections of patches."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from torch.nn import functional
 from oysterbench_baselines.cut.settings import CutSettings
 
 GAIN = 0.02
-"""Of the first weights (Glorot & Bengio 2010, normal), as the method was published."""
+"""Gain of the initial weights (Glorot & Bengio 2010, normal), as the method was published."""
 NEARLY = 0.99
-"""Of the range of pixels: what tanh reaches at finite values."""
+"""Factor on pixels before atanh, which keeps its values finite."""
 
 
 class Shrink(nn.Module):
-    """Half the size, low-passed by the binomial filter (1, 2, 1) first (Zhang 2019), so that nothing is aliased."""
+    """Downsampling by two, after the binomial low-pass filter (1, 2, 1) (Zhang 2019), so that nothing is aliased."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -26,42 +26,42 @@ class Shrink(nn.Module):
         self.channels = channels
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
-        """(B, C, h, w) -> (B, C, h / 2, w / 2), rounded up."""
+        """Downsample (B, C, h, w) -> (B, C, h / 2, w / 2), rounded up."""
         padded = functional.pad(values, (1, 1, 1, 1), mode="reflect")
         return functional.conv2d(padded, self.get_buffer("kernel"), stride=2, groups=self.channels)
 
 
 class Grow(nn.Module):
-    """Twice the size by bilinear interpolation: zeros between the pixels, then the filter (1, 3, 3, 1)."""
+    """Upsampling by two with bilinear interpolation: zeros between the pixels, then the filter (1, 3, 3, 1)."""
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
-        """(B, C, h, w) -> (B, C, 2 h, 2 w)."""
+        """Upsample (B, C, h, w) -> (B, C, 2 h, 2 w)."""
         return functional.interpolate(values, scale_factor=2, mode="bilinear", align_corners=False)
 
 
 class Residual(nn.Module):
-    """x + norm(conv(relu(norm(conv(x))))), mirrored at the borders."""
+    """Residual block x + norm(conv(relu(norm(conv(x))))), mirrored at the borders."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.inner = nn.Sequential(*convolution(channels, channels, 3), nn.ReLU(), *convolution(channels, channels, 3))
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
-        """(B, C, h, w) to the same."""
+        """Apply the block to (B, C, h, w), which keeps its shape."""
         changed: torch.Tensor = values + self.inner(values)
         return changed
 
 
 def convolution(inputs: int, outputs: int, size: int) -> list[nn.Module]:
-    """Mirrored border, convolution, instance normalisation."""
+    """Layers of a convolution: mirrored border, convolution, instance normalisation."""
     return [nn.ReflectionPad2d(size // 2), nn.Conv2d(inputs, outputs, size), nn.InstanceNorm2d(outputs)]
 
 
 class Generator(nn.Module):
-    """(B, 3, h, w) pixels in [-1, 1] to the same; h and w are multiples of 4.
+    """Generator from pixels (B, 3, h, w) in [-1, 1] to the same; h and w are multiples of 4.
 
-    Its encoder's layers have names: pixels (what comes in), conv1 and conv2 (the two convolutions before the picture is
-    halved, not yet normalised), block1, block2, ... (what each residual block gives).
+    Its encoder's layers have names: pixels (the input), conv1 and conv2 (the outputs of the two convolutions before
+    downsampling, not yet normalised), block1, block2, ... (the output of each residual block).
     """
 
     def __init__(self, settings: CutSettings) -> None:
@@ -87,12 +87,12 @@ class Generator(nn.Module):
         first_weights(self)
 
     def channels(self, layer: str) -> int:
-        """Of a named layer."""
+        """Number of channels of a named layer."""
         widths = {"pixels": 3, "conv1": self.conv1.out_channels, "conv2": self.conv2.out_channels}
         return widths.get(layer, self.conv2.out_channels)
 
     def encode(self, pixels: torch.Tensor, layers: Iterable[str]) -> dict[str, torch.Tensor]:
-        """What named layers hold, (B, C, h', w') each; nothing behind the last of them is computed."""
+        """Outputs (B, C, h', w') of named layers of the encoder; nothing after the last of them is computed."""
         wanted = set(layers)
         found = {"pixels": pixels} if "pixels" in wanted else {}
         for name, values in self._walk(pixels):
@@ -112,7 +112,7 @@ class Generator(nn.Module):
         return torch.tanh(painted)
 
     def _walk(self, pixels: torch.Tensor) -> Iterable[tuple[str, torch.Tensor]]:
-        """The encoder's layers after the pixels, one by one."""
+        """Yield the name and output of the encoder's layers after the pixels, one by one."""
         values = self.conv1(self.stem(pixels))
         yield "conv1", values
         values = self.conv2(self.after1(values))
@@ -124,8 +124,8 @@ class Generator(nn.Module):
 
 
 class Discriminator(nn.Sequential):
-    """(B, 3, h, w) pixels in [-1, 1] to (B, 1, h', w') verdicts, 1 for real, each over 70 x 70 px (PatchGAN, Isola et
-    al. 2017), with low-passed instead of strided resampling."""
+    """Discriminator from pixels (B, 3, h, w) in [-1, 1] to verdicts (B, 1, h', w'), 1 for real, each over 70 x 70 px
+    (PatchGAN, Isola et al. 2017), with low-pass filtered downsampling in place of strided convolutions."""
 
     def __init__(self, settings: CutSettings) -> None:
         n = settings.discriminator_filters
@@ -139,8 +139,8 @@ class Discriminator(nn.Sequential):
 
 
 class Projections(nn.ModuleDict):
-    """For each named layer a small perceptron that takes its patches to unit vectors. All are made at once, from what
-    the generator says of its layers: made at the first picture they would miss the optimiser and the seed."""
+    """A small perceptron for each named layer that maps its patches to unit vectors. All are created at once, from the
+    generator's numbers of channels: created at the first image they would miss the optimiser and the seed."""
 
     def __init__(self, generator: Generator, settings: CutSettings) -> None:
         super().__init__(
@@ -158,7 +158,7 @@ class Projections(nn.ModuleDict):
     def forward(
         self, layers: Mapping[str, torch.Tensor], places: Mapping[str, torch.Tensor]
     ) -> dict[str, torch.Tensor]:
-        """(B, C, h, w) of each layer and the places (P,), row * w + column, to unit vectors (B, P, width)."""
+        """Project the layers (B, C, h, w) at places (P,), row * w + column, to unit vectors (B, P, width)."""
         found = {}
         for name, values in layers.items():
             patches = values.flatten(2)[:, :, places[name]].transpose(1, 2)
@@ -167,7 +167,7 @@ class Projections(nn.ModuleDict):
 
 
 def first_weights(network: nn.Module) -> None:
-    """Normal weights (`GAIN`) and no bias, drawn from torch's generator."""
+    """Initialise with normal weights (`GAIN`), drawn from torch's generator, and zero bias."""
     for module in network.modules():
         if isinstance(module, nn.Conv2d | nn.Linear):
             nn.init.xavier_normal_(module.weight, GAIN)

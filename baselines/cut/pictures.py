@@ -1,4 +1,4 @@
-"""Pictures to translate from and into: read once, checked, cropped at random."""
+"""Images of the source and the target: read once, checked, cropped at random."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from oysterbench.annotations import LabelledSet
 from oysterbench.core.errors import LabelError
 
 LEAST_PICTURES = 20
-"""Of source and target: with fewer, the discriminator knows them by heart."""
+"""Minimum number of images of source and target: with fewer, the discriminator memorises them."""
 
 Picture = NDArray[np.uint8]
 
 
 def read_pictures(labelled: LabelledSet, crop: int, scale: float) -> list[Picture]:
-    """Pictures (h, w, 3) uint8 RGB of a set, shrunk by areas to `scale`.
+    """Read the images of a set, (h, w, 3) uint8 RGB, reduced to `scale` by averaging over areas.
 
-    Raises LabelError for fewer than `LEAST_PICTURES`, for one that a crop does not fit into, and for one of a single
-    colour, which no statistics can be taken of.
+    Raises LabelError for fewer than `LEAST_PICTURES`, for one that is smaller than a crop, and for one of a single grey
+    level, which has no statistics.
     """
     if len(labelled) < LEAST_PICTURES:
         raise LabelError(
@@ -45,7 +45,7 @@ def read_pictures(labelled: LabelledSet, crop: int, scale: float) -> list[Pictur
 
 
 def shrunk(pixels: Picture, scale: float) -> Picture:
-    """(H, W, 3) at a scale up to 1, by areas."""
+    """Reduce (H, W, 3) to a scale of at most 1, averaging over areas."""
     if scale == 1.0:
         return pixels
     size = (round(pixels.shape[1] * scale), round(pixels.shape[0] * scale))
@@ -53,7 +53,7 @@ def shrunk(pixels: Picture, scale: float) -> Picture:
 
 
 def draw_crop(pictures: Sequence[Picture], size: int, rng: np.random.Generator) -> torch.Tensor:
-    """(1, 3, size, size) in [-1, 1] of a picture drawn at random, mirrored half the time."""
+    """Draw a random crop (1, 3, size, size) in [-1, 1] of a random image, mirrored half the time."""
     picture = pictures[int(rng.integers(len(pictures)))]
     top = int(rng.integers(picture.shape[0] - size + 1))
     left = int(rng.integers(picture.shape[1] - size + 1))
@@ -62,12 +62,12 @@ def draw_crop(pictures: Sequence[Picture], size: int, rng: np.random.Generator) 
 
 
 def as_tensor(picture: Picture) -> torch.Tensor:
-    """(h, w, 3) uint8 to (1, 3, h, w) float32 in [-1, 1]."""
+    """Convert (h, w, 3) uint8 to (1, 3, h, w) float32 in [-1, 1]."""
     values = torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))
     return values[None].float() / 127.5 - 1
 
 
 def as_picture(values: torch.Tensor) -> Picture:
-    """(1, 3, h, w) in [-1, 1] to (h, w, 3) uint8."""
+    """Convert (1, 3, h, w) in [-1, 1] to (h, w, 3) uint8."""
     pixels = ((values[0].detach().cpu().numpy() + 1) * 127.5).transpose(1, 2, 0)
     return np.ascontiguousarray(np.clip(np.round(pixels), 0, 255), dtype=np.uint8)

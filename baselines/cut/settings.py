@@ -1,4 +1,4 @@
-"""What a translation is trained with: the method, the sizes for a processor and for a GPU."""
+"""Settings of the training of a translation: the methods, and the sizes for a CPU and for a GPU."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ NAMED_LAYERS = ("pixels", "conv1", "conv2")
 class CutSettings:
     """Contrastive unpaired translation (Park et al. 2020).
 
-    filters, blocks: of the generator; discriminator_filters: of its opponent; skip: the generator changes its input
-    instead of painting anew. crop: px of a training crop, at the scale at which a picture is looked at.
+    filters, blocks: of the generator; discriminator_filters: of its opponent; skip: the generator modifies its input
+    instead of painting anew. crop: px of a training crop; scale: at which images are processed.
     layers: of the encoder, whose patches are compared; patches: locations compared in each; temperature: tau.
-    nce_weight, identity: weight of PatchNCE, and whether it also holds real pictures to themselves; flip: whether
-    mirrored pictures must be translated into mirrored ones.
-    steps, learning_rate: of Adam with betas (0.5, 0.999), constant for the first half, then falling to 0 in a line.
+    nce_weight, identity: weight of PatchNCE, and whether it also ties real images to themselves; flip: whether mirrored
+    images must be translated into mirrored ones.
+    steps, learning_rate: of Adam with betas (0.5, 0.999), constant for the first half, then falling linearly to 0.
     """
 
     filters: int = 64
@@ -52,7 +52,7 @@ class CutSettings:
                 )
 
     def rate(self, step: int) -> float:
-        """Learning rate of a step: a function of its number, so that a resumed training has it as well."""
+        """Learning rate of a step: a function of its number alone, so that a resumed training uses the same."""
         half = self.steps / 2
         return self.learning_rate * min(1.0, (self.steps - step) / max(1.0, self.steps - half))
 
@@ -63,12 +63,12 @@ SIZES = {
         filters=16, blocks=6, discriminator_filters=16, skip=True, crop=128, scale=0.5, steps=2_000, learning_rate=4e-4
     ),
 }
-"""As published, for a GPU; and what one core of a processor does in minutes."""
+"""As published, for a GPU; and a size that one CPU core trains in minutes."""
 
 
 def settings_of(method: str, size: str, steps: int | None = None) -> CutSettings:
     """Settings of `cut` or `fastcut` in one of `SIZES`. FastCUT: no identity term, ten times the weight on PatchNCE,
-    flip equivariance. Raises MethodError for another name."""
+    flip equivariance. Raises MethodError for any other name."""
     if size not in SIZES:
         raise MethodError(f"size {size!r}: expected one of {', '.join(SIZES)}")
     chosen = SIZES[size]

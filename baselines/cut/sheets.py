@@ -1,4 +1,4 @@
-"""What a training leaves to look at: its losses as a table and a plot, and samples beside real pictures."""
+"""Outputs of a training to inspect: its losses as a table and a plot, and samples beside real images."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from oysterbench_baselines.learning.checkpoint import Checkpoint
 
 OUTLINE = (255, 230, 0)
 SMOOTH = 50
-"""Steps that a point of a curve is the mean of: single crops differ more than a training changes."""
+"""Number of steps averaged for each point of a curve: single crops differ more than a training changes."""
 
 
 def write_curves(checkpoint: Checkpoint, folder: Path) -> None:
-    """losses.csv, the terms of each step, and losses.png, their running means."""
+    """Write losses.csv, the terms of each step, and losses.png, their running means."""
     values = curves(checkpoint)
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
@@ -35,7 +35,8 @@ def write_curves(checkpoint: Checkpoint, folder: Path) -> None:
 
 
 def plot(values: np.ndarray) -> bytes:
-    """Losses (steps, TERMS) as PNG: running means of each term over its own greatest value, which is said."""
+    """Plot losses (steps, TERMS) as PNG: running means of each term divided by its own maximum, which the legend
+    states."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 4.2), layout="constrained")
@@ -55,8 +56,8 @@ def plot(values: np.ndarray) -> bytes:
 
 
 def sample_sheet(images: Sequence[LabelledImage], translations: Sequence[Picture], real: Sequence[Picture]) -> Picture:
-    """A row for each image: as rendered, translated, translated with the outlines of its mask, and the real picture
-    whose colours are nearest to those of the translation."""
+    """Sheet with a row for each image: as rendered, translated, translated with the outlines of its mask, and the real
+    image whose colours are nearest to those of the translation."""
     marks = [colour_mark(picture) for picture in real]
     pictures: list[Picture] = []
     captions: list[str] = []
@@ -69,13 +70,13 @@ def sample_sheet(images: Sequence[LabelledImage], translations: Sequence[Picture
 
 
 def colour_mark(picture: Picture) -> np.ndarray:
-    """(6,) mean and standard deviation of L, a and b."""
+    """Mean and standard deviation (6,) of L, a and b."""
     values = lab(picture).reshape(-1, 3)
     return np.concatenate([values.mean(axis=0), values.std(axis=0)])
 
 
 def outlined(picture: Picture, image: LabelledImage) -> Picture:
-    """A picture with the outlines of the image's oysters."""
+    """Draw the outlines of the image's oysters on a copy of a picture."""
     drawn = np.ascontiguousarray(picture.copy())
     numbers = np.where(image.oysters, image.instances, 0)
     for number in np.unique(numbers)[1:]:

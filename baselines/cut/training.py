@@ -24,15 +24,15 @@ from oysterbench_baselines.learning.loop import Progress, Trainer, be_determinis
 
 BETAS = (0.5, 0.999)  # of Adam
 KEEP_S = 60.0
-"""Between two checkpoints: what a kill costs at most."""
+"""Time between two checkpoints, seconds: the most that a kill costs."""
 TERMS = ("discriminator", "looks", "content", "identity")
-"""What is kept of each step: the discriminator's loss, and the generator's: to look real, to stay what it was, and to
-leave real pictures alone (0 where that is not asked for)."""
+"""Losses recorded for each step: the discriminator's, and the generator's for looking real, for keeping the content,
+and for leaving real images unchanged (0 where that is not used)."""
 
 
 @dataclass
 class Adversaries:
-    """Generator, discriminator and projections with their optimisers. pictures: of source and target."""
+    """Generator, discriminator and projections with their optimisers. pictures: images of source and target."""
 
     settings: CutSettings
     streams: Streams
@@ -57,12 +57,13 @@ class Adversaries:
         }
 
     def step(self, number: int) -> list[float]:
-        """One turn of both on the crops of a step."""
+        """Update generator and discriminator on the crops of a step; returns the losses, in the order of `TERMS`."""
         given, wanted = draw_pair(self.pictures, self.settings.crop, self.streams, number)
         return self.turn(given.to(self.device), wanted.to(self.device), number)
 
     def turn(self, source: torch.Tensor, target: torch.Tensor, number: int) -> list[float]:
-        """One turn on pictures (1, 3, h, w); the losses, by `TERMS`. Raises MethodError where one is not finite."""
+        """Update both on images (1, 3, h, w); returns the losses, in the order of `TERMS`. Raises MethodError where one
+        is not finite."""
         for optimiser in self.optimisers.values():
             optimiser.param_groups[0]["lr"] = self.settings.rate(number)
         mirrored = self.settings.flip and self.streams.generator("mirror", number).random() < 0.5
@@ -99,8 +100,8 @@ class Adversaries:
     def _content(
         self, translated: torch.Tensor, original: torch.Tensor, name: tuple[str, int], mirrored: bool = False
     ) -> torch.Tensor:
-        """PatchNCE between a picture and its translation; where that is of the mirrored picture, its features are
-        turned back before they are compared."""
+        """PatchNCE between an image and its translation; where that is of the mirrored image, its features are mirrored
+        back before they are compared."""
         settings = self.settings
         seen = self.generator.encode(translated, settings.layers)
         if mirrored:
@@ -114,17 +115,17 @@ class Adversaries:
         return patch_nce(queries, against, settings.temperature)
 
     def _places(self, count: int, name: tuple[str | int, ...]) -> torch.Tensor:
-        """(P,) places out of `count`, each at most once."""
+        """Draw places (P,) out of `count`, each at most once."""
         chosen = self.streams.generator("places", *name).permutation(count)[: self.settings.patches]
         return torch.from_numpy(chosen).to(self.device)
 
     def state(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-        """See `Trainer`. All that is random is drawn by the number of a step."""
+        """See `Trainer`. The random state is empty: all random numbers depend on the step number alone."""
         weights = {key: weights_of(part) for key, part in self.parts().items()}
         return weights, {key: optimiser.state_dict() for key, optimiser in self.optimisers.items()}, {}
 
     def load(self, checkpoint: Checkpoint) -> None:
-        """Go on from a checkpoint."""
+        """Restore the state from a checkpoint."""
         for key, part in self.parts().items():
             part.load_state_dict(checkpoint.weights[key])
             self.optimisers[key].load_state_dict(checkpoint.optimiser[key])
@@ -141,10 +142,10 @@ def train(
     keep: Callable[[Checkpoint], None] = lambda checkpoint: None,
     keep_s: float = KEEP_S,
 ) -> Checkpoint:
-    """Learn to make pictures of `source` look like those of `target`, or go on where `path` was left.
+    """Learn to make images of `source` look like those of `target`, or resume from the checkpoint at `path`.
 
-    keep is called whenever a checkpoint has been written. `losses` of the checkpoint are `TERMS` of step after step.
-    Raises LabelError for pictures that nothing can be learnt from, MethodError where `path` holds another training.
+    keep is called after each checkpoint is written. `losses` of the checkpoint are the `TERMS` of all steps in
+    sequence. Raises LabelError for images unfit for training, MethodError where `path` holds another training.
     """
     device = device or torch.device("cpu")
     be_deterministic(settings.threads, device)
@@ -161,16 +162,16 @@ def train(
 def draw_pair(
     pictures: Sequence[Sequence[Picture]], crop: int, streams: Streams, number: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """A crop of the source and one of the target: those of a step, whatever steps were done before."""
+    """Draw a crop of the source and one of the target for a step, independent of the steps done before."""
     one, other = (draw_crop(side, crop, streams.generator("crop", number, k)) for k, side in enumerate(pictures))
     return one, other
 
 
 def plain(settings: CutSettings) -> dict[str, Any]:
-    """Settings as a checkpoint holds them."""
+    """Settings as stored in a checkpoint."""
     return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(settings).items()}
 
 
 def curves(checkpoint: Checkpoint) -> np.ndarray:
-    """(steps, TERMS) float64 losses of a training."""
+    """Losses (steps, TERMS) of a training, float64."""
     return np.array(checkpoint.losses, dtype=float).reshape(-1, len(TERMS))

@@ -1,4 +1,4 @@
-"""A trained generator at work on whole pictures, at their own size."""
+"""Application of a trained generator to whole images, at their own size."""
 
 from __future__ import annotations
 
@@ -19,16 +19,18 @@ from oysterbench_baselines.cut.pictures import Picture, as_picture, as_tensor, s
 from oysterbench_baselines.cut.settings import CutSettings
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
 
-MULTIPLE = 4  # of px, that the generator's width and height are: it halves twice
+MULTIPLE = 4  # px: the generator halves width and height twice, so both must be multiples of it
 
 
 def load_generator(path: Path) -> tuple[Generator, CutSettings]:
-    """The generator of a checkpoint, finished or not. Raises MethodError where it is of another kind of training."""
+    """Load the generator of a checkpoint, finished or not. Raises MethodError where it is of another kind of
+    training."""
     return generator_of(read_checkpoint(path), str(path))
 
 
 def generator_of(checkpoint: Checkpoint, where: str) -> tuple[Generator, CutSettings]:
-    """The generator that a checkpoint holds."""
+    """Build the generator that a checkpoint holds. where: the file, for messages. Raises MethodError where there is
+    none."""
     try:
         settings = CutSettings(**{**checkpoint.network, "layers": tuple(checkpoint.network["layers"])})
         generator = Generator(settings)
@@ -41,9 +43,9 @@ def generator_of(checkpoint: Checkpoint, where: str) -> tuple[Generator, CutSett
 
 
 def translate(generator: Generator, settings: CutSettings, picture: Picture) -> Picture:
-    """A picture (H, W, 3) uint8, translated at its own size.
+    """Translate an image (H, W, 3) uint8 at its own size.
 
-    Where the generator looks at pictures at a smaller scale, what it changes there is brought to full size and added:
+    Where the generator works at a smaller scale, the change it makes there is enlarged to full size and added, so that
     edges stay as sharp as they were, and where they were.
     """
     small = shrunk(picture, settings.scale)
@@ -61,6 +63,6 @@ def translate(generator: Generator, settings: CutSettings, picture: Picture) -> 
 
 
 def translated(generator: Generator, settings: CutSettings, images: Iterable[LabelledImage]) -> Iterator[LabelledImage]:
-    """Labelled images with other pixels; what is known of the pixels stays."""
+    """Translate labelled images; their labels stay as they are."""
     for image in images:
         yield replace(image, pixels=translate(generator, settings, image.pixels))

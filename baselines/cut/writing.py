@@ -1,4 +1,4 @@
-"""Translated pictures as a folder of masks, with what was measured of each in `drift.csv`."""
+"""Writes translated images as a folder of masks, with the measurements of each image in `drift.csv`."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from oysterbench_baselines.cut.judge import Judge, Verdict, together
 
 FILE = "drift.csv"
 JUDGED = ("iou", "iou_after", "vanished", "appeared")
-"""Columns of `FILE` beyond those of a Drift: of a Verdict, its shares."""
+"""Columns of `FILE` in addition to those of a Drift: the shares of a Verdict."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured of one picture; verdict: None without a judge; written: whether it is in the folder."""
+    """Measurements of one image; verdict: None without a judge; written: whether it is in the folder."""
 
     name: str
     drift: Drift
@@ -39,9 +39,9 @@ def write_translated(
     share: float,
     progress: Callable[[int, int], None],
 ) -> list[Measured]:
-    """Write what `change` makes of the images into `out`, and what was measured of each into `FILE` there.
+    """Write the images that `change` returns into `out`, and the measurements of each into `FILE` there.
 
-    share: pictures on which the judge's IoU is less than this share of what it was are left out; 0 keeps all. Raises
+    share: images on which the judge's IoU falls below this share of its former value are left out; 0 keeps all. Raises
     MethodError where none is left.
     """
     found: list[Measured] = []
@@ -54,7 +54,7 @@ def write_translated(
             if found[-1].written:
                 yield after
             else:
-                remove_image(out, after.name)  # what an earlier translation may have left there
+                remove_image(out, after.name)  # an earlier translation may have left it there
             progress(len(found), len(source))
 
     number = write_folder(kept(), out)
@@ -68,7 +68,7 @@ def write_translated(
 
 
 def sentences(found: list[Measured]) -> Iterator[str]:
-    """What was measured, for whoever waits for it."""
+    """Yield sentences that summarise the measurements, for the terminal."""
     rows = np.array([[getattr(one.drift, key.name) for key in fields(Drift)] for one in found], dtype=float)
     known = rows[~np.isnan(rows).any(axis=1)]
     if len(known):

@@ -1,1 +1,2 @@
-"""What trainings share: a torch Dataset of labelled images, augmentation, losses, a loop that can be killed."""
+"""Shared training code: a torch Dataset of labelled images, augmentation, losses, a training loop that can be killed
+and resumed."""

@@ -1,4 +1,4 @@
-"""Augmentation: crops of images, turned, flipped and scaled at random, with other colours, blur and noise."""
+"""Augmentation: randomly rotated, flipped and scaled crops of images, with changed colours, blur and noise."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from oysterbench_baselines.learning.samples import Floats, Sample, joined, offse
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How far things are changed. In units of an image's own contrast: gain and shift of the brightness, tint: shift of
-    each channel by itself, noise; veil: of what is uneven over the crop, as light and water are. zoom: least and
-    greatest. Chances: grey, of losing the colours; blur, by up to blur_px."""
+    """Strength of the augmentation. In units of the image's own contrast: gain and shift of the brightness, tint (an
+    independent shift of each channel), noise, and veil (changes that vary over the crop, as light and water do). zoom:
+    smallest and largest. Probabilities: grey, of losing the colours; blur, of a blur by up to blur_px."""
 
     crop: int = 128
     zoom: tuple[float, float] = (0.75, 1.35)
@@ -33,11 +33,13 @@ class Augmentation:
 def augmented(
     sample: Sample, settings: Augmentation, rng: np.random.Generator
 ) -> tuple[Floats, Floats, NDArray[np.uint8]]:
-    """A crop: pixels (C, C, 3), standardised, truth (C, C, 7), as of a `LabelledDataset`, and known (C, C) uint8."""
+    """Draw an augmented crop: standardised pixels (C, C, 3), truth (C, C, 7) as in a `LabelledDataset`, and known
+    (C, C) uint8."""
     matrix = _placement(sample.known.shape, settings, rng)
     size = (settings.crop, settings.crop)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    # Beyond the image its mirror image: black would be a border to learn, and a known one is no worse than another.
+    # Mirror the image beyond its border: with black the network would learn the border, and mirrored pixels are as good
+    # as any others.
     mirror = cv2.BORDER_REFLECT_101
     pixels = cv2.warpAffine(sample.pixels, matrix, size, flags=flags, borderMode=mirror)
     truth = cv2.warpAffine(sample.truth, matrix, size, flags=flags, borderMode=mirror)
@@ -45,7 +47,7 @@ def augmented(
     values = recoloured(
         standardised(np.asarray(pixels, np.uint8), sample.mean, sample.contrast), sample.contrast, settings, rng
     )
-    # Beyond the image no centre is known: that of a mirror image would be the mirror image of a centre.
+    # No centres beyond the image: mirrored pixels would need the mirrored centre.
     nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     numbers = cv2.warpAffine(sample.numbers, matrix, size, flags=nearest, borderMode=cv2.BORDER_CONSTANT)
     towards = offsets(np.asarray(numbers, np.uint16), _moved(sample.centres, matrix))
@@ -53,15 +55,15 @@ def augmented(
 
 
 def _moved(centres: Floats, matrix: Floats) -> Floats:
-    """Centres and radii (N, 3) in px of the image, in px of a crop that `matrix` (2, 3) takes to the image."""
+    """Transform centres and radii (N, 3) from px of the image to px of a crop; `matrix` (2, 3) maps crop to image."""
     back = np.linalg.inv(matrix[:, :2].astype(np.float64))
     places = (centres[:, :2] - matrix[:, 2]) @ back.T
     return np.column_stack([places, centres[:, 2] * math.sqrt(abs(np.linalg.det(back)))]).astype(np.float32)
 
 
 def _placement(shape: tuple[int, ...], settings: Augmentation, rng: np.random.Generator) -> Floats:
-    """(2, 3) from pixels of the crop to pixels of the image: any turn, mirrored half the time, about a place of the
-    image that keeps the crop inside it where it fits."""
+    """Draw the affine matrix (2, 3) from crop pixels to image pixels: any rotation, mirrored half the time, centred so
+    that the crop stays inside the image where it fits."""
     height, width = shape
     zoom = math.exp(rng.uniform(math.log(settings.zoom[0]), math.log(settings.zoom[1])))
     angle = rng.uniform(0, 2 * math.pi)
@@ -76,7 +78,8 @@ def _placement(shape: tuple[int, ...], settings: Augmentation, rng: np.random.Ge
 
 
 def recoloured(values: Floats, contrast: Floats, settings: Augmentation, rng: np.random.Generator) -> Floats:
-    """(h, w, 3) standardised pixels with other colours, blur and noise. contrast: (3,), of the picture as it was."""
+    """Change the colours of standardised pixels (h, w, 3) and add blur and noise. contrast: (3,), of the original
+    image."""
     if rng.random() < settings.blur:
         values = np.asarray(cv2.GaussianBlur(values, (0, 0), rng.uniform(0.4, settings.blur_px)), np.float32)
     if rng.random() < settings.grey:
@@ -91,9 +94,8 @@ def recoloured(values: Floats, contrast: Floats, settings: Augmentation, rng: np
 
 
 def veiled(values: Floats, strength: float, rng: np.random.Generator) -> Floats:
-    """(h, w, 3) standardised pixels under uneven light and water: more contrast here and less there, brighter here and
-    darker there, smoothly over the picture. strength: deviation of the logarithm of the contrast, and of the
-    brightness."""
+    """Simulate uneven light and water on standardised pixels (h, w, 3): contrast and brightness that vary smoothly over
+    the image. strength: standard deviation of the logarithm of the contrast, and of the brightness."""
     height, width = values.shape[:2]
     coarse = (strength * rng.standard_normal((3, 3, 2))).astype(np.float32)
     fields = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)

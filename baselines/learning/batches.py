@@ -1,4 +1,4 @@
-"""Batches of crops: batch k depends on the seed and on k alone, so that a training goes on where it was killed."""
+"""Batches of crops: batch k depends only on the seed and on k, so that a killed training resumes where it stopped."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from oysterbench_baselines.learning.augment import Augmentation, augmented
 from oysterbench_baselines.learning.samples import LabelledDataset, as_tensors
 
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
-"""Pixels (B, 3, C, C), truth (B, 7, C, C), known (B, 1, C, C), float32, as `LabelledDataset` has them."""
+"""Pixels (B, 3, C, C), truth (B, 7, C, C), known (B, 1, C, C), float32, with the planes of a `LabelledDataset`."""
 
 
 @dataclass(frozen=True)
 class Mixture:
-    """Data sets, and how many crops of a batch are of each."""
+    """Datasets, and how many crops of each batch come from each of them. Raises LabelError where a dataset that
+    contributes crops is empty."""
 
     datasets: Sequence[LabelledDataset]
     counts: Sequence[int]
@@ -31,7 +32,8 @@ class Mixture:
 
 
 def make_batch(mixture: Mixture, augmentation: Augmentation, streams: Streams, step: int) -> Batch:
-    """Crops of images drawn at random (`LabelledDataset.drawn`), each with a stream of its own."""
+    """Make the batch of a step from crops of randomly drawn images (`LabelledDataset.drawn`), each crop with a random
+    stream of its own."""
     crops = []
     for k, (dataset, count) in enumerate(zip(mixture.datasets, mixture.counts, strict=True)):
         for j in range(count):
@@ -41,11 +43,11 @@ def make_batch(mixture: Mixture, augmentation: Augmentation, streams: Streams, s
 
 
 def stacked(items: Sequence[Batch]) -> Batch:
-    """Items of one size as a batch."""
+    """Stack items of the same size into a batch."""
     pixels, truth, known = (torch.stack(parts) for parts in zip(*items, strict=True))
     return pixels, truth, known
 
 
 def initial_seed(streams: Streams) -> int:
-    """Of torch's own generator, for the first weights."""
+    """Seed of torch's own generator, from which the initial weights are drawn."""
     return int(streams.generator("weights").integers(np.iinfo(np.int64).max))

@@ -1,4 +1,4 @@
-"""What a checkpoint says of its training, for the card of a release."""
+"""Description of a training, read from its checkpoint, for the card of a release."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoin
 from oysterbench_baselines.moving.labels import SET as MOVING
 
 LAST = 50
-"""Steps over which the loss is averaged."""
+"""Number of final steps over which the loss is averaged."""
 ENCODER_LICENCE = "Apache License 2.0; learnt from ImageNet, whose pictures are for research and teaching"
 ENCODER_SOURCE = "https://github.com/tensorflow/tpu/tree/master/models/official/efficientnet/lite"
 
 
 def describe(name: str, path: Path) -> Training:
-    """How the weights of that name in a checkpoint were found.
+    """Describe how the weights `name` in a checkpoint were trained.
 
-    Raises MethodError where the file is no checkpoint, of another training, or of one that is not finished.
+    Raises MethodError where the file is not a checkpoint, or is one of another or an unfinished training.
     """
     checkpoint = read_checkpoint(path)
     if (found := kind_of(checkpoint)) != name:
@@ -53,7 +53,7 @@ def describe(name: str, path: Path) -> Training:
 
 
 def kind_of(checkpoint: Checkpoint) -> str:
-    """Name of the weights that a checkpoint holds; empty where it is of no known training."""
+    """Name of the weights that a checkpoint holds; empty where its training is not known."""
     identity = checkpoint.identity
     if {"source", "target"} <= set(identity):
         return "cut"
@@ -63,20 +63,20 @@ def kind_of(checkpoint: Checkpoint) -> str:
 
 
 def data_of(identity: Mapping[str, Any]) -> dict[str, str]:
-    """What was learnt from: name -> digest."""
+    """Training data: name -> digest."""
     known = identity.get("data") or {key: identity[key] for key in ("source", "target") if key in identity}
     return {str(name): str(digest) for name, digest in known.items()}
 
 
 def plain(value: Any) -> Any:
-    """Settings as JSON has them."""
+    """Convert settings to values that JSON can hold."""
     if isinstance(value, Mapping):
         return {str(key): plain(part) for key, part in value.items()}
     return [plain(part) for part in value] if isinstance(value, tuple | list) else value
 
 
 def _numbers(weights: Any) -> list[int]:
-    """Sizes of all tensors in a state, which may be of several networks."""
+    """Number of elements of each tensor in a state, which may hold several networks."""
     if isinstance(weights, torch.Tensor):
         return [weights.numel()]
     count: Callable[[Any], list[int]] = _numbers

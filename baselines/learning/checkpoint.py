@@ -1,4 +1,4 @@
-"""Checkpoints: all that a training is, in one file that is there whole or not at all."""
+"""Checkpoints: the complete state of a training in one file, which is written atomically."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ FORMAT = "oysterbench-checkpoint/1"
 
 @dataclass
 class Checkpoint:
-    """A training, finished or not.
+    """State of a training, finished or not.
 
-    identity:  what decides the weights: settings, digests of the data, seed, threads, kind of device. A training goes
-               on only from a checkpoint of its own identity
-    network:   what the network is made from
+    identity:  what determines the weights: settings, digests of the data, seed, threads, kind of device. A training
+               resumes only from a checkpoint of the same identity
+    network:   parameters from which the network is constructed
     weights, optimiser, random: their states after `step` steps; random: of torch's generators
-    losses:    of each step; versions: of what computed them; seconds: of the processor, so far
-    measured:  after the last step, of what has been learnt; plain values and tensors
+    losses:    of each step; versions: of the software that computed them; seconds: CPU time so far
+    measured:  measurements of the trained network, made after the last step; plain values and tensors
     """
 
     identity: dict[str, Any]
@@ -45,13 +45,13 @@ class Checkpoint:
     measured: dict[str, Any] = field(default_factory=dict)
 
     def write(self, path: Path) -> None:
-        """As one file. Values are tensors and plain ones only, so that reading it runs no code."""
+        """Write as one file. It holds only tensors and plain values, so that reading it runs no code."""
         data = io.BytesIO()
         torch.save({"format": FORMAT, **asdict(self)}, data)
         write_atomically(path, data.getvalue())
 
     def digest(self) -> str:
-        """SHA-256 of what the network has learnt."""
+        """SHA-256 of the weights."""
         found = hashlib.sha256()
         for key, value in self.weights.items():
             found.update(key.encode() + value.contiguous().numpy().tobytes())
@@ -59,7 +59,7 @@ class Checkpoint:
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
-    """Raises MethodError where it is none."""
+    """Read a checkpoint. Raises MethodError where the file is missing or is not a checkpoint of this version."""
     try:
         values = torch.load(path, map_location="cpu", weights_only=True)
         if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
@@ -68,13 +68,13 @@ def read_checkpoint(path: Path) -> Checkpoint:
     except FileNotFoundError:
         raise MethodError(f"{path}: no such checkpoint; `oysterbench train` makes one") from None
     except Exception as error:
-        # torch raises whatever its unpickler meets in a file that is damaged or of another program
+        # torch raises any kind of exception from its unpickler where a file is damaged or not its own
         line = in_one_line(error)
         raise MethodError(f"{path}: not a checkpoint of this version ({line}); train again") from None
 
 
 def versions() -> dict[str, str]:
-    """Of what decides the last bits."""
+    """Versions of the software on which the last bits of the weights depend."""
     return {
         "oysterbench": VERSION,
         "torch": str(torch.__version__),

@@ -1,8 +1,8 @@
-"""EfficientNet-Lite, an encoder that has learnt on ImageNet.
+"""EfficientNet-Lite, an encoder pretrained on ImageNet.
 
-Tan & Le 2019 (ICML), in the form for small processors that their authors published in 2020: no squeeze-and-excitation,
-ReLU6 for swish, stem and head of one width. Weights come with packages of the Python index, under the Apache License
-2.0, as they were converted from the authors' own; nothing of these packages but the file is used.
+Tan & Le 2019 (ICML), in the variant for small processors that the authors published in 2020: no squeeze-and-excitation,
+ReLU6 in place of swish, stem and head of fixed width. The weights, converted from the authors' own, come in packages of
+the Python Package Index under the Apache License 2.0; nothing but the weights file of these packages is used.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ STAGES = (
     (4, 5, 2, 6, 192),
     (1, 3, 1, 6, 320),
 )
-"""Blocks, side of the kernel, stride of the first block, expansion, channels: table 1 of Tan & Le."""
+"""Blocks, kernel size, stride of the first block, expansion, channels: table 1 of Tan & Le."""
 
 STEM, HEAD = 32, 1280
 """Channels of the first and the last convolution."""
@@ -36,7 +36,8 @@ STEM, HEAD = 32, 1280
 
 @dataclass(frozen=True)
 class Variant:
-    """width: of channels; depth: of blocks, as factors; package: that holds the weights."""
+    """Size of a variant. width, depth: factors on the numbers of channels and of blocks; package: the one that holds
+    the weights."""
 
     width: float
     depth: float
@@ -55,8 +56,8 @@ def _unchanged(values: torch.Tensor) -> torch.Tensor:
 
 
 class SameConvolution(nn.Conv2d):
-    """Without bias, padded so that a side n becomes n / stride, rounded up; what is odd of the padding goes to the
-    right and below, as the authors' framework has it."""
+    """Convolution without bias, padded so that a side n becomes n / stride, rounded up; where the padding is odd, the
+    extra pixel goes to the right and the bottom, as in the authors' framework."""
 
     def __init__(self, inputs: int, outputs: int, side: int, stride: int = 1, groups: int = 1) -> None:
         super().__init__(inputs, outputs, side, stride, groups=groups, bias=False)
@@ -67,24 +68,24 @@ class SameConvolution(nn.Conv2d):
         by: nn.BatchNorm2d | None = None,
         then: Callable[[torch.Tensor], torch.Tensor] = _unchanged,
     ) -> torch.Tensor:
-        """(B, C, h, w). by: normalises what comes out by statistics that stand, as weights and bias of the convolution,
-        which spares a way through all values, and another one back; then: what each value becomes."""
+        """Convolve (B, C, h, w). by: a batch normalisation with fixed statistics, folded into the weights and bias of
+        the convolution, which saves one pass over all values forward and one backward; then: the activation."""
         weight, bias = (self.weight, None) if by is None else _normalised(self.weight, by)
         side, stride = self.kernel_size[0], self.stride[0]
-        if side == 1:  # a product of matrices as the memory lies, for which nothing is moved
+        if side == 1:  # a matrix product in the present memory layout, so that nothing is copied
             rows = values.permute(0, 2, 3, 1)
             found = then(functional.linear(rows.flatten(0, 2), weight[:, :, 0, 0], bias))
             return found.view(*rows.shape[:3], -1).permute(0, 3, 1, 2)
-        if stride == 2:  # of an even side windows begin a pixel later: zeros before weights spare moving the values
+        if stride == 2:  # on an even side windows start a pixel later: zeros before the weights avoid moving the values
             weight = functional.pad(weight, (1 - values.shape[-1] % 2, 0, 1 - values.shape[-2] % 2, 0))
         return then(functional.conv2d(values, weight, bias, stride, padding=side // 2, groups=self.groups))
 
 
 class Layers(nn.Sequential):
-    """Convolutions, each with a normalisation and, but for the last of a block, a ReLU6 after it."""
+    """Convolutions, each followed by a normalisation and, except for the last of a block, a ReLU6."""
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
-        """(B, C, h, w)."""
+        """Apply the layers to (B, C, h, w)."""
         layers = [*self, nn.Identity()]
         for convolution, by, then in zip(layers[::3], layers[1::3], layers[2::3], strict=False):
             values = convolution(values, by, then)
@@ -92,7 +93,7 @@ class Layers(nn.Sequential):
 
 
 def _normalised(weight: torch.Tensor, by: nn.BatchNorm2d) -> tuple[torch.Tensor, torch.Tensor]:
-    """Weight and bias of a convolution with weights (K, C, h, w), and of its normalisation."""
+    """Weight and bias of a convolution with weights (K, C, h, w) into which its normalisation is folded."""
     assert by.running_mean is not None
     assert by.running_var is not None
     scale = by.weight * torch.rsqrt(by.running_var + by.eps)
@@ -104,8 +105,8 @@ def _convolved(inputs: int, outputs: int, side: int, stride: int = 1, groups: in
 
 
 class Block(nn.Module):
-    """An inverted bottleneck (Sandler et al. 2018): wider, by depth, narrow again, added to what came in where it has
-    the same shape."""
+    """An inverted bottleneck (Sandler et al. 2018): expansion, depthwise convolution, projection; added to the input
+    where the shapes agree."""
 
     def __init__(self, inputs: int, outputs: int, side: int, stride: int, expansion: int) -> None:
         super().__init__()
@@ -118,17 +119,17 @@ class Block(nn.Module):
         self.adds = stride == 1 and inputs == outputs
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
-        """(B, C, h, w)."""
+        """Apply the block to (B, C, h, w)."""
         found: torch.Tensor = self.layers(values)
         return values + found if self.adds else found
 
 
 class EfficientNetLite(nn.Module):
-    """(B, 3, h, w) RGB of -1 to 1 (`scaled`) to features. name: in `VARIANTS`. It always normalises by what ImageNet
-    was like, in training too: the statistics of eight crops, and a mean over those of the last hundred steps, are far
-    from what pictures are normalised by afterwards.
+    """Encoder from RGB (B, 3, h, w) of -1 to 1 (`scaled`) to features. name: a key of `VARIANTS`. It always normalises
+    by the statistics of ImageNet, in training too: those of eight crops, and their mean over the last hundred steps,
+    are far from the ones by which images are normalised afterwards.
 
-    channels: of the features at strides 2, 4, 8, 16 and 32, which `features` gives.
+    channels: numbers of channels of the features at strides 2, 4, 8, 16 and 32, which `features` returns.
     """
 
     def __init__(self, name: str = "lite0") -> None:
@@ -140,7 +141,7 @@ class EfficientNetLite(nn.Module):
         inputs = STEM
         for k, (blocks, side, stride, expansion, channels) in enumerate(STAGES):
             outputs = rounded(channels * variant.width)
-            ends = k in (0, len(STAGES) - 1)  # which scaling leaves as they are
+            ends = k in (0, len(STAGES) - 1)  # these are not scaled in depth
             count = blocks if ends else math.ceil(blocks * variant.depth)
             stage = []
             for n in range(count):
@@ -153,7 +154,7 @@ class EfficientNetLite(nn.Module):
         self.channels = tuple(rounded(STAGES[k][4] * variant.width) for k in self._last)
 
     def features(self, pixels: torch.Tensor) -> list[torch.Tensor]:
-        """(B, C, h / s, w / s) at each stride s of `channels`, sides rounded up."""
+        """Features (B, C, h / s, w / s) at each stride s of `channels`, sides rounded up."""
         found, levels = self.stem(pixels), []
         for k, stage in enumerate(self.stages):
             found = stage(found)
@@ -162,24 +163,25 @@ class EfficientNetLite(nn.Module):
         return levels
 
     def forward(self, pixels: torch.Tensor) -> torch.Tensor:
-        """(B, 1280): the means over the picture of what the classifier would be given."""
+        """Features (B, 1280) that the classifier would be given, averaged over the image."""
         found: torch.Tensor = self.head(self.features(pixels)[-1]).mean(dim=(2, 3))
         return found
 
 
 def rounded(channels: float) -> int:
-    """To a multiple of 8, and by no more than a tenth down."""
+    """Round a channel count to a multiple of 8, reducing it by at most 10 %."""
     found = max(8, int(channels + 4) // 8 * 8)
     return found + 8 if found < 0.9 * channels else found
 
 
 def scaled(pixels: torch.Tensor) -> torch.Tensor:
-    """uint8 grey levels as the weights have learnt them."""
+    """Scale uint8 grey levels to the range -1 to 1 with which the weights were trained."""
     return (pixels.float() - 127.0) / 128.0
 
 
 def pretrained(name: str = "lite0") -> EfficientNetLite:
-    """With the weights of ImageNet. Raises MethodError, with what to type, where their package is not installed."""
+    """Return the encoder with its ImageNet weights. Raises MethodError, which names the command to run, where their
+    package is not installed."""
     network = EfficientNetLite(name)
     found = torch.load(weights_file(name), map_location="cpu", weights_only=True)
     load_in_order(network, found)
@@ -187,7 +189,8 @@ def pretrained(name: str = "lite0") -> EfficientNetLite:
 
 
 def load_in_order(network: EfficientNetLite, weights: Mapping[str, torch.Tensor]) -> None:
-    """Weights in the order of the layers, whatever their names; what the classifier has after them is left."""
+    """Load weights by the order of the layers, whatever their names; those of the classifier, at the end, are ignored.
+    Raises MethodError where a shape does not fit."""
     own = network.state_dict()
     named = dict(zip(own, weights.values(), strict=False))
     wrong = [key for key in own if key not in named or named[key].shape != own[key].shape]
@@ -197,7 +200,7 @@ def load_in_order(network: EfficientNetLite, weights: Mapping[str, torch.Tensor]
 
 
 def weights_file(name: str) -> Path:
-    """Of the package that brings them."""
+    """Path of the weights file in its installed package. Raises MethodError where that is not installed."""
     package = VARIANTS[name].package
     spec = importlib.util.find_spec(package)
     files = sorted(Path(spec.origin).parent.glob("models/*.pth")) if spec is not None and spec.origin else []

@@ -1,4 +1,4 @@
-"""The training loop: deterministic, resumable at any step, on a GPU where there is one."""
+"""The training loop: deterministic, resumable at any step, on a GPU where one is available."""
 
 from __future__ import annotations
 
@@ -17,38 +17,39 @@ from oysterbench.core.errors import MethodError
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint, versions
 
 KEEP_S = 30.0
-"""Between two checkpoints: what a kill costs at most."""
+"""Time between two checkpoints, seconds: the most that a kill costs."""
 
 Progress = Callable[[int, int], None]
-"""Called with the steps done and the steps wanted."""
+"""Called with the number of steps done and the total."""
 Network = TypeVar("Network", bound=torch.nn.Module)
 Loss = Callable[..., torch.Tensor]
-"""Called with the network and the tensors of a batch; what is to become small."""
+"""Called with the network and the tensors of a batch; returns the value to minimise."""
 
 
 class Trainer(Protocol):
-    """What is trained: networks, their optimisers, and one step of them."""
+    """The object of a training: networks, their optimisers, and how they take one step."""
 
     def step(self, number: int) -> list[float]:
-        """Take a step; its losses. Raises MethodError where one is not finite any more."""
+        """Take a step and return its losses. Raises MethodError where one is no longer finite."""
         ...
 
     def state(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-        """Of the networks, on the processor, of their optimisers, and of torch's generators, as a checkpoint has it."""
+        """States of the networks, on the CPU, of their optimisers, and of torch's generators, as stored in a
+        checkpoint."""
         ...
 
     def load(self, checkpoint: Checkpoint) -> None:
-        """Go on from a checkpoint."""
+        """Restore the state from a checkpoint."""
         ...
 
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How the weights are found: AdamW (Loshchilov & Hutter 2019), a linear warm-up and a cosine to zero.
+    """Optimiser settings: AdamW (Loshchilov & Hutter 2019) with a linear warm-up and a cosine decay to zero.
 
-    start: share of the weights that it began with in the final ones. The mean of both holds better on data unlike that
-    of the training than the last weights do (Wortsman et al. 2022, "Robust fine-tuning of zero-shot models")
-    threads: of the processor; where a GPU trains, processes that prepare batches, if more than one
+    start: share of the initial weights in the final ones. Their average holds up better than the last weights on data
+    unlike that of the training (Wortsman et al. 2022, "Robust fine-tuning of zero-shot models")
+    threads: of the CPU; with a GPU, the number of processes that prepare batches, if more than one
     """
 
     steps: int = 1000
@@ -59,7 +60,7 @@ class FitSettings:
     start: float = 0.0
 
     def rate(self, step: int) -> float:
-        """Learning rate of a step: a function of its number, so that a resumed training has it as well."""
+        """Learning rate of a step: a function of its number alone, so that a resumed training uses the same."""
         if step < self.warm_up:
             return self.learning_rate * (step + 1) / self.warm_up
         share = (step - self.warm_up) / max(1, self.steps - self.warm_up)
@@ -67,7 +68,8 @@ class FitSettings:
 
 
 def pick_device(name: str) -> torch.device:
-    """`auto`: a GPU where there is one. Raises MethodError where the named one is not there."""
+    """Return the torch device of that name; `auto`: a GPU if one is available. Raises MethodError where the name is
+    invalid or no GPU is available."""
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
@@ -80,8 +82,8 @@ def pick_device(name: str) -> torch.device:
 
 
 def be_deterministic(threads: int, device: torch.device) -> None:
-    """Sums in one order: the same number of threads each time, and kernels that have only one. On a GPU weights do not
-    repeat: some of CUDA's kernels have no such order, and others are many times slower with it."""
+    """Fix the order of summation: a fixed number of threads, and kernels with a deterministic order. On a GPU weights
+    are not reproducible: some CUDA kernels have no deterministic form, and others are many times slower in it."""
     torch.set_num_threads(threads)
     torch.use_deterministic_algorithms(device.type == "cpu")
     torch.backends.cudnn.benchmark = device.type == "cuda"
@@ -97,9 +99,9 @@ def run_training(
     keep: Callable[[Checkpoint], None] = lambda checkpoint: None,
     keep_s: float | None = None,
 ) -> Checkpoint:
-    """Train, or go on where `path` was left; the finished checkpoint, which is at `path` as well.
+    """Train, or resume from the checkpoint at `path`, and return the finished checkpoint, which is also at `path`.
 
-    network: what a checkpoint says of it; keep: called whenever a checkpoint has been written, every `keep_s` seconds.
+    network: its description in the checkpoint; keep: called after each checkpoint is written, every `keep_s` seconds.
     Raises MethodError where `path` holds a training of another identity.
     """
     known = read_checkpoint(path) if path.is_file() else None
@@ -131,7 +133,7 @@ def run_training(
 
 @dataclass
 class Fitting:
-    """One network, trained by AdamW on batches by their numbers."""
+    """Trainer of one network by AdamW. batch: returns the batch of a step from its number."""
 
     model: torch.nn.Module
     batch: Callable[[int], tuple[torch.Tensor, ...]]
@@ -147,7 +149,7 @@ class Fitting:
         self._prepared: Iterator[tuple[torch.Tensor, ...]] | None = None
 
     def _batch(self, number: int) -> tuple[torch.Tensor, ...]:
-        """Of a step. A GPU would wait for one core that prepares them: other processes do, ahead of it."""
+        """Batch of a step. A GPU would wait for a single core to prepare it, so other processes do so in advance."""
         if self.device.type == "cpu" or self.settings.threads == 1:
             return self.batch(number)
         if self._prepared is None:
@@ -190,14 +192,14 @@ class _Batches(Dataset[tuple[torch.Tensor, ...]]):
 def prepared(
     batch: Callable[[int], tuple[torch.Tensor, ...]], steps: range, workers: int
 ) -> Iterator[tuple[torch.Tensor, ...]]:
-    """The batches of steps, in their order, made ahead of time by processes: one per core at most."""
+    """Batches of the given steps, in order, prepared in advance by worker processes: at most one per core."""
     loader = DataLoader(
         _Batches(batch),
         batch_size=None,
         sampler=steps,
         num_workers=min(workers, os.cpu_count() or 1),
         prefetch_factor=4,
-        multiprocessing_context="fork",  # they share what has been read, and `batch` may be a closure
+        multiprocessing_context="fork",  # workers share the data already read, and `batch` may be a closure
     )
     return iter(loader)
 
@@ -214,17 +216,17 @@ def fit(
     first_seed: int,
     progress: Progress = lambda done, total: None,
 ) -> Checkpoint:
-    """Train a network by AdamW, or go on where `path` was left (`run_training`).
+    """Train a network by AdamW, or resume from the checkpoint at `path` (`run_training`).
 
-    make: the network, its weights drawn from torch's generator; batch: the tensors of a step; loss: of the network on
-    them.
+    make: creates the network, its weights drawn from torch's generator; batch: returns the tensors of a step; loss: of
+    the network on them.
     """
     be_deterministic(settings.threads, device)
 
     def begin() -> Trainer:
         torch.manual_seed(first_seed)
         model = make().to(device)
-        if device.type == "cuda":  # a step takes 40 ms of an H200 so, and 46 ms in the layout that processors like
+        if device.type == "cuda":  # a step takes 40 ms on an H200 in this layout, 46 ms in the one CPUs prefer
             model.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
         return Fitting(model, batch, loss, settings, device)
 
@@ -232,13 +234,13 @@ def fit(
 
 
 def channels_last(network: Network) -> Network:
-    """The same, its weights laid out as processors like them."""
+    """Return the same network with its weights in the memory layout that CPUs prefer."""
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return network
 
 
 def weights_of(model: torch.nn.Module) -> dict[str, torch.Tensor]:
-    """Of a network, on the processor."""
+    """Weights of a network, on the CPU."""
     return {key: value.detach().cpu() for key, value in model.state_dict().items()}
 
 
@@ -256,7 +258,7 @@ def _set_random(state: Mapping[str, Any]) -> None:
 
 
 def _difference(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
-    """The first thing in which two identities differ, in words."""
+    """Describe the first difference between two identities in words."""
     for key in dict.fromkeys([*known, *wanted]):
         mine, other = known.get(key), wanted.get(key)
         if mine != other:

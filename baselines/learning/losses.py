@@ -9,19 +9,20 @@ DICE = 0.5
 STATE = 0.3
 CENTRE, RADIUS = 0.5, 0.2
 UNIT, USUAL = 16.0, 8.0
-"""px: of the planes that say where the centre is, and the radius that 0 stands for in the plane of its logarithm."""
+"""px: unit of the planes of offsets to the centre, and the radius for which the plane of its logarithm is 0."""
 LEAST = 2.0
-"""px, of the radius by which errors are divided, at least."""
+"""Lower limit of the radius by which errors are divided, px."""
 SMOOTH = 1.0
-"""Pixels added to both sums of Dice: an empty crop that is called empty has the loss 0."""
+"""Pixels added to both sums of Dice: an empty crop predicted as empty has a loss of 0."""
 
 
 def bce_dice(logits: torch.Tensor, truth: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
-    """Binary cross-entropy, the mean over channels, plus `DICE` times 1 - Dice of the first (Milletari et al. 2016,
-    squares left out).
+    """Binary cross-entropy, averaged over channels, plus `DICE` times 1 - Dice of the first channel (Milletari et al.
+    2016, without the squares).
 
-    logits, truth: (B, K, h, w); known: (B, 1, h, w), 0 where nothing is learnt. Dice is of the sums over the batch: of
-    single crops it would be that of the rarest ones. Of a plane of shares, such as depth, it would make steps.
+    logits, truth: (B, K, h, w); known: (B, 1, h, w), 0 where nothing is learnt. Dice uses sums over the batch: per crop
+    it would be dominated by those with the fewest pixels of oyster. It would turn a plane of fractions, such as depth,
+    into steps, and is left out there.
     """
     weight = known.expand_as(logits)
     entropy = functional.binary_cross_entropy_with_logits(logits, truth, weight=weight, reduction="sum")
@@ -32,9 +33,9 @@ def bce_dice(logits: torch.Tensor, truth: torch.Tensor, known: torch.Tensor) -> 
 
 
 def mask_loss(model: torch.nn.Module, pixels: torch.Tensor, truth: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
-    """Of what a network of masks says of pixels (B, 3, h, w): `bce_dice` of oyster and depth, and where it tells
-    live oysters from dead ones, `STATE` times `state_entropy`; and where it also says to which centre a pixel belongs,
-    `centre_error`. truth: (B, 7, h, w), as `LabelledDataset` has it."""
+    """Loss of a mask network on pixels (B, 3, h, w): `bce_dice` of oyster and depth, plus `STATE` times `state_entropy`
+    where it tells live oysters from dead ones, plus `centre_error` where it also predicts the centre to which a pixel
+    belongs. truth: (B, 7, h, w), as in `LabelledDataset`."""
     logits = model(pixels)
     loss = bce_dice(logits[:, :2], truth[:, :2], known)
     if logits.shape[1] > 2:
@@ -45,12 +46,12 @@ def mask_loss(model: torch.nn.Module, pixels: torch.Tensor, truth: torch.Tensor,
 
 
 def centre_error(planes: torch.Tensor, truth: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
-    """Over known pixels of oysters, `CENTRE` times the distance from the true centre, in radii of the oyster, plus
-    `RADIUS` times the error of the logarithm of its radius; an oyster weighs as its radius, not as its area. 0 where
-    there are none.
+    """Error of the centres over known pixels of oysters: `CENTRE` times the distance from the true centre, in radii of
+    the oyster, plus `RADIUS` times the error of the logarithm of its radius; an oyster's weight is proportional to its
+    radius, not its area. 0 where there are no oysters.
 
-    planes: (B, 3, h, w), x and y to the centre in `UNIT`s, and the logarithm of the radius over `USUAL`; truth:
-    (B, 3, h, w) px, as `samples.offsets` has it.
+    planes: (B, 3, h, w), x and y to the centre in units of `UNIT`, and the logarithm of the radius over `USUAL`; truth:
+    (B, 3, h, w) px, as `samples.offsets` returns it.
     """
     radius = truth[:, 2:].clamp(min=LEAST)
     weight = (truth[:, 2:] > 0) * known / radius
@@ -60,7 +61,7 @@ def centre_error(planes: torch.Tensor, truth: torch.Tensor, known: torch.Tensor)
 
 
 def state_entropy(logits: torch.Tensor, live: torch.Tensor, told: torch.Tensor) -> torch.Tensor:
-    """Binary cross-entropy of being alive over what is told of oysters; 0 where nothing is. All (B, 1, h, w); live and
-    told: shares of a pixel, live of which is within told."""
+    """Binary cross-entropy of being alive over pixels of oysters whose state is known; 0 where there are none. All
+    (B, 1, h, w); live, told: fractions of a pixel that are live oyster, and oyster of known state; live <= told."""
     entropy = told * functional.softplus(logits) - live * logits
     return entropy.sum() / told.sum().clamp(min=1)

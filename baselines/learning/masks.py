@@ -1,4 +1,4 @@
-"""A network of masks and what it says of pictures of any size."""
+"""A mask network and its predictions for images of any size."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from torch.nn import functional
 from oysterbench_baselines.learning.samples import Floats, shrink, standardised, statistics, working_scale
 
 LARGEST_TILE = 768
-"""px at the working scale: larger pictures are looked at in parts, so that memory does not grow with them."""
+"""px at the working scale: larger images are processed in tiles, so that memory does not grow with them."""
 MARGIN = 64
-"""px by which parts overlap: what lies nearer to a part's border than this is taken from the part beside it."""
+"""Margin of a tile, px: predictions nearer than this to a tile's border are taken from the adjacent tile."""
 
 
 @dataclass
 class MaskModel:
     """A network with its weights, ready to predict: (1, 3, h, w) standardised pixels to (1, K, h, w) logits.
 
-    scale, side: of a picture, at which it is looked at, see `working_scale`; multiple: of pixels, that h and w must
-    be; planes: K, of which the first two are oyster and depth
+    scale, side: at which an image is processed, see `working_scale`; multiple: h and w must be multiples of it, px;
+    planes: K, of which the first two are oyster and depth
     """
 
     network: torch.nn.Module
@@ -34,8 +34,7 @@ class MaskModel:
     planes: int = 2
 
     def small_logits(self, pixels: NDArray[np.uint8], zoom: float = 1.0) -> Floats:
-        """(K, h, w) float32 logits at the working scale times zoom, of a picture (H, W, 3) uint8
-        RGB."""
+        """Logits (K, h, w), float32, at the working scale times zoom, for an image (H, W, 3) uint8 RGB."""
         small = shrink(pixels, zoom * working_scale(pixels.shape, self.scale, self.side))
         values = standardised(small, *statistics(small))
         prediction = np.empty((self.planes, *small.shape[:2]), dtype=np.float32)
@@ -48,7 +47,7 @@ class MaskModel:
         return prediction
 
     def logits(self, pixels: NDArray[np.uint8]) -> Floats:
-        """(K, H, W) float32 logits at the size of the picture (H, W, 3) uint8 RGB."""
+        """Logits (K, H, W), float32, at the size of the image (H, W, 3) uint8 RGB."""
         return enlarged(self.small_logits(pixels), pixels.shape[0], pixels.shape[1])
 
     def _logits(self, values: Floats) -> Floats:
@@ -58,7 +57,7 @@ class MaskModel:
         return np.asarray(found.float().cpu().numpy(), dtype=np.float32)
 
     def batch(self, values: Floats) -> torch.Tensor:
-        """(1, 3, h, w) of standardised pixels (h, w, 3), as the network takes them."""
+        """Convert standardised pixels (h, w, 3) to the network's input (1, 3, h, w), h and w padded to `multiple`."""
         height, width = values.shape[:2]
         step = self.multiple
         padded = np.pad(values, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
@@ -67,19 +66,19 @@ class MaskModel:
 
 
 def enlarged(logits: Floats, height: int, width: int) -> Floats:
-    """(K, h, w) logits at the size (K, H, W), bilinearly, corners of pixels on corners of pixels."""
+    """Resize logits (K, h, w) bilinearly to (K, height, width), with the outer corners of the images aligned."""
     tensor = torch.from_numpy(np.ascontiguousarray(logits))[None]
     found = functional.interpolate(tensor, size=(height, width), mode="bilinear", align_corners=False)
     return np.asarray(found[0].numpy(), dtype=np.float32)
 
 
 def probability(logits: Floats) -> Floats:
-    """Of logits, within 0 and 1."""
+    """Convert logits to probabilities, 0 to 1."""
     return np.asarray(1 / (1 + np.exp(-np.clip(logits, -30, 30))), dtype=np.float32)
 
 
 def _parts(length: int) -> Iterator[tuple[slice, slice]]:
-    """Parts of a side, as they are looked at, and what of each is kept; together these are the whole side."""
+    """Tiles along a side, and the part of each that is kept; the kept parts together cover the side."""
     if length <= LARGEST_TILE:
         yield slice(0, length), slice(0, length)
         return

@@ -1,9 +1,9 @@
-"""How unlike a picture is to those that a network has learnt from.
+"""Novelty of an image: how unlike it is to those that a network was trained on.
 
-Mahalanobis' distance of what the picture is like, as the network's own encoder has it, from the pictures of the
-training (Lee et al. 2018), with a covariance that is shrunk (Ledoit & Wolf 2004), as there are no more pictures than
-features. What is far is told by the training itself: each of its clips is left out in turn, and measured by the others.
-1 is the distance that one in a hundred of its pictures exceeds so.
+The Mahalanobis distance of the image's features in the network's own encoder from those of the training images (Lee et
+al. 2018), with a shrunk covariance (Ledoit & Wolf 2004), as there are no more images than features. The scale comes
+from the training data itself: each of its clips is left out in turn and measured against the others. 1 is the distance
+that one in a hundred training images exceeds in this way.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ import torch
 from numpy.typing import NDArray
 
 USUAL = 0.99
-"""Share of the pictures of the training, each measured by other clips, that are nearer than 1."""
+"""Share of the training images, each measured against the other clips, with a distance below 1."""
 FOLDS = 20
-"""Groups of clips at most that are left out in turn, and parts of a single clip."""
+"""Maximum number of groups of clips that are left out in turn, or of parts where there is a single clip."""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Novelty:
-    """What pictures were like. centre: (C,); white: (C, C), by which a difference from it becomes one of length
-    sqrt(C) in the mean; limit: the length that is 1."""
+    """Distribution of the features of images. centre: (C,); white: (C, C), whitening matrix, by which a difference from
+    the centre has a mean length of sqrt(C); limit: the length that counts as 1."""
 
     centre: Array
     white: Array
     limit: float = 1.0
 
     def of(self, alike: Array) -> Array:
-        """(N,) of pictures (N, C)."""
+        """Novelty (N,) of images with features (N, C)."""
         return np.asarray(np.linalg.norm((alike - self.centre) @ self.white, axis=1) / self.limit)
 
     def state(self) -> dict[str, Any]:
-        """As a checkpoint has it."""
+        """State as stored in a checkpoint."""
         return {
             "centre": torch.from_numpy(self.centre.astype(np.float32)),
             "white": torch.from_numpy(self.white.astype(np.float32)),
@@ -47,12 +47,12 @@ class Novelty:
 
     @classmethod
     def read(cls, state: Mapping[str, Any]) -> Novelty:
-        """From `state`."""
+        """Restore from the result of `state`."""
         return cls(state["centre"].numpy().astype(float), state["white"].numpy().astype(float), float(state["limit"]))
 
 
 def learnt(alike: Array, clips: Sequence[str]) -> Novelty:
-    """Of the pictures (N, C) of a training, N >= 2, and the clips that they are of."""
+    """Fit the novelty to the features (N, C) of the training images, N >= 2. clips: the clip of each image."""
     folds = _folds(clips)
     distances = np.concatenate(
         [_spread(alike[folds != fold]).of(alike[folds == fold]) for fold in range(int(folds.max()) + 1)]
@@ -62,7 +62,8 @@ def learnt(alike: Array, clips: Sequence[str]) -> Novelty:
 
 
 def _folds(clips: Sequence[str]) -> NDArray[np.int64]:
-    """(N,) which pictures are left out together: those of a clip; where there is one clip, those of a part of it."""
+    """Fold (N,) of each image: images of a clip are left out together; where there is one clip, those of a part of
+    it."""
     names = list(dict.fromkeys(clips))
     if len(names) == 1:
         return np.arange(len(clips)) * min(FOLDS, len(clips)) // len(clips)
@@ -71,8 +72,8 @@ def _folds(clips: Sequence[str]) -> NDArray[np.int64]:
 
 
 def _spread(alike: Array) -> Novelty:
-    """Centre and covariance: that of Ledoit & Wolf (2004, lemmas 3.2 to 3.4), of features divided by their
-    deviations."""
+    """Estimate centre and covariance: that of Ledoit & Wolf (2004, lemmas 3.2 to 3.4), for features divided by their
+    standard deviations."""
     centre = alike.mean(axis=0)
     scale = np.maximum(alike.std(axis=0), 1e-6)
     values = (alike - centre) / scale

@@ -1,4 +1,4 @@
-"""Labelled images as a network sees them: at its working scale, each by its own mean and contrast."""
+"""Labelled images as a network sees them: at its working scale, each standardised by its own mean and contrast."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from torch.utils.data import Dataset
 from oysterbench.annotations import LabelledImage, LabelledSet
 
 FLAT = 0.8
-"""Of an oyster's greatest distance from its border: what lies deeper is as deep as it gets."""
+"""Fraction of an oyster's greatest distance from its border beyond which the depth counts as full."""
 LEAST_CONTRAST = 1.0
-"""Grey levels, of 255, that the contrast of a channel is taken to be at least: a black picture stays black."""
+"""Lower limit of the contrast of a channel, grey levels of 255: a black image stays black."""
 
 UNPACKED_BYTES = 500_000_000
-"""Of the images of a dataset, which are kept as they are; later ones are kept compressed."""
+"""Limit on the images of a dataset that are cached uncompressed, bytes; later ones are cached compressed."""
 PACKING = 1
-"""Level of zlib: 5 ms to unpack a picture of 480 px, of the 300 ms that a crop of it takes to learn from on a core."""
+"""zlib level: unpacking an image of 480 px takes 5 ms of the 300 ms that training on a crop of it takes on one core."""
 
 Floats = NDArray[np.float32]
 
@@ -36,12 +36,12 @@ class Sample:
     """An image at the working scale, h x w.
 
     pixels: (h, w, 3) uint8 RGB; mean, contrast: (3,) float32, of the whole image, per channel
-    truth:  (h, w, 4) uint8, shares of a pixel in 255ths: what is oyster; how deep in one it lies (`depths`); what is
-            live oyster; and what is oyster of which it is known whether it is alive
+    truth:  (h, w, 4) uint8, fractions of a pixel in 255ths: oyster; depth inside an oyster (`depths`); live oyster; and
+            oyster of which it is known whether it is alive
     known:  (h, w) uint8, 255 where the truth may be used, 0 where it is to be ignored
-    numbers: (h, w) uint16, of the oyster that a pixel belongs to, 0 for none
-    centres: (N + 1, 3) float32, by number: x, y of the mean of its pixels, and its radius, that of a disc of its area,
-            px; zeros for none
+    numbers: (h, w) uint16, number of the oyster that a pixel belongs to, 0 for none
+    centres: (N + 1, 3) float32, by number: x, y of the mean of its pixels, and the radius of a disc of its area, px;
+            zeros for none
     """
 
     name: str
@@ -56,13 +56,14 @@ class Sample:
 
 
 def working_scale(shape: tuple[int, ...], scale: float, side: int) -> float:
-    """At which a picture (H, W, ...) is looked at: `scale`, or where side is not 0, that which makes its longer side so
-    many px."""
+    """Scale at which an image (H, W, ...) is processed: `scale`, or if side is not 0, the one that makes its longer
+    side that many px."""
     return side / max(shape[:2]) if side else scale
 
 
 def make_sample(image: LabelledImage, scale: float, side: int = 0) -> Sample:
-    """A labelled image, reduced. Every small pixel is the mean of those that it covers, in picture and truth alike."""
+    """Reduce a labelled image to the working scale. Each small pixel is the mean of those it covers, in image and truth
+    alike."""
     scale = working_scale(image.pixels.shape, scale, side)
     pixels = shrink(image.pixels, scale)
     instances = image.instances * image.oysters
@@ -89,7 +90,7 @@ def make_sample(image: LabelledImage, scale: float, side: int = 0) -> Sample:
 
 
 def centres(numbers: NDArray[np.uint16]) -> Floats:
-    """(N + 1, 3): see `Sample`."""
+    """Centres and radii (N + 1, 3) of the oysters, see `Sample`."""
     rows, columns = np.nonzero(numbers)
     labels = numbers[rows, columns]
     areas = np.bincount(labels, minlength=1)
@@ -99,8 +100,8 @@ def centres(numbers: NDArray[np.uint16]) -> Floats:
 
 
 def offsets(numbers: NDArray[np.uint16], places: Floats) -> Floats:
-    """(h, w, 3) px, from each pixel to the centre of its oyster, x and y, and its radius; zeros where none is. places:
-    (N + 1, 3), centres and radii by number."""
+    """Offsets (h, w, 3) px: x and y from each pixel to the centre of its oyster, and the oyster's radius; zeros where
+    there is none. places: (N + 1, 3), centres and radii by number."""
     found = np.zeros((*numbers.shape, 3), dtype=np.float32)
     rows, columns = np.nonzero(numbers)
     own = places[numbers[rows, columns]]
@@ -111,7 +112,7 @@ def offsets(numbers: NDArray[np.uint16], places: Floats) -> Floats:
 
 
 def shrink(values: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
-    """(H, W, ...) to the working scale, by areas; enlarged linearly."""
+    """Resize (H, W, ...) by scale: averaging over areas to reduce, linearly to enlarge."""
     if scale == 1.0:
         return values
     height, width = values.shape[:2]
@@ -121,19 +122,19 @@ def shrink(values: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
 
 
 def statistics(pixels: NDArray[np.uint8]) -> tuple[Floats, Floats]:
-    """(3,) mean and standard deviation of each channel: what water and exposure do first of all, and is taken out."""
+    """Mean and standard deviation (3,) of each channel: the main effect of water and exposure, which is removed."""
     values = pixels.reshape(-1, 3).astype(np.float64)
     return values.mean(axis=0).astype(np.float32), np.maximum(values.std(axis=0), LEAST_CONTRAST).astype(np.float32)
 
 
 def depths(instances: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """(H, W) distance of each pixel of instances (H, W) from the border of its own, in 255ths of `FLAT` of the greatest
-    there; by the hills of this touching oysters are told apart, whatever their size."""
+    """Distance (H, W) of each pixel of instances (H, W) from the border of its own instance, in 255ths of `FLAT` times
+    the greatest there; its peaks separate touching oysters, whatever their size."""
     found = np.zeros(instances.shape, dtype=np.uint8)
     for number, box in enumerate(find_objects(instances.astype(np.int32)), start=1):
         if box is None:
             continue
-        # The frame of zeros: an oyster that the image cuts off has its border there, too.
+        # Pad with zeros: an oyster cut off by the image has its border there, too.
         mask = np.pad((instances[box] == number).astype(np.uint8), 1)
         depth = cv2.distanceTransform(mask, cv2.DIST_L2, 3)[1:-1, 1:-1]
         share = np.minimum(depth / (FLAT * depth.max()), 1.0)
@@ -142,7 +143,7 @@ def depths(instances: NDArray[np.uint16]) -> NDArray[np.uint8]:
 
 
 def states(instances: NDArray[np.uint16], living: Mapping[int, bool]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """(H, W) each, 255 where an oyster of instances (H, W) is alive, and where one is of which that is known."""
+    """Two planes (H, W) of instances (H, W): 255 on live oysters, and 255 on oysters whose state is known."""
     live, told = np.zeros((2, int(instances.max(initial=0)) + 1), dtype=np.uint8)
     numbers, alive = np.fromiter(living, np.int64, len(living)), np.fromiter(living.values(), bool, len(living))
     there = (numbers > 0) & (numbers < len(told))
@@ -153,10 +154,10 @@ def states(instances: NDArray[np.uint16], living: Mapping[int, bool]) -> tuple[N
 class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
     """Labelled images as a torch Dataset.
 
-    An item is (pixels (3, h, w), truth (7, h, w), known (1, h, w)), float32: pixels of mean 0 and deviation 1 in each
-    channel; truth: the planes of a `Sample`, 0 to 1, and `offsets`, px; known 1 where the truth may be used. Images are
-    read once, when they are first asked for, and kept at the working scale, compressed where they would take more than
-    `UNPACKED_BYTES`: two thousand pictures of 480 px are 3.5 GB as they are, and 0.7 GB compressed.
+    An item is (pixels (3, h, w), truth (7, h, w), known (1, h, w)), float32: pixels with mean 0 and standard deviation
+    1 in each channel; truth: the planes of a `Sample`, 0 to 1, and `offsets`, px; known: 1 where the truth may be used.
+    Images are read once, on first use, and cached at the working scale, compressed beyond a total of `UNPACKED_BYTES`:
+    two thousand images of 480 px take 3.5 GB uncompressed, and 0.7 GB compressed.
     """
 
     def __init__(self, labelled: LabelledSet, scale: float = 1.0, side: int = 0) -> None:
@@ -169,7 +170,7 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
         return len(self.labelled)
 
     def sample(self, index: int) -> Sample:
-        """An image at the working scale."""
+        """Return an image at the working scale, from the cache where it is there."""
         kept = self._samples.get(index)
         if isinstance(kept, Sample):
             return kept
@@ -185,13 +186,13 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
         return sample
 
     def drawn(self, rng: np.random.Generator) -> Sample:
-        """An image at random: a clip, and then one of its images, since those of a clip resemble one another."""
+        """Draw a random image: first a clip, then one of its images, since images of a clip resemble one another."""
         chosen = self._by_clip[int(rng.integers(len(self._by_clip)))]
         return self.sample(chosen[int(rng.integers(len(chosen)))])
 
     @cached_property
     def _by_clip(self) -> list[list[int]]:
-        """The images of each clip."""
+        """Indices of the images of each clip."""
         found: dict[str, list[int]] = {}
         for index, entry in enumerate(self.labelled.entries):
             found.setdefault(entry.clip, []).append(index)
@@ -208,7 +209,7 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
         )
 
     def load(self, progress: Callable[[int, int], None] = lambda done, total: None) -> LabelledDataset:
-        """Read all images now."""
+        """Read all images now, and return the dataset itself."""
         for k in range(len(self)):
             self.sample(k)
             progress(k + 1, len(self))
@@ -216,19 +217,20 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
 
 
 def standardised(pixels: NDArray[np.uint8], mean: Floats, contrast: Floats) -> Floats:
-    """(h, w, 3) float32 of mean 0 and deviation 1, over the image that the statistics are of."""
+    """Standardise pixels to (h, w, 3) float32, with mean 0 and standard deviation 1 over the image of the
+    statistics."""
     return (pixels.astype(np.float32) - mean) / contrast
 
 
 def joined(shares: NDArray[np.uint8], towards: Floats) -> Floats:
-    """(h, w, 7): the planes of a `Sample`, 0 to 1, and `offsets`."""
+    """Join the truth planes of a `Sample`, scaled to 0 to 1, and `offsets` into (h, w, 7)."""
     return np.concatenate([shares.astype(np.float32) / 255, towards], axis=-1)
 
 
 def as_tensors(
     pixels: Floats, truth: Floats, known: NDArray[np.uint8]
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Planes first: (3, h, w), (7, h, w), (1, h, w) float32."""
+    """Convert to channels-first float32 tensors (3, h, w), (7, h, w), (1, h, w)."""
     return (
         torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1))),
         torch.from_numpy(np.ascontiguousarray(truth.transpose(2, 0, 1))),

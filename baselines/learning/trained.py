@@ -1,4 +1,4 @@
-"""Trainings as commands make them and methods use them: where they are kept, and the options they have in common."""
+"""Trainings as run by commands and used by methods: where checkpoints are kept, and the options that all share."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from oysterbench_baselines.learning.checkpoint import Checkpoint
 
 LAST = 50
-"""Steps whose mean loss is told of at the end."""
+"""Number of final steps whose mean loss is reported at the end."""
 
 seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 
 
 def device_option(default: str) -> Callable[[Any], Any]:
-    """Where a training runs."""
+    """Option for the device that a training runs on."""
     return click.option("--device", default=default, show_default=True, help="auto, cpu, cuda or cuda:N.")
 
 
 def training_options(steps: int = 2000) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """The options of a training that leaves one checkpoint for a method. steps: unless another number is given."""
+    """Options of a training that leaves one checkpoint for a method. steps: default number of steps."""
     number = click.IntRange(min=1)
     file = click.Path(path_type=Path, dir_okay=False)
     options = (
@@ -58,19 +58,20 @@ def training_options(steps: int = 2000) -> Callable[[Callable[..., Any]], Callab
 
 
 def checkpoint_path(name: str, checkpoint: str = "") -> Path:
-    """Of a method's training: the one that is meant, that which OYSTERBENCH_<NAME> names, or which `oysterbench train
-    NAME` leaves."""
+    """Path of a method's checkpoint: the one given, else the one that OYSTERBENCH_<NAME> names, else the one that
+    `oysterbench train NAME` leaves."""
     return Path(checkpoint or os.environ.get(f"OYSTERBENCH_{name.upper()}") or weights_path(name))
 
 
 def trained(name: str, checkpoint: str = "") -> Path:
-    """The same, where it is there. Raises MethodError, with what to type, where it is not."""
+    """Return `checkpoint_path` where the file exists. Raises MethodError, which says what to type, where it does
+    not."""
     return existing(name, checkpoint_path(name, checkpoint))
 
 
 def start_training(path: Path, again: bool) -> None:
-    """Before a training: with `again`, what is at its path is not gone on with. The card of weights that were fetched
-    and are no more says nothing of those that will be there."""
+    """Prepare the path of a training: with `again`, remove the checkpoint there. Where there is no checkpoint, also
+    remove the card of fetched weights, which does not describe those that will be there."""
     if again:
         path.unlink(missing_ok=True)
     if not path.is_file():
@@ -79,7 +80,7 @@ def start_training(path: Path, again: bool) -> None:
 
 @contextmanager
 def on_torch(name: str) -> Iterator[None]:
-    """A block that imports torch. Raises MethodError where it is not installed."""
+    """Wrap a block that imports torch. Raises MethodError where torch is not installed."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -96,9 +97,9 @@ def run_training(
     device: str,
     again: bool,
 ) -> None:
-    """What commands of trainings on labelled images do: a bar for the reading and one for the steps, and the end told.
+    """Run a training on labelled images for a command, with progress bars for reading and steps, and report its end.
 
-    train: as `unet.training.train`. again: a checkpoint that is there already is not gone on with.
+    train: a function like `unet.training.train`. again: start over, even if a checkpoint exists.
     """
     from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.learning.loop import pick_device
@@ -113,7 +114,7 @@ def run_training(
 
 
 def tell_end(checkpoint: Checkpoint, path: Path) -> None:
-    """What a training command says at its end: steps, loss and time on stderr, the checkpoint's path on stdout."""
+    """Report the end of a training: steps, loss and time on stderr, the checkpoint's path on stdout."""
     last = checkpoint.losses[-LAST:]
     message(
         f"{checkpoint.step} steps, loss {sum(last) / len(last):.3f} over the last {len(last)}, "

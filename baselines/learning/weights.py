@@ -1,4 +1,4 @@
-"""What is known of the weights that these methods learn, before there are any."""
+"""Descriptions of the weights of these methods that are known before any training."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What moves in a picture: fish, crabs, plants that sway, a tether."""
+"""Detection of what moves in an image: fish, crabs, swaying plants, a tether."""
 
 from oysterbench_baselines.moving.mask import MovingMask, mask_weights
 

@@ -1,4 +1,4 @@
-"""What moves, as labels to learn from."""
+"""Training labels of what moves."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from oysterbench.core.errors import LabelError
 from oysterbench.recipe import CLASSES
 
 MOVING = ("plant", "fish", "crab", "tether")
-"""Classes that the water or they themselves move. Debris and what sinks are marine snow to a front end."""
+"""Classes that move by themselves or with the water. To a front end, debris and sinking particles are marine snow."""
 LEAST = 0.002
-"""Of a picture, that moves, for it to be learnt from: half a thousand pixels. Pictures without are most of all, and
-would teach that nothing ever moves."""
+"""Minimum share of moving pixels in a training image: about five hundred pixels. Most images have none, and would teach
+that nothing ever moves."""
 
 SET = "moving in "
-"""How the names of such sets begin, by which a checkpoint of theirs is known."""
+"""Prefix of the names of such sets, by which a checkpoint trained on them is recognised."""
 
 _NUMBERS = [number for number, name in CLASSES.items() if name in MOVING]
 
 
 def moving_set(labelled: LabelledSet) -> LabelledSet:
-    """The pictures of a set in which something moves, that being what is looked for in the place of oysters.
+    """Select the images of a set in which something moves, with the moving pixels labelled in place of oysters.
 
-    Raises LabelError where there is none.
+    Raises LabelError where there are none.
     """
     entries = [entry for entry in labelled.entries if np.mean(np.isin(entry.read().classes, _NUMBERS)) >= LEAST]
     if not entries:

@@ -1,4 +1,4 @@
-"""The mask of what moves in a picture."""
+"""The mask of what moves in an image."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
     from oysterbench_baselines.learning.masks import MaskModel
 
 PROBABILITY = 0.3
-"""From which on a pixel counts as moving: a corner that is missed costs more than ten that are left out."""
+"""Probability above which a pixel counts as moving: one moving corner missed costs more than ten static ones left
+out."""
 MARGIN_PX = 4
-"""By which a mask is grown: a patch beside a blade moves with it in part."""
+"""Margin by which a mask is dilated, px: a patch beside a blade partly moves with it."""
 
 
 class MovingMask:
-    """Of a picture (H, W, 3) uint8 RGB, where something moves: (H, W) bool.
+    """Detector of moving pixels: maps an image (H, W, 3) uint8 RGB, or (H, W) grey, to a mask (H, W) bool.
 
-    weights: file of a training; "moving" stands for that which `oysterbench train moving` or `oysterbench download
-    moving` leaves, or which OYSTERBENCH_MOVING names. On one thread, so that the processor time of a method stays its
-    own.
-    Raises MethodError, with what to type, where there are none, or no PyTorch.
+    weights: checkpoint file; "moving" stands for the one that OYSTERBENCH_MOVING names, or that `oysterbench train
+    moving` or `oysterbench download moving` leaves. Runs on one thread, so that the CPU time of a method stays its own.
+    Raises MethodError, which says what to type, where the weights or PyTorch are missing.
     """
 
     def __init__(self, weights: str = "moving") -> None:
@@ -47,7 +47,7 @@ class MovingMask:
 
 
 def mask_weights(weights: str) -> dict[str, Path]:
-    """Files of trained weights that a mask needs: nothing without a mask."""
+    """Files of the trained weights that a mask needs; empty without a mask."""
     return {"moving": _path(weights)} if weights else {}
 
 

@@ -1,4 +1,4 @@
-"""Training the network: that of `unet`, smaller, on pictures of a quarter of the size."""
+"""Training of the network: a smaller one of `unet`, on images at a quarter of their size."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from oysterbench_baselines.unet.training import UNetSettings
 
 @dataclass(frozen=True)
 class MovingSettings(UNetSettings):
-    """The defaults take 6 minutes of a processor's core, and a mask of 640x480 some 15 ms."""
+    """Settings of the training. The defaults take 6 minutes on one CPU core, and a mask of 640x480 some 15 ms."""
 
     network: UNetworkSettings = field(default_factory=lambda: UNetworkSettings(base=8, scale=0.25))
     measured: bool = False

@@ -1,1 +1,1 @@
-"""How far rendered pictures are from real ones, in what a network that knows pictures makes of them."""
+"""Distance between rendered and real images, in the features of a pretrained network."""

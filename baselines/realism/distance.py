@@ -1,8 +1,8 @@
-"""Kernel distance of two sets of pictures, by their features, with its interval.
+"""Kernel distance between two sets of images, from their features, with its confidence interval.
 
 KID (Binkowski et al. 2018, ICLR): the squared maximum mean discrepancy (Gretton et al. 2012) with a polynomial kernel,
-without bias: 0 in the mean for two draws from one source, and now and then below. Unlike FID it can be told of some
-tens of pictures.
+unbiased: 0 on average for two samples from one source, and sometimes below. Unlike FID it can be estimated from a few
+tens of images.
 """
 
 from __future__ import annotations
@@ -14,30 +14,30 @@ from oysterbench.core.streams import stream
 from oysterbench.evaluate.statistics import Interval
 
 HALVES = 400
-"""Of the pictures, that are drawn for an interval."""
+"""Number of random halves of the images that are drawn for an interval."""
 LEAST_BLOCKS = 4
-"""Of which halves can be drawn."""
+"""Minimum number of blocks of which halves can be drawn."""
 SIGMAS = 1.96
 
 
 def kernel(a: Array, b: Array) -> Array:
-    """(N, M) of features (N, d) and (M, d): (a.b / d + 1)^3, as KID has it."""
+    """Kernel matrix (N, M) of features (N, d) and (M, d): (a.b / d + 1)^3, as in KID."""
     return np.asarray((a @ b.T / a.shape[1] + 1.0) ** 3)
 
 
 def kid(a: Array, b: Array) -> float:
-    """Of features (N, d) and (M, d), two pictures at least of each."""
+    """KID between features (N, d) and (M, d), of at least two images each."""
     weights = np.ones(len(a)), np.ones(len(b))
     return float(_discrepancy(kernel(a, a), kernel(b, b), kernel(a, b), *(w[None] for w in weights))[0])
 
 
 def kid_between(a: Array, b: Array, blocks_a: Array, blocks_b: Array) -> tuple[float, Interval]:
-    """The same with its 95 % interval. blocks (N,), (M,): numbers of pictures that are taken together, as neighbours of
-    a video are nearly the same.
+    """KID with its 95 % confidence interval. blocks (N,), (M,): block numbers of the images; those of a block are drawn
+    together, as neighbouring images of a video are nearly the same.
 
-    Halves of the blocks are drawn without putting back, as copies would be nearer to each other than any two pictures;
-    an estimate from half of the sample scatters about that from all of it as that does about the truth (delete-half
-    jackknife, Shao & Wu 1989).
+    Halves of the blocks are drawn without replacement, as copies would be nearer to each other than any two images; an
+    estimate from half of the sample scatters about that from all of it as the latter does about the true value
+    (delete-half jackknife, Shao & Wu 1989).
     """
     own, other, both = kernel(a, a), kernel(b, b), kernel(a, b)
     value = float(_discrepancy(own, other, both, np.ones((1, len(a))), np.ones((1, len(b))))[0])
@@ -51,7 +51,8 @@ def kid_between(a: Array, b: Array, blocks_a: Array, blocks_b: Array) -> tuple[f
 
 
 def kid_within(a: Array, blocks: Array) -> float:
-    """Between halves of one set, its first blocks and its last: what two sets of one place would have."""
+    """KID between the two halves of one set, its first blocks and its last: the value that two sets of one place would
+    have. NaN where a half has fewer than two images."""
     numbers = np.unique(blocks)
     first = np.isin(blocks, numbers[: len(numbers) // 2])
     if min(first.sum(), (~first).sum()) < 2:
@@ -60,17 +61,17 @@ def kid_within(a: Array, blocks: Array) -> float:
 
 
 def _halves(blocks: Array, rng: np.random.Generator) -> Array:
-    """(HALVES, N) 1 for the pictures of half of the blocks, 0 for the others."""
+    """Draw weights (HALVES, N): 1 for the images of a random half of the blocks, 0 for the others."""
     numbers, places = np.unique(blocks, return_inverse=True)
     drawn = np.argsort(rng.random((HALVES, len(numbers))), axis=1) < (len(numbers) + 1) // 2
     return drawn[:, places].astype(float)
 
 
 def _discrepancy(own: Array, other: Array, both: Array, a: Array, b: Array) -> Array:
-    """(K,) of kernels (N, N), (M, M), (N, M), and weights (K, N) and (K, M) of 0 and 1."""
+    """Squared discrepancy (K,) from kernels (N, N), (M, M), (N, M), with weights (K, N) and (K, M) of 0 and 1."""
 
     def mean(matrix: Array, w: Array) -> Array:
-        """Over pairs of different pictures."""
+        """Mean over pairs of different images."""
         sums = np.einsum("kn,nm,km->k", w, matrix, w, optimize=True) - w**2 @ np.diag(matrix)
         count = w.sum(axis=1)
         return np.asarray(sums / (count * (count - 1)))

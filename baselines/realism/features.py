@@ -1,4 +1,4 @@
-"""Pictures as a network that has learnt on ImageNet sees them."""
+"""Features of images in a network pretrained on ImageNet."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from oysterbench.core.geometry import Array
 from oysterbench_baselines.learning.efficientnet import pretrained, scaled
 
 SIDE = 288
-"""px, of the square in the middle that is looked at, the shorter side brought to it."""
+"""Side of the central square of an image, px, to which the shorter side is resized."""
 BLOCK = 10
-"""Pictures of a clip, one after the other, that count as one where it is told how sure a distance is."""
+"""Number of consecutive images of a clip that count as one in the confidence interval of a distance."""
 BATCH = 8
 
 Picture = NDArray[np.uint8]
@@ -25,7 +25,8 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class FeatureSet:
-    """Some pictures: names; thumbnails (SIDE, SIDE, 3) uint8 RGB; features (N, d); blocks (N,), see `BLOCK`."""
+    """A set of N images: names; pictures, thumbnails (SIDE, SIDE, 3) uint8 RGB; features (N, d); blocks (N,), see
+    `BLOCK`."""
 
     name: str
     names: tuple[str, ...]
@@ -37,10 +38,10 @@ class FeatureSet:
 def feature_set(
     labelled: LabelledSet, name: str, most: int, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> FeatureSet:
-    """Of a set, evenly over its images where it has more than `most`."""
+    """Compute the features of a set, of evenly spaced images where it has more than `most`."""
     chosen = np.unique(np.linspace(0, len(labelled) - 1, min(most, len(labelled))).round().astype(int)).tolist()
     pictures, features, network = [], [], pretrained()
-    torch.set_num_threads(1)  # sums in one order; and for batches as small as these, the fastest
+    torch.set_num_threads(1)  # fixed order of summation, and the fastest for batches as small as these
     for start in range(0, len(chosen), BATCH):
         some = [square(labelled[k].pixels) for k in chosen[start : start + BATCH]]
         pictures += some
@@ -56,7 +57,8 @@ def feature_set(
 
 
 def square(pixels: Picture) -> Picture:
-    """(SIDE, SIDE, 3): the middle of a picture (H, W, 3), its shorter side brought to SIDE by areas."""
+    """Crop the central square of an image (H, W, 3), and resize it to (SIDE, SIDE, 3): reduced by areas, enlarged
+    linearly."""
     height, width = pixels.shape[:2]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2
@@ -66,7 +68,7 @@ def square(pixels: Picture) -> Picture:
 
 
 def blocks_of(clips: Sequence[str]) -> Array:
-    """(N,) numbers: a new one with each clip, and after every `BLOCK` pictures of it."""
+    """Block numbers (N,) of images: a new one with each clip, and after every `BLOCK` images of it."""
     numbers: dict[tuple[str, int], int] = {}
     seen: dict[str, int] = {}
     found = []

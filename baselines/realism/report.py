@@ -1,4 +1,4 @@
-"""The table of distances, and a sheet of rendered pictures beside the real ones that are most like them."""
+"""The table of distances, and a sheet of rendered images beside the real ones that resemble them most."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from oysterbench_baselines.realism.distance import kid_between, kid_within
 from oysterbench_baselines.realism.features import FeatureSet, Picture
 
 ROWS = 8
-"""Rendered pictures of a set on the sheet."""
+"""Number of rendered images of each set on the sheet."""
 NEAREST = 3
-"""Real pictures beside each."""
+"""Number of real images beside each."""
 UNKNOWN = Interval(np.nan, np.nan, "")
 
 
 def distances(synthetic: Sequence[FeatureSet], real: Sequence[FeatureSet]) -> list[dict[str, Any]]:
-    """A line for each set and each real one: which, of how many pictures, KID and its interval. A real set and itself:
-    its two halves."""
+    """Compute a line for each pair of a set and a real set: names, number of images, KID and its interval. A real set
+    and itself: KID between its two halves."""
     lines = []
     for kind, sets in (("synthetic", synthetic), ("real", real)):
         for one in sets:
@@ -45,7 +45,7 @@ def distances(synthetic: Sequence[FeatureSet], real: Sequence[FeatureSet]) -> li
 
 
 def table_of(lines: Sequence[dict[str, Any]]) -> Table:
-    """A row for each set, a column for each real one."""
+    """Table with a row for each set and a column for each real set."""
     real = list(dict.fromkeys(line["real"] for line in lines))
     columns = [Column("set", "Pictures"), Column("kind", "Kind"), Column("pictures", "Number", kind="number")]
     columns += [Column(name, f"KID to {name}", kind="estimate", digits=3, better="lower") for name in real]
@@ -64,7 +64,7 @@ def table_of(lines: Sequence[dict[str, Any]]) -> Table:
 
 
 def neighbours(synthetic: Sequence[FeatureSet], real: Sequence[FeatureSet]) -> Picture:
-    """Rows of a rendered picture and the real ones whose features are nearest, by their angle."""
+    """Sheet with rows of a rendered image and the real ones whose features are nearest, by cosine similarity."""
     features = np.concatenate([one.features for one in real])
     pictures = [picture for one in real for picture in one.pictures]
     names = [name for one in real for name in one.names]

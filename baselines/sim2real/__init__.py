@@ -1,1 +1,2 @@
-"""What rendered images add: trainings with more and more real ones, with and without them."""
+"""Experiment on what rendered images add: trainings on increasing numbers of real images, with and without rendered
+ones."""

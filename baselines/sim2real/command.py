@@ -99,7 +99,7 @@ def command(
 
     parts = named_places(names, ["real"])
     weights = named_files(given, ["real", *parts])
-    # What follows loads torch, which what is mistyped does not wait for.
+    # The following imports load torch: arguments are checked first, so that a typing error is reported at once.
     from oysterbench.cli.echo import message
     from oysterbench.cli.outputs import print_rich
     from oysterbench.cli.render import frames_bar
@@ -136,7 +136,7 @@ def command(
 
 
 def _sizes(text: str) -> tuple[int, ...]:
-    """Numbers of real images; 0 for all."""
+    """Parse the numbers of real images; 0 stands for all. Raises UsageError for anything else."""
     words = [word.strip() for word in text.split(",")]
     if not all(word == "all" or (word.isdecimal() and int(word) > 0) for word in words):
         raise click.UsageError(f"--sizes: expected whole numbers from 1, and all, with commas, got {text!r}")

@@ -1,4 +1,5 @@
-"""The real images: sides that share nothing, and a few of many that a person might have labelled first."""
+"""The real images: training and test sides that share nothing, and selections of few, as a person might label them
+first."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from oysterbench_baselines.sim2real.settings import ALL
 
 @dataclass(frozen=True)
 class Real:
-    """train, test: apart; leaks: training images that nearly are test images, which were taken out of `train`."""
+    """Real images. train, test: disjoint sets; leaks: training images that nearly duplicate test images, which were
+    removed from `train`."""
 
     train: LabelledSet
     test: LabelledSet
@@ -27,10 +29,11 @@ def real_data(
     min_correlation: float,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Real:
-    """The sides of a set of real images, as its manifest has them.
+    """Split a set of real images into training and test sides according to its manifest.
 
-    hold_out: clips of the training side that are tested on in place of the test side, which is then not looked at: to
-    choose settings by. Training images that correlate with a test image by `min_correlation` are left out.
+    hold_out: clips of the training side to test on in place of the test side, which is then not looked at, for choosing
+    settings. Training images whose correlation with a test image reaches `min_correlation` are left out. Raises
+    LabelError where a clip is not of the training side, or no training image is left.
     """
     train, test = labelled.of_split("train"), labelled.of_split("test")
     for clip in hold_out:
@@ -45,8 +48,8 @@ def real_data(
 def sites_of(
     labelled: LabelledSet, min_correlation: float, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> dict[str, tuple[str, ...]]:
-    """Clips by the place that they show, named by what the clips' names begin with in common: those of which two images
-    correlate by `min_correlation` show one place, and so do those that are linked by others."""
+    """Group clips by the place they show; a place is named by the common prefix of its clips' names. Clips show one
+    place if an image of each correlate by at least `min_correlation`, or if other clips link them."""
     clips = labelled.clips
     site = {clip: {clip} for clip in clips}
     for k, clip in enumerate(clips):
@@ -68,7 +71,8 @@ def sites_of(
 
 
 def _common(names: tuple[str, ...]) -> str:
-    """What they begin with in common, without what separates it; of one the whole; of none the first."""
+    """Common prefix of names, without a trailing separator: of one name all of it; without a common prefix the first
+    name."""
     alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
     return "".join(letters[0] for letters in alike).rstrip("-_ ") or names[0]
 
@@ -79,8 +83,8 @@ def site_data(
     min_correlation: float,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Real:
-    """One site to test on, all others to train on, whatever the manifest says of sides. Raises LabelError for a clip
-    that there is not."""
+    """Split a set into one site to test on and all others to train on, whatever sides the manifest gives. Raises
+    LabelError for a clip that does not exist."""
     for clip in clips:
         if clip not in labelled.clips:
             raise LabelError(f"{labelled.name}: expected clips of {', '.join(labelled.clips)}, got {clip!r}")
@@ -105,9 +109,9 @@ def _apart(
 
 
 def drawn(train: LabelledSet, size: int, seed: int) -> LabelledSet:
-    """So many images of a set; those of a smaller size are among those of a larger one.
+    """Draw `size` images of a set; a smaller selection is part of a larger one. Raises LabelError where it has fewer.
 
-    Clip by clip in turn, each time one at random: who labels few images takes them from everything there is.
+    One at random from each clip in turn: whoever labels only a few images takes them from everything there is.
     """
     if size == ALL or size == len(train):
         return train

@@ -1,4 +1,4 @@
-"""The experiment: its cells one by one, those that are finished already left as they are, and the table of all."""
+"""The experiment: runs its cells one by one, skipping those already finished, and makes the table of all."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from oysterbench_baselines.sim2real.work import (
 )
 
 Bar = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
-"""A progress bar by its title and unit."""
+"""Creates a progress bar from its title and unit."""
 
 
 def run(
@@ -77,8 +77,9 @@ def run_sites(
     echo: Callable[[str], None],
     show: Callable[[Table], None],
 ) -> list[SiteRow]:
-    """The same with each site in turn as what is tested on, and all real images of the others to train on; table.md and
-    results.json in `out`, the cells of a site in a folder of its name."""
+    """Run all cells with each site in turn as the test set, trained on all real images of the others; write table.md
+    and results.json into `out`, and the cells of a site into a folder of its name. Raises LabelError for a single
+    site."""
     with bar("looking for clips of one site", "clips") as progress:
         sites = sites_of(labelled, settings.similarity, progress)
     if len(sites) < 2:
@@ -110,7 +111,7 @@ def run_sites(
 def _records(
     bench: Bench, cells: list[Cell], place: Path, train: bool, bar: Bar, echo: Callable[[str], None]
 ) -> list[ResultRecord]:
-    """Of the cells in a folder; those that are not finished are trained first."""
+    """Records of the trivial methods and of the cells in a folder; with `train`, unfinished cells are trained first."""
     records = _trivial(bench, place)
     left = [cell for cell in cells if finished(bench, cell, place / cell.folder) is None]
     if train and left:
@@ -125,7 +126,7 @@ def _records(
                         echo(f"{folder.name}: {_summary(found)}")
                 before += bench.steps(cell)
                 progress(before, total)
-    for cell in cells:  # also what others have finished meanwhile
+    for cell in cells:  # including those that other processes have finished meanwhile
         records += finished(bench, cell, place / cell.folder) or []
     return records
 
@@ -157,7 +158,7 @@ def _trivial(bench: Bench, cells: Path) -> list[ResultRecord]:
 
 
 def _remarks(labelled: LabelledSet, real: Real) -> Iterator[str]:
-    """What a reader of the table should know of the data."""
+    """Remarks on the data that a reader of the table should know."""
     yield (
         f"{labelled.name}: {len(real.train)} images to train on ({', '.join(real.train.clips)}), {len(real.test)} to "
         f"test on ({', '.join(real.test.clips)})"

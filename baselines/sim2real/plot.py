@@ -1,4 +1,4 @@
-"""The plot: IoU over the number of real images, a curve with intervals for each variant."""
+"""The plot of IoU against the number of real images: a curve with confidence intervals for each variant."""
 
 from __future__ import annotations
 
@@ -10,16 +10,15 @@ from oysterbench_baselines.sim2real.settings import REAL
 from oysterbench_baselines.sim2real.table import VariantRow
 
 SIZE = (8.8, 4.2)  # inches
-APART = 1.02  # between the intervals of two variants, as a factor of x: they would hide each other
-BEYOND = 0.02  # of IoU, around all intervals
+APART = 1.02  # factor in x between the intervals of two variants, which would otherwise hide each other
+BEYOND = 0.02  # margin of IoU around all intervals
 
 
 def plot(rows: Sequence[VariantRow]) -> str:
-    """IoU over the number of real images, as SVG; nothing where no training with real images is finished.
+    """Plot IoU against the number of real images as SVG; empty where no training with real images is finished.
 
-    A curve of real + synthetic images begins, without any real ones, at the synthetic images alone, drawn where half
-    the least number would be. What nothing was learnt for is a level line with its name, where it is high enough to be
-    seen.
+    A curve of real + synthetic images starts with the synthetic images alone, drawn at half the smallest number of real
+    images. Methods without training are horizontal lines with their names, where they are within the range of the plot.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -58,7 +57,7 @@ def plot(rows: Sequence[VariantRow]) -> str:
 
 
 def curves_of(rows: Sequence[VariantRow]) -> dict[str, list[VariantRow]]:
-    """Variant -> its rows by the number of real images; without any, that of its synthetic images alone."""
+    """Variant -> its rows by the number of real images, starting with that of its synthetic images alone."""
     curves: dict[str, list[VariantRow]] = {}
     for row in sorted(rows, key=lambda row: row.variant != REAL):
         if row.size is not None:

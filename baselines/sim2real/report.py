@@ -27,7 +27,7 @@ COLUMNS = (
 
 
 def table_of(rows: Sequence[VariantRow], remarks: Sequence[str] = ()) -> Table:
-    """A row for each kind of training; remarks: that stand below."""
+    """Table with a row for each kind of training; remarks: shown below it."""
     return Table(TITLE, COLUMNS, tuple(map(_row, rows)), tuple(remarks))
 
 
@@ -47,7 +47,7 @@ def _row(row: VariantRow) -> TableRow:
 
 
 def report(rows: Sequence[VariantRow], remarks: Sequence[str]) -> str:
-    """An HTML page."""
+    """Render the table and the plot as an HTML page."""
     from markupsafe import Markup
 
     context = {"title": TITLE, "table": Markup(html_table(table_of(rows, remarks))), "plot": Markup(plot(rows))}

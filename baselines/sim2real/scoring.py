@@ -1,4 +1,4 @@
-"""How good predictions on the test images are: a line per image, a record per clip and one of all."""
+"""Scores of predictions on the test images: a line per image, metrics per clip and for all clips together."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EVALUATORS = f"{EVALUATOR}, {DETECTION_EVALUATOR}"
 
 @dataclass(frozen=True)
 class Truth:
-    """Test images as the evaluators take them, read once for all cells."""
+    """Ground truth of the test images in the form that the evaluators take, read once for all cells."""
 
     clips: tuple[str, ...]
     masks: tuple[TruthImage, ...]
@@ -34,7 +34,7 @@ class Truth:
 
     @classmethod
     def of(cls, labelled: LabelledSet) -> Truth:
-        """Of a set of labelled images."""
+        """Read the ground truth of a set of labelled images."""
         clips, masks, instances, pixels = [], [], [], []
         for image in labelled:
             clips.append(image.clip)
@@ -48,7 +48,8 @@ class Truth:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Of one image: mask (H, W) bool; labels (H, W) int32 of oysters one by one, and the score of label k + 1."""
+    """Prediction for one image: mask (H, W) bool; labels (H, W) int32 of single oysters, 0 for none; scores[k], the
+    score of label k + 1."""
 
     mask: NDArray[np.bool_]
     labels: NDArray[np.int32]
@@ -57,7 +58,8 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Score:
-    """metrics: by clip, and of all of them (`WHOLE`); reasons of those that are NaN; images: a line for each."""
+    """Scores of one method. metrics: by clip, and of all clips (`WHOLE`); reasons: why metrics are NaN; images: a line
+    for each."""
 
     metrics: Mapping[str, Mapping[str, float]]
     reasons: Mapping[str, Mapping[str, str]]

@@ -1,4 +1,4 @@
-"""What the experiment is: which trainings, and how each is done. The same number of steps for all of them."""
+"""Settings of the experiment: which trainings it has, and how each is done, all with the same number of steps."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ REAL = "real"
 
 @dataclass(frozen=True)
 class Schedule:
-    """How real and synthetic images follow each other: synthetic ones alone first.
+    """Order of synthetic and real images in a training: first synthetic ones alone.
 
-    share: of the steps, from when on real images are seen; rate: learning rate of these; kept: crops of each of their
-    batches that stay synthetic, so that what was learnt of them is not forgotten; start: share of what was learnt of
-    synthetic images in the final weights (`FitSettings.start`)
+    share: of the steps, the last ones, that see real images; rate: learning rate of these; kept: crops in each of their
+    batches that remain synthetic, so that what was learnt from those is not forgotten; start: share of the weights
+    learnt from synthetic images in the final weights (`FitSettings.start`)
     """
 
     share: float
@@ -36,19 +36,21 @@ SCHEDULES = {"tuned": Schedule(1 / 6, 2e-3, 0), "mixed": Schedule(1 / 2, 5e-3, 2
 
 PRETRAINED_STEPS = 350
 PRETRAINED_SIDE, PRETRAINED_CROP = 320, 224
-"""px, of pictures and of crops: less than `train unet` takes, as many networks are trained."""
+"""Size of images and of crops, px: smaller than in `train unet`, as many networks are trained."""
 PRETRAINED_SHARE, PRETRAINED_RATE = 3 / 7, 1e-3
-"""Of networks on a pretrained encoder, which need fewer steps, and smaller ones."""
+"""`Schedule.share` and `rate` for networks with a pretrained encoder, which need fewer and smaller steps."""
 
 
 @dataclass(frozen=True)
 class ExperimentSettings:
-    """sizes:       numbers of real training images; `ALL` for all
-    seeds:       trainings of each kind; seed k draws the real images, the weights and the crops
-    batch:       crops of a step
-    schedule:    of real + synthetic: of `SCHEDULES`
-    block:       neighbouring test images that are resampled together
-    similarity:  correlation with a test image from which a training image is left out
+    """Settings of the experiment.
+
+    sizes:       numbers of real training images; `ALL` for all
+    seeds:       number of trainings of each kind; seed k draws the real images, the weights and the crops
+    batch:       crops per step
+    schedule:    for real + synthetic: one of `SCHEDULES`
+    block:       number of neighbouring test images that are resampled together
+    similarity:  correlation with a test image at which a training image is left out
     """
 
     sizes: tuple[int, ...] = (5, 10, 20, 40, ALL)
@@ -62,8 +64,8 @@ class ExperimentSettings:
     fit: FitSettings = field(default_factory=lambda: FitSettings(steps=1200, warm_up=20, threads=1))
 
     def with_encoder(self, encoder: str) -> ExperimentSettings:
-        """The same experiment with networks on a pretrained encoder (`unet.training.pretrained_settings`), on smaller
-        pictures."""
+        """Return the same experiment with networks with a pretrained encoder (`unet.training.pretrained_settings`), on
+        smaller images."""
         strong = pretrained_settings(encoder)
         return replace(
             self,
@@ -75,7 +77,7 @@ class ExperimentSettings:
         )
 
     def fit_of(self, cell: Cell) -> FitSettings:
-        """Of the training of a cell itself, without what it begins from (`Cell.begun`)."""
+        """Optimiser settings of a cell's own training, without the one it starts from (`Cell.begun`)."""
         tuned = round(self.schedule.share * self.fit.steps)
         if cell.begun is not None:
             return replace(self.fit, steps=tuned, learning_rate=self.schedule.rate, start=self.schedule.start)
@@ -84,8 +86,8 @@ class ExperimentSettings:
 
 @dataclass(frozen=True)
 class Cell:
-    """One training. synthetic: name of the synthetic images, or of weights that were learnt on such, empty for none;
-    size: real images, None for none."""
+    """One training. synthetic: name of the synthetic images, or of weights trained on such, empty for none; size:
+    number of real images, None for none."""
 
     synthetic: str
     size: int | None
@@ -93,26 +95,26 @@ class Cell:
 
     @property
     def variant(self) -> str:
-        """In words, without its size and seed."""
+        """Description in words, without size and seed."""
         if not self.synthetic:
             return REAL
         return f"{self.synthetic} only" if self.size is None else f"{REAL} + {self.synthetic}"
 
     @property
     def begun(self) -> Cell | None:
-        """The cell whose weights it begins with: that of its synthetic images alone. None: the weights of ImageNet, or
-        such as are drawn at random."""
+        """The cell from whose weights it starts: that of its synthetic images alone. None: it starts from the weights
+        of ImageNet, or from random ones."""
         return Cell(self.synthetic, None, self.seed) if self.synthetic and self.size is not None else None
 
     @property
     def folder(self) -> str:
-        """Name of its folder."""
+        """Name of the cell's folder."""
         size = "none" if self.size is None else "all" if self.size == ALL else f"{self.size:03d}"
         return f"{self.synthetic or REAL}-real-{size}-seed-{self.seed}"
 
 
 def cells_of(synthetic: tuple[str, ...], settings: ExperimentSettings) -> list[Cell]:
-    """The trainings, seed by seed, so that an interrupted experiment has something of everything."""
+    """Cells of the experiment, seed by seed, so that an interrupted experiment has some of every kind."""
     found = []
     for seed in range(settings.seeds):
         found += [Cell(name, None, seed) for name in synthetic]

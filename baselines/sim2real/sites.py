@@ -1,5 +1,5 @@
-"""Each site once tested on by networks that were trained on all others: what rendered images add where nobody has
-labelled anything yet."""
+"""Leave-one-site-out results: each site tested with networks trained on all others, which shows what rendered images
+add where nobody has labelled anything yet."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class SiteRow:
-    """A kind of training, or a trivial method.
+    """Results of a kind of training, or of a trivial method.
 
     iou:  over the pixels of each site, mean of the seeds; mean: of the sites
-    gain: of each site in IoU, against real images alone; mean_gain: of the sites, with its interval over blocks of
-          neighbouring images within each site, and over seeds; None where this row is real images alone or trivial
+    gain: in IoU at each site, against real images alone; mean_gain: mean over the sites, with its interval over blocks
+          of neighbouring images within each site and over seeds; None where this row is real images alone or trivial
     """
 
     variant: str
@@ -41,7 +41,7 @@ class SiteRow:
 
 
 def site_rows(records: Mapping[str, Sequence[ResultRecord]], block: int) -> list[SiteRow]:
-    """Rows of the records of each site, trivial ones first; of trainings that all sites have."""
+    """Rows from the records of each site, for the kinds of training that all sites have, trivial methods first."""
     whole: dict[str, dict[str, dict[int, ResultRecord]]] = {}
     for site, found in records.items():
         for record in found:
@@ -82,7 +82,8 @@ def _row(
 
 
 def _interval(pairs: Mapping[str, tuple[Array, ...]], seeds: int) -> Interval:
-    """Of the mean gain over sites: blocks of each site are drawn anew, and seeds, the same in all of them."""
+    """Bootstrap interval of the mean gain over sites: resamples the blocks of each site, and the seeds, which are the
+    same for all sites."""
     chosen = stream(0, b"", "sim2real", "seeds").integers(0, seeds, (RESAMPLES, seeds))
     total = np.zeros(RESAMPLES)
     for site, (mine, other) in pairs.items():
@@ -96,7 +97,7 @@ def _interval(pairs: Mapping[str, tuple[Array, ...]], seeds: int) -> Interval:
 
 
 def sites_table(rows: Sequence[SiteRow], remarks: Sequence[str] = ()) -> Table:
-    """IoU of each site and its gain, and their means; remarks: that stand below."""
+    """Table of IoU and gain at each site, and their means; remarks: shown below it."""
     sites = list(rows[0].iou) if rows else []
     columns = (
         Column("training", "training"),

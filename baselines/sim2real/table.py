@@ -1,4 +1,5 @@
-"""The table: each kind of training over its seeds, with intervals, and against the same without synthetic images."""
+"""The table: each kind of training averaged over its seeds, with intervals, and compared with the same training without
+synthetic images."""
 
 from __future__ import annotations
 
@@ -19,14 +20,14 @@ MEANS = ("ap_mask", "ap50_mask", "count_mae", "count_bias", "boundary_iou", "pre
 
 @dataclass(frozen=True)
 class VariantRow:
-    """One kind of training, or a trivial method.
+    """Results of one kind of training, or of a trivial method.
 
-    size:     real images that were asked for: None for none, 0 for all; images: how many that were
+    size:     number of real images requested: None for none, 0 for all; images: how many there were
     iou:      over all test pixels, mean of the seeds, with its interval over blocks of neighbouring test images
-    by_clip:  IoU of each test clip, mean of the seeds; spread: least and greatest IoU of a seed
+    by_clip:  IoU of each test clip, mean of the seeds; spread: smallest and largest IoU of a seed
     means:    further metrics (`MEANS`), mean of the seeds
-    gain:     in IoU, against real images alone, as many of them, with the paired interval; None where there is no such
-              row, or it is this one
+    gain:     in IoU, against the same number of real images alone, with the paired interval; None where there is no
+              such row, or it is this one
     """
 
     variant: str
@@ -43,10 +44,10 @@ class VariantRow:
 
 
 def variants(records: Sequence[ResultRecord], block: int) -> list[VariantRow]:
-    """Rows of all cells in the records, trivial ones first. block: neighbouring images that are resampled together.
+    """Rows of all cells in the records, trivial methods first. block: neighbouring images that are resampled together.
 
-    Seeds are trainings on other real images; the interval is over what is tested on, as another survey would change it,
-    and its width is that of the mean of these seeds. A gain is over the seeds that both rows have.
+    Seeds differ in the real images they train on; the interval is over the test images, as another survey would change
+    them, and applies to the mean of these seeds. A gain is over the seeds that both rows have.
     """
     groups: dict[tuple[str, int | None], list[ResultRecord]] = {}
     for record in records:
@@ -105,7 +106,7 @@ def _gain(
 
 
 def block_sums(record: ResultRecord, block: int) -> Array:
-    """(B, 2) of a record: true positive px and px of the union, of blocks of neighbouring images of a clip."""
+    """True positive px and px of the union (B, 2) in a record, for blocks of neighbouring images of a clip."""
     lines: Sequence[Mapping[str, Any]] = record.info["images"]
     rows = []
     for clip in dict.fromkeys(line["clip"] for line in lines):
@@ -117,7 +118,7 @@ def block_sums(record: ResultRecord, block: int) -> Array:
             ],
             dtype=float,
         )
-        # As many blocks as are whole, so that none is much smaller than the others.
+        # As many blocks as whole ones would fit, so that none is much smaller than the others.
         rows += [part.sum(axis=0) for part in np.array_split(own, max(1, len(own) // block))]
     return np.array(rows)
 
@@ -128,7 +129,7 @@ def ratios(sums: Array) -> Array:
 
 
 def _interval(sums: Array, other: Array | None) -> Interval:
-    """Of the mean over seeds of IoU of (S, B, 2) sums, less that of others of the same blocks."""
+    """Interval of the mean IoU over seeds from sums (S, B, 2), minus that of `other`, over the same blocks."""
     blocks = sums.shape[1]
     drawn = resample_counts(blocks)
     if drawn is None:

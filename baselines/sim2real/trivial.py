@@ -1,4 +1,4 @@
-"""What needs no learning, and what every number has to be read against."""
+"""Methods without training, with which every number has to be compared."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ TRIVIAL = (All, Nothing, Colour)
 
 
 def settings_of(method: Any) -> dict[str, Any]:
-    """Of a method that has settings, as plain values."""
+    """Settings of a method as plain values; empty where it has none."""
     as_dict = getattr(method, "as_dict", None)
     return {} if as_dict is None else json.loads(json.dumps(as_dict()))
 
 
 def predictions(method: Any, truth: Truth) -> Iterator[Prediction]:
-    """Of a method of the track segmentation on the test images. What hangs together is one oyster."""
+    """Predictions of a method of the track segmentation for the test images. Each connected component is one oyster."""
     pictures = (Picture(mask.name, pixels) for mask, pixels in zip(truth.masks, truth.pixels, strict=True))
     for found in method.run(pictures):
         chance = np.asarray(found.oyster if found.probability is None else found.probability, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""One cell: train, prediction, score, and leave what came of it in a folder of its own."""
+"""One cell: train, predict, score, and keep the results in a folder of its own."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ from oysterbench_baselines.unet.training import new_network
 
 RESULT, PREDICTIONS, CHECKPOINT, LOCK = "results.json", "predictions.npz", "checkpoint.pt", ".lock"
 STEP = 0.1
-"""Of a logit, to which predictions are kept: 2.5 % of a probability at most."""
+"""Resolution at which the logits of predictions are stored: at most 0.025 in probability."""
 
 
 Source = LabelledSet | Checkpoint
-"""Of what comes before real images: synthetic ones, or weights that have been learnt on such."""
+"""Source of the training that precedes real images: synthetic images, or weights trained on such."""
 
 
 @dataclasses.dataclass
 class Bench:
-    """What all cells share; images that several cells see are read once.
+    """Data and settings that all cells share; images that several cells use are read once.
 
-    synthetic: by the names of cells. Raises MethodError for weights of another network than the settings'
-    shared: folder of the trainings on synthetic images alone, which know nothing of the real ones, where several
+    synthetic: by the names that cells use. Raises MethodError for weights of another network than that of the settings
+    shared: folder of the trainings on synthetic images alone, which do not depend on the real ones, where several
     benches share them; None: among the cells
     """
 
@@ -70,20 +70,20 @@ class Bench:
 
     @property
     def truth(self) -> Truth:
-        """The test images, read when they are first needed."""
+        """Ground truth of the test images, read on first use."""
         if self._truth is None:
             self._truth = Truth.of(self.real.test)
         return self._truth
 
     def steps(self, cell: Cell) -> int:
-        """Of the training of a cell, without what it begins from; none where its weights are given."""
+        """Number of steps of a cell's own training, without the one it starts from; 0 where its weights are given."""
         return 0 if self._given(cell) else self.settings.fit_of(cell).steps
 
     def _given(self, cell: Cell) -> bool:
         return cell.size is None and cell.synthetic in self._weights
 
     def identity(self, cell: Cell) -> dict[str, Any]:
-        """What decides the weights of a cell and what they are tested on, as plain values."""
+        """Identity of a cell: all that determines its weights, and its test data, as plain values."""
         settings = self.settings
         parts: dict[str, Any] = {
             "network": settings.network,
@@ -108,7 +108,7 @@ class Bench:
         return dict(json.loads(json.dumps(found)))
 
     def _real_digest(self, size: int | None, seed: int) -> str:
-        """Of the real images of a cell; empty where it has none."""
+        """Digest of the real images of a cell; empty where it has none."""
         if size is None:
             return ""
         if (size, seed) not in self._drawn:
@@ -116,7 +116,7 @@ class Bench:
         return self._drawn[size, seed]
 
     def train(self, cell: Cell, folder: Path, progress: Progress) -> MaskModel:
-        """The trained network of a cell, from its checkpoint where there is one."""
+        """Train the network of a cell, or resume from its checkpoint, and return the model."""
         return unet_model(self._trained(cell, folder, progress), pick_device(self.device))
 
     def _trained(self, cell: Cell, folder: Path, progress: Progress) -> Checkpoint:
@@ -145,16 +145,16 @@ class Bench:
 
     def _waited(self, cell: Cell, cells: Path, progress: Progress) -> Checkpoint:
         folder = cells / cell.folder
-        with locked(folder / LOCK):  # another process may be at it
+        with locked(folder / LOCK):  # another process may be training it
             return self._trained(cell, folder, progress)
 
     def _trained_on(self, cell: Cell) -> dict[str, Any]:
-        """The identity of a cell without what it is tested on."""
+        """Identity of a cell without its test data."""
         identity = self.identity(cell)
         return {**identity, "data": {key: value for key, value in identity["data"].items() if key != "test"}}
 
     def _images(self, cell: Cell) -> Mixture:
-        """What a cell itself is trained on, without what was before it (`Cell.begun`)."""
+        """Images of a cell's own training, without those of the one it starts from (`Cell.begun`)."""
         batch, kept = self.settings.batch, self._kept(cell)
         synthetic = [self._datasets[cell.synthetic]] if kept else []
         if cell.size is None:
@@ -164,19 +164,19 @@ class Bench:
         return Mixture([*synthetic, real], [kept, batch - kept] if kept else [batch])
 
     def _kept(self, cell: Cell) -> int:
-        """Crops of a batch of a cell that are synthetic."""
+        """Number of synthetic crops in each batch of a cell."""
         if cell.size is None:
             return self.settings.batch
         return self.settings.schedule.kept if cell.synthetic in self._datasets else 0
 
     def predictions(self, model: MaskModel) -> Iterator[Floats]:
-        """(K, h, w) logits of each test image, at the working scale, to `STEP`."""
+        """Logits (K, h, w) of each test image at the working scale, in units of `STEP`, rounded to int8."""
         for pixels in self.truth.pixels:
             yield np.clip(np.round(model.small_logits(pixels) / STEP), -127, 127).astype(np.int8)
 
 
 def _check_network(name: str, weights: Checkpoint, settings: UNetworkSettings) -> None:
-    """Raises MethodError for weights of another network; pictures may have been of another size to it."""
+    """Raise MethodError for weights of another network; its images may have been of another size."""
     expected = described(settings)
     differ = [key for key in expected if key not in ("scale", "side") and weights.network.get(key) != expected[key]]
     if differ:
@@ -186,7 +186,7 @@ def _check_network(name: str, weights: Checkpoint, settings: UNetworkSettings) -
 
 
 class Subset(LabelledDataset):
-    """Some images of a dataset, which keeps them."""
+    """A subset of the images of a dataset, sharing its cache."""
 
     def __init__(self, whole: LabelledDataset, places: list[int], labelled: LabelledSet) -> None:
         super().__init__(labelled, whole.scale, whole.side)
@@ -197,7 +197,8 @@ class Subset(LabelledDataset):
 
 
 def run_cell(bench: Bench, cell: Cell, folder: Path, progress: Progress) -> list[ResultRecord]:
-    """The records of a cell: those in its folder, or new ones. Raises ResultError where these are of something else."""
+    """Return the records in a cell's folder, or train and score the cell. Raises ResultError where the records there
+    are of other data or settings."""
     known = finished(bench, cell, folder)
     if known is not None:
         return known
@@ -213,12 +214,12 @@ def run_cell(bench: Bench, cell: Cell, folder: Path, progress: Progress) -> list
 
 
 def finished(bench: Bench, cell: Cell, folder: Path) -> list[ResultRecord] | None:
-    """The records in a folder; None where there are none yet."""
+    """Records of a cell in its folder; None where there are none yet."""
     return known_records(folder, bench.identity(cell))
 
 
 def known_records(folder: Path, identity: Mapping[str, Any]) -> list[ResultRecord] | None:
-    """The records in a folder; None where there are none yet. Raises ResultError where they are of something else."""
+    """Records in a folder; None where there are none yet. Raises ResultError where they are of another identity."""
     if not (folder / RESULT).is_file():
         return None
     records = read_results(folder / RESULT)
@@ -230,7 +231,7 @@ def known_records(folder: Path, identity: Mapping[str, Any]) -> list[ResultRecor
 
 
 def read_prediction(kept: Any, shape: tuple[int, ...]) -> Prediction:
-    """What kept logits (K, h, w) say at the native size (H, W)."""
+    """Convert stored logits (K, h, w) to a prediction at the native size (H, W)."""
     oyster, depth, *_ = probability(enlarged(kept.astype(np.float32) * STEP, *shape))
     found = find_instances(oyster, depth)
     return Prediction(oyster > 0.5, found.labels, found.scores)
@@ -239,7 +240,7 @@ def read_prediction(kept: Any, shape: tuple[int, ...]) -> Prediction:
 def records_of(
     found: Score, method: str, bench: Bench, cell: Cell | None, identity: Mapping[str, Any]
 ) -> list[ResultRecord]:
-    """A record for each test clip, and one of all of them, which has a line per image."""
+    """Make a record for each test clip, and one for all of them, which has a line per image."""
     size = None if cell is None else cell.size
     amount = len(bench.real.train) if size == 0 else size
     return [

@@ -1,4 +1,4 @@
-"""Behavioural cloning: a small network that steers by what the front camera shows."""
+"""Behavioural cloning: a small network that steers by the images of the front camera."""
 
 from oysterbench_baselines.steering.method import SteeringNet
 

@@ -1,4 +1,4 @@
-"""Augmentation of a training example: mirrored with its commands, moved a little, in other water and with other
+"""Augmentation of a training example: mirrored together with its commands, shifted slightly, with changed water and
 colours."""
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from oysterbench_baselines.learning.samples import Floats, standardised, statist
 
 @dataclass(frozen=True)
 class SteeringAugmentation:
-    """How far things are changed.
+    """Strength of the augmentation.
 
-    flip: chance of being mirrored. move: px, by which a picture is moved at most: 4 of 96 are 3 deg, a third of a
-    class. haze: share of the light that water takes away at the top of the picture, at most. senses: noise on what the
-    vehicle tells. colours: as of trainings on masks, whose crop and zoom have no part in this.
+    flip: probability of mirroring. move: maximum shift of an image, px: 4 of 96 are 3 deg, a third of a class. haze:
+    maximum share of the light that water takes away at the top of the image. senses: noise on the vehicle's senses.
+    colours: as in trainings on masks, whose crop and zoom are not used here.
     """
 
     flip: float = 0.5
@@ -37,8 +37,8 @@ def augmented(
     settings: SteeringAugmentation,
     rng: np.random.Generator,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Of a training example, pixels (h, w, 3), senses (SENSES,), looked (memory.SHAPE) and action_values (Y, P): the
-    same, pixels standardised."""
+    """Augment a training example: pixels (h, w, 3), senses (SENSES,), looked (memory.SHAPE) and action_values (Y, P).
+    Returns the same four, with standardised pixels."""
     if rng.random() < settings.flip:
         pixels, looked, action_values = mirrored(pixels, looked, action_values)
     shift = np.column_stack([np.eye(2), rng.uniform(-settings.move, settings.move, 2)])
@@ -54,13 +54,12 @@ def augmented(
 def mirrored(
     pixels: NDArray[np.uint8], looked: NDArray[np.uint8], action_values: Floats
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], Floats]:
-    """A picture (h, w, 3), the map of what was looked at, and the values of commands (Y, P), as a mirror shows them:
-    left is right."""
+    """Mirror an image (h, w, 3), the map of what was looked at, and the values of commands (Y, P), left to right."""
     return pixels[:, ::-1], looked[:, ::-1], action_values[::-1]
 
 
 def _hazed(pixels: NDArray[np.uint8], share: float, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Light of the water over the picture, growing from nothing at the bottom, which is near, to `share` at the top."""
+    """Blend the image with light of the water, from nothing at the bottom, which is near, to `share` at the top."""
     veil = np.array(cv2.mean(pixels)[:3]) * rng.uniform(0.7, 1.3)
     rows = np.linspace(share, 0, len(pixels))[:, None, None]
     return np.clip(pixels * (1 - rows) + veil * rows, 0, 255).astype(np.uint8)

@@ -1,9 +1,9 @@
-"""DAgger (Ross, Gordon & Bagnell 2011, algorithm 3.1): the policy is rolled out, the expert says what it would have
-done, and both what was known and what is new are learnt from. So training examples are of places to which the policy's
-own mistakes lead.
+"""DAgger (Ross, Gordon & Bagnell 2011, algorithm 3.1): the policy is rolled out, the expert states what it would have
+done, and training continues on the old and the new examples together. So training examples include places to which the
+policy's own mistakes lead.
 
-Everything is kept beside the checkpoint: a finished rollout is a file, a finished round a checkpoint, and what was
-killed goes on from these.
+Everything is kept beside the checkpoint: each finished rollout in a file, each finished round in a checkpoint, from
+which a killed training resumes.
 """
 
 from __future__ import annotations
@@ -32,20 +32,21 @@ from oysterbench_baselines.steering.network import SteeringNetworkSettings
 from oysterbench_baselines.steering.training import SteeringSettings, train
 
 Bar = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
-"""Given a title and what is counted: what is to be told how many are done, of how many (`cli_render.frames_bar`)."""
+"""Creates a progress bar from a title and a unit; the bar is called with the number done and the total
+(`oysterbench.cli.render.frames_bar`)."""
 
 
 @contextmanager
 def silent(title: str, unit: str) -> Iterator[Callable[[int, int], None]]:
-    """No bar."""
+    """Progress bar that shows nothing."""
     yield lambda done, total: None
 
 
 @dataclass(frozen=True)
 class Rounds:
-    """rounds: how many. seconds: of a rollout; None: the task's own. beta: share of the commands that are the expert's
-    in the first round, squared in the second, and so on. steps, learning_rate: of each round's training, which begins
-    with the weights of the one before."""
+    """Plan of the rounds. rounds: their number. seconds: length of a rollout; None: the task's own. beta: share of the
+    expert's commands in the first round, squared in the second, and so on. steps, learning_rate: of each round's
+    training, which starts from the weights of the one before."""
 
     rounds: int = 0
     seconds: float | None = None
@@ -54,20 +55,20 @@ class Rounds:
     learning_rate: float = 1e-3
 
     def mixture(self, number: int) -> float:
-        """Share of the expert's commands in a round, from 1."""
+        """Share of the expert's commands in a round, numbered from 1."""
         return self.beta**number
 
 
 @dataclass(frozen=True)
 class Reef:
-    """Where a rollout takes place: a sequence of a split."""
+    """The reef of a rollout, given by a sequence of a split."""
 
     split: SplitRecipe
     name: str
 
 
 def reef_of(path: Path) -> Reef:
-    """The reef that a sequence file was taken over."""
+    """Reef over which a sequence file was recorded."""
     return Reef(recipe_of(path), open_sequence(path).name)
 
 
@@ -81,11 +82,11 @@ def learn_rounds(
     workers: int = 1,
     bar: Bar = silent,
 ) -> Checkpoint:
-    """Train on examples, then roll out over the reefs and train further, round by round; the last round's training,
-    which is at `path` as well.
+    """Train on examples, then roll out over the reefs and train further, round by round; return the checkpoint of the
+    last round, which is also at `path`.
 
-    bar: what is told of the progress. Raises MethodError where `path` or a file beside it is of another training,
-    LabelError for reefs whose truth is not to be had.
+    bar: creates progress bars. Raises MethodError where `path` or a file beside it is of another training, LabelError
+    for reefs of a hidden split, whose ground truth is not available.
     """
     for reef in reefs:
         if reef.split.hidden:
@@ -132,7 +133,7 @@ def collect(
     workers: int = 1,
     bar: Bar = silent,
 ) -> list[TrainingExamples]:
-    """The examples of a round's rollouts, one over each reef; those whose files are there already are read."""
+    """Collect the examples of a round's rollouts, one over each reef; rollouts whose files exist already are read."""
     place = folder / f"round-{number}"
     made_by = {reef.name: _made_by(reef, policy, network, plan, number) for reef in reefs}
     found = {reef.name: read_rollout(place / f"{reef.name}.npz", reef, made_by[reef.name]) for reef in reefs}
@@ -155,7 +156,7 @@ def collect(
 
 
 def _made_by(reef: Reef, policy: Checkpoint, network: SteeringNetworkSettings, plan: Rounds, number: int) -> str:
-    """All that decides a rollout, as text."""
+    """Identity of a rollout, all that determines it, as text."""
     size = (network.width, network.height)
     return json.dumps(
         [policy.digest(), reef.split.digest(), reef.name, number, plan.mixture(number), plan.seconds, size]
@@ -170,7 +171,8 @@ def rollout(
     number: int,
     made_by: Mapping[str, str],
 ) -> bytes:
-    """A rollout of the policy, as a file: small pictures, senses, and the expert's values of the commands."""
+    """Roll out the policy, and return the contents of an NPZ file: small images, senses, maps of what was looked at,
+    and the expert's values of the commands."""
     from oysterbench.exploration.rollout import explore
     from oysterbench_baselines.steering.method import SteeringNet
 
@@ -199,7 +201,7 @@ def rollout(
 
 
 def read_rollout(path: Path, reef: Reef, made_by: str) -> TrainingExamples | None:
-    """The examples of a rollout's file; none where there is no such file, or one of another policy."""
+    """Read the examples of a rollout's file; None where there is no such file, or it is of another rollout."""
     if not path.is_file() or reef.split.steering is None:
         return None
     with np.load(path) as held:
@@ -216,5 +218,5 @@ def read_rollout(path: Path, reef: Reef, made_by: str) -> TrainingExamples | Non
 
 
 def warm_up() -> None:
-    """Of a process that rolls out: what it needs is imported."""
+    """Prepare a worker process for rollouts by importing what they need."""
     import oysterbench.exploration  # noqa: F401

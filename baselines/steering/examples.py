@@ -1,4 +1,4 @@
-"""Training examples: views with the value of each command, as an expert sees it, read from sequences."""
+"""Training examples, read from sequences: views with the expert's value of each command."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class TrainingExamples:
     """N views of one task.
 
     pixels: (N, h, w, 3) uint8 RGB, at the network's size; senses: (N, SENSES) float32
-    looked: (N, *memory.SHAPE) uint8, where the vehicle had looked when it was there
-    action_values: (N, Y, P) float32, oysters that the expert's best plan gains which begins with classes of yaw and
-        pitch
-    from_rollout: (N,) bool, whether the view was met in a rollout, and not on the trajectory of a sequence
+    looked: (N, *memory.SHAPE) uint8, map of where the vehicle had looked by then
+    action_values: (N, Y, P) float32, oysters gained by the expert's best plan that starts with a class of yaw and one
+        of pitch
+    from_rollout: (N,) bool, whether the view is from a rollout rather than from the trajectory of a sequence
     """
 
     task: SteeringRecipe
@@ -49,7 +49,7 @@ class TrainingExamples:
         return self.pixels[n], self.senses[n], self.looked[n], self.action_values[n]
 
     def digest(self) -> str:
-        """SHA-256 over all of it."""
+        """SHA-256 of all examples and the classes of the task."""
         found = hashlib.sha256(repr((self.task.yaw_deg, self.task.pitch_deg)).encode())
         for part in (self.pixels, self.senses, self.looked, self.action_values, self.from_rollout):
             found.update(str(part.shape).encode() + np.ascontiguousarray(part).tobytes())
@@ -57,7 +57,7 @@ class TrainingExamples:
 
 
 def joined(parts: Sequence[TrainingExamples]) -> TrainingExamples:
-    """All of them, in their order. Raises MethodError where their classes differ."""
+    """Concatenate examples in the given order. Raises MethodError where their classes differ."""
     task = parts[0].task
     for part in parts:
         check_classes(part.task, task.yaw_deg, task.pitch_deg, "the data")
@@ -72,7 +72,7 @@ def joined(parts: Sequence[TrainingExamples]) -> TrainingExamples:
 
 
 def check_classes(task: SteeringRecipe, yaw_deg: Sequence[float], pitch_deg: Sequence[float], where: str) -> None:
-    """Raises MethodError where a task has other classes than these."""
+    """Raise MethodError where a task has other classes than these. where: for the message."""
     for axis, known in (("yaw", yaw_deg), ("pitch", pitch_deg)):
         asked = getattr(task, f"{axis}_deg")
         if tuple(asked) != tuple(known):
@@ -83,19 +83,19 @@ def check_classes(task: SteeringRecipe, yaw_deg: Sequence[float], pitch_deg: Seq
 
 
 def degrees(values: Sequence[float]) -> str:
-    """As a recipe has them."""
+    """Format angles in degrees as in a recipe."""
     return ", ".join(f"{value:g}" for value in values)
 
 
 def small(pixels: NDArray[np.uint8], settings: SteeringNetworkSettings) -> NDArray[np.uint8]:
-    """A picture (H, W, 3) at the network's size, each pixel the mean of those that it covers."""
+    """Reduce an image (H, W, 3) to the network's size, each pixel the mean of those that it covers."""
     size = (settings.width, settings.height)
     return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def senses_of(state: VehicleState, task: SteeringRecipe) -> Floats:
-    """(SENSES,) altitude within the band that is to be kept, -1 its lower edge and 1 its upper one, and pitch as a
-    share of the steepest. Heading and depth would only tell one reef from another."""
+    """Senses (SENSES,) of the vehicle: altitude within the band to be kept, -1 at its lower edge and 1 at its upper
+    one, and pitch as a fraction of the maximum. Heading and depth would only tell one reef from another."""
     low, high = task.altitude_m
     steepest = np.radians(task.max_pitch_deg) or 1.0
     found = (2 * (state.altitude - low) / (high - low) - 1, state.pitch / steepest)
@@ -104,7 +104,7 @@ def senses_of(state: VehicleState, task: SteeringRecipe) -> Floats:
 
 
 def action_values_of(table: pd.DataFrame, task: SteeringRecipe, where: str) -> Floats:
-    """(N, Y, P) values of the commands in a table of labels. Raises LabelError where the table is of other classes."""
+    """Values (N, Y, P) of the commands in a table of labels. Raises LabelError where the table has other classes."""
     names = [f"value_{y}_{p}" for y in range(len(task.yaw_deg)) for p in range(len(task.pitch_deg))]
     found = {name for name in table.columns if name.startswith("value_")}
     if found != set(names):
@@ -116,7 +116,7 @@ def action_values_of(table: pd.DataFrame, task: SteeringRecipe, where: str) -> F
 
 
 def read_examples(path: Path, settings: SteeringNetworkSettings) -> TrainingExamples:
-    """The labelled pictures of a sequence file."""
+    """Read the labelled images of a sequence file. Raises LabelError where there are none."""
     sequence = open_sequence(path)
     table = sequence.steering()
     task = task_of(path)
@@ -142,7 +142,7 @@ def read_examples(path: Path, settings: SteeringNetworkSettings) -> TrainingExam
 
 
 def recipe_of(path: Path) -> SplitRecipe:
-    """The split that a sequence file was made from. Raises SequenceError where the file does not say."""
+    """Recipe of the split that a sequence file was made from. Raises SequenceError where the file does not hold it."""
     held = read_attachments(path)
     try:
         return parse_split(held["split.toml"].decode(), f"{path}: split.toml", rig_source=held["rig.toml"].decode())
@@ -151,7 +151,7 @@ def recipe_of(path: Path) -> SplitRecipe:
 
 
 def task_of(path: Path) -> SteeringRecipe:
-    """What is steered for in a sequence file."""
+    """Steering task of a sequence file. Raises LabelError where its split is not of the track steering."""
     task = recipe_of(path).steering
     if task is None:
         raise LabelError(
@@ -161,7 +161,8 @@ def task_of(path: Path) -> SteeringRecipe:
 
 
 def files_of(name: str) -> list[Path]:
-    """The sequence files of a split, which is rendered where it is not there, of a folder, or the one at a path."""
+    """Sequence files of a split, which is rendered if missing, of a folder, or the one at a path. Raises LabelError
+    where there are none, or the split is of another track."""
     if name in split_names() or name.endswith(".toml"):
         from oysterbench.cli.render import render_files
 
@@ -183,7 +184,7 @@ def read_all(
     settings: SteeringNetworkSettings,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> TrainingExamples:
-    """The labelled pictures of several files, in their order."""
+    """Read the labelled images of several files, in their order."""
     paths = list(paths)
     parts = []
     for done, path in enumerate(paths, start=1):

@@ -1,4 +1,4 @@
-"""Where the vehicle has looked already, by dead reckoning: what no single picture can tell."""
+"""Map of where the vehicle has already looked, by dead reckoning: what no single image can tell."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ AHEAD, BEHIND, ASIDE = 8, 4, 6
 """Cells of the map ahead of the vehicle, behind it, and to each side."""
 SHAPE = (AHEAD + BEHIND, 2 * ASIDE)
 HALF_VIEW = np.radians(40.0)
-"""Half the width of what is looked at."""
+"""Half the width of the area looked at, rad."""
 
 
 class Memory:
-    """Grows with every view. The vehicle is taken to go at the task's speed where its bow points, which compass and
-    tilt know; of what carries it elsewhere, as a fence, nothing is known."""
+    """Record of what was looked at, which grows with every view. The vehicle is assumed to move at the task's speed in
+    the direction of its bow, known from compass and tilt; anything that diverts it, such as a fence, is not known."""
 
     def __init__(self, task: SteeringRecipe) -> None:
         self.task = task
@@ -31,8 +31,9 @@ class Memory:
         self._cells = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
 
     def observe(self, state: VehicleState, time_s: float) -> NDArray[np.uint8]:
-        """SHAPE uint8, 1 where the bottom has been near in a picture; this one is included. Rows from ahead to behind,
-        columns from left to right, the vehicle between the cells of the middle. time_s: from any beginning."""
+        """Add a view, and return the map (SHAPE) uint8: 1 where the bottom has been near in an image, this one
+        included. Rows run from ahead to astern, columns from left to right; the vehicle is between the two middle
+        columns, `AHEAD` rows from the top. time_s: from any origin."""
         if self._last is not None:
             before, then = self._last
             self._place = self._place + _way(before, state, self.task.speed_m_s * (time_s - then))
@@ -52,12 +53,12 @@ class Memory:
 
 
 def _axes(heading: float) -> Array:
-    """(2, 2): rows are ahead and left, in the plane of the map."""
+    """Axes (2, 2) of the vehicle in the plane of the map: rows are ahead and left."""
     return np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
 
 
 def _way(before: VehicleState, after: VehicleState, length: float) -> Array:
-    """(2,) m over the ground on an arc between two states."""
+    """Displacement over the ground (2,) m along an arc between two states. length: of the arc, m."""
     turn = np.remainder(after.heading - before.heading + np.pi, 2 * np.pi) - np.pi
     heading = before.heading + turn / 2
     level = np.cos((before.pitch + after.pitch) / 2)

@@ -1,4 +1,4 @@
-"""The method: a view in, how probable each command is out."""
+"""The method: from a view to the probability of each command."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 class SteeringNet:
-    """Steers by a network that has learnt what an expert would do.
+    """Steers by a network trained on what an expert would do.
 
-    checkpoint: path of the training; by default that which `OYSTERBENCH_STEERING` names, or which `oysterbench train
-    steering` or `oysterbench download steering` left. threads: of the processor.
+    checkpoint: path of the checkpoint; by default the one that `OYSTERBENCH_STEERING` names, or that `oysterbench train
+    steering` or `oysterbench download steering` left. threads: of the CPU.
     """
 
     name, track = "steering", "steering"
@@ -28,11 +28,12 @@ class SteeringNet:
 
     @property
     def weights(self) -> dict[str, Path]:
-        """Files of trained weights that it runs on."""
+        """Files of the trained weights that the method needs."""
         return {"steering": checkpoint_path("steering", self.checkpoint)}
 
     def run(self, views: Views) -> Iterator[Steering]:
-        """A command at each view, before the next one is taken."""
+        """Yield a command for each view, before the next one is taken. Raises MethodError where the task has other
+        classes than the training."""
         model = load_model(self.checkpoint, self.threads)
         model.check(views.task)
         memory = Memory(views.task)
@@ -43,7 +44,7 @@ class SteeringNet:
 
 
 def load_model(checkpoint: str, threads: int) -> SteeringModel:
-    """The trained network. Raises MethodError, with what to type, where there is none."""
+    """Load the trained network. Raises MethodError, which says what to type, where there is none."""
     path = trained("steering", checkpoint)
     with on_torch("steering"):
         import torch

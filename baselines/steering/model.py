@@ -1,4 +1,4 @@
-"""A trained network and what it commands at a view."""
+"""A trained network and its commands for views."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from oysterbench_baselines.steering.examples import Floats, TrainingExamples, ch
 from oysterbench_baselines.steering.network import SteeringNetwork, SteeringNetworkSettings
 
 AT_ONCE = 64
-"""Views that are looked at together, where there are many."""
+"""Number of views in a batch, where there are many."""
 
 
 @dataclass
 class SteeringModel:
-    """A network with its weights, ready to predict. yaw_deg, pitch_deg: turns of its classes."""
+    """A network with its weights, ready to predict. yaw_deg, pitch_deg: angles of its classes."""
 
     network: SteeringNetwork
     settings: SteeringNetworkSettings
@@ -35,7 +35,7 @@ class SteeringModel:
 
     @classmethod
     def of(cls, checkpoint: Checkpoint) -> SteeringModel:
-        """From a training. Raises MethodError where it is of another network."""
+        """Build the model from a checkpoint. Raises MethodError where that is of another network."""
         known = dict(checkpoint.network)
         if known.pop("kind", None) != "steering":
             found = checkpoint.network.get("kind")
@@ -48,24 +48,23 @@ class SteeringModel:
 
     @classmethod
     def read(cls, path: Path) -> SteeringModel:
-        """From a file."""
+        """Read the model from a checkpoint file."""
         return cls.of(read_checkpoint(path))
 
     def check(self, task: SteeringRecipe) -> None:
-        """Raises MethodError where a task has other classes than those of the training."""
+        """Raise MethodError where a task has other classes than the training."""
         check_classes(task, self.yaw_deg, self.pitch_deg, "this task")
 
     def probabilities(
         self, pixels: NDArray[np.uint8], state: VehicleState, looked: NDArray[np.uint8], task: SteeringRecipe
     ) -> tuple[Floats, Floats]:
-        """(Y,) and (P,) of the classes at a picture (H, W, 3) uint8 RGB, where the vehicle has looked as `Memory`
-        says."""
+        """Probabilities (Y,) and (P,) of the classes for an image (H, W, 3) uint8 RGB. looked: map of `Memory`."""
         shown = small(pixels, self.settings)
         yaw, pitch = self._probabilities(shown[None], senses_of(state, task)[None], looked[None])
         return yaw[0], pitch[0]
 
     def predictions(self, examples: TrainingExamples) -> tuple[Floats, Floats]:
-        """(N, Y) and (N, P) of the classes at the pictures of examples."""
+        """Probabilities (N, Y) and (N, P) of the classes for the images of examples."""
         self.check(examples.task)
         parts = [
             self._probabilities(examples.pixels[chosen], examples.senses[chosen], examples.looked[chosen])
@@ -77,7 +76,7 @@ class SteeringModel:
     def _probabilities(
         self, pixels: NDArray[np.uint8], senses: Floats, looked: NDArray[np.uint8]
     ) -> tuple[Floats, Floats]:
-        """Mean of what the network says of pictures and of their mirror images, where the classes are symmetric: so no
+        """Probabilities averaged over images and their mirror images, where the classes are symmetric, so that neither
         side of the reef is preferred."""
         values = torch.from_numpy(np.stack([as_planes(one) for one in pixels]))
         told = torch.from_numpy(senses)
@@ -94,18 +93,19 @@ class SteeringModel:
 
 
 def described(settings: SteeringNetworkSettings, task: SteeringRecipe) -> dict[str, Any]:
-    """What a checkpoint says of the network."""
+    """Description of the network in a checkpoint."""
     plain = {**asdict(settings), "channels": list(settings.channels)}
     return {"kind": "steering", **plain, "yaw_deg": list(task.yaw_deg), "pitch_deg": list(task.pitch_deg)}
 
 
 def as_planes(pixels: NDArray[np.uint8]) -> Floats:
-    """(3, h, w) of a picture (h, w, 3), by its own mean and contrast: what water and exposure do is taken out."""
+    """Convert an image (h, w, 3) to planes (3, h, w), standardised by its own mean and contrast, which removes the
+    effect of water and exposure."""
     return np.ascontiguousarray(standardised(pixels, *statistics(pixels)).transpose(2, 0, 1))
 
 
 def is_symmetric(yaw_deg: tuple[float, ...]) -> bool:
-    """Whether each turn to the left has one to the right: only then may a picture be mirrored."""
+    """Whether each turn to the left has its counterpart to the right: only then may an image be mirrored."""
     return all(a == -b for a, b in zip(yaw_deg, reversed(yaw_deg), strict=True))
 
 

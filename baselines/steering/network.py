@@ -1,4 +1,4 @@
-"""The network: a picture and two of the vehicle's senses in, two rows of logits out."""
+"""The network: from an image, two of the vehicle's senses and the map of what was looked at to two sets of logits."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from torch import nn
 from oysterbench_baselines.steering.memory import SHAPE
 
 SENSES = 2
-"""What the network is told beside the picture (`examples.senses_of`)."""
+"""Number of senses given to the network in addition to the image (`examples.senses_of`)."""
 MAP_CHANNELS = (8, 16)
-"""Of the two levels that read the map of what was looked at, each half the size of the one before."""
+"""Channels of the two levels that read the map of what was looked at, each half the size of the one before."""
 
 
 @dataclass(frozen=True)
 class SteeringNetworkSettings:
-    """width, height: px, at which pictures are looked at. channels: of the levels, each half the size of the one
-    before. groups: of channels that are normalised together. columns: channels that are kept place by place, as where
-    in the picture a patch lies is what steering is about; hidden: units between them and the predictions. dropout: of
-    hidden units. memory: whether it is told where the vehicle has looked already."""
+    """Settings of the network. width, height: px, size of its input images. channels: of the levels, each half the size
+    of the one before. groups: of channels that are normalised together. columns: channels whose spatial positions are
+    kept, as steering depends on where in the image a patch lies; hidden: units between them and the predictions.
+    dropout: of hidden units. memory: whether the network is given the map of where the vehicle has already looked."""
 
     width: int = 96
     height: int = 72
@@ -33,7 +33,7 @@ class SteeringNetworkSettings:
 
 
 class Level(nn.Sequential):
-    """Half the size: 3 x 3 convolutions with strides 2 and 1, each normalised and followed by ReLU."""
+    """Level that halves the size: 3 x 3 convolutions with strides 2 and 1, each normalised and followed by ReLU."""
 
     def __init__(self, inputs: int, outputs: int, groups: int) -> None:
         layers: list[nn.Module] = []
@@ -47,8 +47,8 @@ class Level(nn.Sequential):
 
 
 class SteeringNetwork(nn.Module):
-    """Pixels (B, 3, height, width), standardised, senses (B, SENSES) and the map of what was looked at (B, 1,
-    *memory.SHAPE) to logits of yaw (B, Y) and pitch (B, P)."""
+    """Network from standardised pixels (B, 3, height, width), senses (B, SENSES) and the map of what was looked at (B,
+    1, *memory.SHAPE) to logits of yaw (B, Y) and pitch (B, P)."""
 
     def __init__(self, settings: SteeringNetworkSettings, yaw: int, pitch: int) -> None:
         super().__init__()

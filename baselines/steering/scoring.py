@@ -1,4 +1,4 @@
-"""How good a network is on examples that it has not seen: what a training says at its end."""
+"""Score of a network on examples that it was not trained on, reported at the end of a training."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from oysterbench_baselines.steering.model import SteeringModel
 
 @dataclass(frozen=True)
 class Score:
-    """regret: oysters lost per command; skill: 1 of the expert, 0 of chance; yaw, pitch: share of views whose class is
-    the expert's or one next to it."""
+    """Score over a number of views. regret: oysters lost per command; skill: 1 for the expert, 0 for chance; yaw,
+    pitch: share of views whose class is the expert's or one next to it."""
 
     views: int
     regret: float
@@ -30,7 +30,7 @@ class Score:
 
 
 def score(model: SteeringModel, examples: TrainingExamples) -> Score:
-    """Of the likeliest classes."""
+    """Score the most probable classes of a model on examples."""
     commanded = np.stack([prediction.argmax(axis=1) for prediction in model.predictions(examples)], axis=1)
     action_values = examples.action_values.astype(float)
     flat = action_values.reshape(len(action_values), -1).argmax(axis=1)

@@ -1,4 +1,4 @@
-"""Training the network on examples: what a command would cost is known for each, not only which one is best."""
+"""Training of the network on examples, in which the cost of every command is known, not only which one is best."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from oysterbench_baselines.steering.model import described, is_symmetric
 from oysterbench_baselines.steering.network import SteeringNetwork, SteeringNetworkSettings
 
 LEAST_STAKE = 1.0
-"""Oysters that a turn of the middle is taken to lose at least: where nothing is at stake, nothing is learnt."""
+"""Lower limit of the oysters that the median turn loses: where nothing is at stake, nothing is learnt."""
 
 Batch = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
-"""Pixels (B, 3, h, w), senses (B, SENSES), looked (B, 1, *memory.SHAPE), what turns of yaw (B, Y) and of
-pitch (B, P) lose (`losses_of`), float32."""
+"""Pixels (B, 3, h, w), senses (B, SENSES), looked (B, 1, *memory.SHAPE), losses of turns of yaw (B, Y) and of
+pitch (B, P) (`losses_of`), float32."""
 
 
 @dataclass(frozen=True)
 class SteeringSettings:
-    """batch: examples of one step. temperature: what a command may lose and still be almost as likely as the best (see
-    `losses_of`, `cost`). from_rollout: share of a batch that is of rollouts, where there are any: they are few, and
-    show where a policy gets to."""
+    """Settings of a training. batch: examples per step. temperature: the loss at which a command is still almost as
+    likely as the best (see `losses_of`, `cost`). from_rollout: share of a batch drawn from rollouts, where there are
+    any: they are few, and show where a policy ends up."""
 
     batch: int = 32
     temperature: float = 1.0
@@ -45,12 +45,13 @@ class SteeringSettings:
 
 
 def identity(settings: SteeringSettings, data: Mapping[str, Any], seed: int) -> dict[str, Any]:
-    """What decides the weights, as plain values. data: digests of the data, by what they are for."""
+    """Identity of a training, all that determines the weights, as plain values. data: digests of the data, by
+    purpose."""
     return {"method": "steering", "settings": _plain(dataclasses.asdict(settings)), "data": dict(data), "seed": seed}
 
 
 def make_batch(examples: TrainingExamples, settings: SteeringSettings, streams: Streams, step: int) -> Batch:
-    """Training examples drawn at random, each with a stream of its own."""
+    """Make the batch of a step from randomly drawn examples, each with a random stream of its own."""
     augmentation = settings.augmentation
     if not is_symmetric(examples.task.yaw_deg):
         augmentation = dataclasses.replace(augmentation, flip=0.0)
@@ -66,18 +67,18 @@ def make_batch(examples: TrainingExamples, settings: SteeringSettings, streams: 
 
 
 def _drawn(examples: TrainingExamples, from_rollout: float, rng: np.random.Generator) -> int:
-    """Number of an example, of a rollout with that chance where there are both kinds."""
+    """Draw the index of an example; where there are both kinds, one of a rollout with probability `from_rollout`."""
     kinds = [np.flatnonzero(~examples.from_rollout), np.flatnonzero(examples.from_rollout)]
     kind = int(rng.random() < from_rollout) if all(map(len, kinds)) else int(len(kinds[1]) > 0)
     return int(kinds[kind][rng.integers(len(kinds[kind]))])
 
 
 def losses_of(action_values: Floats) -> tuple[Floats, Floats]:
-    """What turns of yaw (B, Y) and of pitch (B, P) lose against the best command, each with the best turn of the other
-    axis, of the values of commands (B, Y, P).
+    """Compute what turns of yaw (B, Y) and of pitch (B, P) lose against the best command, each combined with the best
+    turn of the other axis, from the values of commands (B, Y, P).
 
-    In medians over the turns of an axis: oysters are many on one reef and few on another, and a policy has to steer
-    over both; and the median, unlike the mean, does not grow with what the worst turns cost.
+    Losses are in units of the median over the turns of an axis: oysters are many on one reef and few on another, and a
+    policy has to steer over both; and unlike the mean, the median does not grow with the cost of the worst turns.
     """
     lost = action_values.max(axis=(1, 2), keepdims=True) - action_values
     yaw, pitch = lost.min(axis=2), lost.min(axis=1)
@@ -86,8 +87,8 @@ def losses_of(action_values: Floats) -> tuple[Floats, Floats]:
 
 
 def cost(logits: torch.Tensor, lost: torch.Tensor, settings: SteeringSettings) -> torch.Tensor:
-    """Of logits (B, K), given what the classes lose (B, K): cross-entropy with softmax(-lost / temperature). Classes
-    that are as good as the best are as right, and a miss costs what it loses."""
+    """Cross-entropy of logits (B, K) with softmax(-lost / temperature), where lost (B, K) is what the classes lose.
+    Classes as good as the best count as equally right, and a miss costs what it loses."""
     return functional.cross_entropy(logits, (-lost / settings.temperature).softmax(1))
 
 
@@ -100,8 +101,8 @@ def train(
     begun: Checkpoint | None = None,
     data: Mapping[str, Any] | None = None,
 ) -> Checkpoint:
-    """Train on examples, or go on where `path` was left. begun: a training whose weights it begins with; data: what
-    the examples are, if not their digest."""
+    """Train on examples, or resume from the checkpoint at `path`. begun: a training from whose weights this one starts;
+    data: identity of the examples, by default their digest. Raises LabelError where there are no examples."""
     if not len(examples):
         raise LabelError("steering: expected views to train on, got none")
     streams = Streams(seed).at("steering")
@@ -133,7 +134,7 @@ def train(
 
 
 def _plain(value: Any) -> Any:
-    """Tuples as lists, as a checkpoint gives them back."""
+    """Convert tuples to lists, as a checkpoint returns them."""
     if isinstance(value, Mapping):
         return {key: _plain(part) for key, part in value.items()}
     return [_plain(part) for part in value] if isinstance(value, tuple | list) else value

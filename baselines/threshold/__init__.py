@@ -1,4 +1,4 @@
-"""The trivial rows of the tracks of images: everything is oyster, nothing is, what has the colour of one is."""
+"""The trivial methods of the image tracks: everything is oyster, nothing is, whatever differs in colour is."""
 
 from oysterbench_baselines.threshold.method import All, Colour, ColourSettings, Nothing
 

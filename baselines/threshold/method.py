@@ -1,4 +1,4 @@
-"""The methods: pictures in, masks out, with nothing learnt."""
+"""The methods: from images to masks, without training."""
 
 from __future__ import annotations
 
@@ -13,36 +13,37 @@ from numpy.typing import NDArray
 from oysterbench.methods.images import Picture, Segmentation
 
 WIDEST = 640
-"""px, as in most splits: blurring over a share of the width takes a time that grows with the cube of it or more."""
+"""Maximum width, px, as in most splits: the time to blur over a share of the width grows with its cube or faster."""
 
 
 class All:
-    """Every pixel is an oyster's: what a reef's cover alone is worth."""
+    """Labels every pixel as oyster: the score that a reef's cover alone gives."""
 
     name, track = "all", "segmentation"
 
     def run(self, images: Iterable[Picture]) -> Iterator[Segmentation]:
-        """Masks of everything."""
+        """Yield full masks."""
         for image in images:
             yield Segmentation(image.name, oyster=np.ones(image.pixels.shape[:2], dtype=bool))
 
 
 class Nothing:
-    """No pixel is an oyster's."""
+    """Labels no pixel as oyster."""
 
     name, track = "none", "segmentation"
 
     def run(self, images: Iterable[Picture]) -> Iterator[Segmentation]:
-        """Empty masks."""
+        """Yield empty masks."""
         for image in images:
             yield Segmentation(image.name, oyster=np.zeros(image.pixels.shape[:2], dtype=bool))
 
 
 @dataclass(frozen=True)
 class ColourSettings:
-    """surround: of the picture's width, the sigma over which the water's and the lamps' light is taken to be even, and
-    the bottom of one colour; smooth: the same, of the patches that are called oyster; times: the mean colour difference
-    at which the probability is a half; steepness: of the probability over mean colour differences. Chosen on seg-mini.
+    """Settings of `Colour`. surround: sigma, as a share of the image's width, over which the light of water and lamps
+    is taken to be even, and the bottom to have one colour; smooth: sigma, likewise, of the patches classified as
+    oyster; times: colour difference, in multiples of its mean, at which the probability is 0.5; steepness: of the
+    probability over such multiples. Chosen on seg-mini.
     """
 
     surround: float = 0.15
@@ -52,7 +53,7 @@ class ColourSettings:
 
 
 class Colour:
-    """What has another colour than its surroundings: shell over sediment, whichever is lighter."""
+    """Labels as oyster what differs in colour from its surroundings: shell over sediment, whichever is lighter."""
 
     name, track = "colour", "segmentation"
 
@@ -64,20 +65,20 @@ class Colour:
         return asdict(self.settings)
 
     def run(self, images: Iterable[Picture]) -> Iterator[Segmentation]:
-        """Probabilities."""
+        """Yield probabilities."""
         for image in images:
             yield Segmentation(image.name, probability=probability(image.pixels, self.settings))
 
 
 def probability(pixels: NDArray[np.uint8], settings: ColourSettings) -> NDArray[np.float32]:
-    """(H, W) of a picture (H, W, 3) uint8 RGB: a logistic function of the colour difference."""
+    """Probability of oyster (H, W) for an image (H, W, 3) uint8 RGB: a logistic function of the colour difference."""
     steps = settings.steepness * (colour_difference(pixels, settings) - settings.times)
     return np.asarray(1 / (1 + np.exp(-steps)), dtype=np.float32)
 
 
 def colour_difference(pixels: NDArray[np.uint8], settings: ColourSettings) -> NDArray[np.float32]:
-    """(H, W): distance in CIE L*a*b* (1976) of each pixel's colour from its surround's, smoothed, by the picture's
-    mean; 0 where the picture is of one colour. Pictures wider than `WIDEST` are reduced to it first."""
+    """Colour difference (H, W): distance in CIE L*a*b* (1976) between each pixel and its surround, smoothed and divided
+    by its mean over the image; 0 for an image of one colour. Images wider than `WIDEST` are reduced to it first."""
     height, width = pixels.shape[:2]
     if width > WIDEST:
         size = (WIDEST, max(1, round(height * WIDEST / width)))

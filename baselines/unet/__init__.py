@@ -1,4 +1,4 @@
-"""U-Nets: where oysters are, and which."""
+"""U-Nets for the segmentation and the detection of oysters."""
 
 from oysterbench_baselines.unet.method import UNet, UNetInstances, UNetSmall, UNetSmallInstances
 

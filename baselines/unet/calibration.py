@@ -1,4 +1,4 @@
-"""What the outputs of a trained network mean, as measured on pictures that it has not learnt from."""
+"""Calibration of a trained network's outputs, measured on images that it was not trained on."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from oysterbench_baselines.unet.views import Look
 T = TypeVar("T")
 
 SHARE = 10
-"""One in so many pictures of a clip, its last ones, are kept back; of clips that are shorter, one in so many clips."""
+"""Of each clip the last 1 / SHARE of the images are held out; of clips with fewer images, one clip in SHARE."""
 MOST, SOME = 240, 80
-"""Pictures that are measured on at most, evenly taken; and of these, those on which divisions are compared. The score
-from which on oysters are counted needs many: by 80 pictures of rendered reefs the count is off by 5 % (1 sigma)."""
+"""Maximum number of images to measure on, evenly spaced; and how many of these are used to compare divisions. The score
+above which oysters are counted needs many: with 80 images of rendered reefs the count is off by 5 % (1 sigma)."""
 TEMPERATURES = np.geomspace(0.4, 4.0, 37)
 CUTS = np.linspace(-3.0, 3.0, 61)
-"""Logits at which the mask may be cut."""
+"""Candidate logit thresholds of the mask."""
 LEAST_TELLING = 0.65
-"""Balanced accuracy of live and dead, of which guessing has 0.5, below which neither is said."""
+"""Balanced accuracy of live against dead, 0.5 for guessing, below which no state is reported."""
 RISES = (0.04, 0.05, 0.06, 0.07, 0.08, 0.1, 0.12, 0.15)
-"""Of depth (`instances.Division`), of which the best is taken."""
+"""Candidate values of `instances.Division.rise`, of which the best is chosen."""
 SAME = 0.5
-"""IoU from which on an oyster that was found is a true one."""
+"""IoU above which a detected oyster counts as a true one."""
 PIXELS = 4000
-"""Of a picture, evenly taken, by which temperature and cut are found."""
+"""Number of evenly spaced pixels per image from which temperature and cut are determined."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """temperature: by which logits are divided, so that cross-entropy is least (Guo et al. 2017); cut: the logit at
-    which IoU over all pixels is greatest, which becomes a probability of 0.5; rise: by which oysters are told apart so
-    that most are right, of as many as there are; sure: the score of an oyster from which on so many are counted (both:
-    `instances.Division`). live_cut: the logit at which live oysters are told from dead ones best; states: balanced
-    accuracy with which they are, 0 where it was not measured."""
+    """Calibration of a network. temperature: divisor of the logits that minimises the cross-entropy (Guo et al. 2017);
+    cut: the logit threshold that maximises IoU over all pixels, which becomes a probability of 0.5; rise: the value
+    that gives the most correct oysters among as many detections as there are true ones; sure: the score above which
+    that many oysters are counted (both: `instances.Division`). live_cut: the logit that best separates live oysters
+    from dead ones; states: balanced accuracy of that, 0 where it was not measured."""
 
     temperature: float = 1.0
     cut: float = 0.0
@@ -52,21 +52,21 @@ class Calibration:
 
     @property
     def tells(self) -> bool:
-        """Whether live oysters are told from dead ones well enough to be said."""
+        """Whether live oysters are told from dead ones well enough to report it."""
         return self.states >= LEAST_TELLING
 
     def applied(self, logits: Floats) -> Floats:
-        """Of oyster, so that 0 is the cut."""
+        """Calibrate logits of oyster, so that 0 is the cut."""
         return np.asarray((logits - np.float32(self.cut)) / np.float32(self.temperature), dtype=np.float32)
 
     @property
     def division(self) -> Division:
-        """How oysters are told apart by it."""
+        """Division of the mask into oysters with the calibrated parameters."""
         return Division(rise=self.rise, sure=self.sure)
 
 
 def kept_back(labelled: LabelledSet) -> tuple[LabelledSet, LabelledSet]:
-    """The pictures to learn from, and those to measure on, of which there are none where there are too few."""
+    """Split a set into the images to train on and those to measure on; the latter are none where there are too few."""
     by_clip: dict[str, list[Entry]] = {}
     for entry in labelled.entries:
         by_clip.setdefault(entry.clip, []).append(entry)
@@ -87,8 +87,8 @@ def measured(
     look: Callable[[NDArray[np.uint8]], Look],
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Calibration:
-    """Of a network that looks at a picture (H, W, 3) uint8 RGB by `look`. That which changes nothing, where no picture
-    shows an oyster."""
+    """Measure the calibration of a network whose predictions for an image (H, W, 3) uint8 RGB `look` returns. Where no
+    image shows an oyster, the default calibration."""
     taken = evenly(labelled.entries, MOST)
     seen = []
     for k, entry in enumerate(taken, start=1):
@@ -107,15 +107,16 @@ def measured(
 
 
 def evenly(entries: Sequence[T], most: int) -> list[T]:
-    """So many of them at most, of the whole length."""
+    """Select at most `most` of the entries, evenly spaced over the whole length."""
     count = min(most, len(entries))
     return [entries[k * len(entries) // count] for k in range(count)]
 
 
 @dataclass(frozen=True)
 class Seen:
-    """A picture that was looked at, every n-th pixel of a large one: numbers (h, w) of its oysters, 0 for none, known
-    (h, w), where the truth may be used, logits (K, h, w), and which are alive, of those of which that is known."""
+    """Ground truth and prediction of an image, every n-th pixel of a large one: numbers (h, w) of its oysters, 0 for
+    none; known (h, w): where the truth may be used; logits (K, h, w); living: whether an oyster is alive, by number,
+    where that is known; zoom: of the `Look`."""
 
     numbers: NDArray[np.uint16]
     known: NDArray[np.bool_]
@@ -125,7 +126,7 @@ class Seen:
 
     @classmethod
     def of(cls, image: LabelledImage, look: Look) -> Seen:
-        """A labelled image and what was seen of it."""
+        """Combine a labelled image with its prediction."""
         step = -(-max(image.ignore.shape) // LARGEST)
         grid = (slice(None, None, step), slice(None, None, step))
         numbers = np.where(image.oysters, np.maximum(image.instances, 1), 0).astype(np.uint16)
@@ -133,7 +134,7 @@ class Seen:
         return cls(numbers[grid].copy(), ~image.ignore[grid], small, image.living, look.zoom)
 
     def some(self) -> tuple[Floats, NDArray[np.bool_]]:
-        """Logits of oyster and truth (N,) of some known pixels."""
+        """Logits of oyster (N,) and truth (N,) at a sample of the known pixels."""
         known = np.flatnonzero(self.known)
         places = known[:: max(1, len(known) // PIXELS)]
         return self.logits[0].ravel()[places].astype(np.float32), self.numbers.ravel()[places] > 0
@@ -148,8 +149,9 @@ def _entropy(logits: Floats, truth: NDArray[np.bool_]) -> float:
 
 
 def _dividing(seen: Sequence[Seen], calibration: Calibration, progress: Callable[[int], None]) -> tuple[float, float]:
-    """Of as many oysters as there are true ones in all pictures, those of the highest scores: the rise by which most of
-    them are true ones, and the lowest of these scores."""
+    """Find the best rise and the score threshold. Over all images, as many detections are taken as there are true
+    oysters, those with the highest scores: the rise is the one with which most of them are correct, the threshold the
+    lowest of these scores."""
     hits = []
     for k, rise in enumerate(RISES, start=1):
         scores, right, count = _found(evenly(seen, SOME), calibration, rise)
@@ -167,7 +169,8 @@ def _dividing(seen: Sequence[Seen], calibration: Calibration, progress: Callable
 def _found(
     seen: Sequence[Seen], calibration: Calibration, rise: float
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], int]:
-    """Scores (N,) of the oysters that are found in pictures, which of them are true ones, and how many there are."""
+    """Scores (N,) of the oysters detected in all images, which of them (N,) are true ones, and the number of true
+    oysters."""
     scores: list[float] = []
     right: list[bool] = []
     count = 0
@@ -184,8 +187,8 @@ def _found(
 
 
 def _true(found: Instances, numbers: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """(N,) which instances have an IoU above `SAME` with one of the numbered oysters (h, w): of instances that do not
-    overlap, only one has that with any one of them."""
+    """Whether each instance (N,) has an IoU above `SAME` with one of the numbered oysters (h, w); as instances do not
+    overlap, at most one matches each oyster."""
     width = len(found.scores) + 1
     pairs, shared = np.unique(numbers.astype(np.int64) * width + found.labels, return_counts=True)
     true, mine = np.divmod(pairs, width)
@@ -197,8 +200,8 @@ def _true(found: Instances, numbers: NDArray[np.uint16]) -> NDArray[np.bool_]:
 
 
 def _telling(seen: Sequence[Seen]) -> tuple[float, float]:
-    """The mean logit over an oyster by which live ones are told from dead ones best, and with what balanced accuracy;
-    zeros where the network does not tell, or not both are known."""
+    """Find the threshold on an oyster's mean logit that best separates live from dead ones, and its balanced accuracy;
+    zeros where the network has no such output, or where not both states occur."""
     means: dict[bool, list[float]] = {True: [], False: []}
     for one in seen:
         if len(one.logits) < 3 or not one.living:

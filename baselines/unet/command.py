@@ -125,7 +125,7 @@ def _train(
     again: bool,
     encoder: str | None = None,
 ) -> None:
-    """Train one of the networks on data as a command is given it, with a bar for each part of it."""
+    """Train one of the networks on the data named by a command, with a progress bar for each stage."""
     from oysterbench.cli.labelled import open_all
     from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.learning.checkpoint import read_checkpoint

@@ -1,8 +1,8 @@
-"""Oysters one by one, from where oysters are and how deep in one each pixel lies: a watershed from the hills of depth.
+"""Instances of oysters from the mask and from the depth of each pixel inside an oyster: a watershed on the depth.
 
-Soille 2003 (Morphological Image Analysis, ch. 6 and 9): a marker is a maximum of depth that stands out by `rise` at
-least over the ground between it and any higher one; markers are grown level by level, down the hills, so that oysters
-that touch part along the valley between them.
+Soille 2003 (Morphological Image Analysis, ch. 6 and 9): a marker is a maximum of depth that rises by at least `rise`
+above the saddle between it and any higher one; markers are grown downwards level by level, so that touching oysters are
+separated along the valley between them.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from numpy.typing import NDArray
 from oysterbench_baselines.learning.samples import Floats, depths
 
 SIDE = 320
-"""px of a picture's longer side, in which lengths and areas of a `Division` are."""
+"""Length of an image's longer side, px, to which the lengths and areas of a `Division` refer."""
 LEVELS = 16
-"""Of depth, by which markers are grown."""
+"""Number of depth levels by which markers are grown."""
 LARGEST = 640
-"""px of a picture's longer side: larger ones are divided at this size, and what is found is enlarged."""
+"""Length of an image's longer side, px: larger images are divided at this size, and the result is enlarged."""
 
 Labels = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
 class Division:
-    """How oysters are told apart, lengths being those of a picture whose longer side has `SIDE` px. smooth: px, the
-    deviation by which depth is smoothed; rise, least: of depth, 0 to 1, by which a marker stands out, and that it has;
-    area: px that an oyster has at least; large: px, the root of the area from which on size speaks no more against an
-    oyster; sure: the score from which on an oyster is counted, before it is moved to 0.5."""
+    """Parameters that separate oysters, with lengths for an image whose longer side is `SIDE` px. smooth: px, sigma of
+    the smoothing of depth; rise, least: depth, 0 to 1, by which a marker must stand out, and that it must have; area:
+    smallest area of an oyster, px; large: px, square root of the area above which size no longer lowers the score;
+    sure: the score above which an oyster is counted, before it is mapped to 0.5."""
 
     smooth: float = 1.0
     rise: float = 0.1
@@ -41,30 +41,30 @@ class Division:
     sure: float = 0.5
 
     def closer(self, zoom: float) -> Division:
-        """That of a picture that was looked at enlarged, in which finer things are told apart."""
+        """Division for an image that was enlarged by `zoom` for the network, in which finer details are separated."""
         return replace(self, smooth=self.smooth / zoom, area=self.area / zoom**2)
 
 
 @dataclass(frozen=True)
 class Instances:
-    """labels (H, W) int32, 0 for none, instance k + 1 of score scores[k]; scores (N,) 0 to 1."""
+    """Instances of an image. labels: (H, W) int32, 0 for none; scores: (N,), 0 to 1, scores[k] for label k + 1."""
 
     labels: Labels
     scores: NDArray[np.float64]
 
     @property
     def areas(self) -> NDArray[np.int64]:
-        """(N,) px of each."""
+        """Area of each instance (N,), px."""
         return np.bincount(self.labels.ravel(), minlength=len(self.scores) + 1)[1:]
 
 
 def find_instances(oyster: Floats, depth: Floats, division: Division | None = None) -> Instances:
-    """Instances from two (H, W) probabilities, of which no two share a pixel: nothing is left to suppress.
+    """Find instances from two maps (H, W) of probabilities. No two share a pixel, so no suppression is needed.
 
-    Each pixel of the mask (from 0.5 on) goes to the marker whose hill it lies on. A piece of the mask without a marker
-    is one of low score. The score is the mean probability over the instance, times the square of how well the depth
-    within it is that of its outline (1 less the mean difference), times the root of its size over `division.large`
-    where it is smaller; moved so that 0.5 is where `division.sure` is.
+    Each pixel of the mask (above 0.5) goes to the marker whose hill it lies on. A piece of the mask without a marker is
+    an instance with a low score. The score is the mean probability over the instance, times the square of the agreement
+    of its depth with that of its outline (1 minus the mean difference), times the square root of its size over
+    `division.large` where it is smaller; rescaled so that `division.sure` becomes 0.5.
     """
     division = division or Division()
     height, width = oyster.shape
@@ -89,24 +89,24 @@ def find_instances(oyster: Floats, depth: Floats, division: Division | None = No
 
 
 def means(instances: Instances, values: Floats | NDArray[np.bool_]) -> NDArray[np.float64]:
-    """(N,) of values (H, W), over each instance."""
+    """Mean of values (H, W) over each instance (N,)."""
     sums = np.bincount(instances.labels.ravel(), weights=values.ravel(), minlength=len(instances.scores) + 1)
     return sums[1:] / np.maximum(instances.areas, 1)
 
 
 def outstanding(levels: NDArray[np.uint8], rise: int) -> NDArray[np.bool_]:
-    """(H, W) where the maxima of levels (H, W) are that stand out by `rise` (extended maxima; Soille 2003, 6.3.5)."""
+    """Mask (H, W) of the maxima of levels (H, W) that stand out by `rise` (extended maxima; Soille 2003, 6.3.5)."""
     domes = _under(_lowered(levels, rise), levels)
     return np.asarray(domes > _under(_lowered(domes, 1), domes))
 
 
 def _lowered(values: NDArray[np.uint8], by: int) -> NDArray[np.uint8]:
-    """Not below 0."""
+    """Subtract `by` from values, clipped at 0."""
     return np.asarray(cv2.subtract(values, np.full_like(values, by)), dtype=np.uint8)
 
 
 def _under(values: NDArray[np.uint8], ceiling: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(H, W) values, spread as far as they get under a ceiling: reconstruction by dilation."""
+    """Spread values (H, W) as far as possible under a ceiling (H, W): morphological reconstruction by dilation."""
     square = np.ones((3, 3), np.uint8)
     while True:
         spread = np.minimum(cv2.dilate(values, square), ceiling)
@@ -116,8 +116,8 @@ def _under(values: NDArray[np.uint8], ceiling: NDArray[np.uint8]) -> NDArray[np.
 
 
 def _flooded(mask: NDArray[np.bool_], markers: Labels) -> Labels:
-    """(H, W) markers, grown a pixel at a time over the mask: each pixel of it gets the marker whose way within the mask
-    is shortest, the greater number where two are as short."""
+    """Grow markers (H, W) pixel by pixel over the mask (H, W): each of its pixels gets the marker with the shortest
+    path within the mask, or the greater number where two are equally near."""
     labels: Any = markers.astype(np.uint16 if markers.max(initial=0) < 1 << 16 else np.float32)
     room = mask.astype(np.uint8)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -131,7 +131,7 @@ def _flooded(mask: NDArray[np.bool_], markers: Labels) -> Labels:
 
 
 def _scored(labels: Labels, oyster: Floats, depth: Floats, division: Division, unit: float) -> Instances:
-    """Instances that are large enough, numbered anew, with their scores. unit: px of the picture per px of `SIDE`"""
+    """Renumber the instances that are large enough and compute their scores. unit: px of the image per px of `SIDE`."""
     areas = np.bincount(labels.ravel())
     kept = np.nonzero(areas >= division.area * unit**2)[0]
     kept = kept[kept > 0]
@@ -145,12 +145,12 @@ def _scored(labels: Labels, oyster: Floats, depth: Floats, division: Division, u
 
 
 def moved(scores: NDArray[np.float64], sure: float) -> NDArray[np.float64]:
-    """Scores 0 to 1 in the same order, of which 0.5 is where `sure` was: their odds divided by its own."""
+    """Map scores, 0 to 1, monotonically so that `sure` becomes 0.5: divide their odds by those of `sure`."""
     return np.asarray(scores * (1 - sure) / (scores * (1 - sure) + (1 - scores) * sure))
 
 
 def _enlarged(labels: Labels, mask: NDArray[np.bool_]) -> Labels:
-    """Labels (h, w) on a finer mask (H, W)."""
+    """Enlarge labels (h, w) to fill a finer mask (H, W)."""
     height, width = mask.shape
     coarse = cv2.resize(labels.astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
     return _flooded(mask, np.where(mask, coarse, 0).astype(np.int32))

@@ -1,4 +1,4 @@
-"""The methods: pictures in, where oysters are out, and which."""
+"""The methods: from images to masks of oysters, or to instances."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from oysterbench_baselines.unet.model import UNetModel
 
 DEFAULT_VIEWS = 2
-"""Of a picture: all four take twice the time and gain nothing."""
+"""Default number of views of an image: all four take twice the time and gain nothing."""
 
 
 class UNet:
-    """Where oysters are, as probabilities, by a trained network on a pretrained encoder.
+    """Probability of oyster for each pixel, from a trained network with a pretrained encoder.
 
-    checkpoint: path of the training; by default that which `OYSTERBENCH_UNET` names, or which `oysterbench train unet`
-    or `oysterbench download unet` left. device: auto, cpu, cuda or cuda:N. views: of a picture, of which the mean is
-    taken: 1 as it is; 2 enlarged and turned as well, or only that, by more, where oysters are small; 3 and 4 mirrored
-    as well.
+    checkpoint: path of the checkpoint; by default the one that `OYSTERBENCH_UNET` names, or that `oysterbench train
+    unet` or `oysterbench download unet` left. device: auto, cpu, cuda or cuda:N. views: number of views of an image
+    that are averaged: 1, the image as it is; 2, also enlarged and rotated, or only that, enlarged further, where
+    oysters are small; 3 and 4, also mirrored. Raises MethodError for another number of views.
     """
 
     name, track = "unet", "segmentation"
@@ -36,18 +36,19 @@ class UNet:
 
     @property
     def weights(self) -> dict[str, Path]:
-        """Files of trained weights that it runs on."""
+        """Files of the trained weights that the method needs."""
         return {self.weights_name: checkpoint_path(self.weights_name, self.checkpoint)}
 
     def run(self, images: Iterable[Picture]) -> Iterator[Any]:
-        """Probabilities at the pictures' own size, 0.5 being where IoU is greatest, and how novel the pictures are."""
+        """Yield probabilities at the images' own size, with the threshold of greatest IoU at 0.5, and the novelty of
+        each image."""
         model = self._model()
         for image in images:
             seen = model.probabilities(image.pixels)
             yield Segmentation(image.name, probability=seen.oyster, novelty=model.novelty_of(image.pixels))
 
     def _model(self) -> UNetModel:
-        """The trained network. Raises MethodError, with what to type, where there is none."""
+        """Load the trained network. Raises MethodError, which says what to type, where there is none."""
         path = trained(self.weights_name, self.checkpoint)
         with on_torch(self.name):
             from oysterbench_baselines.learning.loop import pick_device
@@ -56,13 +57,13 @@ class UNet:
 
 
 class UNetInstances(UNet):
-    """Oysters one by one: what the same network says, divided by how deep in an oyster each pixel lies."""
+    """Instances of oysters: the same network's mask, divided by the depth of each pixel inside an oyster."""
 
     name, track = "unet_instances", "detection"
 
     def run(self, images: Iterable[Picture]) -> Iterator[Any]:
-        """Masks that do not overlap, how sure each is, whether it is alive, where that can be told, and how novel the
-        pictures are."""
+        """Yield masks that do not overlap, their scores, the probability of being alive where that can be told, and the
+        novelty of each image."""
         model = self._model()
         from oysterbench_baselines.unet.instances import find_instances, means
 
@@ -75,12 +76,12 @@ class UNetInstances(UNet):
 
 
 class UNetSmall(UNet):
-    """Where oysters are, by the small network that begins with random weights (`oysterbench train unet_small`)."""
+    """Probability of oyster from the small network trained from random weights (`oysterbench train unet_small`)."""
 
     name = weights_name = "unet_small"
 
 
 class UNetSmallInstances(UNetInstances):
-    """Oysters one by one, by the small network."""
+    """Instances of oysters from the small network."""
 
     name, weights_name = "unet_small_instances", "unet_small"

@@ -24,14 +24,14 @@ from oysterbench_baselines.unet.network import CONTRAST, PretrainedUNetwork, UNe
 from oysterbench_baselines.unet.views import CLOSER, VIEWS, Look, View, shows_small_oysters, shows_the_same
 
 ALIKE_SIDE = 320
-"""px, to which a picture's longer side is brought before it is told what it is like."""
+"""Length of an image's longer side, px, at which its features for novelty are computed."""
 EMBEDDED = 3
-"""Of the levels of the encoder, the deepest, whose means over the picture say what it is like."""
+"""Number of the encoder's deepest levels whose means over the image are its features for novelty."""
 
 
 class Probabilities(NamedTuple):
-    """(H, W) each: of oyster, calibrated; of depth in one; of an oyster that it is alive, None of networks that cannot
-    tell. division: how oysters are told apart in them."""
+    """Maps of probabilities (H, W): oyster, calibrated; depth inside an oyster; live, that the oyster is alive, None
+    where the network cannot tell. division: parameters by which instances are separated in them."""
 
     oyster: Floats
     depth: Floats
@@ -41,16 +41,17 @@ class Probabilities(NamedTuple):
 
 @dataclass
 class UNetModel(MaskModel):
-    """A network of `unet`, and what was measured of it. views: how many of `VIEWS` are taken; novelty: None of networks
-    that do not know what pictures are like."""
+    """A network of `unet` with its measurements. views: how many of `VIEWS` are averaged; novelty: None for networks
+    without a pretrained encoder."""
 
     views: int = 1
     calibration: Calibration = field(default_factory=Calibration)
     novelty: Novelty | None = None
 
     def look(self, pixels: NDArray[np.uint8]) -> Look:
-        """At a picture (H, W, 3) uint8 RGB: the mean of views. Where there is more than one, a network on a pretrained
-        encoder looks closer at pictures whose oysters are small at the first glance, if it sees the same ones there."""
+        """Predict logits of an image (H, W, 3) uint8 RGB, averaged over views. With more than one view, a network with
+        a pretrained encoder takes a closer look where oysters are small at first glance, and uses it if it shows the
+        same ones."""
         glance = self._seen(pixels, VIEWS[0])
         if self.views > 1 and isinstance(self.network, PretrainedUNetwork) and shows_small_oysters(glance):
             closer = self._mean([self._seen(pixels, view) for view in CLOSER[: self.views // 2]])
@@ -63,13 +64,13 @@ class UNetModel(MaskModel):
         return np.asarray(np.mean(seen, axis=0), np.float32)
 
     def _seen(self, pixels: NDArray[np.uint8], view: View) -> Floats:
-        """(K, H, W) logits of one view, laid over the picture as it is."""
+        """Logits (K, H, W) of one view, transformed back to the original image."""
         seen = np.ascontiguousarray(np.rot90(pixels[:, ::-1] if view.mirrored else pixels, view.turns))
         found = np.rot90(enlarged(self.small_logits(seen, view.zoom), *seen.shape[:2]), -view.turns, axes=(1, 2))
         return found[..., ::-1] if view.mirrored else found
 
     def probabilities(self, pixels: NDArray[np.uint8]) -> Probabilities:
-        """What is seen in a picture (H, W, 3) uint8 RGB."""
+        """Predict calibrated probabilities for an image (H, W, 3) uint8 RGB."""
         (oyster, depth, *live), zoom = self.look(pixels)
         tells = bool(live) and self.calibration.tells
         return Probabilities(
@@ -80,8 +81,8 @@ class UNetModel(MaskModel):
         )
 
     def alike(self, pixels: NDArray[np.uint8]) -> Array:
-        """(C,) what a picture is like: means over the deepest levels (`EMBEDDED`) of the encoder as it was before the
-        training, which made its own forget what oysters are not."""
+        """Features (C,) of an image for novelty: means over the deepest levels (`EMBEDDED`) of the encoder as it was
+        before the training, in which the network's own encoder forgot all that oysters are not."""
         small = shrink(pixels, working_scale(pixels.shape, self.scale, ALIKE_SIDE))
         batch = self.batch(standardised(small, *statistics(small)))
         with torch.inference_mode():
@@ -95,13 +96,13 @@ class UNetModel(MaskModel):
         return encoder
 
     def novelty_of(self, pixels: NDArray[np.uint8]) -> float | None:
-        """How unlike a picture is to those of the training: above 1, more than one in a hundred of a clip left out
-        is."""
+        """How unlike an image is to those of the training: one in a hundred images of a clip left out exceeds 1. None
+        where the novelty was not measured."""
         return None if self.novelty is None else float(self.novelty.of(self.alike(pixels)[None])[0])
 
 
 def unet_model(checkpoint: Checkpoint, device: torch.device | None = None, views: int = 1) -> UNetModel:
-    """From a training. Raises MethodError where it is of another network."""
+    """Build the model from a checkpoint. Raises MethodError where that is of another network."""
     if checkpoint.network.get("kind") != "unet":
         raise MethodError(f"expected the checkpoint of a unet, got one of {checkpoint.network.get('kind')!r}")
     settings = UNetworkSettings(**{key: value for key, value in checkpoint.network.items() if key != "kind"})
@@ -122,7 +123,7 @@ def unet_model(checkpoint: Checkpoint, device: torch.device | None = None, views
 
 
 def read_unet(path: Path, device: torch.device | None = None, views: int = 1, kind: str = "") -> UNetModel:
-    """From a file; kind: the training that it is to be of (`network.kind_of`), where that matters."""
+    """Read the model from a checkpoint file. kind: training that it must be of (`network.kind_of`); empty for any."""
     checkpoint = read_checkpoint(path)
     model = unet_model(checkpoint, device, views)
     if kind:
@@ -131,7 +132,7 @@ def read_unet(path: Path, device: torch.device | None = None, views: int = 1, ki
 
 
 def check_kind(checkpoint: Checkpoint, kind: str, path: Path | None) -> None:
-    """Raises MethodError where a checkpoint is not of the trainings of a kind (`network.kind_of`)."""
+    """Raise MethodError unless a checkpoint is of this kind of training (`network.kind_of`)."""
     found = kind_of(checkpoint.network) if checkpoint.network.get("kind") == "unet" else checkpoint.network.get("kind")
     if kind != found:
         raise MethodError(
@@ -140,5 +141,5 @@ def check_kind(checkpoint: Checkpoint, kind: str, path: Path | None) -> None:
 
 
 def described(settings: UNetworkSettings) -> dict[str, Any]:
-    """What a checkpoint says of the network."""
+    """Description of the network in a checkpoint."""
     return {"kind": "unet", **asdict(settings)}

@@ -1,5 +1,5 @@
-"""The networks: U-Nets (Ronneberger et al. 2015) with group normalisation; a small one, and one whose way down has
-learnt on ImageNet."""
+"""The networks: U-Nets (Ronneberger et al. 2015) with group normalisation: a small one, and one whose encoder is
+pretrained on ImageNet."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from torch.nn import functional
 from oysterbench_baselines.learning.efficientnet import EfficientNetLite, pretrained
 
 OUTPUTS = ("oyster", "depth", "live")
-"""What the channels of the prediction are logits of; depth: into an oyster, see `learning.samples.depths`; live: that
-an oyster is, of networks that tell."""
+"""Channels of the prediction, as logits; depth: inside an oyster, see `learning.samples.depths`; live: that an oyster
+is alive, in networks that tell."""
 
 CENTRES = 3
-"""Planes after those, in training: x and y from each pixel to the centre of its oyster, and the radius of that."""
+"""Number of further planes in training: x and y from each pixel to the centre of its oyster, and that oyster's
+radius."""
 
 
 @dataclass(frozen=True)
 class UNetworkSettings:
-    """depth: levels, each half the size of the one before; base: channels of the first, doubled from level to level;
-    groups: of channels that are normalised together. scale: of an image, at which it is looked at; side: px, to which
-    its longer side is brought instead, where it is not 0. encoder: in `efficientnet.VARIANTS`, which takes the place of
-    depth and base. states: whether it tells live oysters from dead ones. centres: whether it also learns, for each
-    pixel of an oyster, where the centre of that is and how large it is (`learning.losses.centre_error`): nothing is
-    made of that later, but what knows it draws oysters apart that touch."""
+    """Settings of a network. depth: number of levels, each half the size of the one before; base: channels of the
+    first, doubled from level to level; groups: of channels that are normalised together. scale: at which an image is
+    processed; side: px, length of its longer side instead, if not 0. encoder: a key of `efficientnet.VARIANTS`, which
+    replaces depth and base. states: whether the network tells live oysters from dead ones. centres: whether it also
+    learns, for each pixel of an oyster, the oyster's centre and size (`learning.losses.centre_error`): these are not
+    used for predictions, but a network that learns them separates touching oysters better."""
 
     depth: int = 4
     base: int = 16
@@ -41,17 +42,17 @@ class UNetworkSettings:
 
     @property
     def outputs(self) -> int:
-        """How many of `OUTPUTS` it has."""
+        """Number of `OUTPUTS` that the network has."""
         return len(OUTPUTS) if self.states else 2
 
     @property
     def learnt(self) -> int:
-        """Planes of the head: the outputs, or all of them and those that there are in training only."""
+        """Number of planes of the head: the outputs, or all `OUTPUTS` and the planes that exist only in training."""
         return len(OUTPUTS) + CENTRES if self.centres else self.outputs
 
     @property
     def multiple(self) -> int:
-        """Of pixels, that width and height of what the network is given must be."""
+        """Number of pixels of which the width and height of the network's input must be multiples."""
         return 32 if self.encoder else 1 << (self.depth - 1)
 
 
@@ -70,8 +71,8 @@ class Block(nn.Sequential):
 
 
 class UNetwork(nn.Module):
-    """(B, 3, h, w) standardised pixels to (B, K, h, w) logits (`OUTPUTS`); h and w are multiples of 2^(depth - 1). In
-    training there are `CENTRES` more planes, where the settings say so."""
+    """U-Net from standardised pixels (B, 3, h, w) to logits (B, K, h, w) (`OUTPUTS`); h and w are multiples of
+    2^(depth - 1). In training there are `CENTRES` more planes, where the settings say so."""
 
     def __init__(self, settings: UNetworkSettings) -> None:
         super().__init__()
@@ -97,14 +98,14 @@ class UNetwork(nn.Module):
 
 
 WIDTHS = (96, 64, 48, 32)
-"""Channels on the way up, at strides 16, 8, 4 and 2."""
+"""Channels of the decoder at strides 16, 8, 4 and 2."""
 CONTRAST = 0.45
-"""Deviation of the pixels that the encoder has learnt from, in its units; those of standardised pictures have 1."""
+"""Standard deviation of the pixels that the encoder was trained on, in its units; in standardised images it is 1."""
 
 
 class PretrainedUNetwork(nn.Module):
-    """The same answers, at strides down to 2 and enlarged; h and w are multiples of 32. begun: with ImageNet's weights,
-    and not with random ones that others are to take the place of."""
+    """U-Net with a pretrained encoder: the same outputs, computed at stride 2 and enlarged; h and w are multiples of
+    32. begun: start with ImageNet's weights, not with random ones that are about to be replaced."""
 
     def __init__(self, settings: UNetworkSettings, begun: bool = False) -> None:
         super().__init__()
@@ -117,9 +118,9 @@ class PretrainedUNetwork(nn.Module):
         self.head, self.outputs = nn.Conv2d(deep, settings.learnt, 1), settings.outputs
 
     def train(self, mode: bool = True) -> Self:
-        """In training the way up has its values plane by plane, for prediction pixel by pixel, as the encoder always
-        has. On a processor that is faster, but for the gradient of the weights of a convolution of 3 x 3, which takes
-        four times as long."""
+        """Set the mode. In training the decoder stores its values channels first, for prediction channels last, as the
+        encoder always does. On a CPU channels last is faster, except for the gradient of the weights of a 3 x 3
+        convolution, which takes four times as long."""
         super().train(mode)
         for part in (self.up, self.head):
             part.to(memory_format=torch.contiguous_format if mode else torch.channels_last)  # type: ignore[call-overload]
@@ -137,10 +138,10 @@ class PretrainedUNetwork(nn.Module):
 
 
 def build_network(settings: UNetworkSettings, begun: bool = False) -> nn.Module:
-    """Of either kind; begun: see `PretrainedUNetwork`."""
+    """Build a network of either kind; begun: see `PretrainedUNetwork`."""
     return PretrainedUNetwork(settings, begun) if settings.encoder else UNetwork(settings)
 
 
 def kind_of(network: Mapping[str, Any]) -> str:
-    """Name of the trainings of such a network, as a checkpoint describes it."""
+    """Name of the training that makes such a network, given its description in a checkpoint."""
     return "unet" if network.get("encoder") else "unet_small"

@@ -1,4 +1,4 @@
-"""Training the network on labelled images."""
+"""Training of the network on labelled images."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from oysterbench_baselines.unet.model import described, unet_model
 from oysterbench_baselines.unet.network import UNetworkSettings, build_network, kind_of
 
 MOST_ALIKE = 800
-"""Pictures at most, evenly taken, by which is told what pictures are like."""
+"""Maximum number of images, evenly spaced, to which the novelty is fitted."""
 
 
 @dataclass(frozen=True)
 class UNetSettings:
-    """batch: crops of one step; measured: whether pictures are kept back, to measure on them what was learnt. The
-    defaults take 16 minutes of a processor's core, half of that on two."""
+    """Settings of a training. batch: crops per step; measured: whether images are held out to calibrate the trained
+    network. The defaults take 16 minutes on one CPU core, half of that on two."""
 
     batch: int = 8
     measured: bool = True
@@ -44,7 +44,7 @@ class UNetSettings:
 
 
 def pretrained_settings(encoder: str) -> UNetSettings:
-    """Of a network on a pretrained encoder: larger crops of larger pictures, smaller steps."""
+    """Settings for a network with a pretrained encoder: larger crops of larger images, a lower learning rate."""
     return UNetSettings(
         network=UNetworkSettings(groups=8, side=480, encoder=encoder, states=True, centres=True),
         augmentation=Augmentation(crop=320, zoom=(0.4, 1.7), gain=0.35, blur=0.35, blur_px=2.5, veil=0.35),
@@ -53,15 +53,15 @@ def pretrained_settings(encoder: str) -> UNetSettings:
 
 
 BEGUN_RATE, BEGUN_WARM_UP = 6e-4, 10
-"""Learning rate and steps of its warm-up, where a training goes on from the weights of another: smaller, so that what
-was learnt there is not lost in the first steps."""
+"""Learning rate and warm-up steps where a training starts from the weights of another: lower, so that what was learnt
+there is not lost in the first steps."""
 BEGUN_SHARE = 0.5
-"""Of those weights in the final ones (`FitSettings.start`), of networks on a pretrained encoder: of others it was not
-measured."""
+"""Share of those weights in the final ones (`FitSettings.start`) for networks with a pretrained encoder; not measured
+for others."""
 
 
 def begun_settings(settings: UNetSettings, begun: Checkpoint) -> UNetSettings:
-    """Those of a training that begins with the weights of another, whose network it has."""
+    """Adapt settings to a training that starts from the weights of another and has the same network."""
     network = UNetworkSettings(**{key: value for key, value in begun.network.items() if key != "kind"})
     share = BEGUN_SHARE if network.encoder else 0.0
     fit = dataclasses.replace(settings.fit, learning_rate=BEGUN_RATE, warm_up=BEGUN_WARM_UP, start=share)
@@ -75,8 +75,8 @@ def identity(
     device: torch.device,
     begun: Checkpoint | None = None,
 ) -> dict[str, Any]:
-    """What decides the weights, as plain values. data: digests of the data, by what they are for; begun: what it goes
-    on from."""
+    """Identity of a training, all that determines the weights, as plain values. data: digests of the data, by purpose;
+    begun: the training from whose weights it starts."""
     plain = dataclasses.asdict(settings)
     plain["augmentation"]["zoom"] = list(settings.augmentation.zoom)
     method = kind_of(plain["network"])
@@ -85,8 +85,8 @@ def identity(
 
 
 def new_network(settings: UNetworkSettings, begun: Checkpoint | None = None) -> torch.nn.Module:
-    """With weights drawn from torch's generator, those of ImageNet in a pretrained encoder, or with those of a training
-    that it goes on from."""
+    """Create a network, with weights drawn from torch's generator and those of ImageNet in a pretrained encoder, or
+    with the weights of the training that it starts from."""
     network = channels_last(build_network(settings, begun is None))
     if begun is not None:
         network.load_state_dict(begun.weights)
@@ -104,9 +104,9 @@ def train(
     measuring: Progress = lambda done, total: None,
     begun: Checkpoint | None = None,
 ) -> Checkpoint:
-    """Train on a set, or go on where `path` was left; then measure what came of it (`measure`). loading, measuring: are
-    told how many images have been read, and looked at. begun: the training that it goes on from, of the same
-    network."""
+    """Train on a set, or resume from the checkpoint at `path`; then measure the trained network (`measure`). loading,
+    measuring: called with the number of images read, and measured on. begun: the training from whose weights this one
+    starts, of the same network. Raises LabelError where the set is empty."""
     if not len(labelled):
         raise LabelError(f"{labelled.name}: expected images to train on, got none")
     learnt_from, kept = kept_back(labelled) if settings.measured else (labelled, labelled.where(lambda entry: False))
@@ -138,8 +138,8 @@ def measure(
     device: torch.device,
     progress: Progress = lambda done, total: None,
 ) -> dict[str, Any]:
-    """What a checkpoint says of its network: its calibration on pictures kept back, and what pictures were like that it
-    has learnt from (`learning.novelty`), where it knows."""
+    """Measure a trained network: its calibration on the images held out, and, with a pretrained encoder, the
+    distribution of the training images for novelty (`learning.novelty`)."""
     model = unet_model(checkpoint, device, DEFAULT_VIEWS)
     found: dict[str, Any] = {"calibration": dataclasses.asdict(calibrated(kept, model.look, progress))}
     if checkpoint.network["encoder"]:

@@ -1,4 +1,4 @@
-"""How a picture is looked at: in several ways, of which the mean is taken, and closer where oysters are small."""
+"""Views of an image: several, whose predictions are averaged, and closer ones where oysters are small."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from oysterbench_baselines.unet.instances import SIDE, Division, find_instances
 
 
 class View(NamedTuple):
-    """zoom: of the picture as the network has learnt to look at it; turns: by a quarter."""
+    """A view of an image. zoom: relative to the scale at which the network was trained; turns: quarter turns."""
 
     zoom: float
     turns: int = 0
@@ -20,31 +20,33 @@ class View(NamedTuple):
 
 
 VIEWS = (View(1.0), View(1.4, turns=1), View(1.0, mirrored=True), View(1.4, turns=1, mirrored=True))
-"""In the order of what they are worth."""
+"""In the order of their benefit."""
 CLOSER = (View(2.0, turns=1), View(2.0, turns=1, mirrored=True))
-"""Of a picture of small oysters, instead of two of `VIEWS` each: the network knows oysters of twice that size best."""
+"""Views of an image of small oysters, each in place of two of `VIEWS`: the network knows oysters of twice that size
+best."""
 SMALL = 18.0
-"""px of a picture whose longer side has `instances.SIDE` px: the root of the median area of oysters that are small."""
+"""Size below which oysters count as small: median square root of their areas, px, for an image whose longer side is
+`instances.SIDE` px."""
 MANY = 15
-"""Oysters by which it is told whether they are: fewer do not show it."""
+"""Minimum number of oysters from which their size can be judged."""
 LIKELY = 0.2
-"""Their least score."""
+"""Minimum score of these oysters."""
 SAME = 0.4
-"""Intersection over union, at least, of the oysters of a closer look and of the glance: where they are true it was 0.57
-to 0.90, and 0.14 where silt came out as oysters."""
+"""Minimum intersection over union of the oysters in a closer look and in the first glance: it was 0.57 to 0.90 where
+they were real, and 0.14 where silt was taken for oysters."""
 
 
 class Look(NamedTuple):
-    """What was seen of a picture: logits (K, H, W) float32 of `network.OUTPUTS` at its own size, and the zoom by which
-    it was looked at more closely than others."""
+    """Prediction for an image: logits (K, H, W) float32 of `network.OUTPUTS` at its own size, and the zoom of a closer
+    look, 1 without one."""
 
     logits: Floats
     zoom: float = 1.0
 
 
 def shows_small_oysters(logits: Floats) -> bool:
-    """Whether a picture does, of which the network said (K, H, W) logits at a first glance. They are thinned out: that
-    takes a quarter of the time, and says the same of all but one in 78."""
+    """Whether an image shows small oysters, given the logits (K, H, W) of a first glance. These are subsampled, which
+    takes a quarter of the time and gives the same answer for all images but one in 78."""
     step = max(1, max(logits.shape[1:]) // SIDE)
     oyster, depth = (probability(plane[::step, ::step]) for plane in logits[:2])
     found = find_instances(oyster, depth, Division(sure=LIKELY))
@@ -54,6 +56,6 @@ def shows_small_oysters(logits: Floats) -> bool:
 
 
 def shows_the_same(closer: Floats, glance: Floats) -> bool:
-    """Whether a closer look shows the oysters of the glance. Logits (K, H, W)."""
+    """Whether a closer look shows the same oysters as the first glance. Both: logits (K, H, W)."""
     one, other = closer[0] > 0, glance[0] > 0
     return bool(np.count_nonzero(one & other) >= SAME * np.count_nonzero(one | other))
