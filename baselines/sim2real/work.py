@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oysterbench.annotations import LabelledSet
 from oysterbench.core.errors import MethodError, ResultError
@@ -21,7 +22,7 @@ from oysterbench_baselines.learning.checkpoint import Checkpoint
 from oysterbench_baselines.learning.loop import Progress, fit, pick_device
 from oysterbench_baselines.learning.losses import mask_loss
 from oysterbench_baselines.learning.masks import MaskModel, enlarged, probability
-from oysterbench_baselines.learning.samples import Floats, LabelledDataset
+from oysterbench_baselines.learning.samples import LabelledDataset
 from oysterbench_baselines.sim2real.data import Real, drawn
 from oysterbench_baselines.sim2real.scoring import EVALUATORS, WHOLE, Prediction, Score, Truth, score
 from oysterbench_baselines.sim2real.settings import Cell, ExperimentSettings
@@ -169,7 +170,7 @@ class Bench:
             return self.settings.batch
         return self.settings.schedule.kept if cell.synthetic in self._datasets else 0
 
-    def predictions(self, model: MaskModel) -> Iterator[Floats]:
+    def predictions(self, model: MaskModel) -> Iterator[NDArray[np.int8]]:
         """Logits (K, h, w) of each test image at the working scale, in units of `STEP`, rounded to int8."""
         for pixels in self.truth.pixels:
             yield np.clip(np.round(model.small_logits(pixels) / STEP), -127, 127).astype(np.int8)
