@@ -1,4 +1,4 @@
-"""How a vehicle hangs in its first moments: level from gravity, biases where it is at rest, and how sure that is."""
+"""Alignment of a vehicle in its first moments: level from gravity, biases where it is at rest, and their covariance."""
 
 from __future__ import annotations
 
@@ -23,9 +23,11 @@ from oysterbench_baselines.common.filter import (
 
 @dataclass(frozen=True)
 class StartSettings:
-    """level_s: the vehicle is levelled by the mean specific force of so many seconds. It was at rest in them if both
-    sensors scattered by less than rest_sigmas of their white noise, or the floors, which stand in for the noise of a
-    unit that states none; and if the mean rate is within rest_sigmas of the turn-on bias.
+    """Settings of the alignment.
+
+    level_s: the vehicle is levelled by the mean specific force over so many seconds. It was at rest in them if both
+    sensors scattered by less than rest_sigmas of their white noise, or the floors, which stand in for the noise of an
+    IMU that states none; and if the mean rate is within 3 sigmas of the turn-on bias, or the gyro's floor.
     """
 
     level_s: float = 1.0
@@ -34,7 +36,7 @@ class StartSettings:
     accel_floor: float = 0.02  # m/s^2
     rest_speed: float = 0.005  # m/s, 1 sigma at rest
     moving_speed: float = 1.0  # m/s, 1 sigma otherwise
-    moving_accel: float = 0.3  # m/s^2, 1 sigma of the mean acceleration: an ROV gathers speed, and sways
+    moving_accel: float = 0.3  # m/s^2, 1 sigma of the mean acceleration: an ROV accelerates and sways
 
 
 def align(
@@ -42,8 +44,9 @@ def align(
 ) -> tuple[Array, Array, Array, bool]:
     """Attitude R_odom_imu (3, 3) at the first sample, biases of gyro and accel (3,), and whether that was at rest.
 
-    Level by the mean specific force, with the yaw of base_link zero. The biases are those seen at rest, of the force
-    only the part along gravity (the rest of it cannot be told from tilt); in motion they are zero.
+    Level by the mean specific force, with the yaw of base_link zero. The biases are those seen at rest, for the
+    accelerometer only the part along gravity (the rest cannot be told from tilt); in motion they are zero. Raises
+    MethodError where the vehicle starts nose up or down.
     """
     first = stamps_ns - stamps_ns[0] <= settings.level_s * 1e9
     rate, force = gyro[first].mean(axis=0), accel[first].mean(axis=0)
@@ -73,7 +76,7 @@ def align(
 
 
 def _unturned(stamps_ns: NDArray[np.int64], gyro: Array, accel: Array) -> Array:
-    """Specific forces (N, 3) in the IMU's attitude at the first of N samples: what it rolls meanwhile is not tilt."""
+    """Specific forces (N, 3) in the IMU's attitude at the first of N samples: rolling meanwhile is not tilt."""
     turned, rotation = [accel[0]], np.eye(3)
     for dt, rate, force in zip(np.diff(stamps_ns) * 1e-9, 0.5 * (gyro[1:] + gyro[:-1]), accel[1:], strict=True):
         rotation = rotation @ rotation_exp(dt * rate)
@@ -91,8 +94,8 @@ def start_filter(
 ) -> tuple[InvariantFilter, bool]:
     """A filter at the first of N samples, odom at base_link with its yaw, and whether the vehicle was at rest.
 
-    Tilt errs by what the mean force had of the accelerometer's bias, of noise and of acceleration, over gravity: the
-    first of these stays in the filter as the correlation between tilt and bias.
+    Tilt errs by the accelerometer bias, noise and acceleration in the mean force, divided by gravity: the first of
+    these stays in the filter as the correlation between tilt and bias.
     """
     rotation, gyro_bias, accel_bias, at_rest = align(stamps_ns, gyro, accel, calibration, settings)
     filter = InvariantFilter(rotation, noise, calibration.gravity)
@@ -108,7 +111,7 @@ def start_filter(
     of_mean = rotation @ of_bias @ rotation.T + accel_white * eye
     if not at_rest:
         of_mean = of_mean + settings.moving_accel**2 * eye
-    # theta x (0, 0, g) is what the mean force had beside gravity. The bow points along x by definition: where it is
+    # theta x (0, 0, g) is the mean force apart from gravity. The bow points along x by definition: where it is
     # above or below the horizon, a tilt about it needs a turn about z with it.
     bow = rotation @ calibration.T_base_imu[:3, :3].T[:, 0]
     tilt = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -bow[2] / bow[0], 0.0]]) / calibration.gravity

@@ -23,13 +23,13 @@ from oysterbench_baselines.common.inertial import Segment
 ATTITUDE, VELOCITY, POSITION = slice(0, 3), slice(3, 6), slice(6, 9)
 GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(12, 15)
 FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)
-"""m^2 and rad^2 on every covariance of a pose: the first one is exact by definition, and a matrix that is singular
+"""Added to every covariance of a pose, m^2 and rad^2: the first pose is exact by definition, and a singular matrix
 cannot be inverted."""
 GYRO_WARMING, ACCEL_WARMING = 1e-4, 1e-3
-"""rad/s^2/sqrt(Hz) and m/s^3/sqrt(Hz): walks that keep up with biases of a unit that warms by 0.1 K/s, of 1e-4 to 9e-4
-rad/s and 0.005 to 0.01 m/s^2 per K, as MEMS without compensation have them: no data sheet counts it as noise."""
+"""Random walks, rad/s^2/sqrt(Hz) and m/s^3/sqrt(Hz), that keep up with the biases of an IMU that warms by 0.1 K/s: 1e-4
+to 9e-4 rad/s and 0.005 to 0.01 m/s^2 per K in MEMS without compensation. No data sheet counts this as noise."""
 CORE = 15
-"""Rows of the error: attitude (rad), velocity (m/s), position (m), both biases (rad/s, m/s^2); then the aiding's."""
+"""Rows of the error: attitude (rad), velocity (m/s), position (m), both biases (rad/s, m/s^2); then aiding states."""
 IDENTITY = np.eye(3)
 IDENTITY.setflags(write=False)
 
@@ -45,7 +45,7 @@ class InertialNoise:
 
     @staticmethod
     def of(imu: ImuCalibration, inflation: float) -> InertialNoise:
-        """That of a unit, its white part inflated, while it warms; a file may say zero, and a little is left then."""
+        """Noise of an IMU that is warming up, its white part inflated; where a file says zero, a little is assumed."""
         return InertialNoise(
             max(imu.gyro_noise_density, 1e-6) * inflation,
             max(imu.accel_noise_density, 1e-5) * inflation,
@@ -79,7 +79,7 @@ class InvariantFilter:
         return matrix
 
     def append(self, mean: Array, sigmas: Array) -> slice:
-        """Add states of means (K,) and independent 1 sigmas (K,); gives their rows in the error."""
+        """Add states with means (K,) and independent 1 sigmas (K,); return their rows in the error."""
         n, k = len(self.covariance), len(mean)
         covariance = np.zeros((n + k, n + k))
         covariance[:n, :n] = self.covariance
@@ -88,8 +88,8 @@ class InvariantFilter:
         return slice(n, n + k)
 
     def propagate(self, dt: float, gyro: Array, accel: Array) -> None:
-        """On by dt (s) at mean rate (3,) rad/s and specific force (3,) m/s^2: the force acts in the attitude half-way,
-        and the transition is exact to second order in dt."""
+        """Propagate by dt (s) at mean rate (3,) rad/s and specific force (3,) m/s^2: the force acts in the attitude
+        half-way, and the transition is exact to second order in dt."""
         rate = gyro - self.gyro_bias
         middle = self.rotation @ rotation_exp(0.5 * dt * rate)
         acceleration = middle @ (accel - self.accel_bias) + self.down
@@ -100,7 +100,7 @@ class InvariantFilter:
         self.rate = rate
 
     def propagate_all(self, segment: Segment) -> None:
-        """On by a segment of inertial measurements."""
+        """Propagate by a segment of inertial measurements."""
         for dt, gyro, accel in zip(segment.dt, segment.gyro, segment.accel, strict=True):
             self.propagate(dt, gyro, accel)
 
@@ -132,7 +132,7 @@ class InvariantFilter:
 
     def update(self, residual: Array, slope: Array, noise: Array) -> None:
         """Correct by measured minus predicted (K,), with its derivative (K, 15 + M) by the error and its covariance
-        (K, K); the form of Joseph, which keeps the covariance positive."""
+        (K, K); in Joseph form, which keeps the covariance positive."""
         gain = np.linalg.solve(slope @ self.covariance @ slope.T + noise, slope @ self.covariance).T
         change = gain @ residual
         left = np.eye(len(self.covariance)) - gain @ slope
@@ -148,9 +148,9 @@ class InvariantFilter:
         self.extra = self.extra + change[CORE:]
 
     def pose_covariance(self, position: Array) -> Array:
-        """(6, 6) of a frame fixed to the IMU whose origin is at `position` (3,) in odom.
+        """Covariance (6, 6) of the pose of a frame fixed to the IMU whose origin is at `position` (3,) in odom.
 
-        x y z (m) and rotations (rad), all about odom's axes: dp = y + theta x p, so that the lever arm is in it.
+        x y z (m) and rotations (rad), all about odom's axes: dp = y + theta x p, so that the lever arm is included.
         """
         change = np.zeros((6, 9))
         change[:3, POSITION] = change[3:, ATTITUDE] = np.eye(3)
@@ -159,8 +159,8 @@ class InvariantFilter:
 
 
 def cross(vector: Array) -> Array:
-    """(3, 3) matrix of the cross product with a vector (3,) on its left."""
-    x, y, z = vector.tolist()  # of numbers of Python's own an array is made twice as fast
+    """Matrix (3, 3) of the cross product with a vector (3,) on its left."""
+    x, y, z = vector.tolist()  # an array is built twice as fast from Python's own numbers
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
@@ -185,5 +185,5 @@ def left_jacobian(turn: Array) -> Array:
 
 
 def orthonormal(rotation: Array) -> Array:
-    """A nearly orthonormal (3, 3) made so: one step of Newton's iteration for the polar decomposition."""
+    """Orthonormalise a nearly orthonormal matrix (3, 3): one step of Newton's iteration for the polar decomposition."""
     return 0.5 * rotation @ (3 * np.eye(3) - rotation.T @ rotation)

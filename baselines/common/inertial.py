@@ -24,7 +24,7 @@ class Segment:
         return float(self.dt.sum())
 
     def first(self, count: int) -> Segment:
-        """So many of its measurements, from the first on; they stay where they are, and take no memory of their own."""
+        """Its first `count` measurements, as views that take no memory of their own."""
         return Segment(self.dt[:count], self.gyro[:count], self.accel[:count])
 
     @staticmethod
@@ -40,7 +40,7 @@ class Segment:
 
 
 class SampleBuffer:
-    """Collects samples and hands out what lies between consecutive cuts.
+    """Buffer of samples, which hands out what lies between consecutive cuts.
 
     Between samples the signal is taken to be linear, so that the mean over an interval is that of its ends: an error
     of second order in the sampling interval. After the last sample the signal is held.
@@ -93,7 +93,7 @@ class Integral:
 
     rotation (K, 3, 3): R_0_k. rate (K, 3, 3): integral of R, so that a change db of the gyro bias turns R_0_k by
     -rate db (rotation vector in frame 0). velocity, position (K, 3): of the specific force. velocity_rate,
-    position_rate (K, 3, 3): minus their derivatives to the accelerometer bias. time (K,) s.
+    position_rate (K, 3, 3): minus their derivatives by the accelerometer bias. time (K,) s.
     """
 
     time: Array

@@ -1,4 +1,4 @@
-"""The method: a sequence in, an inertial path out, held by whatever else measures motion."""
+"""The method: a sequence in, an inertial path out, aided by whatever else measures motion."""
 
 from __future__ import annotations
 
@@ -20,13 +20,16 @@ from oysterbench_baselines.common.filter import InertialNoise
 from oysterbench_baselines.common.inertial import SampleBuffer
 
 FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)
-"""m^2 and rad^2 on every covariance: the first pose is exact by definition, and a matrix that is singular cannot be
+"""Added to every covariance, m^2 and rad^2: the first pose is exact by definition, and a singular matrix cannot be
 inverted."""
 
 
 @dataclass(frozen=True)
 class DeadReckoningSettings:
-    """imu_inflation: on the white densities of the data sheet; vibration and steps of the reading come on top."""
+    """Settings of the method.
+
+    imu_inflation: factor on the white densities of the data sheet, to which vibration and quantisation add.
+    """
 
     imu_inflation: float = 1.1
     start: StartSettings = field(default_factory=StartSettings)
@@ -50,7 +53,7 @@ class DeadReckoning:
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base with covariances at the stamps of the inertial samples, each from what came before it.
 
-        odom starts at the vehicle, yaw zero, z up. Only the level of the first second is taken from all of it.
+        odom starts at the vehicle, yaw zero, z up. Only the initial levelling uses all of the first second.
         """
         sensors = sensors_of(sequence)
         # A sensor must be named: with no name, a stream has the cameras.

@@ -36,11 +36,11 @@ from oysterbench_baselines.moving import mask_weights
 class GtsamFull:
     """gtsam_vi with DVL, imaging sonar, pressure, magnetometer and altimeters, each where the rig has it.
 
-    It needs no pictures while it has a DVL or a sonar.
+    It needs no images while it has a DVL or a sonar.
 
     output: "online" gives each pose and covariance as known at its frame, "smoothed" those after an adjustment of the
     whole path. camera: name of the camera; the first one by default. seed: of the random samples in the epipolar check.
-    mask: as of gtsam_vi.
+    mask: as in gtsam_vi.
     """
 
     name = "gtsam_full"
@@ -62,7 +62,7 @@ class GtsamFull:
 
     @property
     def weights(self) -> dict[str, Path]:
-        """Files of trained weights that it runs on: those of the mask."""
+        """Files of the trained weights that it uses: those of the mask."""
         return mask_weights(self.mask)
 
     def run(self, sequence: Sequence) -> Estimate:
@@ -103,7 +103,7 @@ def aided_estimator(
     first: tuple[NDArray[np.int64], Array, Array],
     uncertainty: CameraUncertainty | None = None,
 ) -> Estimator:
-    """An estimator with all aiding sensors of a rig that are to be used.
+    """Create an estimator with all aiding sensors of a rig that are to be used.
 
     first: stamps (N,), gyro and accel (N, 3) of the first moments, by which the vehicle is levelled.
     uncertainty: of the camera.
@@ -115,7 +115,7 @@ def aided_estimator(
     dvl = next((sensor for sensor in sensors if isinstance(sensor, Dvl)), None)
     if settings.ranges.enabled and (dvl is not None or sequence.altimeters):
         sensors.append(Ranges(invert(imu.T_base_imu), sequence.altimeters, dvl, settings.ranges))
-    reach = settings.window.keyframes - 2  # what is to leave the window takes no more factors
+    reach = settings.window.keyframes - 2  # what is about to leave the window takes no more factors
     sonar = imaging_sonar(sequence, settings.aiding, reach, dvl) if settings.sonar else None
     if sonar is not None:
         sensors.append(sonar)

@@ -1,10 +1,10 @@
-"""Ranges of an altimeter and of a DVL's beams, held against the bottom that the landmarks in their footprint make.
+"""Ranges of an altimeter and of a DVL's beams, compared with the bottom formed by the landmarks in their footprint.
 
-Both look at ground that the camera has seen some seconds before. A range says how far the landmarks there are: it is
-the one measurement beside the DVL's velocity that knows a metre. How well it does so depends on what it is compared
-with: the first strong echo from a cone comes from what stands out, corners are found on edges, and between corners a
-rough reef is anything. So each echo counts as much as the landmarks under it are level, and what echoes and corners
-differ by in the mean is a variable.
+Both look at ground that the camera has seen some seconds before. A range says how far away the landmarks there are: it
+is the only measurement besides the DVL's velocity that gives metric scale. How well it does so depends on what it is
+compared with: the first strong echo from a cone comes from what protrudes, corners are found on edges, and between
+corners a rough reef may have any shape. So each echo counts the more the flatter the landmarks under it are, and the
+mean difference between echoes and corners is a variable.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ ALTIMETER, BEAM = 0, 1
 
 @dataclass(frozen=True)
 class RangeSettings:
-    """How ranges to the bottom count. The mounts' calibrations and the samples say nothing of noise."""
+    """How ranges to the bottom count. Neither the mounts' calibrations nor the samples state any noise."""
 
     enabled: bool = True  # whether altimeters and the ranges of a DVL's beams are used where it gives no velocity
     sigma: float = 0.02  # m, 1 sigma of a range
     share: float = 0.01  # and of its length: speed of sound and beam patterns
-    offset_sigma: float = 0.03  # m, of what echoes and corners differ by in the mean: an oyster stands out by as much
-    radius: float = 0.25  # m, about the point met, in which landmarks are its ground; a wide beam has its footprint
+    offset_sigma: float = 0.03  # m, of the mean difference between echoes and corners: an oyster protrudes by as much
+    radius: float = 0.25  # m, about the point met, within which landmarks are its ground; a wide beam has its footprint
     fewest: int = 6  # landmarks: three make a plane, as many again say how rough it is
     most: int = 12  # the nearest: more cost time, and say less of the point
-    width: float = 0.03  # m, rms across the longest spread of the landmarks: less is a line
-    steepest: float = 0.5  # cosine of the incidence
-    max_delay_s: float = 0.15  # a range older than this does not count for a key frame
-    silence_s: float = 1.0  # without a DVL's velocity, after which ranges count: it knows a metre ten times better
+    width: float = 0.03  # m, rms of the landmarks across their longest spread: less is a line
+    steepest: float = 0.5  # least cosine of the angle of incidence
+    max_delay_s: float = 0.15  # a range older than this does not count for a keyframe
+    silence_s: float = 1.0  # without a DVL's velocity, after which ranges count: it gives scale ten times better
 
 
 class Ranges(AidingSensor):
-    """Altimeters, and the beams of a DVL. They are for the scale: the filter has no use for them.
+    """Altimeters, and the beams of a DVL, as an aiding sensor. They give scale: the filter has no use for them.
 
-    altimeters: their calibrations by name. echoes: by the key frame at which they count.
+    altimeters: their calibrations by name. echoes: by the keyframe at which they count.
     """
 
     kind = "ranges"
@@ -74,8 +74,8 @@ class Ranges(AidingSensor):
         return False
 
     def add_keyframe(self, keyframe: int, stamp_ns: int, filter: InvariantFilter, interval_s: float) -> None:
-        """The ranges that were read a moment ago, as rays in the IMU's frame of the key frame, where no DVL's velocity
-        knows the scale ten times better than they do over relief."""
+        """Keep the ranges that were read a moment ago, as rays in the IMU frame at the keyframe, unless a DVL's
+        velocity gives the scale ten times better than they do over relief."""
         settings, velocity_ns = self.settings, None if self._dvl is None else self._dvl.velocity_ns
         if velocity_ns is not None and stamp_ns - velocity_ns < settings.silence_s * 1e9:
             return
@@ -110,9 +110,9 @@ class Ranges(AidingSensor):
 
 @dataclass(frozen=True)
 class Echo:
-    """A range (m) with its 1 sigma, along `axis` (3,) from `origin` (3,) m in the IMU's frame at a key frame.
+    """A range (m) with its 1 sigma, along `axis` (3,) from `origin` (3,) m in the IMU's frame at a keyframe.
 
-    half_beam: rad, about the axis, in which the bottom may lie that answers; kind: ALTIMETER or BEAM.
+    half_beam: rad, about the axis, within which the bottom that echoes may lie; kind: ALTIMETER or BEAM.
     """
 
     origin: Array
@@ -128,7 +128,7 @@ class Ground:
     """The bottom where an echo meets it: a plane through landmarks.
 
     ids (N,) of the landmarks; weights (N,), of sum 1, with which they make the point met; normal (3,) in odom; axis
-    (3,) of the ray that meets it, in the IMU's frame; sigma: m, of the range to it, all in.
+    (3,) of the ray that meets it, in the IMU's frame; sigma: m, of the range to it, in total.
     """
 
     ids: NDArray[np.int64]
@@ -145,7 +145,7 @@ def altimeter_echo(
     moved: tuple[Array, Array],
     of: RangeSettings,
 ) -> Echo | None:
-    """Of an altimeter; None where nothing answered. moved: see `_propagated`."""
+    """Echo of an altimeter; None where there was none. moved: see `_propagated`."""
     if not np.isfinite(sample.range):
         return None
     pose = T_imu_base @ mount.T_base_sensor
@@ -155,7 +155,7 @@ def altimeter_echo(
 
 
 def beam_echoes(sample: DvlMeasurement, T_imu_dvl: Array, moved: tuple[Array, Array], of: RangeSettings) -> list[Echo]:
-    """Of the beams of a DVL that have a range, each for itself."""
+    """Echoes of the beams of a DVL that have a range, one each. moved: see `_propagated`."""
     echoes = []
     for direction, length, valid in zip(sample.beam_directions, sample.beam_ranges, sample.beam_valid, strict=True):
         if valid and np.isfinite(length):
@@ -166,8 +166,8 @@ def beam_echoes(sample: DvlMeasurement, T_imu_dvl: Array, moved: tuple[Array, Ar
 
 
 def _propagated(origin: Array, axis: Array, moved: tuple[Array, Array]) -> tuple[Array, Array]:
-    """A ray of a moment ago in the IMU's frame of now; moved: rotation vector (rad) and way (m), both (3,), since then,
-    in that frame."""
+    """Transform a ray of a moment ago to the present IMU frame; moved: rotation vector (rad) and displacement (m), both
+    (3,), since then, in that frame."""
     back = rotation_exp(-moved[0])
     return back @ origin - moved[1], back @ axis
 
@@ -175,11 +175,11 @@ def _propagated(origin: Array, axis: Array, moved: tuple[Array, Array]) -> tuple
 def find_ground(
     echo: Echo, T_odom_imu: Array, tree: cKDTree, ids: NDArray[np.int64], points: Array, of: RangeSettings
 ) -> Ground | None:
-    """The plane that an echo meets: through landmarks (M,) at points (M, 3), found by their tree; None where there are
-    too few about it, where they are in a line or steep, or all to one side."""
+    """Find the plane that an echo meets, through landmarks (M,) at points (M, 3), which are in `tree`; None where there
+    are too few around it, or where they are in a line, steep, or all to one side."""
     rotation, origin = T_odom_imu[:3, :3], T_odom_imu[:3, :3] @ echo.origin + T_odom_imu[:3, 3]
     reach = max(echo.range * np.tan(echo.half_beam), of.radius)
-    # Where a level bottom would be met; and then, for a wide beam, where the bottom that is there is.
+    # First where a level bottom would be met; then, for a wide beam, where the actual bottom is.
     ray = _nearest(rotation @ echo.axis, np.array([0.0, 0.0, -1.0]), echo.half_beam)
     met = origin + echo.range * ray
     for _ in range(2 if echo.half_beam else 1):
@@ -200,7 +200,7 @@ def find_ground(
     if np.any(np.abs(at) > 2 * spread[:2]):
         return None
     weights = 1.0 / len(near) + flat @ np.linalg.solve(flat.T @ flat, at)
-    # What a plane leaves of the landmarks it leaves of the ground between them, too.
+    # The ground between the landmarks deviates from the plane as much as they do.
     return Ground(ids[near], weights, normal, rotation.T @ ray, float(np.hypot(echo.sigma, spread[2] / -along)))
 
 
@@ -220,7 +220,7 @@ def echo_error(
     """Predicted less measured range, m, and its derivatives by pose (6,), landmarks (N, 3) and offsets (2,).
 
     With o the sensor, d the ray and q the point that the weights make of the landmarks, all in odom, n the normal:
-    n . (q - o) / n . d + offset - range. Weights and normal are held: what they change by is of second order in the
+    n . (q - o) / n . d + offset - range. Weights and normal are held: their changes are of second order in the
     distance of the landmarks from the plane.
     """
     rotation = pose.rotation().matrix()
@@ -236,7 +236,7 @@ def echo_error(
 
 
 def echo_factor(echo: Echo, ground: Ground, keyframe: int) -> gtsam.NonlinearFactor:
-    """On the pose of a key frame, the landmarks under it, and the offsets; by Cauchy's loss, as reefs have holes."""
+    """Factor on a keyframe's pose, the landmarks under it, and the offsets; with Cauchy loss, as reefs have holes."""
     keys = [symbol("x", keyframe), *(symbol("l", int(i)) for i in ground.ids), ECHO_KEY]
 
     def evaluate(pose: gtsam.Pose3, *others: Array) -> tuple[Array, list[Array]]:

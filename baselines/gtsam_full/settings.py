@@ -16,12 +16,12 @@ from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, renamed_opt
 
 @dataclass(frozen=True)
 class BesideDvlSettings:
-    """How corners count beside a DVL. Without one they are all that tells the way, and count as in gtsam_vi."""
+    """How corners count beside a DVL. Without one they alone give the displacement, and count as in gtsam_vi."""
 
-    pixel_sigma_px: float = 3.0  # corners under moving light err together, and as one they count for less
+    pixel_sigma_px: float = 3.0  # corners under moving light err together, so each counts for less
     huber: float = 0.43  # sigmas, 1.3 px: a track that slides off its point does so by less than 3 px at a time
-    max_innovation_px: float = 4.0  # DVL and inertial unit predict better than the inertial unit alone
-    correlation: float = 1.0  # which is in those 3 px
+    max_innovation_px: float = 4.0  # DVL and IMU predict better than the IMU alone
+    correlation: float = 1.0  # it is included in those 3 px
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class GtsamFullSettings(GtsamViSettings):
     }
 
     start: StartSettings = field(default_factory=StartSettings)
-    # Before the filter knows how late the DVL is, its pings would be wrong together, and the window would keep that.
+    # Before the filter knows how late the DVL is, its pings would all err alike, and the window would keep that.
     filter_start: FilterStartSettings = field(default_factory=lambda: FilterStartSettings(min_s=4.0))
     aiding: SonarAidingSettings = field(default_factory=SonarAidingSettings)
     ranges: RangeSettings = field(default_factory=RangeSettings)
@@ -55,7 +55,7 @@ class GtsamFullSettings(GtsamViSettings):
         return [kind for kind in sensors_of(sequence) if used[kind]]
 
     def for_rig(self, sequence: Sequence) -> GtsamFullSettings:
-        """With `beside_dvl` in the place of what it names, where the rig has a DVL that is to be used."""
+        """Settings with those of `beside_dvl` put in place, where the rig has a DVL that is to be used."""
         if "dvl" not in self.sensors(sequence):
             return self
         b = self.beside_dvl

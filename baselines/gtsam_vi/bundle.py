@@ -1,4 +1,4 @@
-"""Bundle adjustment of a stretch of key frames: what they saw, the graph of it, and its optimum."""
+"""Bundle adjustment of a stretch of keyframes: their observations, the factor graph, and its optimum."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state,
 
 @dataclass(frozen=True)
 class Bundle:
-    """An adjusted stretch: the graph, its values, the ids of its landmarks (L,), reprojection errors (M,) px."""
+    """A bundle-adjusted stretch of keyframes: graph, values, landmark ids (L,), reprojection errors (M,) px."""
 
     graph: gtsam.NonlinearFactorGraph
     values: gtsam.Values
@@ -30,8 +30,8 @@ class Bundle:
 
 @dataclass(frozen=True)
 class Views:
-    """What key frames saw, a row for each ray: the key frame's place among them (M,), track (M,), ray (M, 2) at depth
-    1, and camera (M,)."""
+    """Observations of keyframes, one row per ray: index of the keyframe in the list (M,), track (M,), ray (M, 2) at
+    depth 1, and camera (M,)."""
 
     row: NDArray[np.intp]
     track: NDArray[np.int64]
@@ -40,7 +40,7 @@ class Views:
 
     @classmethod
     def of(cls, keyframes: list[Keyframe], min_views: int = 1) -> Views:
-        """Of the tracks that so many key frames have seen."""
+        """Collect the observations of the tracks that at least `min_views` keyframes have seen."""
         rows = [k.observations.rows() for k in keyframes]
         row = np.concatenate([np.full(len(ids), n) for n, (ids, _, _) in enumerate(rows)])
         track, rays, camera = (np.concatenate(part) for part in zip(*rows, strict=True))
@@ -48,31 +48,31 @@ class Views:
         return views.of_tracks(_seen_in([k.observations.ids for k in keyframes], min_views))
 
     def of_tracks(self, tracks: NDArray[np.int64]) -> Views:
-        """Those of these tracks (N,)."""
+        """Select the observations of these tracks (N,)."""
         own = np.isin(self.track, tracks)
         return Views(self.row[own], self.track[own], self.rays[own], self.camera[own])
 
     def triangulate(
         self, rig: CameraRig, poses: Array, gate_px: float, settings: LandmarkSettings
     ) -> tuple[NDArray[np.int64], Array]:
-        """Landmarks (L,) and their points (L, 3), from poses (K, 4, 4) of the key frames."""
+        """Triangulate the tracks from keyframe poses (K, 4, 4) into landmark ids (L,) and points (L, 3)."""
         return rig.triangulate(self.track, self.rays, poses[self.row], gate_px, settings, self.camera)
 
     def errors_px(self, rig: CameraRig, poses: Array, ids: NDArray[np.int64], points: Array) -> Array:
-        """Reprojection errors (M,) px, every track being one of the landmarks (L,), which are sorted."""
+        """Reprojection errors (M,) px; every track must be one of the landmarks `ids` (L,), which are sorted."""
         return rig.errors_px(poses[self.row], points[np.searchsorted(ids, self.track)], self.rays, self.camera)
 
 
 def motion_factors(
     model: Model, keyframes: list[Keyframe], states: list[State], part: range
 ) -> list[gtsam.NonlinearFactor]:
-    """What ties the key frames of a part to those before them, and of the first of all what is known beforehand."""
+    """Factors that tie the keyframes of a part to their predecessors; for the first part, the priors as well."""
     factors: list[gtsam.NonlinearFactor] = []
     if part.start == 0:
         factors += [*model.start_priors(keyframes[0].index, states[0]), *model.calibration_priors()]
     for n in part:
         if n:
-            # Integrated about one bias for all: the average, whose corrections are smallest.
+            # All are preintegrated about one bias, that of the last state.
             factors += model.motion(keyframes[n - 1], keyframes[n], states[n - 1], states[n], states[-1].bias)
         if keyframes[n].stationary:
             factors.append(model.zero_velocity(keyframes[n].index))
@@ -87,7 +87,7 @@ def add_views(
     views: Views,
     times: float = 1.0,
 ) -> None:
-    """Add the factors of views to a graph, with so many times their sigma."""
+    """Add the projection factors of views to a graph, with their sigma multiplied by `times`."""
     noise = model.settings.noise
     noises = [rig.pixel_noise(noise, times * k.observations.inflation) for k in keyframes]
     indices = (keyframes[0].index + views.row).tolist()
@@ -104,7 +104,7 @@ def values_of(
     ids: NDArray[np.int64],
     points: Array,
 ) -> gtsam.Values:
-    """Calibrations, the states of key frames, and landmarks (L,) at points (L, 3), as variables."""
+    """Values of all variables: calibrations, keyframe states, and landmarks (L,) at points (L, 3)."""
     values = gtsam.Values()
     for calibration in model.aiding.calibrations():
         values.insert(calibration.key, calibration.value)
@@ -117,17 +117,17 @@ def values_of(
 
 
 def points_of(values: gtsam.Values, ids: Collection[int] | NDArray[np.int64]) -> Array:
-    """Where landmarks (L,) are, (L, 3)."""
+    """Positions (L, 3) of landmarks (L,)."""
     return np.array([values.atPoint3(L(int(i))) for i in ids]).reshape(-1, 3)
 
 
 def adjust(
     model: Model, keyframes: list[Keyframe], states: list[State], gates_px: tuple[float, ...], min_views: int = 1
 ) -> Bundle:
-    """Visual-inertial bundle adjustment of consecutive key frames from given states.
+    """Run a visual-inertial bundle adjustment of consecutive keyframes, starting from given states.
 
     Landmarks are triangulated anew and adjusted once for each gate on their reprojection error: wide first, while the
-    states are rough. min_views: key frames that must have seen a landmark.
+    states are rough. min_views: keyframes that must have seen a landmark.
     """
     rig, settings = copy(model.rig), model.settings
     views = Views.of(keyframes, min_views)
@@ -150,7 +150,7 @@ def adjust(
 
 
 def _seen_in(ids: list[NDArray[np.int64]], least: int) -> NDArray[np.int64]:
-    """Ids that are in so many of the lists."""
+    """Ids that occur in at least `least` of the lists."""
     found, counts = np.unique(np.concatenate(ids), return_counts=True)
     return found[counts >= least]
 

@@ -1,7 +1,7 @@
-"""The camera model: one camera or two on a vehicle, as rays at depth 1 whose errors are counted in pixels.
+"""The camera model: one or two cameras on a vehicle, as rays at depth 1 whose errors are expressed in pixels.
 
-Rays are what the front end makes of pixels by the lens that is given. Where lenses are calibrated online, what they are
-thought to be comes in here.
+The front end converts pixels to rays with the given lens. Where lenses are calibrated online, their current estimates
+are applied here.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from oysterbench_baselines.gtsam_vi.frontend import distort, homogeneous, undist
 from oysterbench_baselines.gtsam_vi.settings import LandmarkSettings, NoiseSettings
 
 BLOCK = 50_000
-"""Views of landmarks that are triangulated at once: 50 MB of matrices. More are halved, landmark by landmark."""
+"""Maximum number of views triangulated at once: 50 MB of matrices. Larger sets are halved by landmark."""
 
 
 class CameraRig:
     """Projection, triangulation and reprojection errors.
 
     T_imu_cams (C, 4, 4): mounts of the C cameras, T_imu_cam (4, 4) that of the first; focal: px, of the first.
-    clock_s: by how much stamps are late. uncertainty: with it, cameras are variables of the graph.
+    clock_s: delay of the stamps. uncertainty: if given, the cameras are variables of the graph.
     """
 
     def __init__(
@@ -54,14 +54,14 @@ class CameraRig:
         return self.uncertainty is not None and self.uncertainty.clock_sigma > 0
 
     def keys(self) -> list[int]:
-        """Of the variables."""
+        """Keys of the camera variables; none if cameras are not calibrated online."""
         if self.uncertainty is None:
             return []
         of_cameras = [key for c in range(len(self.given)) for key in (mount_key(c), lens_key(c))]
         return [*of_cameras, CLOCK] if self.clock_is_free else of_cameras
 
     def insert(self, values: gtsam.Values) -> None:
-        """Put the cameras as they are thought to be into values."""
+        """Insert the current camera estimates into values."""
         if self.uncertainty is None:
             return
         for c, optics in enumerate(self._optics):
@@ -70,17 +70,17 @@ class CameraRig:
             values.insert(CLOCK, np.array([self.clock_s]))
 
     def read(self, values: gtsam.Values) -> None:
-        """Take the cameras to be as values have them."""
+        """Update the camera estimates from values."""
         if self.uncertainty is not None:
             optics = [optics.read(values, c) for c, optics in enumerate(self._optics)]
             self._set(optics, float(values.atVector(CLOCK)[0]) if self.clock_is_free else 0.0)
 
     def prior(self, settings: NoiseSettings) -> list[gtsam.NonlinearFactor]:
-        """What is known of the variables beforehand."""
+        """Prior factors of the camera variables."""
         return [] if self.uncertainty is None else self.uncertainty.prior(self._given, settings.views_alike)
 
     def _now(self, rays: Array, camera: int | NDArray[np.intp]) -> Array:
-        """Rays (N, 2) of pixels by the lens as it is thought to be, from those by the lens that is given."""
+        """Convert rays (N, 2) from the given lens to the current lens estimate."""
         if self._optics is self._given:
             return rays
         found, cameras = np.array(rays, dtype=float), np.broadcast_to(camera, len(rays))
@@ -90,14 +90,14 @@ class CameraRig:
         return found
 
     def pixel_noise(self, settings: NoiseSettings, inflation: float = 1.0) -> gtsam.noiseModel.Base:
-        """Of a view of a landmark, its sigma `inflation` times the usual one."""
+        """Noise model of a landmark view, with `inflation` times the usual sigma."""
         sigma = inflation * settings.pixel_sigma_px / (self.focal if self.uncertainty is None else 1.0)
         noise = gtsam.noiseModel.Isotropic.Sigma(2, sigma)
         return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Huber.Create(settings.huber), noise)
 
     def correlation(self, of_one: float) -> float:
-        """By how much sigmas of corners are inflated in a reported covariance, `of_one` being that of one camera: a
-        second one takes over what the patches of the first have drifted."""
+        """Factor by which corner sigmas are inflated in a reported covariance, `of_one` being that of one camera: a
+        second camera inherits the patch drift of the first."""
         return of_one * float(np.sqrt(len(self.T_imu_cams))) if of_one > 1.0 else 1.0
 
     def projection_factors(
@@ -108,9 +108,10 @@ class CameraRig:
         cameras: NDArray[np.intp],
         noises: Iterable[gtsam.noiseModel.Base],
     ) -> Iterator[gtsam.NonlinearFactor]:
-        """Landmarks (N,) seen from key frames (N,) along rays (N, 2) at depth 1 by cameras (N,), with noises (N,).
+        """Yield the factors of landmarks (N,) seen from keyframes (N,) along rays (N, 2) at depth 1 by cameras (N,),
+        with noise models (N,).
 
-        Behind the camera they have no gradient, and raise nothing.
+        Behind the camera they have no gradient, and raise no error.
         """
         views = zip(keyframes, landmarks, cameras.tolist(), noises, strict=True)
         if self.uncertainty is None:
@@ -134,11 +135,11 @@ class CameraRig:
         settings: LandmarkSettings,
         camera: NDArray[np.intp] | None = None,
     ) -> tuple[NDArray[np.int64], Array]:
-        """Ids (L,) and points (L, 3) of the tracks that make good landmarks.
+        """Triangulate tracks; return ids (L,) and points (L, 3) of those that make good landmarks.
 
-        track (M,), rays (M, 2), T_odom_imu (M, 4, 4) and camera (M,), the first by default: one row a view. The point
-        minimises the distances from its rays, weighted by inverse depth; it must have parallax, lie before every view
-        and project near every ray.
+        track (M,), rays (M, 2), T_odom_imu (M, 4, 4) and camera (M,), the first by default: one row per view. A
+        point minimises the distances from its rays, weighted by inverse depth; it must have parallax, lie in front of
+        every view and project close to every ray.
         """
         if len(track) == 0:
             return track, np.empty((0, 3))
@@ -181,8 +182,8 @@ class CameraRig:
         return ids[good], np.asarray(points[good], dtype=float)
 
     def errors_px(self, T_odom_imu: Array, points: Array, rays: Array, camera: int | NDArray[np.intp] = 0) -> Array:
-        """Reprojection errors (N,) px of points (N, 3) seen along rays (N, 2) from poses (4, 4) or (N, 4, 4) by a
-        camera, or one each (N,)."""
+        """Reprojection errors (N,) px of points (N, 3) seen along rays (N, 2) from poses (4, 4) or (N, 4, 4) by one
+        camera, or one each (N,); infinite behind the camera."""
         cameras = invert(T_odom_imu @ self.T_imu_cams[camera])
         local = np.einsum("...ij,...j->...i", cameras[..., :3, :3], points) + cameras[..., :3, 3]
         seen = self._now(rays, camera)

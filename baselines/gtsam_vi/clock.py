@@ -1,7 +1,7 @@
-"""A camera clock that is late: states when a picture was taken, inertial measurements up to its stamp.
+"""A camera clock that is late: states refer to when an image was taken, inertial measurements run up to its stamp.
 
-A state is moved on over that time, some ms, by the rates of then: the inertial unit's samples up to the stamp are about
-as good as those up to the picture, and every sample is used once.
+A state is propagated over that time, a few ms, at the rates measured then: the IMU samples up to the stamp are about as
+good as those up to the exposure, and every sample is used once.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from oysterbench_baselines.gtsam_vi.states import Rates, State
 
 
 def moved_on(state: State, time: float, rates: Rates, gravity: float) -> State:
-    """The state after some ms, the turn rate and the specific force being what the unit reads."""
+    """Propagate a state over a few ms (time: s), at the angular rate and specific force that the IMU reads."""
     return _moved(state, time, _motion(state, rates, gravity))
 
 
 class _Motion(NamedTuple):
-    """Of a state: R_odom_imu (3, 3); and (3,) each in the axes of the pose, turn rate rad/s, velocity m/s, specific
-    force and acceleration m/s^2."""
+    """Motion of a state: R_odom_imu (3, 3); and, (3,) each in the axes of the pose, angular rate rad/s, velocity m/s,
+    specific force and acceleration m/s^2."""
 
     rotation: Array
     rate: Array
@@ -40,7 +40,7 @@ def _motion(state: State, rates: Rates, gravity: float) -> _Motion:
 
 
 def _moved(state: State, time: float, motion: _Motion) -> State:
-    # A tangent of GTSAM's navigation state: turn, way and gain in velocity, in the axes of the pose.
+    # Tangent of GTSAM's navigation state: rotation, displacement and velocity change, in the axes of the pose.
     step = np.empty(9)
     step[:3], step[6:] = motion.rate * time, motion.accel * time
     step[3:6] = (motion.velocity + 0.5 * time * motion.accel) * time
@@ -48,7 +48,8 @@ def _moved(state: State, time: float, motion: _Motion) -> State:
 
 
 def moved_on_slopes(state: State, time: float, rates: Rates, gravity: float) -> tuple[State, Array, Array]:
-    """The state moved on; derivatives of its pose and velocity (9,) by those before (9, 9), and by the time (9,).
+    """Propagate a state; return it, and the derivatives of its pose and velocity (9,) with respect to those before
+    (9, 9) and to the time (9,).
 
     All in GTSAM's tangents: rotation and position in the axes of the pose, velocity in odom's.
     """
@@ -66,15 +67,15 @@ def moved_on_slopes(state: State, time: float, rates: Rates, gravity: float) -> 
 
 
 COLUMNS = [slice(start, start + width) for start, width in ((0, 6), (6, 3), (9, 6), (15, 3), (18, 6), (24, 6))]
-"""Of poses, velocities and biases, in the order in which GTSAM's factor takes them."""
+"""Jacobian columns of poses, velocities and biases, in the order in which GTSAM's factor takes them."""
 
 
 def clocked(
     factor: gtsam.CombinedImuFactor, clock: int, rates: tuple[Rates, Rates], gravity: float
 ) -> gtsam.NonlinearFactor:
-    """An inertial factor between states at stamps, as one between states when pictures were taken.
+    """Convert an inertial factor between states at stamps to one between states at which the images were taken.
 
-    clock: key of the time (1,) s from one to the other. rates: of its two key frames.
+    clock: key of the time (1,) s from exposure to stamp. rates: IMU readings at its two keyframes.
     """
     x_before, v_before, x_after, v_after, b_before, b_after = factor.keys()
     keys = [x_before, v_before, x_after, v_after, b_before, b_after, clock]
@@ -112,7 +113,7 @@ def clocked(
 
 
 def _arguments(states: list[State]) -> list[Any]:
-    """Of two states, in the order in which GTSAM's factor takes them."""
+    """Arguments of GTSAM's factor for two states, in its order."""
     before, after = states
     poses = [part for state in states for part in (state.nav.pose(), state.nav.velocity())]
     return [*poses, before.bias, after.bias]

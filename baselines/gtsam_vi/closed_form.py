@@ -4,9 +4,9 @@ No visual reconstruction comes first, so nothing depends on a good pair of views
 1. The gyro bias makes the epipolar planes of many pairs of views meet in one direction each (Kneip & Lynen 2013, the
    normal epipolar constraint; He et al. 2023 for its use here).
 2. With the rotations known, every camera position is linear in initial velocity, gravity and accelerometer bias, and
-   every view puts two linear constraints on a landmark (Dong-Si & Mourikis 2012). Landmarks are eliminated, gravity is
-   kept at its length, and constraints are weighted by the depths of the last solution.
-The scale is metric from the start. A bundle adjustment with all that free follows, in `initialisation.py`.
+   every view puts two linear constraints on a landmark (Dong-Si & Mourikis 2012). Landmarks are eliminated, the
+   magnitude of gravity is fixed, and constraints are weighted by the depths of the last solution.
+The scale is metric from the start. A bundle adjustment with all of these free follows, in `initialisation.py`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from oysterbench_baselines.gtsam_vi.frontend import Observations, homogeneous
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """States of K key frames in a world with z up, its origin at the first, x of the first pointing along +x.
+    """States of K keyframes in a world with z up, its origin at the first, x of the first pointing along +x.
 
     rotations (K, 3, 3) and positions (K, 3) of the IMU, velocities (K, 3) m/s, biases (3,).
     """
@@ -47,7 +47,7 @@ def closed_form_start(
     accel_turn_on: float,
     ray_sigma: float,
 ) -> ClosedForm:
-    """Initial states from K views and the K - 1 inertial segments between them.
+    """Compute initial states from K views and the K - 1 inertial segments between them.
 
     T_imu_cams (C, 4, 4): of one camera or two. ray_sigma: noise at depth 1.
     """
@@ -78,7 +78,7 @@ def estimate_gyro_bias(
     ray_sigma: float,
     max_pairs: int = 60,
 ) -> Array:
-    """Gyro bias (3,) rad/s under which pairs of views see epipolar planes with a common line."""
+    """Gyro bias (3,) rad/s for which the epipolar planes of each pair of views share a common line."""
     integral = integrate(segments, np.zeros(3))
     pairs = _pairs(views, max_pairs)
     if not pairs:
@@ -104,7 +104,7 @@ def estimate_gyro_bias(
         return float(misfit / (2 * ray_sigma**2) + bias @ bias / turn_on**2)
 
     bias = _minimise(cost, np.zeros(3), turn_on)
-    # Once more without the pairs of rays that slide over the scene.
+    # Repeat without the pairs of rays that slide over the scene.
     normals, scatter = epipolar_planes(bias)
     direction = np.linalg.eigh(scatter)[1][:, :, 0]
     errors = np.abs(np.einsum("mi,mi->m", normals, direction[pair]))
@@ -114,7 +114,7 @@ def estimate_gyro_bias(
 
 
 def _minimise(cost: Callable[[Array], float], start: Array, scale: float) -> Array:
-    """Minimum by BFGS; the scale brings the variables near one, as its finite differences want."""
+    """Minimise by BFGS; the scale brings the variables close to one, as its finite differences require."""
     options = {"maxiter": 15, "eps": 1e-4}  # scipy's stubs have no `eps`
     solution = minimize(lambda x: cost(x * scale), start / scale, method="BFGS", options=options)  # type: ignore[call-overload]
     return np.asarray(solution.x * scale, dtype=float)
@@ -123,7 +123,7 @@ def _minimise(cost: Callable[[Array], float], start: Array, scale: float) -> Arr
 def _pairs(
     views: list[Observations], max_pairs: int, min_shared: int = 12
 ) -> list[tuple[int, int, NDArray[np.intp], NDArray[np.intp]]]:
-    """Pairs of views (i, j, indices in i, indices in j), far apart rather than near, evenly drawn."""
+    """Pairs of views (i, j, indices in i, indices in j), 1 to 7 views apart, thinned out evenly to `max_pairs`."""
     found = []
     for step in (1, 2, 4, 7):
         for i in range(0, len(views) - step, max(1, step // 2)):
@@ -153,7 +153,7 @@ def align(
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]  # (M, 3, 3)
     starts = np.concatenate([[0], np.flatnonzero(np.diff(track)) + 1])
     track_of = np.cumsum(np.concatenate([[0], np.diff(track) != 0]))
-    # Mean specific force points up but for the mean acceleration, which is small next to gravity.
+    # The mean specific force points up, apart from the mean acceleration, which is small compared with gravity.
     force = integral.velocity[-1]
     down = -gravity * force / np.linalg.norm(force)
     x = np.concatenate([np.zeros(3), down, np.zeros(3)])
@@ -168,7 +168,7 @@ def align(
         offset = points - (derivative[frame] @ x + centres)
         depth = np.clip(np.einsum("mi,mi->m", offset, directions), 0.3, 30.0)
         error = np.linalg.norm((across @ offset[:, :, None])[..., 0], axis=1) / (ray_sigma * depth)
-        # Cauchy's weight, by the worst view of a track: one that slides is wrong in all its views.
+        # Cauchy weight by the worst view of a track: a track that slides is wrong in all its views.
         worst = np.maximum.reduceat(error, starts) / max(1.0, float(np.median(error)))
         trust = (1.0 / (1.0 + (worst / 5.0) ** 2))[track_of]
     return x[:3], x[3:6], x[6:]
@@ -178,7 +178,7 @@ def _observations(
     views: list[Observations], integral: Integral, R_imu_cams: Array
 ) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.intp], Array]:
     """Frame (M,), id (M,), camera (M,), unit direction (M, 3) in the first IMU frame, of all views of tracks that have
-    three, by id."""
+    at least three, sorted by id."""
     rows = [view.rows() for view in views]
     frame = np.concatenate([np.full(len(ids), k) for k, (ids, _, _) in enumerate(rows)])
     ids, rays, camera = (np.concatenate(part) for part in zip(*rows, strict=True))
@@ -191,7 +191,8 @@ def _observations(
 
 
 def _camera_positions(integral: Integral, levers: Array) -> tuple[Array, Array]:
-    """c = derivative @ (v, g, b_a) + centre, of cameras at levers (C, 3) in every view: (C, K, 3) and (K, 3, 9)."""
+    """Positions c = derivative @ (v, g, b_a) + centre of cameras at lever arms (C, 3) in every view: centre (C, K, 3),
+    derivative (K, 3, 9)."""
     k = len(integral.time)
     derivative = np.zeros((k, 3, 9))
     derivative[:, :, 0:3] = np.eye(3) * integral.time[:, None, None]

@@ -1,7 +1,7 @@
-"""Covariances: from the tangents of GTSAM's variables to the errors of the filter, and to the poses of a trajectory.
+"""Conversion of covariances from the tangents of GTSAM's variables to filter errors and to the poses of a trajectory.
 
-GTSAM states an error of a pose in the axes of the pose itself, rotation first: R = R^ Exp(a), p = p^ + R^ b. The filter
-(`common.filter`) has right-invariant errors about odom's axes, and a trajectory x y z and rotations about odom's axes.
+GTSAM expresses a pose error in the axes of the pose itself, rotation first: R = R^ Exp(a), p = p^ + R^ b. The filter
+(`common.filter`) has right-invariant errors about odom's axes, a trajectory has x y z and rotations about odom's axes.
 Positions are relative to the first pose, which is exact by definition.
 """
 
@@ -35,11 +35,12 @@ from oysterbench_baselines.gtsam_vi.marginals import marginal_covariances
 from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, read_state
 
 VIEWS = gtsam.GenericProjectionFactorCal3_S2, *(factor for _, factor, *_ in MODELS.values())
-"""Factors of a landmark in a picture."""
+"""Types of the factors of a landmark in an image."""
 
 
 def filter_slopes(state: State, k: int, size: int = CORE) -> dict[int, Array]:
-    """The filter's error (size,) by GTSAM's tangents of the pose, velocity and biases of key frame k: by their keys."""
+    """Derivatives of the filter's error (size,) with respect to GTSAM's tangents of the pose, velocity and biases of
+    keyframe k, by key."""
     rotation, velocity, position = state.nav.attitude().matrix(), state.nav.velocity(), state.nav.position()
     change = {key: np.zeros((size, columns)) for key, columns in ((X(k), 6), (V(k), 3), (B(k), 6))}
     change[X(k)][ATTITUDE, :3] = rotation
@@ -52,10 +53,10 @@ def filter_slopes(state: State, k: int, size: int = CORE) -> dict[int, Array]:
 
 
 def joint_covariance(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, keys: list[int]) -> Array:
-    """Covariance (N, N) of some variables of a graph, in the order of their keys.
+    """Joint covariance (N, N) of some variables of a graph, in the order of `keys`.
 
-    All others are eliminated once; what is left is the information of these. GTSAM's joint marginals eliminate twice.
-    RuntimeError where the equations cannot be solved.
+    All others are eliminated once, which leaves the information of these. GTSAM's joint marginals eliminate twice.
+    Raises RuntimeError where the equations cannot be solved.
     """
     linear = graph.linearize(values)
     ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(linear, keys)
@@ -72,8 +73,8 @@ def joint_covariance(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, ke
 
 
 def filter_covariance(covariance: Array, slopes: Mapping[int, Array]) -> Array | None:
-    """Covariance (N, N) of the filter's error from the joint one of the variables by whose tangents slopes are; None
-    where it is not one."""
+    """Covariance (N, N) of the filter's error, from the joint covariance of the variables and the `slopes` by their
+    tangents; None if the result is not a covariance."""
     slope = np.hstack(list(slopes.values()))
     found = slope @ covariance @ slope.T
     if not np.isfinite(found).all() or np.linalg.eigvalsh(found)[0] < -1e-9:
@@ -82,16 +83,16 @@ def filter_covariance(covariance: Array, slopes: Mapping[int, Array]) -> Array |
 
 
 def set_state(to: InvariantFilter, state: State) -> None:
-    """Let the filter go on from a state; its covariance stays."""
+    """Set the filter to a state; its covariance is left unchanged."""
     to.rotation, to.velocity = state.nav.attitude().matrix(), np.array(state.nav.velocity())
     to.position = np.array(state.nav.position())
     to.gyro_bias, to.accel_bias = np.array(state.bias.gyroscope()), np.array(state.bias.accelerometer())
 
 
 def propagate_back(filter: InvariantFilter, segment: Segment) -> None:
-    """The filter's state and covariance before a segment.
+    """Propagate the filter's state and covariance back to the start of a segment.
 
-    The transition backwards is the one forwards with time reversed, but noise only ever adds.
+    The backward transition is the forward one with time reversed, but noise always adds.
     """
     noise, filter.noise = filter.noise, InertialNoise(0.0, 0.0, 0.0, 0.0)
     for dt, gyro, accel in reversed(list(zip(segment.dt, segment.gyro, segment.accel, strict=True))):
@@ -106,10 +107,10 @@ def propagate_back(filter: InvariantFilter, segment: Segment) -> None:
 
 
 def discounted(graph: gtsam.NonlinearFactorGraph, times: float, huber: float) -> gtsam.NonlinearFactorGraph:
-    """The graph with the sigma of every view of a landmark so many times as large.
+    """Return the graph with the sigma of every landmark view multiplied by `times`.
 
-    The views of a landmark err alike, as its patch drifts: beside each other they say less than their number. What
-    minimises white errors is still about the best estimate; its covariance is that of fewer views.
+    The errors of a landmark's views are correlated, as its patch drifts: together they say less than their number
+    suggests. Treating them as white still gives nearly the best estimate, but its covariance is that of fewer views.
     """
     if times == 1.0:
         return graph
@@ -126,7 +127,7 @@ def discounted(graph: gtsam.NonlinearFactorGraph, times: float, huber: float) ->
 
 
 def pose_covariances(bundle: Bundle, keyframes: list[Keyframe], lever: Array, model: Model) -> list[Array]:
-    """(6, 6) of the pose of a frame fixed to the IMU at `lever` (3,) in it, at every key frame of a stretch."""
+    """Covariances (6, 6) of the pose of a frame fixed to the IMU at `lever` (3,), at every keyframe of a stretch."""
     graph = discounted(
         bundle.graph, model.rig.correlation(model.settings.noise.correlation), model.settings.noise.huber
     )
@@ -137,7 +138,7 @@ def pose_covariances(bundle: Bundle, keyframes: list[Keyframe], lever: Array, mo
 def about_odom(
     marginals: Mapping[int, Array], values: gtsam.Values, keyframes: list[Keyframe], lever: Array
 ) -> list[Array]:
-    """The same from the covariances (6, 6) of the tangents of the poses, by their keys."""
+    """Covariances as in `pose_covariances`, from those (6, 6) of the pose tangents by key."""
     found = []
     for keyframe in keyframes:
         rotation = values.atPose3(X(keyframe.index)).rotation().matrix()
@@ -150,7 +151,7 @@ def about_odom(
 
 
 def between_keyframes(known: list[Array], keyframes: list[Keyframe], frames: list[Frame]) -> list[Array]:
-    """Of every frame (6, 6), from those of the key frames on both sides, of which it has its share by time."""
+    """Covariance (6, 6) of every frame, interpolated in time between the keyframes on both sides."""
     found = []
     for frame in frames:
         before, after = known[frame.keyframe], known[min(frame.keyframe + 1, len(known) - 1)]
@@ -163,8 +164,8 @@ def between_keyframes(known: list[Array], keyframes: list[Keyframe], frames: lis
 def covariances_until(
     bundle: Bundle, keyframes: list[Keyframe], stretch: list[Keyframe], noise: InertialNoise, model: Model
 ) -> dict[int, Array]:
-    """(6, 6) of the pose of base_link at all key frames up to an adjusted stretch of them, by their index: in it its
-    own, and before it, back along the inertial measurements."""
+    """Covariances (6, 6) of the pose of base_link, by index, at all keyframes up to the end of an adjusted stretch:
+    those of the adjustment within it and, before it, propagated back along the inertial measurements."""
     imu = model.imu
     T_imu_base = invert(imu.T_base_imu)
     of_stretch = pose_covariances(bundle, stretch, T_imu_base[:3, 3], model)

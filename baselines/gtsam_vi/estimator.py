@@ -1,9 +1,9 @@
-"""The estimator behind the front end, frame by frame, in the order of the algorithm. It sees tracks only.
+"""The estimator behind the front end, frame by frame, in the order of the algorithm. It receives tracks only.
 
-A filter propagates the inertial measurements from frame to frame and a fixed-lag smoother over key frames corrects it.
+A filter propagates the inertial measurements from frame to frame and a fixed-lag smoother over keyframes corrects it.
 Aiding sensors are objects given to it: their samples correct the filter, and their factors join the graph. An aided
-filter runs from the first sample on, so there is a pose and a covariance for every frame with or without anything to
-see; once it has been given a velocity, the window starts from it, and starts again from it after a failure.
+filter runs from the first sample on, so every frame has a pose and a covariance whether or not anything is visible;
+once the filter has been given a velocity, the window starts from it, and restarts from it after a failure.
 """
 
 from __future__ import annotations
@@ -54,12 +54,13 @@ from oysterbench_baselines.gtsam_vi.states import (
 from oysterbench_baselines.gtsam_vi.window import Window
 
 MatchSecond = Callable[[], Array]
-"""Finds the tracks of a frame in the second camera's picture: rays (N, 2), NaN where it does not see them."""
+"""Function that finds the tracks of a frame in the second camera's image: rays (N, 2), NaN where it does not see
+them."""
 
 
 @dataclass(frozen=True)
 class AidedFilter:
-    """A filter that runs from the first sample on, the sensors that aid it, and when a window may start from it."""
+    """A filter that runs from the first sample on, its aiding sensors, and when a window may start from it."""
 
     filter: InvariantFilter
     aiding: Aiding
@@ -67,10 +68,10 @@ class AidedFilter:
 
 
 class Estimator:
-    """Takes inertial measurements, samples of aiding sensors and frames of tracks, in time order.
+    """Estimator of a path from inertial measurements, aiding-sensor samples and frames of tracks, in time order.
 
-    cameras: one, or two that see the same. aided: what there is beside cameras and inertial unit. uncertainty: of the
-    cameras, which are then calibrated online.
+    cameras: one, or two with a common view. aided: what there is besides cameras and IMU. uncertainty: of the cameras,
+    which are then calibrated online.
     """
 
     def __init__(
@@ -103,16 +104,16 @@ class Estimator:
 
     @property
     def navigating(self) -> bool:
-        """Whether the filter knows where it is: from a window, or from a velocity that it was given."""
+        """Whether the filter knows where it is: from a window, or from a velocity that it has been given."""
         return self.window is not None or self.aiding.knows_velocity
 
     @property
     def gyro_bias(self) -> Array:
-        """Latest estimate (3,) rad/s; zero before there is one."""
+        """Latest gyro bias estimate (3,) rad/s; zero before there is one."""
         return self.filter.gyro_bias if self._aided or self.window is not None else np.zeros(3)
 
     def propagate(self, segment: Segment) -> None:
-        """Inertial measurements up to the next sample or frame."""
+        """Propagate by the inertial measurements up to the next sample or frame."""
         if self._aided or self.window is not None:
             self.filter.propagate_all(segment)
         self._since_frame.append(segment)
@@ -121,7 +122,7 @@ class Estimator:
             self.aiding.propagate(segment)
 
     def update(self, sample: Any) -> None:
-        """A sample of an aiding sensor, at the end of the last segment."""
+        """Correct the filter with a sample of an aiding sensor, taken at the end of the last segment."""
         self.aiding.update(self.filter, sample)
 
     def step(
@@ -132,10 +133,10 @@ class Estimator:
         image: NDArray[np.uint8] | None = None,
         pixels: NDArray[np.uint8] | None = None,
     ) -> None:
-        """The next frame, up to whose stamp all measurements have been propagated; without tracks where it is missing.
+        """Process the next frame, up to whose stamp all measurements have been propagated; no tracks if it is missing.
 
-        match_second: only key frames ask for it. image (H, W): equalised, in which places are recognised; pixels
-        (H, W, 3) RGB or (H, W): as it was taken, the landmarks' colours.
+        match_second: called for keyframes only. image (H, W): equalised, for place recognition; pixels (H, W, 3) RGB or
+        (H, W): as taken, for the landmarks' colours.
         """
         observations, landmarks, order = self._associate(tracks)
         if self._is_keyframe(observations):
@@ -155,8 +156,8 @@ class Estimator:
         self._add_frame(stamp_ns, observations.ids)
 
     def has_moved(self, segment: Segment) -> bool:
-        """Whether the vehicle has certainly moved or turned over a segment: what repeats a picture is then no picture
-        of now, but one that was stored."""
+        """Whether the vehicle has certainly moved or turned over a segment: an image that repeats the last one is then
+        a stored one and not current."""
         limits = self.settings.frontend
         turn = Rotation.from_matrix(relative_rotation(segment, self.gyro_bias)).magnitude()
         if turn > 3 * self.model.gyro_turn_on * segment.duration + limits.repeat_px / self.model.rig.focal:
@@ -167,21 +168,21 @@ class Estimator:
         return bool(np.linalg.norm(self.filter.velocity) > max(limits.repeat_speed, 5 * sigma))
 
     def moved(self, stamp_ns: int, duration: float) -> Translation | None:
-        """How the first camera has moved over so many seconds up to a stamp, as far as the filter knows."""
+        """Translation of the first camera over `duration` s up to a stamp; None if the filter does not know it."""
         if not self.navigating:
             return None
         f, T_imu_cam = self.filter, self.model.rig.T_imu_cam
         arm = np.cross(f.rate, T_imu_cam[:3, 3])
         velocity = T_imu_cam[:3, :3].T @ (f.rotation.T @ f.velocity + arm)
         sigma = float(np.sqrt(np.trace(f.covariance[VELOCITY, VELOCITY]) / 3))
-        if not self.aiding.measures_velocity(stamp_ns):  # it is known by the very tracks that are to be judged
+        if not self.aiding.measures_velocity(stamp_ns):  # it comes from the very tracks that are to be judged
             sigma = float(np.hypot(sigma, self.settings.frontend.motion_sigma))
         return Translation(velocity * duration, sigma * duration)
 
     # The parts of a step.
 
     def _associate(self, tracks: FeatureTracks) -> tuple[Observations, NDArray[np.int64], NDArray[np.intp]]:
-        """What the frame observes, by landmark; the landmarks (N,) of its tracks, and their order."""
+        """Observations of the frame, sorted by landmark; landmarks (N,) of its tracks, and their sorting order (N,)."""
         segment, self._since_frame = Segment.join(self._since_frame), []
         rays = np.asarray(tracks.at_stamp, dtype=float)
         landmarks = self._association.landmarks(tracks.ids, rays, segment, self.gyro_bias)
@@ -196,7 +197,7 @@ class Estimator:
 
     def _add_keyframe(self, stamp_ns: int, observations: Observations) -> None:
         segment, self._since_keyframe = Segment.join(self._since_keyframe), []
-        for frame in reversed(self.frames):  # what they have measured is a beginning of what the key frame has
+        for frame in reversed(self.frames):  # their measurements are the first part of the keyframe's
             if frame.keyframe != len(self.keyframes) - 1:
                 break
             frame.since = segment.first(len(frame.since.dt))
@@ -210,7 +211,7 @@ class Estimator:
         self.keyframes.append(Keyframe(len(self.keyframes), stamp_ns, observations, segment, stationary))
 
     def _initialise(self, final: bool = False) -> None:
-        """Search the latest key frames for a start of the window."""
+        """Try to start the window from the latest keyframes."""
         initialiser, last = self._initialiser, self.keyframes[-1]
         if self.aiding.knows_velocity:
             start = initialiser.from_filter(self.keyframes, self.filter)
@@ -231,7 +232,7 @@ class Estimator:
             self._fill_covariances(start)
 
     def _smooth(self, window: Window) -> None:
-        """Add the factors of the last key frame; smooth; marginalise what leaves the window."""
+        """Add the factors of the last keyframe; smooth; marginalise what leaves the window."""
         keyframe = self.keyframes[-1]
         keyframe.aiding = self.aiding.factors(keyframe.index, self.keyframes[-2].estimate)
         try:
@@ -243,8 +244,8 @@ class Estimator:
             self._restart()
 
     def _restart(self) -> None:
-        """Give the window up and search for a start anew, from this key frame on: an aided filter goes on, and the next
-        window starts from it; otherwise the velocity is that of the last good key frame."""
+        """Give up the window and search for a new start from this keyframe on: an aided filter keeps running, and the
+        next window starts from it; otherwise the velocity is that of the last good keyframe."""
         self.info["restarts"] = int(self.info.get("restarts", 0)) + 1
         self.window = None
         self._recovery.distrust(self.keyframes, self.frames)
@@ -260,7 +261,7 @@ class Estimator:
         self._hold_start()
 
     def _hold_start(self) -> None:
-        """A window that starts now knows the first state as well as the filter does."""
+        """Make a window that starts now know its first state as well as the filter does."""
         f = self.filter
         velocity = f.covariance[VELOCITY, VELOCITY] + np.eye(3) * 1e-6
         self.model.initial_covariances[self._initialiser.first] = f.pose_covariance(f.position), velocity
@@ -280,7 +281,8 @@ class Estimator:
     # Frames from before there was a window.
 
     def _fill_back(self, index: int) -> None:
-        """States of the key frames before `index`, back along the inertial measurements; poses of all frames."""
+        """Fill in the states of the keyframes before `index`, back along the inertial measurements, and the missing
+        poses of frames."""
         for k in range(index - 1, -1, -1):
             if self.keyframes[k].state is not None:
                 break
@@ -303,7 +305,7 @@ class Estimator:
                 frame.covariance = known[frame.keyframe]
 
     def _dead_reckon(self) -> None:
-        """States from the inertial measurements alone, from rest and level (or the last good state) on."""
+        """Fill in states from the inertial measurements alone, from rest and level (or the last good state) on."""
         if self.keyframes and self.keyframes[0].state is None:
             segment = Segment.join([k.segment for k in self.keyframes[1:6]])
             up = segment.accel.mean(axis=0) if len(segment.dt) else np.array([0.0, 0.0, 1.0])
@@ -320,7 +322,7 @@ class Estimator:
     # Results.
 
     def finish(self) -> None:
-        """The end of the sequence: the last chance for a start, or a path without one."""
+        """End the sequence: make a last attempt at a start, or dead-reckon a path without one."""
         if self.window is None and len(self.keyframes) > 1 and not self.aiding.knows_velocity:
             self._initialise(final=True)
         self.info["keyframes"] = len(self.keyframes)
@@ -328,14 +330,14 @@ class Estimator:
         if self.loops is not None:
             self.info["places"], self.info["loops"] = len(self.loops.places), len(self.loops.loops)
             self.loops.rest()
-        hand_back()  # before the final smoothing asks for more
+        hand_back()  # before the final smoothing needs more
         if self.aiding.knows_velocity:
             self.info |= {f"refused_{kind}": count for kind, count in self.aiding.refused.items()}
         if self.window is None:
             self._dead_reckon()
 
     def paths(self) -> dict[str, Trajectory]:
-        """Both paths, by name."""
+        """Smoothed and online path, by name."""
         return {"smoothed": self.smoothed(), "online": self.online()}
 
     def online(self) -> Trajectory:
@@ -351,7 +353,7 @@ class Estimator:
         return self._trajectory(poses, covariances)
 
     def smoothed(self) -> Trajectory:
-        """T_odom_base at every frame after an adjustment of all key frames; the online path where none can be made."""
+        """T_odom_base at every frame after an adjustment of all keyframes; the online path where none can be made."""
         if self.window is None or len(self.keyframes) < 3:
             return self.online()
         keyframes = self.keyframes if self.loops is None else self.loops.joined(self.keyframes)
@@ -366,17 +368,17 @@ class Estimator:
             self.info["smoothed_error_px"] = float(np.median(smoothed.bundle.errors_px))
         try:
             known = smoothed.covariances(invert(self.imu.T_base_imu)[:3, 3], self.model)
-        except RuntimeError:  # GTSAM: a landmark is too weakly known to be eliminated; the poses are none the worse
+        except RuntimeError:  # GTSAM: a landmark is too weakly determined to be eliminated; the poses are unaffected
             self.info["covariances_failed"] = 1
             return self._trajectory(smoothed.poses, [])
         return self._trajectory(smoothed.poses, between_keyframes(known, keyframes, self.frames))
 
     def health(self) -> NDArray[np.uint8]:
-        """How the pose of each frame was had, one `Health` each."""
+        """How the pose of each frame was obtained, one `Health` each."""
         return np.array([frame.health for frame in self.frames], dtype=np.uint8)
 
     def map(self) -> LandmarkMap | None:
-        """Key frames and landmarks of the smoothed path; None before there is one, and without pictures."""
+        """Keyframes and landmarks of the smoothed path; None before there is one, or without images."""
         if self._smoothed is None or not self._palette:
             return None
         return landmark_map(self.model, *self._smoothed, self._palette)

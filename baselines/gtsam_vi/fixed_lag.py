@@ -1,10 +1,10 @@
-"""Fixed-lag smoothing in which what has left stays consistent with what is left.
+"""Fixed-lag smoothing that keeps what has been marginalised consistent with what remains.
 
-What leaves the window remains as a linear factor on its neighbours. Were these linearised anew elsewhere by their other
-factors, the two would disagree about which directions nothing measures, and heading would come to be measured by what
-cannot tell it. So a variable that such a factor touches keeps the point at which it was linearised, for all factors
-(first-estimates Jacobians: Huang, Mourikis & Roumeliotis 2008), and only its error about that point is estimated
-further. GTSAM's `BatchFixedLagSmoother` means to do so, but up to 4.3.0 never notes these points.
+Variables that leave the window remain as a linear factor on their neighbours. If the other factors of a neighbour were
+relinearised elsewhere, the two would disagree about the unobservable directions, and heading would seem to be observed
+by measurements that cannot tell it. So a variable that such a factor touches keeps its linearisation point for all
+factors (first-estimates Jacobians: Huang, Mourikis & Roumeliotis 2008), and only its error about that point is still
+estimated. GTSAM's `BatchFixedLagSmoother` intends to do so, but up to 4.3.0 never records these points.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ import gtsam
 import numpy as np
 
 HALVINGS = 4
-"""Of a step that does not lower the error, before it is given up."""
+"""Number of times that a step which does not reduce the error is halved before it is given up."""
 DAMPING = 3e-3
-"""1 / sigma, in the units of each variable, of the prior that holds back what is hardly determined."""
+"""1 / sigma, in the units of each variable, of the prior that damps poorly determined variables."""
 
 
 class FixedLagSmoother:
     """Gauss-Newton over the latest variables; older ones are marginalised.
 
-    lag: variables whose stamp is earlier than the newest by more than this leave. iterations, tolerance: of an update,
-    which ends when the error falls by less than this share. weak_gauge: next to nothing holds the whole: what is
-    known of a heading to a radian is lost in the rounding of squares beside what is known to a micrometre, so
-    roots are eliminated then (QR), and not squares (Cholesky).
+    lag: variables whose stamp is older than the newest by more than this leave. iterations, tolerance: of an update,
+    which ends when the error falls by less than this share. weak_gauge: next to nothing holds the window as a whole. A
+    heading known to a radian would then be lost in the rounding of squares beside what is known to a micrometre, so
+    square roots are eliminated (QR) instead of squares (Cholesky).
 
-    estimate: of all variables in the window. linearised_at: the point at which their factors are linearised; that of a
-    variable which nothing marginalised touches is its estimate. factors: all of them, with holes.
+    estimate: of all variables in the window. linearised_at: the points at which their factors are linearised; for a
+    variable that no marginalised factor touches, its estimate. factors: all of them, with empty slots.
     """
 
     def __init__(self, lag: float, iterations: int, tolerance: float = 1e-3, weak_gauge: bool = False) -> None:
@@ -35,15 +35,15 @@ class FixedLagSmoother:
         self._lag, self._iterations, self._tolerance = lag, iterations, tolerance
         self.factors = gtsam.NonlinearFactorGraph()
         self.estimate, self.linearised_at = gtsam.Values(), gtsam.Values()
-        self._held = gtsam.Values()  # points of the variables that marginalised ones have left a factor on
+        self._held = gtsam.Values()  # linearisation points of the variables that marginalised factors touch
         self._stamps: dict[int, float] = {}
-        self._slots: dict[int, set[int]] = {}  # of the factors on a variable
-        self._free: list[int] = []  # slots
+        self._slots: dict[int, set[int]] = {}  # slots of the factors on a variable
+        self._free: list[int] = []  # empty slots
 
     def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
-        """Add factors, and variables with their first values; stamps of these and of any others.
+        """Add factors, and variables with initial values; stamps: of these, and new ones of any others.
 
-        RuntimeError (GTSAM) where the equations cannot be solved.
+        Raises RuntimeError (GTSAM) where the equations cannot be solved.
         """
         self.estimate.insert(values)
         self.linearised_at.insert(values)
@@ -87,7 +87,7 @@ class FixedLagSmoother:
             error = found
 
     def _step(self) -> gtsam.VectorValues:
-        """Solves the linearised problem; held back a little where something is hardly determined."""
+        """Solve the linearised problem, slightly damped where something is poorly determined."""
         linear = self.factors.linearize(self.linearised_at)
         try:
             return linear.optimize(*self._how)
@@ -100,7 +100,7 @@ class FixedLagSmoother:
             return linear.optimize(*self._how)
 
     def _marginalise(self, keys: list[int]) -> None:
-        """What the factors on some variables say of their neighbours takes these factors' place."""
+        """Marginalise variables: what their factors say about the neighbours replaces these factors."""
         slots = sorted(set[int]().union(*(self._slots[key] for key in keys)))
         leaving = gtsam.NonlinearFactorGraph()
         for slot in slots:

@@ -1,4 +1,4 @@
-"""Front end: corners, tracked from frame to frame and verified against the epipolar geometry."""
+"""Front end: corners tracked from frame to frame and verified against the epipolar geometry."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from oysterbench_baselines.gtsam_vi.settings import FrontEndSettings
 class FeatureTracks:
     """Tracked corners of one frame: ids (N,) int64, pixels (N, 2) as seen, rays (N, 2) undistorted at depth 1.
 
-    rolled (N, 2): by how much rays have moved from the stamp of the frame to when their row was read; zeros where all
-    rows are read at once.
+    rolled (N, 2): displacement of the rays from the stamp of the frame to the readout of their row; None where all rows
+    are read at once.
     """
 
     ids: NDArray[np.int64]
@@ -37,19 +37,19 @@ class FeatureTracks:
 
 
 NO_TRACKS = FeatureTracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2)))
-"""Those of a frame that is missing."""
+"""Tracks of a frame that is missing."""
 
 
 FEWEST_FOR_FLOW = 12
-"""Tracks whose flow is fitted: twice as many as there are numbers in it."""
+"""Minimum number of tracks for a fit of the flow: twice as many as it has parameters."""
 
 
 @dataclass(frozen=True)
 class Observations:
-    """What a key frame saw: ids (N,) int64, sorted, and rays (N, 2) at depth 1.
+    """Observations of a keyframe: ids (N,) int64, sorted, and rays (N, 2) at depth 1.
 
-    right: rays (N, 2) of a second camera to the same, NaN where it does not see them; None without one.
-    inflation: of the rays' sigma, by tracks that were lost meanwhile.
+    right: rays (N, 2) of a second camera to the same points, NaN where it does not see them; None without one.
+    inflation: factor on the sigma of the rays, due to tracks lost since the last keyframe.
     """
 
     ids: NDArray[np.int64]
@@ -58,7 +58,7 @@ class Observations:
     inflation: float = 1.0
 
     def rows(self) -> tuple[NDArray[np.int64], Array, NDArray[np.intp]]:
-        """A row for each ray: ids (M,), rays (M, 2), and the camera (M,), 0 or 1."""
+        """One row per ray: ids (M,), rays (M, 2), and the camera (M,), 0 or 1."""
         if self.right is None:
             return self.ids, self.rays, np.zeros(len(self.ids), dtype=np.intp)
         both = np.isfinite(self.right[:, 0])
@@ -86,7 +86,7 @@ def distort(rays: Array, calibration: CameraCalibration) -> Array:
 
 
 def _lens(calibration: CameraCalibration) -> Any:
-    """OpenCV's functions of a lens: Kannala-Brandt or Brown-Conrady."""
+    """OpenCV module with the functions of a lens: Kannala-Brandt or Brown-Conrady."""
     return cv2.fisheye if calibration.distortion_model == "equidistant" else cv2
 
 
@@ -101,9 +101,9 @@ def epipolar_inliers(
     """Which pairs of rays (N, 2), (N, 2) agree with one translation, for a known rotation between the views.
 
     RANSAC over the direction of translation: with the rotation known, two pairs determine it, as the direction
-    perpendicular to the normals of both epipolar planes. Unlike a five- or eight-point solution this has no
-    degenerate scenes (a flat bottom is one for both) and none at rest. The error is the distance from the epipolar
-    line in the later view.
+    perpendicular to the normals of both epipolar planes. Unlike a five- or eight-point solution, this has no
+    degenerate scenes (a flat bottom is one for both) and does not degenerate at rest. The error is the distance
+    from the epipolar line in the later view.
     """
     n = len(before)
     if n < 3:
@@ -117,7 +117,7 @@ def epipolar_inliers(
     directions = directions[lengths > 1e-15] / lengths[lengths > 1e-15, None]
     if len(directions) == 0:
         return np.asarray(np.linalg.norm(normals, axis=1) < tolerance, dtype=bool)
-    # Epipolar line of a pair: the plane of direction and turned ray, cut with the image plane.
+    # Epipolar line of a pair: the plane of direction and rotated ray, intersected with the image plane.
     lines = np.cross(directions[:, None, :], turned[None, :, :])
     scale = np.hypot(lines[..., 0], lines[..., 1])
     distance = np.abs(np.einsum("tni,ni->tn", lines, seen)) / np.maximum(scale, 1e-12)
@@ -127,7 +127,7 @@ def epipolar_inliers(
 
 @dataclass(frozen=True)
 class Translation:
-    """How a camera has moved between two frames, (3,) m in its axes at the first; sigma: m, 1 sigma per axis."""
+    """Translation of a camera between two frames, (3,) m in its axes at the first; sigma: m, 1 sigma per axis."""
 
     vector: Array
     sigma: float
@@ -136,12 +136,12 @@ class Translation:
 def agree_with(
     moved: Translation, before: Array, after: Array, R_after_before: Array, tolerance: float, sigmas: float
 ) -> NDArray[np.bool_]:
-    """Which pairs of rays (N, 2), (N, 2) agree with a translation that is known: all where its direction is not.
+    """Which pairs of rays (N, 2), (N, 2) agree with a known translation: all of them where its direction is not known.
 
-    What drifts along with the water moves as one, and may be the most of what is seen: a consensus among tracks takes
-    it for the bottom. What the vehicle does it cannot imitate, but along the line that it flies on. A point at rest
-    moves along its epipolar line, away from where the camera goes, by as much as its depth says; across it by no more
-    than what the direction is uncertain by of that.
+    What drifts with the water moves as one and may be most of what is visible: a consensus among tracks takes it for
+    the bottom. It cannot imitate the motion of the vehicle, except along the line of travel. A static point moves along
+    its epipolar line, away from where the camera is heading, by an amount that depends on its depth; across that line,
+    by no more than the uncertainty of the direction allows.
     """
     length = float(np.linalg.norm(moved.vector))
     if length < sigmas * moved.sigma:
@@ -150,7 +150,7 @@ def agree_with(
     still = turned[:, :2] / np.maximum(turned[:, 2:], 0.1)
     flow = after - still
     towards = R_after_before @ moved.vector / length
-    # Of a point (x, y, 1) z, a translation t gives the flow (t_z (x, y) - (t_x, t_y)) / z.
+    # For a point (x, y, 1) z, a translation t gives the flow (t_z (x, y) - (t_x, t_y)) / z.
     along = towards[2] * still - towards[:2]
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     forth = np.einsum("ni,ni->n", flow, along)
@@ -160,9 +160,10 @@ def agree_with(
 
 
 class FrontEnd:
-    """Tracks corners through the frames of one camera.
+    """Tracker of corners through the frames of one camera.
 
-    moving: where something moves in a picture (H, W, 3), a mask (H, W) bool; corners are neither begun nor kept there.
+    moving: function that masks what moves, (H, W) bool, in an image (H, W, 3); corners are neither started nor kept
+    there.
     """
 
     def __init__(
@@ -178,11 +179,11 @@ class FrontEnd:
         self._generator = stream(seed, b"", "gtsam_vi", "epipolar")
         self.image: NDArray[np.uint8] | None = None  # (H, W), the latest, equalised
         self._next_id = 0
-        self._taken: NDArray[np.uint8] | None = None  # the latest, as it was taken
+        self._taken: NDArray[np.uint8] | None = None  # the latest, as taken
         self._pattern = FixedPattern(settings)
         self._tracks = NO_TRACKS
         self._find_moving = moving
-        self._moving: NDArray[np.bool_] | None = None  # (H, W), of the latest picture
+        self._moving: NDArray[np.bool_] | None = None  # (H, W), of the latest image
 
     def track(
         self,
@@ -191,11 +192,11 @@ class FrontEnd:
         elapsed_s: float = 0.0,
         moved: Translation | None = None,
     ) -> FeatureTracks:
-        """Corners in the next frame.
+        """Track corners into the next frame.
 
         pixels (H, W, 3) RGB or (H, W) grey, uint8. R_before_now (3, 3): rotation of the camera since the last frame,
         elapsed_s ago; moved: its translation, where it is known. After a long gap all corners are new: a patch that has
-        gone far is found where one like it is.
+        moved far would be found wherever a similar one is.
         """
         self._taken = pixels
         if elapsed_s > self.settings.max_gap_s:
@@ -213,21 +214,21 @@ class FrontEnd:
             return self._tracks
         return replace(self._tracks, rolled=self._rolled(before, kept, elapsed_s))
 
-    # What another front end may do in a way of its own.
+    # What another front end may override.
 
     def find(
         self, before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: Array, guess: Array
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Where what is at pixels (N, 2) of the last picture (H, W), equalised, is in this one, see `follow`."""
+        """Track pixels (N, 2) from the last equalised image (H, W) into the current one; see `follow`."""
         return follow(before, after, pixels, guess, self.settings)
 
     def corners(self, image: NDArray[np.uint8], taken: Array) -> Array:
-        """Pixels (N, 2) at which tracks begin in a picture (H, W), equalised, see `find_corners`."""
+        """Pixels (N, 2) at which to start tracks in an equalised image (H, W); see `find_corners`."""
         return find_corners(image, taken, self.settings)
 
     def _rolled(self, before: FeatureTracks, kept: FeatureTracks, elapsed_s: float) -> Array:
-        """Of the latest tracks, see `FeatureTracks`: by the flow (a, b, c) (x, y, 1) that fits those kept for
-        elapsed_s, which a track that has just begun shares, and in which their own noise averages out."""
+        """`FeatureTracks.rolled` (N, 2) of the latest tracks, by the flow (a, b, c) (x, y, 1) fitted to those kept for
+        elapsed_s: tracks that have just started share this flow, and the noise of single tracks averages out in it."""
         tracks, height = self._tracks, self.calibration.height
         if len(kept.ids) < FEWEST_FOR_FLOW:
             return np.zeros((len(tracks.ids), 2))
@@ -241,11 +242,11 @@ class FrontEnd:
         return np.asarray(late * (homogeneous(tracks.rays) @ fit), dtype=float)
 
     def repeats(self, pixels: NDArray[np.uint8]) -> bool:
-        """Whether a picture is the last one again, to the bit, which noise lets no camera take twice."""
+        """Whether an image equals the last one bit for bit, which noise makes impossible for two exposures."""
         return self._taken is not None and np.array_equal(self._taken, pixels)
 
     def equalise(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """A picture (H, W, 3) RGB or (H, W) of another camera as corners are looked for in it: (H, W) uint8."""
+        """Prepare an image (H, W, 3) RGB or (H, W) of another camera as for corner detection: (H, W) uint8."""
         return even_contrast(self._without_veil(pixels), self.settings)
 
     def _without_veil(self, pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -253,7 +254,7 @@ class FrontEnd:
         return without_veil(np.asarray(grey, dtype=np.uint8), self.settings)
 
     def _moved_px(self, before: FeatureTracks, R_before_now: Array) -> float:
-        """How far the picture has moved: by the tracks, or where there are hardly any, by the gyroscope."""
+        """Motion of the image, px: by the tracks or, if there are hardly any, by the gyroscope."""
         _, then, now = np.intersect1d(before.ids, self._tracks.ids, assume_unique=True, return_indices=True)
         if len(now) >= FEWEST_FOR_FLOW:
             return float(np.median(np.linalg.norm(self._tracks.pixels[now] - before.pixels[then], axis=1)))
@@ -262,7 +263,7 @@ class FrontEnd:
     def _follow(
         self, last: NDArray[np.uint8], image: NDArray[np.uint8], R_before_now: Array, moved: Translation | None
     ) -> FeatureTracks:
-        """The last frame's tracks in this one: Lucas-Kanade forth and back, then the epipolar check."""
+        """Track the last frame's corners into this one: Lucas-Kanade there and back, then the epipolar check."""
         settings, tracks = self.settings, self._tracks
         turned = homogeneous(tracks.rays) @ R_before_now  # where the rotation alone would take them
         guess = distort(turned[:, :2] / np.maximum(turned[:, 2:], 0.1), self.calibration)
@@ -278,9 +279,9 @@ class FrontEnd:
         return FeatureTracks(ids[keep], now[keep], rays[keep])
 
     def _replenish(self, image: NDArray[np.uint8]) -> FeatureTracks:
-        """New corners where there are few tracks."""
+        """Add new corners if there are few tracks."""
         settings, tracks = self.settings, self._tracks
-        # Looking for corners costs as much as tracking them: only when it pays.
+        # Detecting corners costs as much as tracking them: do so only when it pays.
         if settings.max_tracks - len(tracks.ids) < settings.max_tracks // 8:
             return tracks
         pixels = self.corners(image, tracks.pixels)
@@ -294,7 +295,7 @@ class FrontEnd:
         )
 
     def _rests(self, pixels: Array) -> NDArray[np.bool_]:
-        """Which of pixels (N, 2) are on nothing that moves."""
+        """Which of the pixels (N, 2) lie on nothing that moves."""
         if self._moving is None:
             return np.ones(len(pixels), dtype=bool)
         height, width = self._moving.shape
@@ -305,10 +306,10 @@ class FrontEnd:
 def follow(
     before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: Array, guess: Array, settings: FrontEndSettings
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Where the patches at pixels (N, 2) of one image (H, W) or (H, W, C) are in another, by Lucas and Kanade, begun at
+    """Track the patches at pixels (N, 2) of one image (H, W) or (H, W, C) into another by Lucas-Kanade, starting at
     guess (N, 2).
 
-    Gives pixels (N, 2), and of which (N,) the way back leads where it began, all within the image.
+    Returns pixels (N, 2), and which of them (N,) track back to where they started and lie within the image.
     """
     start, begun = pixels.astype(np.float32), guess.astype(np.float32)
     size = (settings.flow_window_px, settings.flow_window_px)
@@ -316,7 +317,7 @@ def follow(
     flow: dict[str, Any] = {"winSize": size, "maxLevel": settings.flow_levels, "criteria": criteria}
     flow["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
     end, found, _ = cv2.calcOpticalFlowPyrLK(before, after, start, begun.copy(), **flow)
-    # Back from where the forward pass ended, with the prediction's own error as the guess, not the answer.
+    # Back from where the forward pass ended, guessed with the prediction's own error rather than with the answer.
     back, found_back, _ = cv2.calcOpticalFlowPyrLK(after, before, end, end - (begun - start), **flow)
     height, width = after.shape[:2]
     good = (found.ravel() == 1) & (found_back.ravel() == 1)
@@ -329,17 +330,17 @@ def find_corners(image: NDArray[np.uint8], taken: Array, settings: FrontEndSetti
     """Corners (N, 2) px in a grey image away from those `taken` (M, 2): the best by Shi & Tomasi (1994), spread out.
 
     Every cell of a grid has the same share of the tracks, so that one bright clump does not get them all: turbid water
-    dims the far half of a picture, and it is the far half that tells rotation from translation.
+    dims the far half of an image, and it is the far half that tells rotation from translation.
     """
     score = np.asarray(cv2.cornerMinEigenVal(image, settings.corner_block_px), dtype=np.float32)
     return spread_out(score, taken, settings)
 
 
 def spread_out(score: NDArray[np.float32], taken: Array, settings: FrontEndSettings) -> Array:
-    """The same of a score (H, W), greater where it is better to begin a track."""
+    """Choose corners as `find_corners` does, by a score (H, W) that is higher where a track had better start."""
     height, width = score.shape
     spacing, border = round(settings.track_spacing_px), settings.flow_window_px // 2 + 1
-    # A peak is the best within the spacing of it: one dilation does what a sorted search would.
+    # A peak is the best corner within the track spacing: one dilation does what a sorted search would.
     peaks = score >= cv2.dilate(score, np.ones((2 * spacing + 1, 2 * spacing + 1), dtype=np.uint8))
     peaks &= score > settings.corner_quality * score.max()
     allowed = np.zeros(score.shape, dtype=np.uint8)

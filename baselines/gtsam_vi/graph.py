@@ -1,4 +1,4 @@
-"""The factor graph: the model that its factors are made of, and in which order its variables are eliminated."""
+"""The factor graph: the model that its factors are built from, and the elimination order of its variables."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State
 
 LEAST = np.array([1e-4] * 3 + [1e-4] * 3)
-"""rad and m, 1 sigma: what the start is held with where it is exact by definition."""
+"""1 sigma, rad and m, with which the start is held where it is exact by definition."""
 
 
 class Model:
-    """Calibrations, noise models and the factors made of them. aiding: the sensors beside cameras and inertial unit.
+    """Calibrations, noise models and the factors built from them. aiding: the sensors besides cameras and IMU.
 
     uncertainty: of the cameras, which are then calibrated online.
-    initial_covariances: by the key frame at which a graph begins, of its pose (6, 6) and velocity (3, 3) in odom's
-    axes; where there are none, nothing is known but the gauge.
+    initial_covariances: by the keyframe at which a graph starts, of its pose (6, 6) and velocity (3, 3) in odom's axes;
+    where there are none, nothing is known but the gauge.
     """
 
     def __init__(
@@ -44,14 +44,14 @@ class Model:
         self.aiding = aiding or Aiding()
         self.params = preintegration_params(imu, settings.noise)
         self.initial_covariances: dict[int, tuple[Array, Array]] = {}
-        # A file may say that the unit has no turn-on bias; a little is left, for what its model leaves out.
+        # A file may state that the IMU has no turn-on bias; a little is assumed, for what its model leaves out.
         self.gyro_turn_on = max(imu.gyro_turn_on, 1e-4)
         self.accel_turn_on = max(imu.accel_turn_on, 1e-3)
 
     def inertial(
         self, previous: Keyframe, keyframe: Keyframe, bias: gtsam.imuBias.ConstantBias
     ) -> gtsam.NonlinearFactor:
-        """What the inertial measurements between two key frames say of their states."""
+        """Inertial factor between the states of two keyframes, preintegrated at a bias."""
         factor = inertial_factor(keyframe.index - 1, keyframe.index, keyframe.segment, bias, self.params)
         if not self.rig.clock_is_free:
             return factor
@@ -60,12 +60,12 @@ class Model:
         return clocked(factor, CLOCK, (previous.rates or after, after), self.imu.gravity)
 
     def at_stamp(self, keyframe: Keyframe, state: State) -> State:
-        """The state at a key frame's stamp from that when its picture was taken."""
+        """Propagate a keyframe's state from when its image was taken to its stamp."""
         rates = keyframe.rates
         return state if rates is None else moved_on(state, self.rig.clock_s, rates, self.imu.gravity)
 
     def when_taken(self, keyframe: Keyframe, state: State) -> State:
-        """The other way round."""
+        """Propagate a keyframe's state from its stamp back to when its image was taken."""
         rates = keyframe.rates
         return state if rates is None else moved_on(state, -self.rig.clock_s, rates, self.imu.gravity)
 
@@ -77,7 +77,7 @@ class Model:
         state: State,
         bias: gtsam.imuBias.ConstantBias,
     ) -> list[gtsam.NonlinearFactor]:
-        """All that ties a key frame to the one before it, given the states of both."""
+        """All factors that tie a keyframe to the one before it, given the states of both."""
         k, settings = keyframe.index, self.settings
         if keyframe.trusted:
             drag = [self.drag(keyframe)] if keyframe.blind else []
@@ -93,35 +93,35 @@ class Model:
         ]
 
     def zero_velocity(self, keyframe: int) -> gtsam.NonlinearFactor:
-        """Zero-velocity update."""
+        """Zero-velocity update of a keyframe."""
         return gtsam.PriorFactorVector(
             V(keyframe), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, self.settings.zero_velocity.sigma)
         )
 
     def drag(self, keyframe: Keyframe) -> gtsam.NonlinearFactor:
-        """Of a key frame that sees next to nothing: no vehicle is fast for long in water, whatever the inertial unit
-        says. Over `memory_s` together as much as one measurement of speed zero."""
+        """Velocity prior of a keyframe that sees next to nothing: no vehicle stays fast for long in water, whatever the
+        IMU says. Those within `memory_s` together weigh as much as one measurement of zero speed."""
         limits, time = self.settings.recovery, max(keyframe.segment.duration, self.settings.keyframes.min_s)
         sigma = limits.unknown_speed * float(np.sqrt(max(limits.memory_s / time, 1.0)))
         return gtsam.PriorFactorVector(V(keyframe.index), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, sigma))
 
     def calibration_priors(self) -> list[gtsam.NonlinearFactor]:
-        """What is known beforehand of the calibrations of cameras and aiding sensors."""
+        """Prior factors of the calibrations of cameras and aiding sensors."""
         diagonal = gtsam.noiseModel.Diagonal.Sigmas
         aiding = [gtsam.PriorFactorVector(c.key, c.value, diagonal(c.sigmas)) for c in self.aiding.calibrations()]
         return [*self.rig.prior(self.settings.noise), *aiding]
 
     def calibration_keys(self) -> list[int]:
-        """Of all calibrations that are variables."""
+        """Keys of all calibrations that are variables."""
         return [*self.rig.keys(), *(calibration.key for calibration in self.aiding.calibrations())]
 
     def start_priors(self, keyframe: int, state: State) -> list[gtsam.NonlinearFactor]:
-        """What is known of the state at which a graph begins; of the first of all, that it is the origin and ahead."""
+        """Prior factors of the state at which a graph starts; by default, of its position and heading as the gauge."""
         rotation = state.nav.attitude().matrix()
         of_pose, of_velocity = self.initial_covariances.get(
             keyframe, (np.diag([0.0] * 3 + [0.5**2] * 2 + [0.0]), np.eye(3) * 2.0**2)
         )
-        # GTSAM states rotation before translation, both in the axes of the pose itself.
+        # GTSAM puts rotation before translation, both in the axes of the pose itself.
         turn = np.zeros((6, 6))
         turn[:3, 3:] = turn[3:, :3] = rotation.T
         pose = turn @ of_pose @ turn.T + np.diag(LEAST**2)
@@ -140,11 +140,11 @@ class Model:
 def nested_dissection(
     graph: gtsam.NonlinearFactorGraph | gtsam.GaussianFactorGraph, left: Collection[int] = ()
 ) -> gtsam.Ordering:
-    """An order of elimination by METIS (Karypis & Kumar 1998), which cuts a path of many passes across all of them.
+    """Elimination order by METIS (Karypis & Kumar 1998), which cuts a path of many passes across all of them.
 
-    left: variables that are not to be eliminated. A third of the memory that COLAMD's takes. METIS writes beyond its
-    arrays where a variable shares no factor with any other (a calibration that nothing measures), so these are kept
-    from it, and come last. So do the cameras, which all landmarks share.
+    left: variables that are not to be eliminated. It takes a third of the memory that COLAMD's order does. METIS writes
+    beyond its arrays where a variable shares no factor with any other (a calibration that nothing measures), so such
+    variables are withheld from it and come last. So do the cameras, which all landmarks share.
     """
     linked, known = gtsam.SymbolicFactorGraph(), set[int]()
     for n in range(graph.size()):

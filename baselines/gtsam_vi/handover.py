@@ -1,4 +1,4 @@
-"""What the window hands over to the filter at a key frame: the estimate of its last state, and how well it is known."""
+"""Handover from window to filter at a keyframe: the estimate of the last state, and its covariance."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from oysterbench_baselines.gtsam_vi.window import Window
 
 
 def correct_filter(filter: InvariantFilter, window: Window, keyframe: Keyframe, model: Model) -> None:
-    """The filter goes on from the window's estimate of the last key frame, with its covariance, where there is one."""
+    """Reset the filter to the window's estimate of the last keyframe, with its covariance where there is one."""
     model.aiding.forget_intervals()
     k, shared = keyframe.index, model.aiding.shared_states()
     state = keyframe.estimate

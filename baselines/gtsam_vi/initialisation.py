@@ -1,4 +1,4 @@
-"""Initialisation of the window: when to look for a start, where it is, and whether what is found will do."""
+"""Initialisation of the window: when to look for a start, where it is, and whether to accept what is found."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from oysterbench_baselines.gtsam_vi.window import Window
 
 @dataclass(frozen=True)
 class Start:
-    """A window that begins with an adjusted stretch of key frames, whose states are set; info: how it was found."""
+    """A window that starts with an adjusted stretch of keyframes, whose states are set; info: how it was found."""
 
     stretch: list[Keyframe]
     bundle: Bundle
@@ -39,8 +39,8 @@ class Start:
 
 @dataclass(frozen=True)
 class FilterStartSettings:
-    """When a filter that knows its velocity is certain enough of roll and pitch for a window to begin with its state,
-    but not before so many seconds and key frames: one key frame has no landmarks."""
+    """When a filter that knows its velocity is certain enough of roll and pitch for a window to start from its state,
+    but not before `min_s` and `min_keyframes`: a single keyframe has no landmarks."""
 
     tilt_deg: float = 1.0  # 1 sigma
     min_s: float = 1.5
@@ -48,8 +48,8 @@ class FilterStartSettings:
 
 
 class Initialiser:
-    """Searches for a start among the key frames from `first` on; the first of them is at `anchor`, where there was a
-    start before that was lost."""
+    """Search for a start among the keyframes from `first` on; after the loss of an earlier start, the first of them is
+    at `anchor`."""
 
     def __init__(self, model: Model, filter_start: FilterStartSettings | None) -> None:
         self.model = model
@@ -60,14 +60,14 @@ class Initialiser:
         self._pause_s = model.settings.initialisation.retry_s
 
     def from_observations(self, keyframes: list[Keyframe], final: bool) -> Start | None:
-        """A start from tracks and inertial measurements, if its scale is well determined; `final`: the last chance."""
+        """Find a start from tracks and inertial measurements, if its scale is well determined; final: last attempt."""
         limits = self.model.settings.initialisation
         stretch = keyframes[self.first :][-limits.max_keyframes :]
         now = (stretch[-1].stamp_ns - keyframes[0].stamp_ns) * 1e-9
         too_soon = now < self._next_attempt_s and not final
         if too_soon or not is_worth_a_try(stretch, self.model.settings):
             return None
-        # Where nothing is found time and again, as in murk, the search itself would take most of the time there is.
+        # Where nothing is found time and again, as in murky water, the search itself would take most of the run time.
         self._next_attempt_s = now + self._pause_s
         self._pause_s = min(self._pause_s * limits.retry_growth, limits.max_retry_s)
         if self.anchor is not None:
@@ -100,10 +100,10 @@ class Initialiser:
     def _find(
         self, stretch: list[Keyframe], anchor: State | None, max_scale_sigma: float
     ) -> tuple[list[Keyframe], Bundle | None]:
-        """A stretch and its adjustment, or its later half, where what the earlier one saw does not belong to the rest.
+        """Return a stretch and its adjustment, or its later half if what the earlier half saw does not fit the rest.
 
-        Silt drifts as one, and a start that is made of it, or in part, fits it well enough. But then the rest alone
-        fits clearly better, or says more of the scale than all of it together, which more of the same never does.
+        Silt drifts as one, and a start made of it, wholly or in part, fits well enough. But then the later half alone
+        fits clearly better, or determines the scale better than the whole does, which consistent data never do.
         """
         model, settings = self.model, self.model.settings
         whole, half = find_start(model, stretch, anchor, max_scale_sigma), stretch[len(stretch) // 2 :]
@@ -121,7 +121,7 @@ class Initialiser:
         return half, later if certain else None
 
     def from_filter(self, keyframes: list[Keyframe], filter: InvariantFilter) -> Start | None:
-        """A start from the state of a filter that knows its velocity, once it is level."""
+        """Find a start from the state of a filter that knows its velocity, once its roll and pitch are certain."""
         limits, settings = self._filter_start, self.model.settings
         stretch = keyframes[self.first :]
         elapsed = (stretch[-1].stamp_ns - stretch[0].stamp_ns) * 1e-9
@@ -145,7 +145,7 @@ class Initialiser:
         return Start(stretch, bundle, window, {})
 
     def _move_anchor(self, keyframes: list[Keyframe], to: Keyframe) -> None:
-        """The search has gone on for longer than the stretch that it looks at: until `to` it coasts."""
+        """Coast the anchor on to a later keyframe: the search has outlasted the stretch that it looks at."""
         assert self.anchor is not None
         start_ns, before = keyframes[self.first].stamp_ns, self.anchor
         memory_s = self.model.settings.recovery.memory_s
@@ -158,12 +158,12 @@ class Initialiser:
 
 
 def is_metric(stretch: list[Keyframe], settings: GtsamViSettings) -> bool:
-    """Whether two cameras tell the scale."""
+    """Whether two cameras see enough tracks in common to determine the scale."""
     return _seen_twice(stretch[-1].observations) >= settings.initialisation.min_tracks
 
 
 def is_worth_a_try(stretch: list[Keyframe], settings: GtsamViSettings) -> bool:
-    """Enough tracks, key frames and time; of one camera, time in motion."""
+    """Whether there are enough tracks, keyframes and time (with one camera, time in motion) to attempt a start."""
     metric = is_metric(stretch, settings)
     if metric:
         least, least_s = settings.initialisation.stereo_keyframes, settings.initialisation.stereo_s
@@ -177,7 +177,7 @@ def is_worth_a_try(stretch: list[Keyframe], settings: GtsamViSettings) -> bool:
 
 
 def find_start(model: Model, stretch: list[Keyframe], anchor: State | None, max_scale_sigma: float) -> Bundle | None:
-    """The adjusted stretch, its first key frame at the anchor; None where it does not fit or its scale is uncertain."""
+    """Adjust a stretch, its first keyframe at the anchor; None if it does not fit or its scale is uncertain."""
     settings = model.settings
     start = closed_form_start(
         [k.observations for k in stretch],
@@ -207,7 +207,7 @@ def _seen_twice(view: Observations) -> int:
 
 
 def scale_sigma(bundle: Bundle, keyframes: list[Keyframe]) -> float:
-    """Relative 1-sigma uncertainty of scale: of the longest way from the first key frame, along it."""
+    """Relative 1-sigma uncertainty of scale: that of the longest displacement from the first keyframe, along it."""
     poses = [bundle.values.atPose3(X(k.index)) for k in keyframes]
     offsets = np.array([pose.translation() for pose in poses]) - poses[0].translation()
     far = int(np.argmax(np.linalg.norm(offsets, axis=1)))
@@ -219,7 +219,7 @@ def scale_sigma(bundle: Bundle, keyframes: list[Keyframe]) -> float:
     except RuntimeError:
         return float("inf")
     along = offsets[far] / length
-    # GTSAM states the translation in the axes of the pose itself, after the rotation.
+    # GTSAM has the translation in the axes of the pose itself, after the rotation.
     slope = np.zeros(12)
     slope[3:6] = -poses[0].rotation().matrix().T @ along
     slope[9:12] = poses[far].rotation().matrix().T @ along

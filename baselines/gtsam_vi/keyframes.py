@@ -1,4 +1,4 @@
-"""From tracks to key frames: which landmark a track shows, when a frame is a key frame, and when the vehicle rests."""
+"""From tracks to keyframes: which landmark a track shows, what makes a keyframe, and when the vehicle is at rest."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 
 
 class DataAssociation:
-    """Tells which landmark a track shows, and how much tracks are to be trusted.
+    """Association of tracks with landmarks, and how far tracks are to be trusted.
 
-    A track follows what looks the same from one frame to the next, and a corner of relief goes over into another as it
-    is passed: on an orbit over shells, tracks live for a minute and slide over them by tens of pixels, so smoothly that
-    no single step gives it away. A track that is seen from another side than at first is therefore another landmark.
+    A track follows what looks the same from one frame to the next, and on relief one corner turns into another as it is
+    passed: on an orbit over shells, tracks live for a minute and slide over them by tens of pixels, so smoothly that no
+    single step gives it away. A track seen from a different side than at first is therefore another landmark.
     """
 
     def __init__(self, settings: GtsamViSettings, R_imu_cam: Array) -> None:
@@ -28,7 +28,7 @@ class DataAssociation:
         # Of the last frame's tracks: ids (N,), landmarks (N,), and directions (N, 3) of the landmarks' first rays.
         self._ids = self._landmarks = np.empty(0, dtype=np.int64)
         self._first = np.empty((0, 3))
-        self._kept: list[float] = []  # share of the tracks that each frame since the last key frame left
+        self._kept: list[float] = []  # share of the tracks kept by each frame since the last keyframe
 
     def landmarks(self, ids: NDArray[np.int64], rays: Array, segment: Segment, gyro_bias: Array) -> NDArray[np.int64]:
         """Landmarks (N,) of the next frame's tracks, ids (N,) and rays (N, 2); segment: measurements since the last."""
@@ -43,15 +43,15 @@ class DataAssociation:
         landmarks, first = np.zeros(len(ids), dtype=np.int64), np.zeros((len(ids), 3))
         landmarks[now], first[now] = self._landmarks[before], self._first[before]
         new = (first * directions).sum(axis=1) < np.cos(np.radians(self._settings.landmarks.max_turn_deg))
-        new |= ~first.any(axis=1)  # of a track that was not there before
+        new |= ~first.any(axis=1)  # tracks that were not there before
         landmarks[new], first[new] = self._count + np.arange(np.count_nonzero(new)), directions[new]
         self._count += int(np.count_nonzero(new))
         self._ids, self._landmarks, self._first = ids, landmarks, first
         return landmarks
 
     def inflation(self) -> float:
-        """How much less certain than usual the tracks since the last call are: where light moves over the bottom, most
-        are lost from frame to frame, and it has moved those that are left."""
+        """Factor by which the tracks since the last call are less certain than usual: where light moves over the
+        bottom, most are lost from frame to frame, and those that are left have been shifted by it."""
         noise, kept = self._settings.noise, max(float(np.mean(self._kept or [1.0])), 1e-3)
         self._kept = []
         return min(float(kept**-noise.loss_power), noise.max_inflation)
@@ -60,7 +60,7 @@ class DataAssociation:
 def is_keyframe(
     last: Observations, now: Observations, since: Segment, gyro_bias: Array, rig: CameraRig, settings: GtsamViSettings
 ) -> bool:
-    """Enough parallax, enough tracks lost, or enough time since the last key frame."""
+    """Whether there is enough parallax, or enough tracks lost or time passed since the last keyframe, for a new one."""
     limits = settings.keyframes
     if since.duration < limits.min_s:
         return False
@@ -86,7 +86,7 @@ def parallax(before: Array, after: Array, R_before_after: Array) -> float:
 def is_stationary(
     before: Observations, after: Observations, duration: float, rig: CameraRig, settings: GtsamViSettings
 ) -> bool:
-    """Zero-velocity detection: the picture has not moved in `duration` s.
+    """Zero-velocity detection: whether the image has not moved in `duration` s.
 
     Judged by the affine flow that fits all tracks: their own noise averages out in it, and motion in any direction
     or about any axis shows.
@@ -103,8 +103,8 @@ def is_stationary(
 
 
 def is_under_way(filter: InvariantFilter, settings: GtsamViSettings) -> bool:
-    """Whether a speed is known beyond doubt. Where a veil, silt or the port is all there is to see, a picture stands
-    still while the vehicle moves."""
+    """Whether the vehicle is moving beyond doubt. Where nothing but a veil, silt or the port is visible, the image
+    stands still while the vehicle moves."""
     of = settings.zero_velocity
     sigma = np.hypot(np.sqrt(np.trace(filter.covariance[VELOCITY, VELOCITY])), of.sigma)
     return bool(np.linalg.norm(filter.velocity) > of.speed_sigmas * sigma)

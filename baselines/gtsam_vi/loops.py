@@ -1,9 +1,9 @@
-"""Loop closure: which places are seen again, whether it is true, and what follows from it.
+"""Loop closure: recognising places, verifying that they are the same, and correcting the path.
 
 A loop has to pass, in this order: shared words; distance, by the odometry's own uncertainty; a rigid, level alignment
-of the matched corners in metres; and landmarks of the old place found again in the new picture by Lucas-Kanade, where
-that alignment says, to a fraction of a pixel, many and widely spread. What a self-similar reef repeats passes the
-first, not the last.
+of the matched corners in metres; and landmarks of the old place, many and widely spread, found again in the new image
+by Lucas-Kanade to a fraction of a pixel where that alignment predicts them. What a self-similar reef repeats passes the
+first test, but not the last.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from oysterbench_baselines.gtsam_vi.verification import Verifier
 
 @dataclass
 class LoopCloser:
-    """Follows the estimator's key frames: makes places of them, looks for loops, keeps the pose graph."""
+    """Loop closing for the estimator's keyframes: makes places of them, looks for loops, maintains the pose graph."""
 
     calibration: CameraCalibration
     model: Model
@@ -50,23 +50,23 @@ class LoopCloser:
         self.index = Index(self.settings)
         self.verifier = Verifier(self.calibration, self.settings)
         self.graph = PoseGraph(self.settings)
-        self._waiting: list[tuple[int, bytes]] = []  # key frames whose state is not known yet, with their pictures
-        self._settled = 0  # places in the pose graph: their key frames have left the window
-        self._centres: list[Array] = []  # of the ground view of each place, in its level frame
-        self._kept: list[int] = []  # places that are more than nodes of the graph
-        self._weak: list[LoopClosure] = []  # those with few landmarks, which wait for a neighbour that says the same
+        self._waiting: list[tuple[int, bytes]] = []  # keyframes whose state is not known yet, with their images
+        self._settled = 0  # places in the pose graph: their keyframes have left the window
+        self._centres: list[Array] = []  # centre of the ground view of each place, in its level frame
+        self._kept: list[int] = []  # places that have not been forgotten
+        self._weak: list[LoopClosure] = []  # loops with few landmarks, which wait for a neighbour that agrees
 
     @property
     def correction(self) -> Array:
-        """T_corrected_odom (4, 4) of what the window says now."""
+        """T_corrected_odom (4, 4) for the window's current estimate."""
         return self.graph.correction
 
     def ties(self, k: int) -> bool:
-        """Whether a loop joins what was seen from key frame k on to what was seen before."""
+        """Whether a loop connects what was seen from keyframe k on to what was seen before."""
         return any(self.places[loop.first].keyframe < k <= self.places[loop.second].keyframe for loop in self.loops)
 
     def add_keyframe(self, keyframes: list[Keyframe], picture: NDArray[np.uint8]) -> None:
-        """The newest key frame, its state already brought up to date, and its equalised picture (H, W) uint8."""
+        """Process the newest keyframe, its state already up to date, and its equalised image (H, W) uint8."""
         self._waiting.append((keyframes[-1].index, encode(picture)))
         if keyframes[-1].state is None:
             self._waiting = self._waiting[-self.settings.initialisation.max_keyframes :]
@@ -91,7 +91,7 @@ class LoopCloser:
         self._waiting = []
 
     def _thin_out(self) -> None:
-        """Forget every other place of those that are kept: the path of a long dive is known again at twice the step."""
+        """Forget every other place that is kept: the path of a long dive is then recognised at twice the step."""
         for n in self._kept[1::2]:
             self.places[n].forget()
             self.index.forget(n)
@@ -100,7 +100,7 @@ class LoopCloser:
     def _make_place(
         self, keyframes: list[Keyframe], k: int, coded: bytes, picture: NDArray[np.uint8] | None
     ) -> Place | None:
-        """A place, where the vehicle has moved on since the last one and there are landmarks."""
+        """Make a place of a keyframe; None if the vehicle has hardly moved since the last one or landmarks are few."""
         settings, pose = self.settings, keyframes[k].estimate.matrix
         if self.places:
             last = keyframes[self.places[-1].keyframe].estimate.matrix
@@ -121,7 +121,8 @@ class LoopCloser:
         return Place(k, T_level_cam, plane, ids, rays, local, descriptors, corners, coded)
 
     def _settle(self, keyframes: list[Keyframe]) -> None:
-        """Places whose key frames have left the window: their last states, landmarks seen from both sides; nodes."""
+        """Update places whose keyframes have left the window with their last states and landmarks seen from both sides,
+        and add them to the pose graph."""
         settings = self.settings
         while self._settled < len(self.places):
             place = self.places[self._settled]
@@ -135,7 +136,7 @@ class LoopCloser:
             self._settled += 1
 
     def _bring_up_to_date(self, place: Place, keyframes: list[Keyframe], level: Array) -> None:
-        """Landmarks and ground of a place by the last state of its key frame, whose level pose is `level`."""
+        """Update landmarks and ground of a place from the last state of its keyframe, whose level pose is `level`."""
         settings = self.settings
         ids, rays, points = landmarks_of(self.model, keyframes, place.keyframe, settings.window.keyframes)
         if len(ids) >= settings.recognition.min_landmarks:
@@ -145,7 +146,8 @@ class LoopCloser:
             place.plane = fit_ground(place.points)
 
     def _drift(self, keyframes: list[Keyframe], n: int) -> Drift:
-        """Of the step to place n: a random walk, more where there was little to see, anything where it was lost."""
+        """Drift over the step to place n: a random walk, more where little was visible, far more where tracking was
+        lost."""
         settings = self.settings
         if n == 0:
             return Drift(0.0, 0.0)
@@ -163,13 +165,13 @@ class LoopCloser:
         return Drift(heading, position)
 
     def _find_loops(self, keyframes: list[Keyframe], picture: NDArray[np.uint8]) -> bool:
-        """Loops between the newest place and settled ones; whether one of them leaves no doubt."""
+        """Find loops between the newest place and settled ones; return whether one of them leaves no doubt."""
         settings = self.settings
         now = len(self.places) - 1
         place = self.places[now]
         if self._settled < 2:
             return False
-        anchor = self._settled - 1  # the newest place in the graph; the newest of all hangs on it by the window
+        anchor = self._settled - 1  # the newest place in the graph; the window ties the newest of all to it
         T_anchor_now = invert(self.graph.odometry[anchor]) @ level_pose(keyframes[place.keyframe].estimate.matrix)
         T_odom_now = self.graph.poses[anchor] @ T_anchor_now
         candidates, certain = self._candidates(keyframes, now, anchor, T_odom_now), False
@@ -190,7 +192,7 @@ class LoopCloser:
         return certain
 
     def rest(self) -> None:
-        """Keep what `joined` needs and nothing by which places are known again: no key frame will follow."""
+        """Release all that recognises places and keep what `joined` needs: no keyframe will follow."""
         for place in self.places:
             place.forget()
         self.index = Index(self.settings)
@@ -198,14 +200,14 @@ class LoopCloser:
         self._waiting = []
 
     def joined(self, keyframes: list[Keyframe]) -> list[Keyframe]:
-        """The key frames with what the loops have taught: states of the pose graph, merged tracks, ties."""
+        """Return the keyframes with the loops applied: states of the pose graph, merged tracks, ties."""
         if not self.loops:
             return keyframes
         corrected = [replace(k, state=_moved(k.estimate, self._correction_at(k.index))) for k in keyframes]
         return join(corrected, self.places, self.loops, self.model)
 
     def _correction_at(self, k: int) -> Array:
-        """T_corrected_odom (4, 4) at a key frame: between places, between theirs."""
+        """T_corrected_odom (4, 4) at a keyframe: between places, interpolated between theirs."""
         places = [place.keyframe for place in self.places[: self._settled]]
         after = int(np.searchsorted(places, k))
         before = max(0, after - 1)
@@ -214,7 +216,7 @@ class LoopCloser:
         if before == after:
             return first
         share = (k - places[before]) / (places[after] - places[before])
-        # The difference of the two corrections, turned about the key frame itself: both leave it nearly where it is.
+        # A share of the difference between the two corrections, about the place before, which it hardly moves.
         step = invert(first) @ second
         heading = share * heading_of(step)
         centre = self.graph.odometry[before][:3, 3]
@@ -224,7 +226,7 @@ class LoopCloser:
         return first @ part
 
     def _has_neighbour(self, keyframes: list[Keyframe], loop: LoopClosure) -> bool:
-        """Whether another loop between neighbours of its places says the same, odometry being certain over so few."""
+        """Whether another loop between neighbours of its places agrees, as odometry is certain over so few places."""
         settings = self.settings
         level = [level_pose(keyframes[self.places[n].keyframe].estimate.matrix) for n in (loop.first, loop.second)]
         for other in [*self._weak, *self.loops][-4 * settings.loops.neighbours * settings.recognition.candidates :]:
@@ -239,7 +241,7 @@ class LoopCloser:
         return False
 
     def _candidates(self, keyframes: list[Keyframe], now: int, anchor: int, T_odom_now: Array) -> list[int]:
-        """Settled places, long enough ago, whose ground may be the one seen now; best by votes."""
+        """Settled places, long enough ago, whose ground may be in view now; best by votes."""
         settings = self.settings
         stamp = keyframes[self.places[now].keyframe].stamp_ns
         votes = self.index.votes(self.places[now].descriptors)[: anchor + 1]
@@ -285,7 +287,7 @@ class LoopCloser:
 
 
 def _moved(state: State, T: Array) -> State:
-    """A state after a turn about z and a shift (4, 4)."""
+    """Transform a state by a rotation about z and a translation (4, 4)."""
     pose = T @ state.matrix
     bias = state.bias
     velocity = T[:3, :3] @ state.nav.velocity()

@@ -1,4 +1,4 @@
-"""The map: key frames and landmarks of the final smoothing, coloured by the pictures that the key frames were."""
+"""The map: keyframes and landmarks of the final smoothing, coloured from the images of the keyframes."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.states import Keyframe, read_state
 
 PATCH_PX = 3
-"""Side of the patch whose mean is a corner's colour: a corner is an edge, and one pixel of it is either side."""
+"""Side of the patch whose mean is a corner's colour: a corner is an edge, and a single pixel lies on either side."""
 
 
 @dataclass
 class Palette:
-    """What tracks look like: their mean colour over the key frames that saw them."""
+    """Colours of tracks: the mean over the keyframes that saw them."""
 
     _ids: list[NDArray[np.int64]] = field(default_factory=list)
     _colours: list[NDArray[np.uint8]] = field(default_factory=list)
 
     def add(self, pixels: NDArray[np.uint8], tracks: FeatureTracks) -> None:
-        """The picture of a key frame, (H, W, 3) RGB or (H, W) grey, and its tracks."""
+        """Add the image of a keyframe, (H, W, 3) RGB or (H, W) grey, and its tracks."""
         mean = cv2.blur(pixels, (PATCH_PX, PATCH_PX))
         columns, rows = np.round(tracks.pixels).astype(np.int64).T
         found = mean[np.clip(rows, 0, mean.shape[0] - 1), np.clip(columns, 0, mean.shape[1] - 1)]
@@ -41,7 +41,7 @@ class Palette:
         return bool(self._ids)
 
     def of(self, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """(N, 3) colours of tracks (N,), each of which has been seen."""
+        """Colours (N, 3) of tracks (N,), each of which must have been seen."""
         known, row = np.unique(np.concatenate(self._ids), return_inverse=True)
         colours = np.concatenate(self._colours).astype(float)
         count = np.bincount(row)
@@ -50,10 +50,10 @@ class Palette:
 
 
 def landmark_map(model: Model, keyframes: list[Keyframe], bundle: Bundle, palette: Palette) -> LandmarkMap:
-    """Of an adjusted stretch: the landmarks that as many key frames as a new one needs still see where they are.
+    """Map of an adjusted stretch: the landmarks that reproject well in as many keyframes as a new landmark needs.
 
-    bundle: of the very key frames. In its odom, which the path after it and the path as it was known share: both begin
-    at the same pose.
+    bundle: of the same keyframes. The map is in its odom, which the smoothed and the online path share: both start at
+    the same pose.
     """
     values, settings = bundle.values, model.settings
     poses = np.array([values.atPose3(X(keyframe.index)).matrix() for keyframe in keyframes])
@@ -65,7 +65,7 @@ def landmark_map(model: Model, keyframes: list[Keyframe], bundle: Bundle, palett
     frame, rays, camera = frame[own], rays[own], camera[own]
     row = np.searchsorted(bundle.landmarks, track[own])
     near = model.rig.errors_px(poses[frame], points[row], rays, camera) < settings.landmarks.max_error_px
-    # A second camera's view is no further key frame.
+    # A second camera's view does not count as another keyframe.
     views = np.unique(np.column_stack([row, frame])[near], axis=0)
     observations = np.bincount(views[:, 0], minlength=len(points))
     kept = observations >= settings.landmarks.min_views

@@ -1,13 +1,13 @@
 """Marginal covariances of many variables of a graph at once.
 
 GTSAM's `Marginals` takes each from the joint density of a clique and the root, found by elimination: minutes and
-gigabytes where passes over the same ground make cliques of a thousand rows. All of them are in the inverse of the
-information, at the places where its factor has entries, and these follow from the last variable eliminated to the
-first (Takahashi, Fagan & Chin 1973): with R x + S y = d for a variable x given its parents y,
+gigabytes where passes over the same ground make cliques of a thousand rows. All of them are entries of the inverse of
+the information matrix where its factor is non-zero, and these follow one from another from the last variable eliminated
+to the first (Takahashi, Fagan & Chin 1973): with R x + S y = d for a variable x given its parents y,
 
     A = R^-1 S,   P_xy = -A P_yy,   P_xx = R^-1 R^-T + A P_yy A^T,
 
-and P_yy lies in what is known by then of the first parent to be eliminated and its parents.
+and P_yy is part of the joint covariance, known by then, of the first parent to be eliminated and its parents.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from oysterbench_baselines.gtsam_vi.graph import nested_dissection
 
 @dataclass(frozen=True)
 class _Joint:
-    """Covariance (N, N) of a variable and its parents; the rows of each, by key."""
+    """Joint covariance (N, N) of a variable and its parents; the rows of each, by key."""
 
     covariance: Array
     rows: dict[int, slice]
 
     def of(self, keys: list[int]) -> Array:
-        """That of some of them, in their order."""
+        """Covariance of some of them, in the order of `keys`."""
         rows = np.concatenate([np.r_[self.rows[key]] for key in keys])
         return np.asarray(self.covariance[np.ix_(rows, rows)], dtype=float)
 
@@ -38,17 +38,17 @@ class _Joint:
 def marginal_covariances(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, keys: Collection[int]
 ) -> dict[int, Array]:
-    """Covariances (d, d) of variables, in their tangents, by key; RuntimeError where the equations cannot be solved."""
+    """Covariances (d, d) of variables in their tangents, by key. Raises RuntimeError where the system is singular."""
     return marginals_of(graph.linearize(values), nested_dissection(graph), keys)
 
 
 def marginals_of(
     linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, keys: Collection[int]
 ) -> dict[int, Array]:
-    """The same of a linear graph, eliminated in this order."""
+    """Covariances as in `marginal_covariances`, of a linear graph eliminated in this order."""
     wanted, net = set(keys), linear.eliminateSequential(ordering)
-    # From the first eliminated to the last: a variable hangs on the first of its parents. What has nothing on it that
-    # is asked for, as have most landmarks, is left out.
+    # From the first eliminated to the last: a variable is the child of the first of its parents. Variables that are not
+    # asked for and have no such children, as most landmarks, are left out.
     conditionals, widths, children = dict[int, gtsam.GaussianConditional](), dict[int, int](), dict[int, list[int]]()
     order, roots = dict[int, int](), list[int]()
     for n in range(net.size()):
@@ -65,7 +65,7 @@ def marginals_of(
             roots.append(key)
     found = dict[int, Array]()
     waiting: list[tuple[int, _Joint | None]] = [(root, None) for root in roots]
-    while waiting:  # a joint lives until the last child has had it
+    while waiting:  # a joint lives until its last child has used it
         key, above = waiting.pop()
         joint = _joint(conditionals[key], above, widths)
         if key in wanted:
@@ -75,7 +75,7 @@ def marginals_of(
 
 
 def _joint(conditional: gtsam.GaussianConditional, above: _Joint | None, widths: dict[int, int]) -> _Joint:
-    """Of a variable and its parents, `above` being the joint that has these."""
+    """Joint of a variable and its parents; `above`: the joint that contains the parents."""
     keys = list(conditional.keys())
     ends = np.cumsum([widths[key] for key in keys]).tolist()
     rows = {key: slice(end - widths[key], end) for key, end in zip(keys, ends, strict=True)}

@@ -1,8 +1,8 @@
-"""What loops do to the key frames: tracks of different passes become one landmark, or two poses are tied.
+"""Effect of loops on the keyframes: tracks of different passes become one landmark, or two poses are tied.
 
-Key frames that share a landmark are coupled, each with each. Ground that is passed over again and again would couple
-all of a dive, and the time of an adjustment grow with the cube of the passes: what one landmark has seen enough of is
-enough, and a later pass is tied by the relative pose of a loop now and then.
+Keyframes that share a landmark are coupled, each with each. Ground passed over again and again would couple the whole
+dive, and the time of an adjustment would grow with the cube of the number of passes. So once enough keyframes see a
+landmark, a later pass is only tied by the relative pose of a loop now and then.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class LoopClosure:
 
 
 class Merger:
-    """Says which tracks are views of one landmark, pass after pass: a union-find over track ids.
+    """Union-find over track ids: which tracks, pass after pass, are views of one landmark.
 
-    Two tracks in one picture are two landmarks: what would make them one is refused.
+    Two tracks in one image are two landmarks: a merge that would make them one is refused.
     """
 
     def __init__(self, keyframes: list[Keyframe]) -> None:
@@ -52,25 +52,25 @@ class Merger:
                 self._seen.setdefault(track, set()).add(keyframe.index)
 
     def root(self, track: int) -> int:
-        """The id that stands for all of them."""
+        """Id that stands for all tracks of the landmark."""
         while (parent := self._parent.get(track, track)) != track:
             self._parent[track] = self._parent.get(parent, parent)
             track = parent
         return track
 
     def merge(self, one: int, other: int) -> None:
-        """Two tracks of one landmark."""
+        """Merge two tracks into one landmark, unless one keyframe has seen both."""
         one, other = sorted((self.root(one), self.root(other)))
         if one != other and not self._seen[one] & self._seen[other]:
             self._parent[other] = one
             self._seen[one] |= self._seen.pop(other)
 
     def views(self, track: int) -> int:
-        """Key frames that have seen its landmark."""
+        """Number of keyframes that have seen the landmark of a track."""
         return len(self._seen.get(self.root(track), ()))
 
     def see(self, track: int, keyframe: int) -> bool:
-        """One more view of a landmark, in a key frame that had none; False where it had one."""
+        """Add a view of a landmark in a keyframe that has none; return False if it has one."""
         seen = self._seen.setdefault(self.root(track), set())
         if keyframe in seen:
             return False
@@ -79,8 +79,8 @@ class Merger:
 
 
 class Ties:
-    """Chooses loops to tie passes by that share no landmarks: every so many places one, and all of them, pass after
-    pass, to the same few places, so that these are all that the passes are coupled by."""
+    """Choice of loops to tie passes that share no landmarks: one every `step` places, and all of them, pass after pass,
+    to the same few places, so that only these couple the passes."""
 
     def __init__(self, step: int) -> None:
         self._step = step
@@ -88,7 +88,7 @@ class Ties:
         self.loops: list[LoopClosure] = []
 
     def offer(self, loop: LoopClosure) -> None:
-        """A loop, not earlier than those before."""
+        """Consider a loop, which must not be earlier than those before."""
         if self.loops and loop.second < self.loops[-1].second + self._step:
             return
         near = range(loop.first - self._step + 1, loop.first + self._step)
@@ -98,8 +98,8 @@ class Ties:
 
 
 def tie(loop: LoopClosure, first: Keyframe, second: Keyframe, settings: GtsamViSettings) -> gtsam.NonlinearFactor:
-    """A loop as a relative pose of its key frames: heading and position as it says, roll and pitch as they are, loosely
-    (they are known by gravity)."""
+    """Factor of a loop as relative pose of its keyframes: heading and position as the loop has them, roll and pitch as
+    they are, held loosely (gravity determines them)."""
     tilts = [invert(level_pose(k.estimate.matrix)) @ k.estimate.matrix for k in (first, second)]
     to_second = loop.T_first_second @ tilts[1]
     of_loop = np.zeros((6, 6))  # rotation, then position, in the first's level axes
@@ -117,11 +117,11 @@ def tie(loop: LoopClosure, first: Keyframe, second: Keyframe, settings: GtsamViS
 
 
 def join(keyframes: list[Keyframe], places: list[Place], loops: list[LoopClosure], model: Model) -> list[Keyframe]:
-    """The key frames with the tracks of different passes merged, with the views that loops have added, and with ties.
+    """Return the keyframes with the tracks of different passes merged, the views added by loops, and ties.
 
-    A landmark found again within `merge_px` of a track is that track. Where the merged views of a landmark do not
-    meet in a point, at the states of the key frames, its tracks stay apart. A loop on ground that `merge_keyframes` see
-    already, or between pieces of a long path, is no more than a tie.
+    A landmark found again within `merge_px` of a track is that track. If the merged views of a landmark do not meet in
+    a point, given the states of the keyframes, its tracks stay apart. A loop on ground that `merge_keyframes` already
+    see, or between pieces of a long path, becomes no more than a tie.
     """
     settings = model.settings
     merger, ties = Merger(keyframes), Ties(settings.loops.tie_places)
@@ -172,7 +172,7 @@ def _meeting(
     added: dict[int, list[tuple[int, Array]]],
     model: Model,
 ) -> set[int]:
-    """The roots whose views, all together, make a landmark."""
+    """Roots whose views, all together, triangulate to a good landmark."""
     known = np.array(sorted(involved), dtype=np.int64)
     roots = np.array([merger.root(i) for i in known.tolist()], dtype=np.int64)
     track, rays, rows = [np.empty(0, dtype=np.int64)], [np.empty((0, 2))], [np.empty(0, dtype=np.int64)]

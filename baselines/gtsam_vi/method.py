@@ -1,6 +1,6 @@
-"""The methods, with one camera or with two: a sequence through front end and estimator, in the order of time.
+"""The methods, with one camera or two: a sequence is fed through front end and estimator in time order.
 
-From above: what a method is and runs; how the samples are fed; what is made of the result.
+From top to bottom: what a method is and runs; how samples are fed to it; how the result is assembled.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class GtsamVi:
 
     output: "smoothed" gives the poses after an adjustment of the whole path, "online" those known at each frame.
     camera: name of the camera; the first one by default. stereo: use a second camera beside it as well.
-    seed: of the random samples in the epipolar check. mask: "moving", or a file of weights: what moves in a picture,
-    as a network that `oysterbench train moving` trains sees it, is left out; empty: nothing is.
+    seed: of the random samples in the epipolar check. mask: "moving", or a file of weights, to leave out what
+    moves in an image, as detected by a network from `oysterbench train moving`; empty: nothing is left out.
     """
 
     name = "gtsam_vi"
@@ -59,11 +59,11 @@ class GtsamVi:
 
     @property
     def weights(self) -> dict[str, Path]:
-        """Files of trained weights that it runs on: those of the mask."""
+        """Files of the trained weights that it uses: those of the mask."""
         return mask_weights(self.mask)
 
     def run(self, sequence: Sequence) -> Estimate:
-        """Poses T_odom_base at the camera's stamps, for some seconds where frames are missing too; and the map."""
+        """Poses T_odom_base at the camera's stamps, for some seconds also where frames are missing; and the map."""
         cameras = [first_camera(self.name, sequence, self.camera)]
         if self.stereo:
             second = second_camera(sequence, cameras[0], self.settings.stereo)
@@ -82,12 +82,12 @@ class GtsamVi:
         return estimate_of(estimator, self.output, self.settings, {"cameras": cameras})
 
     def front_end(self, calibration: CameraCalibration) -> FrontEnd:
-        """What follows corners in the pictures of a camera."""
+        """Front end that tracks corners in the images of a camera."""
         return FrontEnd(calibration, self.settings.frontend, self.seed, moving_mask(self.mask))
 
 
 class GtsamViStereo(GtsamVi):
-    """The same with the second camera of a stereo pair."""
+    """`GtsamVi` with the second camera of a stereo pair as well."""
 
     name = "gtsam_vi_stereo"
 
@@ -103,18 +103,18 @@ class GtsamViStereo(GtsamVi):
 
 
 def moving_mask(weights: str) -> MovingMask | None:
-    """The mask of what moves; None where none is wanted."""
+    """Mask of what moves, from a network's weights; None if these are empty."""
     return MovingMask(weights) if weights else None
 
 
 def check_output(method: str, output: str) -> None:
-    """MethodError where a method cannot give such a path."""
+    """Raise MethodError if a method cannot give the requested path."""
     if output not in ("smoothed", "online"):
         raise MethodError(f"{method}: expected output 'smoothed' or 'online', got {output!r}")
 
 
 def first_camera(method: str, sequence: Sequence, camera: str | None) -> str:
-    """The camera of that name, by default the first one. MethodError where there is none."""
+    """Name of the camera, by default that of the first one. Raises MethodError where there is none."""
     camera = camera or next(iter(sequence.cameras), "")
     if camera not in sequence.cameras:
         which = f" {camera!r}; cameras: {', '.join(sequence.cameras) or 'none'}" if camera else ""
@@ -133,9 +133,9 @@ def run_estimator(
 ) -> None:
     """Feed an estimator with a stream of a sequence, from the first to the last sample.
 
-    cameras: one, or two. start_ns: where every instant has a pose from then to the very end, with or without pictures;
-    None: a frame that is missing has one only within `max_blind_s` of the last picture. front_end: of the first
-    camera; by default that of the settings.
+    cameras: one, or two. start_ns: if given, there are poses from then to the very end, with or without images; if
+    None, a missing frame has one only within `max_blind_s` of the last image. front_end: of the first camera; by
+    default that of the settings.
     """
     settings, calibration = estimator.settings, sequence.cameras[cameras[0]]
     front_end = front_end or FrontEnd(calibration, settings.frontend, seed)
@@ -146,7 +146,7 @@ def run_estimator(
     samples = SampleBuffer()
     since_image = list[Segment]()
     last_ns = latest_ns = start_ns or 0  # of the last frame, and of the last inertial sample
-    seen_ns: int | None = None  # of the last picture
+    seen_ns: int | None = None  # of the last image
     for item in pairs(stream, cameras[0], second, settings.stereo.sync_s):
         image, other = item if isinstance(item, tuple) else (None, None)
         stamp_ns: int = item.stamp_ns if image is None else image.stamp_ns
@@ -157,18 +157,18 @@ def run_estimator(
             if stamp_ns - last_ns < patience_ns or (start_ns is None and blind):
                 continue
         elif image is not None and estimator.frames and stamp_ns <= last_ns:
-            continue  # its place has been taken
+            continue  # too late: a pose has been given in its place
         segment = samples.cut(stamp_ns)
         estimator.propagate(segment)
         since_image.append(segment)
         if image is None:
-            if isinstance(item, ImuMeasurement):  # a picture is missing
+            if isinstance(item, ImuMeasurement):  # an image is missing
                 estimator.step(stamp_ns)
                 last_ns = stamp_ns
             else:
                 estimator.update(item)
             continue
-        since = Segment.join(since_image)  # not for each sample: without pictures it is all there is of the dive
+        since = Segment.join(since_image)  # not per sample: without images it is all of the dive
         if front_end.repeats(image.pixels) and estimator.has_moved(since):
             estimator.step(stamp_ns)  # it is stale
         else:
@@ -187,7 +187,7 @@ def run_estimator(
 
 
 def estimate_of(estimator: Estimator, output: Output, settings: GtsamViSettings, info: dict[str, Any]) -> Estimate:
-    """What a method gives: the path of that name, the other one beside it, and the map."""
+    """Estimate of a method: the path named `output`, the other one beside it, the map and the health."""
     paths = estimator.paths()
     others = {name: path for name, path in paths.items() if name != output and len(path)}
     info = {"trajectory": output, **info, **estimator.info, "settings": dataclasses.asdict(settings)}
@@ -197,4 +197,4 @@ def estimate_of(estimator: Estimator, output: Output, settings: GtsamViSettings,
 def _match(matcher: StereoMatcher, front_end: FrontEnd, tracks: FeatureTracks, other: Image) -> Array:
     assert front_end.image is not None
     rays = matcher.match(front_end.image, front_end.equalise(other.pixels), tracks)
-    return rays if tracks.rolled is None else rays - tracks.rolled  # the rows of a pair are read together
+    return rays if tracks.rolled is None else rays - tracks.rolled  # the rows of a pair are read out together

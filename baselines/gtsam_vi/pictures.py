@@ -1,4 +1,4 @@
-"""Pictures as corners are looked for in them: veil, uneven contrast and what all of them share taken away."""
+"""Preparation of images for corner detection: removal of veil, uneven contrast and what all images share."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from oysterbench_baselines.gtsam_vi.settings import FrontEndSettings
 
 
 def without_veil(grey: NDArray[np.uint8], settings: FrontEndSettings) -> NDArray[np.float32]:
-    """A grey picture (H, W) less the mean around each pixel: the veil of scattered light, the slower part of caustics,
-    and a lamp's cone."""
+    """Subtract from a grey image (H, W) the mean around each pixel: the veil of scattered light, the slow part of
+    caustics, and a lamp's cone."""
     picture = grey.astype(np.float32)
     picture -= cv2.blur(picture, (settings.veil_px, settings.veil_px))
     return picture
 
 
 def even_contrast(detail: NDArray[np.float32], settings: FrontEndSettings) -> NDArray[np.uint8]:
-    """A picture (H, W) without its veil, with the same contrast everywhere: divided by its own spread in a wider
-    surrounding, and by no less than the sensor's noise."""
+    """Give an image (H, W) without its veil the same contrast everywhere: divide it by its own spread in a wider
+    surrounding, plus a floor for the sensor's noise."""
     square = cv2.sqrBoxFilter(detail, cv2.CV_32F, (settings.contrast_px, settings.contrast_px))
-    # In place, as pictures do not fit into the processor's cache. Its running sums leave a little less than nothing
+    # In place, as images do not fit into the processor's cache. OpenCV's running sums may come out slightly negative
     # where all is black.
     spread = np.sqrt(np.maximum(square, 0.0, out=square), out=square)
     spread += settings.contrast_floor_grey
@@ -32,25 +32,25 @@ def even_contrast(detail: NDArray[np.float32], settings: FrontEndSettings) -> ND
 
 
 class FixedPattern:
-    """What pictures share however the camera moves: hot pixels, spots on the port, its reflections.
+    """Pattern that images share however the camera moves: hot pixels, spots on the port, its reflections.
 
-    Corners on them do not move, agree with each other, and say that the vehicle is at rest. Taken as fixed is what the
-    mean of pictures from different places has beyond its own standard error.
+    Corners on it do not move, agree with each other, and suggest that the vehicle is at rest. Whatever in the mean of
+    images from different places stands out from its own standard error is taken as fixed.
     """
 
     def __init__(self, settings: FrontEndSettings) -> None:
         self._settings = settings
         self._count = 0
-        self._moved_px = 0.0  # since the last picture that was added
+        self._moved_px = 0.0  # since the last image that was added
         self._mean = self._square = np.zeros((1, 1), dtype=np.float32)
         self._pattern: NDArray[np.float32] | None = None  # (H, W)
 
     def taken_from(self, detail: NDArray[np.float32]) -> NDArray[np.float32]:
-        """A picture (H, W) without its veil, without what is fixed as well."""
+        """Subtract the fixed pattern from an image (H, W) without its veil."""
         return detail if self._pattern is None else detail - self._pattern
 
     def add(self, detail: NDArray[np.float32], moved_px: float) -> None:
-        """A picture (H, W) without its veil, in which all has moved by so much since the last one."""
+        """Add an image (H, W) without its veil, which has moved by `moved_px` since the last one."""
         limits = self._settings
         self._moved_px += moved_px
         if self._moved_px < limits.pattern_step_px and self._count:

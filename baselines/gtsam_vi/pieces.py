@@ -1,13 +1,13 @@
-"""Bundle adjustment of a long path, piece by piece, so that its memory is that of one piece.
+"""Bundle adjustment of a long path, piece by piece, so that it takes no more memory than one piece.
 
-A path is cut into pieces of some hundred key frames each. The factors of a piece are those of its key frames and of the
-landmarks that were first seen in it. Most of their variables no other piece has: eliminated, they leave on the few that
-it shares (states at its ends, key frames that a landmark or a tie reaches across them, calibrations) one message of
-what the whole piece says of them. What the messages of all others say of a piece's shared variables, together with its
-own factors, is all that is known of it: its step, and its marginal covariances, are those of the whole path's system,
-to rounding. Only messages outlive a piece, and its factors where they are few (`KEPT_VIEWS`); its elimination is made
-again when it is asked for. (Submaps whose separators are eliminated last: Ni, Steedly & Dellaert 2007, whose submaps
-keep their own frames.)
+A path is cut into pieces of some hundred keyframes each. The factors of a piece are those of its keyframes and of the
+landmarks first seen in it. Most of its variables occur in no other piece: eliminated, they leave one message, all that
+the piece says about the few variables that it shares (states at its ends, keyframes that a landmark or a tie reaches
+across them, calibrations). The messages of all others about a piece's shared variables, together with its own factors,
+are all that is known of it: its step and its marginal covariances are those of the whole path's system, up to rounding.
+Only messages outlive a piece, and its factors where they are few (`KEPT_VIEWS`); its elimination is repeated when it is
+needed. (Submaps whose separators are eliminated last: Ni, Steedly & Dellaert 2007, whose submaps keep their own
+frames.)
 """
 
 from __future__ import annotations
@@ -39,25 +39,25 @@ from oysterbench_baselines.gtsam_vi.marginals import marginals_of
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, read_state
 
 TOLERANCE = 1e-4
-"""By which share the error falls at least, or the adjustment ends."""
+"""Share of the error by which it falls at least, or the adjustment ends."""
 HALVINGS = 3
-"""Of a step that does not lower the error, before it is given up."""
+"""Number of times that a step which does not reduce the error is halved before it is given up."""
 KEPT_VIEWS = 300_000
-"""Of a path, up to which its factors are kept from one step to the next: 60 MB, twenty minutes with one camera. Those
-of a longer one are made anew."""
+"""Number of views of a path up to which its factors are kept from one step to the next: 60 MB, twenty minutes with one
+camera. Those of a longer path are rebuilt."""
 
 
 def parts_of(count: int, size: int) -> list[range]:
-    """The pieces of so many key frames, of `size` each or up to half as many again; one where there would be no two."""
+    """Cut `count` keyframes into pieces of `size` each or up to half as many again; into one if they make no two."""
     ends = np.linspace(0, count, max(1, count // size) + 1).round().astype(int).tolist()
     return [range(start, stop) for start, stop in pairwise(ends)]
 
 
 @dataclass
 class Piecewise:
-    """A path of key frames in pieces, about states that it was given.
+    """A path of keyframes in pieces, with the states that it was given.
 
-    ids (L,), points (L, 3): landmarks, sorted; owner (L,): their pieces. others: by piece, the factors that are no
+    ids (L,), points (L, 3): landmarks, sorted; owner (L,): their pieces. others: by piece, the factors other than
     views, which are few.
     """
 
@@ -85,10 +85,10 @@ class Piecewise:
         states: list[State],
         gate_px: float,
     ) -> Piecewise:
-        """With landmarks triangulated from the states."""
+        """Build with landmarks triangulated from the states."""
         poses = np.array([state.matrix for state in states])
         piece = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-        tracks, first = np.unique(views.track, return_index=True)  # rows are in the order of time
+        tracks, first = np.unique(views.track, return_index=True)  # rows are in time order
         owners = piece[views.row[first]]
         found = [
             views.of_tracks(tracks[owners == p]).triangulate(rig, poses, gate_px, model.settings.landmarks)
@@ -106,15 +106,15 @@ class Piecewise:
 
     @cached_property
     def shared(self) -> list[list[int]]:
-        """Keys of the variables of every piece that another one has too."""
+        """By piece, keys of its variables that another piece has too."""
         return _shared(set(self.graph(p).keyVector()) for p in range(len(self.parts)))
 
     def values(self) -> gtsam.Values:
-        """All variables as they were given."""
+        """Values of all variables as they were given."""
         return values_of(self.model, self.rig, self.keyframes, self.states, self.ids, self.points)
 
     def graph(self, piece: int, times: float = 1.0) -> gtsam.NonlinearFactorGraph:
-        """The factors of a piece, the sigma of views so many times as large. Not to be added to."""
+        """Factors of a piece, with the sigma of views multiplied by `times`. The graph must not be added to."""
         if times != 1.0 or len(self.views.track) > KEPT_VIEWS:
             return self._new_graph(piece, times)
         if piece not in self._graphs:
@@ -130,7 +130,7 @@ class Piecewise:
         return graph
 
     def order(self, piece: int, linear: gtsam.GaussianFactorGraph) -> gtsam.Ordering:
-        """An order of elimination of the variables that only this piece has, whose graph is linearised somewhere: which
+        """Elimination order of the variables that only this piece has. linear: its graph, linearised anywhere, as which
         variables share a factor does not depend on where."""
         if piece not in self._orders:
             self._orders[piece] = nested_dissection(linear, self.shared[piece])
@@ -146,12 +146,12 @@ class Piecewise:
         return np.concatenate(found)
 
     def system(self, values: gtsam.Values, times: float = 1.0) -> PiecewiseSystem:
-        """All pieces linearised at values."""
+        """Linearise all pieces at values."""
         return PiecewiseSystem(self, values, times)
 
 
 class PiecewiseSystem:
-    """The linearised system of a piecewise path, of which no more than one piece stands at a time.
+    """The linearised system of a piecewise path, of which no more than one piece is held at a time.
 
     values: at which it is linearised. error: of all factors there.
     """
@@ -169,7 +169,7 @@ class PiecewiseSystem:
             self._messages.append(linear.eliminatePartialMultifrontal(path.order(p, linear))[1])
 
     def step(self) -> gtsam.Values:
-        """The values after one step of Gauss and Newton."""
+        """Values after one Gauss-Newton step."""
         moved = gtsam.Values(self.values)
         for p in range(len(self._messages)):
             linear, ordering = self._piece(p)
@@ -178,7 +178,7 @@ class PiecewiseSystem:
         return moved
 
     def pose_covariances(self) -> dict[int, Array]:
-        """(6, 6) of the pose of every key frame, in its tangent, by its key."""
+        """Covariance (6, 6) of the pose of every keyframe, in its tangent, by key."""
         found = dict[int, Array]()
         for p, part in enumerate(self._path.parts):
             linear, ordering = self._piece(p)
@@ -187,7 +187,7 @@ class PiecewiseSystem:
         return found
 
     def _piece(self, piece: int) -> tuple[gtsam.GaussianFactorGraph, gtsam.Ordering]:
-        """A piece's own factors and what all others say of what it shares; an order of elimination."""
+        """A piece's own factors with what all others say about its shared variables; an elimination order."""
         linear, shared = self._path.graph(piece, self._times).linearize(self.values), self._shared[piece]
         ordering = self._path.order(piece, linear)
         outside = self._outside(piece)
@@ -198,7 +198,7 @@ class PiecewiseSystem:
         return linear, ordering
 
     def _outside(self, piece: int) -> gtsam.GaussianFactorGraph:
-        """What all other pieces say of the variables that a piece shares."""
+        """What all other pieces say about the variables that a piece shares, as factors."""
         others, shared = gtsam.GaussianFactorGraph(), self._shared[piece]
         for p, message in enumerate(self._messages):
             for n in range(message.size() if p != piece else 0):
@@ -213,7 +213,7 @@ class PiecewiseSystem:
 
 
 def _shared(keys: Iterable[set[int]]) -> list[list[int]]:
-    """Of the variables of every piece those that another one has too, sorted."""
+    """By piece, those of its variables that another piece has too, sorted."""
     seen, twice, all_keys = set[int](), set[int](), []
     for own in keys:
         twice |= seen & own
@@ -230,9 +230,10 @@ def adjust_piecewise(
     min_views: int,
     parts: list[range],
 ) -> tuple[Bundle, Piecewise]:
-    """As `bundle.adjust`, by steps of Gauss and Newton, which are halved where the error does not fall.
+    """Adjust as `bundle.adjust` does, by Gauss-Newton steps, which are halved where the error does not fall.
 
-    The bundle's graph is empty: the path in pieces stands for it. RuntimeError where the equations cannot be solved.
+    The bundle's graph is empty: the piecewise path stands for it. Raises RuntimeError where the equations cannot be
+    solved.
     """
     rig = copy(model.rig)
     views = Views.of(keyframes, min_views)

@@ -1,8 +1,9 @@
-"""Places: key frames seen again. Each is described by its ground view, so that it is known from any heading.
+"""Places: keyframes that can be recognised. Each is described by its ground view, to be recognised from any heading.
 
-A survey camera looks ahead and down, and a reef seen from the other side is another picture. What the attitude, the
-height over the bottom and the landmarks tell is therefore taken out first: the picture is laid on the ground, level,
-from above, at one scale. What is left of a heading is a rotation in the picture, which the descriptors do not see.
+A survey camera looks ahead and down, and a reef seen from the other side is a different image. What is known from the
+attitude, the height over the bottom and the landmarks is therefore removed first: the image is projected onto the
+ground and seen level, from above, at a fixed scale. What remains of a heading is a rotation in the image, to which the
+descriptors are invariant.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from oysterbench_baselines.gtsam_vi.states import Keyframe
 GRID = 25
 """Nodes per side at which a warp is computed exactly; between them it is linear, to 0.1 px."""
 JPEG_QUALITY = 85
-"""Of the pictures that are kept: 40 to 60 kB each, and no corner moves."""
+"""JPEG quality of the images that are kept: 40 to 60 kB each, and no corner moves."""
 
 
 def level_pose(T_odom_imu: Array) -> Array:
@@ -46,20 +47,20 @@ def heading_of(T: Array) -> float:
 
 
 def encode(picture: NDArray[np.uint8]) -> bytes:
-    """A grey picture (H, W) as JPEG."""
+    """Encode a grey image (H, W) as JPEG."""
     return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
 
 
 def decode(coded: bytes) -> NDArray[np.uint8]:
-    """The picture (H, W) again."""
+    """Decode an image (H, W) from JPEG."""
     return np.asarray(cv2.imdecode(np.frombuffer(coded, dtype=np.uint8), cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
 
 
 @dataclass
 class Place:
-    """What is kept of a key frame.
+    """What is stored of a keyframe to recognise it.
 
-    T_level_cam (4, 4): the camera in the level frame of the key frame (`level_pose`). plane (3,): the ground there,
+    T_level_cam (4, 4): the camera in the level frame of the keyframe (`level_pose`). plane (3,): the ground there,
     z = plane @ (x, y, 1). ids (L,), rays (L, 2), points (L, 3): landmarks in it, with their points in the level frame.
     descriptors (N, 32) uint8 and corners (N, 3) of the ground view: points in the level frame, depths interpolated
     between landmarks. picture: the equalised grey frame as JPEG.
@@ -77,18 +78,18 @@ class Place:
 
     @property
     def pixels(self) -> NDArray[np.uint8]:
-        """The picture (H, W)."""
+        """The decoded image (H, W)."""
         return decode(self.picture)
 
     def forget(self) -> None:
-        """Keep what a node of the pose graph needs, and nothing by which it is known again."""
-        # New arrays: a part of one holds all of it.
+        """Release all that serves recognition, keeping what a node of the pose graph needs."""
+        # New arrays: a slice would keep the whole array alive.
         self.descriptors, self.corners, self.picture = np.empty((0, 32), dtype=np.uint8), np.empty((0, 3)), b""
         self.ids, self.rays, self.points = np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 3))
 
     @property
     def forgotten(self) -> bool:
-        """Whether it is no more than a node of the pose graph."""
+        """Whether it is no more than a node of the pose graph: see `forget`."""
         return not self.picture
 
     @property
@@ -99,7 +100,7 @@ class Place:
 
 
 def landmarks_of(model: Model, keyframes: list[Keyframe], k: int, reach: int) -> tuple[NDArray[np.int64], Array, Array]:
-    """Ids (L,), rays (L, 2) and points (L, 3) in odom of the landmarks in key frame k, by `reach` frames each way."""
+    """Ids (L,), rays (L, 2) and points (L, 3) in odom of the landmarks in keyframe k, from `reach` more each way."""
     view = keyframes[k].observations
     around = [f for f in keyframes[max(0, k - reach) : k + reach + 1] if f.state is not None]
     rows = [f.observations.rows() for f in around]
@@ -113,9 +114,9 @@ def landmarks_of(model: Model, keyframes: list[Keyframe], k: int, reach: int) ->
 
 
 def fit_ground(points: Array) -> Array:
-    """plane (3,) with z = plane @ (x, y, 1) through points (L, 3), by iteratively reweighted least squares (Huber).
+    """Plane (3,), z = plane @ (x, y, 1), through points (L, 3), by iteratively reweighted least squares (Huber).
 
-    A weak prior holds it level where points on a line leave its slope open.
+    A weak prior holds it level where points on a line leave its slope undetermined.
     """
     places = np.column_stack([points[:, :2], np.ones(len(points))])
     weight = np.ones(len(points))
@@ -134,7 +135,7 @@ def project(points: Array, T_level_cam: Array, calibration: CameraCalibration) -
     T = invert(T_level_cam)
     local = points @ T[:3, :3].T + T[:3, 3]
     depth = local[:, 2].copy()
-    # Far outside the picture, a distortion's polynomial folds back into it.
+    # Far outside the image, the distortion polynomial folds back into it.
     local[:, 2] = np.maximum(local[:, 2], 0.05)
     limit = (
         1.2 * np.hypot(calibration.width, calibration.height) / (calibration.matrix[0, 0] + calibration.matrix[1, 1])
@@ -144,7 +145,7 @@ def project(points: Array, T_level_cam: Array, calibration: CameraCalibration) -
 
 
 class GroundViewer:
-    """Lays pictures on the ground and describes them. All views have one scale, that of the first."""
+    """Projection of images onto the ground, and its description. All views have one scale, that of the first."""
 
     def __init__(self, calibration: CameraCalibration, settings: GtsamViSettings) -> None:
         self.calibration = calibration
@@ -161,9 +162,9 @@ class GroundViewer:
     def view(
         self, picture: NDArray[np.uint8], place_points: Array, T_level_cam: Array, plane: Array
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]]:
-        """Ground view (S, S), mask of what the picture shows of it, and the pixels (S, S, 2) it was taken from.
+        """Ground view (S, S), mask of the part that the image shows, and the pixels (S, S, 2) it was sampled from.
 
-        place_points (L, 3): the landmarks around whose middle the view lies.
+        place_points (L, 3): the landmarks on whose median the view is centred.
         """
         size = self.settings.recognition.view_px
         if self.resolution is None:
@@ -171,13 +172,13 @@ class GroundViewer:
             self.resolution = float(self.settings.recognition.coarseness * depth / self._focal)
         centre = np.median(place_points[:, :2], axis=0)
         steps = (np.linspace(0, size - 1, GRID) - (size - 1) / 2) * self.resolution
-        # Seen from above: x (ahead) up in the picture, y (left) to the left.
+        # Seen from above: x (ahead) up in the image, y (left) to the left.
         x, y = np.meshgrid(centre[0] - steps, centre[1] - steps, indexing="ij")
         points = np.column_stack(
             [x.ravel(), y.ravel(), np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]) @ plane]
         )
         pixels, depth = project(points, T_level_cam, self.calibration)
-        # Beyond this the ground is seen too coarsely to be laid on it at this scale.
+        # Beyond this depth the image is too coarse for a ground view at this scale.
         pixels[(depth <= 0.05) | (depth > 2.5 * self.resolution * self._focal)] = -1e4
         source = upsample(pixels.reshape(GRID, GRID, 2), size, size)
         tile = warp(picture, source)
@@ -204,7 +205,7 @@ class GroundViewer:
 
 
 def _lift(rays: Array, known_rays: Array, known_points: Array, T_level_cam: Array) -> Array:
-    """Points (N, 3) along rays (N, 2): inverse depths of the nearest landmarks, weighted by nearness in the picture."""
+    """Points (N, 3) along rays (N, 2): inverse depths of the nearest landmarks, weighted by nearness in the image."""
     T = invert(T_level_cam)
     inverse_depth = 1.0 / np.maximum((known_points @ T[:3, :3].T + T[:3, 3])[:, 2], 0.05)
     n = min(4, len(known_rays))
@@ -225,7 +226,7 @@ def upsample(nodes: Array, height: int, width: int) -> NDArray[np.float32]:
 
 
 def warp(picture: NDArray[np.uint8], source: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """The picture (H, W) as it looks at the pixels (H', W', 2) that it is taken from; the edge goes on outside."""
+    """Sample an image (H, W) at source pixels (H', W', 2); outside, its edge is continued."""
     # Without an edge there are no corners on it.
     edge = cv2.BORDER_REPLICATE
     seen = cv2.remap(picture, source, None, cv2.INTER_LINEAR, borderMode=edge)  # type: ignore[call-overload]
@@ -233,10 +234,10 @@ def warp(picture: NDArray[np.uint8], source: NDArray[np.float32]) -> NDArray[np.
 
 
 class Index:
-    """Which places share words with a picture, by locality-sensitive hashing (Indyk & Motwani 1998).
+    """Index of places by the words they share with an image: locality-sensitive hashing (Indyk & Motwani 1998).
 
-    A word is some of a descriptor's bits, so there is no vocabulary to learn or to ship. A place is kept as its words,
-    4 bytes each; a query marks its own in a table and looks all others up in it.
+    A word is some of a descriptor's bits, so there is no vocabulary to learn or to ship. A place is stored as its
+    words, 4 bytes each; a query marks its own words in a table and looks all stored ones up in it.
     """
 
     def __init__(self, settings: GtsamViSettings) -> None:
@@ -251,12 +252,12 @@ class Index:
         self.count = 0
 
     def _words_of(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """(tables, N) words of descriptors (N, 32)."""
+        """Words (tables, N) of descriptors (N, 32)."""
         unpacked = np.unpackbits(descriptors, axis=1)
         return np.stack([unpacked[:, bits] @ self._powers for bits in self._bits])
 
     def add(self, descriptors: NDArray[np.uint8]) -> None:
-        """The next place; one without descriptors takes its number, and no memory."""
+        """Add the next place; one without descriptors takes a number, but no memory."""
         if len(descriptors):
             row = len(self._rows)
             if row == len(self._words):
@@ -287,7 +288,7 @@ class Index:
             table[np.unique(words)] += by
 
     def votes(self, descriptors: NDArray[np.uint8]) -> Array:
-        """Votes (count,) for each place: its corners that share a word, each counting the more the rarer the word."""
+        """Votes (count,) for each place: its corners that share a word, which count more the rarer the word is."""
         votes = np.zeros(self.count)
         for t, words in enumerate(self._words_of(descriptors)):
             weight = np.zeros(self._none + 1, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""The pose graph over places: odometry between neighbours, loops across, solved by iSAM2 (Kaess et al. 2012).
+"""The pose graph over places: odometry between neighbours, loops between others, by iSAM2 (Kaess et al. 2012).
 
 Roll and pitch are measured by gravity and do not drift. So a node is the level pose of a place, with four degrees of
 freedom (Qin, Li & Shen 2018, section VIII): a `Pose3` whose roll and pitch are held at zero.
@@ -17,12 +17,12 @@ from oysterbench_baselines.gtsam_vi.places import heading_of
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 
 LEVEL = 1e-4
-"""rad, 1 sigma: roll and pitch of a level pose."""
+"""1 sigma of roll and pitch of a level pose, rad."""
 
 
 @dataclass(frozen=True)
 class Drift:
-    """What odometry adds to the uncertainty on one step: variances of heading (rad^2) and position per axis (m^2)."""
+    """Uncertainty that odometry adds in one step: variances of heading (rad^2) and position per axis (m^2)."""
 
     heading: float
     position: float
@@ -39,18 +39,18 @@ class PoseGraph:
         self._params.findUnusedFactorSlots = True
         self._isam = gtsam.ISAM2(self._params)
         self.odometry: list[Array] = []  # T_odom_level as the window had them
-        self.poses: list[Array] = []  # with what the loops have corrected
-        self._sums = np.zeros((1, 5))  # of heading variance times 1, x, y, x^2 + y^2; of position variance
+        self.poses: list[Array] = []  # as corrected by the loops
+        self._sums = np.zeros((1, 5))  # running, of heading variance times 1, x, y, x^2 + y^2; of position variance
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        self._passed_by = 0  # loops since the last one that was taken in
+        self._passed_by = 0  # loops skipped since the last one that was added
 
     @property
     def correction(self) -> Array:
-        """T_corrected_odom (4, 4): turn about z and shift that take the window's poses to the graph's."""
+        """T_corrected_odom (4, 4): rotation about z and translation that take the window's poses to the graph's."""
         return self.poses[-1] @ invert(self.odometry[-1]) if self.poses else np.eye(4)
 
     def add(self, T_odom_level: Array, drift: Drift) -> None:
-        """The next place, `drift` being that of the step to it."""
+        """Add the next place; drift: of the step to it."""
         n = len(self.poses)
         factor: gtsam.NonlinearFactor
         if n == 0:
@@ -65,7 +65,7 @@ class PoseGraph:
         self.odometry.append(T_odom_level)
         self.poses.append(pose)
         x, y = T_odom_level[:2, 3]
-        # The heading is wrong from the place before on, so it is about this place that it turns all later ones.
+        # An error in heading turns all later places about this one.
         row = [drift.heading, drift.heading * x, drift.heading * y, drift.heading * (x * x + y * y), drift.position]
         self._sums = np.vstack([self._sums, self._sums[-1] + row])
         self._graph.push_back(factor)
@@ -73,11 +73,11 @@ class PoseGraph:
         self._values.insert(X(n), gtsam.Pose3(pose))
 
     def close(self, first: int, second: int, T_first_second: Array, covariance: Array) -> None:
-        """A loop: the second place's level pose as seen from the first's; covariance (4, 4) of heading and position in
-        the first's axes. Robust: one that all others contradict loses its weight (Cauchy).
+        """Add a loop: level pose of the second place as seen from the first, and covariance (4, 4) of heading and
+        position in the first's axes. Robust: a loop that all others contradict loses its weight (Cauchy).
 
-        Time and memory grow with the graph and its loops, and neighbouring loops say the same: a large graph takes one
-        of several, the fewer the larger it is.
+        Time and memory grow with the graph and its loops, and neighbouring loops say the same: a large graph takes only
+        one of several, the fewer the larger it is.
         """
         if self._passed_by + 1 < len(self.poses) // self.settings.loops.places_per_skip:
             self._passed_by += 1
@@ -94,13 +94,13 @@ class PoseGraph:
         self.poses = [values.atPose3(X(n)).matrix() for n in range(len(self.poses))]
 
     def rest(self) -> None:
-        """Keep the poses, and not the graph they come from: no place will follow."""
+        """Release the graph and keep the poses: no place will follow."""
         self._isam = gtsam.ISAM2(self._params)
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
 
     def uncertainty(self, first: int, second: int) -> tuple[float, float]:
         """1 sigma of heading (rad) and of position along any one axis (m), of the second place as seen from the first
-        by odometry alone: what loops have taken away of it is left out, which is on the safe side."""
+        by odometry alone: that loops have reduced it is ignored, which is on the safe side."""
         heading, hx, hy, square, position = self._sums[second + 1] - self._sums[first + 1]
         x, y = self.odometry[second][:2, 3]
         arm = max(0.0, square - 2 * (x * hx + y * hy) + heading * (x * x + y * y))
@@ -113,8 +113,8 @@ def _level_factor(n: int) -> gtsam.NonlinearFactor:
 
 
 def _noise(T_first_second: Array, covariance: Array) -> gtsam.noiseModel.Base:
-    """Of GTSAM's tangent at the second pose (rotation, then translation in its axes), from heading and position in the
-    axes of the first."""
+    """Noise model in GTSAM's tangent at the second pose (rotation, then translation in its axes), from the covariance
+    (4, 4) of heading and position in the axes of the first."""
     back = np.eye(4)
     heading = heading_of(T_first_second)
     c, s = np.cos(heading), np.sin(heading)

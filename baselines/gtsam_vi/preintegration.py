@@ -16,7 +16,7 @@ from oysterbench_baselines.gtsam_vi.settings import NoiseSettings
 
 
 def preintegration_params(calibration: ImuCalibration, settings: NoiseSettings) -> gtsam.PreintegrationCombinedParams:
-    """Noise of the inertial unit as GTSAM wants it: continuous variances, every one of them set (z of the world up).
+    """IMU noise as GTSAM requires it: continuous-time variances, every one of them set (z of the world up).
 
     The states are those of the IMU itself, not of base_link: GTSAM's `body_P_sensor` leaves the tangential
     acceleration of the lever arm out.
@@ -41,8 +41,8 @@ def preintegrate(
 ) -> gtsam.PreintegratedCombinedMeasurements:
     """Preintegrated measurements of a segment (Forster et al. 2017) at a bias.
 
-    GTSAM lets the force act in the attitude at the beginning of an interval: with gravity in the force, an error of
-    half a turn per sample times g. Turned on by half an interval, the force acts in the attitude in its middle.
+    GTSAM applies the specific force in the attitude at the start of an interval: as it includes gravity, that is an
+    error of half the rotation per sample times g. Rotated by half an interval, it acts in the attitude in the middle.
     """
     measurements = gtsam.PreintegratedCombinedMeasurements(params, bias)
     turn = (segment.gyro - bias.gyroscope()) * segment.dt[:, None]
@@ -59,6 +59,6 @@ def inertial_factor(
     bias: gtsam.imuBias.ConstantBias,
     params: gtsam.PreintegrationCombinedParams,
 ) -> gtsam.CombinedImuFactor:
-    """What a segment says of the states of the key frames at its ends, preintegrated at a bias."""
+    """Factor of a segment between the states of the keyframes at its ends, preintegrated at a bias."""
     measurements = preintegrate(segment, bias, params)
     return gtsam.CombinedImuFactor(X(before), V(before), X(after), V(after), B(before), B(after), measurements)

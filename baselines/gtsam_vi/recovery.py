@@ -1,4 +1,4 @@
-"""Recovery from failures: when the window has diverged, and what is known of the pose until it is found again."""
+"""Recovery from failures: when the window has diverged, and what is known of the pose until it is recovered."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from oysterbench_baselines.gtsam_vi.window import Window
 
 @dataclass(frozen=True)
 class Anchor:
-    """Where a path goes on: a state of the IMU, and the covariance (6, 6) of base_link's pose, as of a `Trajectory`."""
+    """Where a path goes on: state of the IMU, and covariance (6, 6) of base_link's pose as in a `Trajectory`."""
 
     state: State
     covariance: Array
 
 
 class Recovery:
-    """Watches the window, and remembers the last key frame at which all was well."""
+    """Monitor of the window, which remembers the last keyframe at which all was well."""
 
     def __init__(self, model: Model) -> None:
         self._model = model
         self._bad_keyframes = 0
-        self._good: tuple[int, State] | None = None  # a key frame's index, and its state then
+        self._good: tuple[int, State] | None = None  # a keyframe's index, and its state then
 
     def accept(self, keyframe: Keyframe) -> None:
-        """All is well at a key frame."""
+        """Note that all is well at a keyframe."""
         self._good = keyframe.index, keyframe.estimate
 
     def has_diverged(self, window: Window, keyframe: Keyframe) -> bool:
-        """Speed or biases beyond belief, or most landmarks far from where they were predicted, time and again."""
+        """Whether speed or biases are implausible, or most landmarks are repeatedly far from their prediction."""
         limits, model, state = self._model.settings.recovery, self._model, keyframe.estimate
         if not np.isfinite(state.matrix).all() or np.linalg.norm(state.nav.velocity()) > limits.max_speed:
             return True
@@ -49,8 +49,8 @@ class Recovery:
         return False
 
     def distrust(self, keyframes: list[Keyframe], frames: list[Frame]) -> None:
-        """The measurements since the last good key frame take no part in the final smoothing."""
-        assert self._good is not None  # since the window began
+        """Exclude the measurements since the last good keyframe from the final smoothing."""
+        assert self._good is not None  # set since the window started
         good = self._good[0]
         for keyframe in keyframes[good + 1 :]:
             keyframe.trusted = False
@@ -60,8 +60,8 @@ class Recovery:
         self._bad_keyframes = 0
 
     def predict(self, keyframes: list[Keyframe], frames: list[Frame]) -> Anchor:
-        """The path goes on from the last good key frame, slowing down, also for the frames whose poses have
-        been given since; gives what is known of the last key frame."""
+        """Coast the path from the last good keyframe, slowing down, also for the frames whose poses have been given
+        since; return what is known of the last keyframe."""
         assert self._good is not None
         index, state = self._good
         stamp_ns, limits = keyframes[index].stamp_ns, self._model.settings.recovery
@@ -79,13 +79,14 @@ class Recovery:
 
 
 def grown_covariance(covariance: Array, time: float, settings: RecoverySettings) -> Array:
-    """Covariance (6, 6) of a pose after a time (s) of which nothing is known but what vehicles do."""
+    """Covariance (6, 6) of a pose after a time (s) about which nothing is known but how vehicles usually move."""
     grown = np.repeat([settings.unknown_speed, settings.unknown_rate], 3) * time
     return covariance + np.diag(grown**2)
 
 
 def unlevelled(covariance: Array) -> tuple[Array, Array]:
-    """What is known of a start after a failure, pose (6, 6) and velocity (3, 3): place and heading, but not up."""
+    """Covariances of pose (6, 6) and velocity (3, 3) for a start after a failure: position and heading are known, roll
+    and pitch are not."""
     pose = covariance.copy()
     pose[3:5, :], pose[:, 3:5] = 0.0, 0.0
     pose[3, 3] = pose[4, 4] = 0.5**2

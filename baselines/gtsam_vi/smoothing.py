@@ -1,4 +1,4 @@
-"""The final smoothing: one adjustment of all key frames, and every frame between them."""
+"""The final smoothing: one adjustment of all keyframes, and the poses of all frames between them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, forwar
 
 @dataclass(frozen=True)
 class Smoothed:
-    """A smoothed path: the adjusted key frames, and T_odom_imu (4, 4) of every frame. pieces: of a long one."""
+    """A smoothed path: the adjusted keyframes, and T_odom_imu (4, 4) of every frame. pieces: of a long path."""
 
     keyframes: list[Keyframe]
     bundle: Bundle
@@ -25,8 +25,8 @@ class Smoothed:
     pieces: Piecewise | None
 
     def covariances(self, lever: Array, model: Model) -> list[Array]:
-        """(6, 6) of the pose of a frame fixed to the IMU at `lever` (3,) in it, at every key frame; RuntimeError where
-        they cannot be had."""
+        """Covariances (6, 6) of the pose of a frame fixed to the IMU at `lever` (3,), at every keyframe. Raises
+        RuntimeError where they cannot be computed."""
         if self.pieces is None:
             return pose_covariances(self.bundle, self.keyframes, lever, model)
         times = model.rig.correlation(model.settings.noise.correlation)
@@ -35,7 +35,8 @@ class Smoothed:
 
 
 def smooth(model: Model, keyframes: list[Keyframe], frames: list[Frame]) -> Smoothed:
-    """One adjustment of all key frames, of a long path piece by piece; RuntimeError where they cannot be solved for."""
+    """Adjust all keyframes at once, those of a long path piece by piece. Raises RuntimeError where they cannot be
+    solved for."""
     settings = model.settings
     gate, views = settings.landmarks.max_error_px, settings.landmarks.min_views
     given, gates = [keyframe.estimate for keyframe in keyframes], (3 * gate, gate)
@@ -51,9 +52,9 @@ def smooth(model: Model, keyframes: list[Keyframe], frames: list[Frame]) -> Smoo
 
 
 def between(model: Model, keyframes: list[Keyframe], states: list[State], frames: list[Frame]) -> list[Array]:
-    """T_odom_imu (4, 4) of every frame from the states of the key frames and the inertial measurements.
+    """T_odom_imu (4, 4) of every frame from the states of the keyframes and the inertial measurements.
 
-    What the measurements of a whole interval miss at its end is spread evenly over it.
+    What is missing at the end of an interval is spread evenly over it.
     """
     steps = zip(states, states[1:], keyframes[1:], strict=False)
     residuals = [_residual(model, before, after, keyframe.segment) for before, after, keyframe in steps]
@@ -70,6 +71,6 @@ def between(model: Model, keyframes: list[Keyframe], states: list[State], frames
 
 
 def _residual(model: Model, before: State, after: State, segment: Segment) -> tuple[Array, Array]:
-    """What is missing from the state before a segment, moved on by it, to the state after."""
+    """Rotation vector (3,) and displacement (3,) m from the state propagated over a segment to the state after it."""
     reached, wanted = forward(before, segment, model.params).matrix, after.matrix
     return Rotation.from_matrix(reached[:3, :3].T @ wanted[:3, :3]).as_rotvec(), wanted[:3, 3] - reached[:3, 3]

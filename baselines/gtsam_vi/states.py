@@ -1,4 +1,4 @@
-"""What is estimated, and when: states, the key frames that have one each, and the frames between them."""
+"""What is estimated, and when: states, the keyframes that have one each, and the frames between them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class State:
 
 @dataclass(frozen=True)
 class Rates:
-    """What the inertial unit reads at an instant: gyro rad/s and accel m/s^2, (3,) each."""
+    """IMU readings at an instant: gyro rad/s and accel m/s^2, (3,) each."""
 
     gyro: Array
     accel: Array
@@ -42,17 +42,17 @@ class Rates:
 
 NOTHING = Observations(np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
-RATES_S = 0.1  # over which readings are averaged: several turns of a thruster that shakes the unit
+RATES_S = 0.1  # over which readings are averaged: several revolutions of a thruster that shakes the IMU
 
 
 @dataclass
 class Keyframe:
-    """A key frame: stamp, what it observed, inertial measurements since the last key frame, its latest estimate; and
-    factors of other sensors, on its states, those of the key frame before it, and what the model shares, or of
-    loops, on its state and an earlier one.
+    """A keyframe: stamp, observations, inertial measurements since the last keyframe, latest estimate; and factors of
+    other sensors, on its state, that of the keyframe before it and shared variables, or of loops, on its state and an
+    earlier one.
 
     trusted: False where the measurements that lead to it have led the estimator astray. blind: whether it saw next to
-    nothing, and nothing else knew its velocity.
+    nothing, and nothing else measured its velocity.
     """
 
     index: int
@@ -66,12 +66,12 @@ class Keyframe:
     blind: bool = False
 
     def distrust_sight(self) -> None:
-        """What it saw fits nothing that was seen later: it is as blind as one that saw nothing."""
+        """Drop its observations, which fit nothing seen later: it is then as blind as one that saw nothing."""
         self.observations, self.blind = NOTHING, True
 
     @cached_property
     def rates(self) -> Rates | None:
-        """What the unit reads at its stamp; None where it has read nothing before."""
+        """IMU readings at its stamp; None where there are none before it."""
         segment = self.segment
         ago = np.cumsum(segment.dt[::-1])[::-1] - segment.dt
         latest = ago < RATES_S
@@ -81,23 +81,23 @@ class Keyframe:
 
     @property
     def estimate(self) -> State:
-        """Its state, which there is from the start of the window on."""
+        """Its state, which exists from the start of the window on."""
         assert self.state is not None
         return self.state
 
 
 @dataclass
 class Frame:
-    """A frame: the key frame before it (or itself), the measurements since, and the pose that was known at once, with
-    its covariance (6, 6) as of a `Trajectory`, both of the IMU; what loops had taught by then of odom's place; and how
-    the pose was had."""
+    """A frame: the keyframe before it (or itself), the measurements since, the online pose of the IMU, the covariance
+    (6, 6) of base_link's pose as in a `Trajectory`, the correction of odom by loops known then, and how the pose was
+    obtained."""
 
     stamp_ns: int
     keyframe: int
     since: Segment
     online: Array | None = None  # T_odom_imu
     covariance: Array | None = None
-    correction: Array | None = None  # T_corrected_odom (4, 4), a turn about z and a shift
+    correction: Array | None = None  # T_corrected_odom (4, 4), a rotation about z and a translation
     health: Health = Health.COASTING
 
 
@@ -113,19 +113,19 @@ def state_of(filter: InvariantFilter) -> State:
 
 
 def insert_state(values: gtsam.Values, index: int, state: State) -> None:
-    """Put a state into values under its keys."""
+    """Insert a state into values under its keys."""
     values.insert(X(index), state.nav.pose())
     values.insert(V(index), state.nav.velocity())
     values.insert(B(index), state.bias)
 
 
 def read_state(values: gtsam.Values, index: int) -> State:
-    """The state at its keys."""
+    """Read the state of keyframe `index` from values."""
     return State(gtsam.NavState(values.atPose3(X(index)), values.atVector(V(index))), values.atConstantBias(B(index)))
 
 
 def states_of(start: ClosedForm, anchor: State | None) -> list[State]:
-    """States of a start; with an anchor, moved and turned about z so that the first has its position and heading."""
+    """States of a start; with an anchor, shifted and turned about z so that the first has its position and heading."""
     turn, shift = np.eye(3), np.zeros(3)
     if anchor is not None:
         now, wanted = start.rotations[0][:, 0], anchor.matrix[:3, 0]
@@ -138,15 +138,15 @@ def states_of(start: ClosedForm, anchor: State | None) -> list[State]:
 
 
 def predict_stationary(state: State) -> State:
-    """The same pose, at rest."""
+    """State with the same pose, at rest."""
     return State(gtsam.NavState(state.nav.pose(), np.zeros(3)), state.bias)
 
 
 def coast(state: State, time: float, memory_s: float) -> State:
-    """The state after a time (s) of which nothing is known: at the same attitude, going on as it went and ever slower.
+    """State after a time (s) about which nothing is known: at the same attitude, moving on ever more slowly.
 
-    memory_s: in which the velocity falls by 1 - 1/e: a velocity that has been lost is as good a guess for some seconds,
-    and none after that; its error would grow with the time without end.
+    memory_s: in which the velocity falls by 1 - 1/e: the last known velocity is a good guess for some seconds, and none
+    after that; kept up, its error would grow with time without bound.
     """
     left = float(np.exp(-time / memory_s))
     position = state.nav.position() + state.nav.velocity() * memory_s * (1.0 - left)
@@ -155,12 +155,12 @@ def coast(state: State, time: float, memory_s: float) -> State:
 
 
 def forward(state: State, segment: Segment, params: gtsam.PreintegrationCombinedParams) -> State:
-    """The state after a segment."""
+    """Propagate a state over a segment."""
     return State(preintegrate(segment, state.bias, params).predict(state.nav, state.bias), state.bias)
 
 
 def backward(state: State, segment: Segment, gravity: float) -> State:
-    """The state at the beginning of a segment from that at its end."""
+    """Propagate a state from the end of a segment back to its start."""
     bias = state.bias
     part = integrate([segment], bias.gyroscope())
     time = part.time[-1]

@@ -1,4 +1,4 @@
-"""A second camera: which one, frames that were taken together, and the tracked corners found in its picture."""
+"""A second camera: which one, frames that were taken together, and the tracked corners found in its image."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, StereoSetti
 
 
 def second_camera(sequence: Sequence, first: str, settings: StereoSettings) -> str | None:
-    """A camera beside the first that looks where it looks; None if there is none."""
+    """Name of a camera beside the first that looks in the same direction; None if there is none."""
     T_first_base = invert(sequence.cameras[first].T_base_cam)
     for name, camera in sequence.cameras.items():
         T_first_second = T_first_base @ camera.T_base_cam
@@ -28,7 +28,7 @@ def second_camera(sequence: Sequence, first: str, settings: StereoSettings) -> s
 
 
 def pairs(stream: Iterator[Any], first: str, second: str | None, tolerance_s: float) -> Iterator[Any]:
-    """The stream with each frame of the first camera, and that of the second taken with it where there is one."""
+    """Yield the stream, with each frame of the first camera paired with that of the second taken with it, or None."""
     waiting: Image | None = None  # of the first camera
     other: Image | None = None  # the latest of the second
     tolerance = tolerance_s * 1e9
@@ -56,10 +56,10 @@ def pairs(stream: Iterator[Any], first: str, second: str | None, tolerance_s: fl
 
 
 class StereoMatcher:
-    """Finds the corners of the first camera's picture in that of the second.
+    """Search for the corners of the first camera's image in that of the second.
 
-    Lucas-Kanade, begun where the corner would be at the depth it had in the last pair, or, of a new one, on the plane
-    that fits those depths: a reef is flat to first order, and inverse depth is linear in the picture of a plane.
+    Lucas-Kanade, started where the corner would be at the depth it had in the last pair or, for a new one, on the plane
+    fitted to those depths: a reef is flat to first order, and inverse depth is linear over the image of a plane.
     """
 
     def __init__(self, first: CameraCalibration, second: CameraCalibration, settings: GtsamViSettings) -> None:
@@ -73,7 +73,7 @@ class StereoMatcher:
     def match(self, first: NDArray[np.uint8], second: NDArray[np.uint8], tracks: FeatureTracks) -> Array:
         """Rays (N, 2) of the second camera at depth 1 to the tracks; NaN where it does not see them.
 
-        first, second (H, W): both pictures as the front end equalised them.
+        first, second (H, W): both images as equalised by the front end.
         """
         found = np.full((len(tracks.ids), 2), np.nan)
         if len(tracks.ids) == 0:
@@ -96,7 +96,7 @@ class StereoMatcher:
         return found
 
     def _guesses(self, tracks: FeatureTracks) -> list[Array]:
-        """Inverse depths (N,) to begin at: one set once there is a plane, several while there is none."""
+        """Inverse depths (N,) to start from: one set once there is a plane, several while there is none."""
         if self._plane is None:
             return [np.full(len(tracks.ids), 1 / depth) for depth in self.settings.stereo.depths_m]
         limits = 1 / self.settings.landmarks.max_depth_m, 1 / (2 * self.settings.landmarks.min_depth_m)
@@ -123,7 +123,7 @@ class StereoMatcher:
 
 
 def _fit_plane(rays: Array, inverse: Array) -> Array | None:
-    """(3,) of inverse depth = plane @ (x, y, 1), by least squares without the worst fifth; None from too few."""
+    """Plane (3,), inverse depth = plane @ (x, y, 1), by least squares without the worst fifth; None if too few."""
     if len(rays) < 10:
         return None
     places = homogeneous(rays)

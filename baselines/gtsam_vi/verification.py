@@ -1,4 +1,4 @@
-"""Whether two places are one: a rigid, level alignment of their corners, then their landmarks found again."""
+"""Whether two places are the same: a rigid, level alignment of their corners, then their landmarks found again."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 
 
 def match(first: NDArray[np.uint8], second: NDArray[np.uint8], settings: GtsamViSettings) -> NDArray[np.int64]:
-    """Pairs (M, 2) of descriptors (N, 32), (N', 32): nearest, clearly nearer than the next (Lowe 2004)."""
+    """Match descriptors (N, 32), (N', 32): index pairs (M, 2) of nearest ones, by the ratio test (Lowe 2004)."""
     if len(first) < 2 or len(second) < 2:
         return np.empty((0, 2), dtype=np.int64)
     pairs = []
@@ -66,7 +66,7 @@ def align(
 
 
 def _fit(first: Array, second: Array) -> Array:
-    """Level pose T_first_second that takes points (M, 3) onto others with the least squares."""
+    """Least-squares level pose T_first_second that takes points `second` (M, 3) onto `first` (M, 3)."""
     p, q = first - first.mean(axis=0), second - second.mean(axis=0)
     heading = np.arctan2(np.sum(q[:, 0] * p[:, 1] - q[:, 1] * p[:, 0]), np.sum(q[:, :2] * p[:, :2]))
     T = heading_pose(float(heading), np.zeros(3))
@@ -75,7 +75,7 @@ def _fit(first: Array, second: Array) -> Array:
 
 
 def reprojection(parameters: Array, points: Array, rays: Array, T_level_cam: Array) -> tuple[Array, Array]:
-    """Residuals (M, 2) of rays at depth 1, and their derivatives (M, 2, 4) to heading and position.
+    """Residuals (M, 2) of rays at depth 1, and their derivatives (M, 2, 4) by heading and position.
 
     parameters (4,): heading (rad) and position (m) of the second level frame in the first; points (M, 3) in the first,
     seen along rays (M, 2) by a camera at T_level_cam in the second.
@@ -97,9 +97,9 @@ def reprojection(parameters: Array, points: Array, rays: Array, T_level_cam: Arr
 def refine(
     T_first_second: Array, points: Array, rays: Array, T_level_cam: Array, sigma: float, gate: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """T_first_second (4, 4), covariance (4, 4) and inliers (M,) of the pose that sees points along rays.
+    """Refine the pose that sees points along rays: T_first_second (4, 4), covariance (4, 4) and inliers (M,).
 
-    Iteratively reweighted least squares: Cauchy's weights at `sigma`, wide at first; then those within `gate` only.
+    Iteratively reweighted least squares: Cauchy weights at `sigma`, wider at first; then only points within `gate`.
     """
     x = np.concatenate([[heading_of(T_first_second)], T_first_second[:3, 3]])
     inliers = np.ones(len(points), dtype=bool)
@@ -119,7 +119,7 @@ def refine(
 
 
 class Verifier:
-    """Decides whether two places are one."""
+    """Verification that two places are the same."""
 
     def __init__(self, calibration: CameraCalibration, settings: GtsamViSettings) -> None:
         self.calibration = calibration
@@ -128,7 +128,7 @@ class Verifier:
         self._generator = stream(0, b"", "gtsam_vi", "loops")
 
     def align(self, first: Place, second: Place) -> tuple[Array, int]:
-        """T_first_second (4, 4) by the corners of both ground views, and how many agree with it."""
+        """T_first_second (4, 4) from the corners of both ground views, and how many of them agree with it."""
         settings = self.settings
         pairs = match(first.descriptors, second.descriptors, settings)
         there, here = first.corners[pairs[:, 0]], second.corners[pairs[:, 1]]
@@ -141,12 +141,12 @@ class Verifier:
     def confirm(
         self, first: Place, second: Place, T: Array, picture: NDArray[np.uint8]
     ) -> tuple[Array, Array, NDArray[np.int64], Array, Array] | None:
-        """T_first_second and covariance; indices of the first's landmarks that were found in the second picture, with
-        their pixels and rays. None if they do not bear the alignment `T` out."""
+        """T_first_second and covariance; indices of the first's landmarks that were found in the second image, with
+        their pixels and rays. None if they do not confirm the alignment `T`."""
         settings = self.settings
         sigma = settings.loops.pixel_sigma_px / self.focal
         there = first.pixels
-        for _ in range(2):  # the second time from where the first has led
+        for _ in range(2):  # the second time from the result of the first
             expected, index, found = self.track(first, there, second, T, picture)
             if len(index) < settings.loops.min_inliers:
                 return None
@@ -166,10 +166,10 @@ class Verifier:
     def track(
         self, first: Place, there: NDArray[np.uint8], second: Place, T: Array, picture: NDArray[np.uint8]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-        """Landmarks of the first place that should be in the second's picture, and those found in it with pixels.
+        """Landmarks of the first place that should be in the second's image, and those found in it with pixels.
 
-        The first picture (H, W) is laid on the ground and seen from the second camera; what remains for Lucas & Kanade
-        is the relief and the alignment's error.
+        The first image (H, W) is projected onto the ground and seen from the second camera; what remains for
+        Lucas-Kanade is the relief and the error of the alignment.
         """
         settings, calibration = self.settings, self.calibration
         width, height = calibration.width, calibration.height
@@ -182,14 +182,14 @@ class Verifier:
         nothing = np.empty(0, dtype=np.int64), np.empty((0, 2))
         if len(expected) < 3:
             return expected, *nothing
-        # Where in the first picture the ground lies that a pixel of the second would see.
+        # Where the first image shows the ground that a pixel of the second sees.
         x, y = np.meshgrid(np.linspace(0, width - 1, GRID), np.linspace(0, height - 1, GRID))
         nodes = undistort(np.column_stack([x.ravel(), y.ravel()]), calibration)
         ground = _on_ground(nodes, T_first_cam, first.plane)
         source, seen = project(ground, first.T_level_cam, calibration)
         source[(seen <= 0.05) | ~np.isfinite(ground).all(axis=1)] = -1e4
         warped = warp(there, upsample(source.reshape(GRID, GRID, 2), height, width))
-        # A landmark off the ground is elsewhere in the warped picture than in the second.
+        # A landmark off the ground is elsewhere in the warped image than in the second.
         on_ground = _on_ground(first.rays[expected], first.T_level_cam, first.plane)
         start, ahead = project(on_ground, T_first_cam, calibration)
         usable = (ahead > 0.05) & (start > border).all(axis=1)
@@ -211,7 +211,7 @@ def _near(one: Array, other: Array, limit: float) -> bool:
 
 
 def _on_ground(rays: Array, T_level_cam: Array, plane: Array) -> Array:
-    """Where rays (N, 2) of a camera meet the ground (N, 3); NaN where they do not."""
+    """Points (N, 3) at which rays (N, 2) of a camera meet the ground; NaN where they do not."""
     directions = homogeneous(rays) @ T_level_cam[:3, :3].T
     centre = T_level_cam[:3, 3]
     rate = directions[:, 2] - directions[:, :2] @ plane[:2]

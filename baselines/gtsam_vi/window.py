@@ -1,4 +1,4 @@
-"""Fixed-lag smoother over the latest key frames and the landmarks that they see.
+"""Fixed-lag smoother over the latest keyframes and the landmarks that they see.
 
 Landmarks are variables of their own, not smart factors: a smart factor that keeps a pose that has left the window
 breaks the marginalisation. What leaves the window stays as a linear factor on its neighbours, landmarks still in view
@@ -23,7 +23,7 @@ from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state,
 
 
 class Observation(NamedTuple):
-    """A landmark seen: by which camera, along which ray (2,) at depth 1, in which key frame; with what noise."""
+    """A view of a landmark: keyframe, camera, ray (2,) at depth 1, and noise model."""
 
     keyframe: int
     camera: int
@@ -32,13 +32,13 @@ class Observation(NamedTuple):
 
 
 class Window:
-    """The smoother, started from an adjusted stretch of key frames."""
+    """The smoother, started from an adjusted stretch of keyframes."""
 
     def __init__(self, model: Model, keyframes: list[Keyframe], bundle: Bundle, weak_gauge: bool = False) -> None:
-        """weak_gauge: as of the smoother, where a failure has left little known of the first pose."""
+        """weak_gauge: as for the smoother, where a failure has left little known of the first pose."""
         self.model = model
         settings = model.settings
-        # The smoother's clock counts key frames: at rest they are seconds apart, in motion a tenth of one.
+        # The smoother's clock counts keyframes: at rest they are seconds apart, in motion a tenth of one.
         self._smoother = FixedLagSmoother(settings.window.keyframes, settings.window.iterations, weak_gauge=weak_gauge)
         self._observations: dict[int, list[Observation]] = {}
         self._landmarks = {int(i) for i in bundle.landmarks}
@@ -70,7 +70,7 @@ class Window:
             graph.push_back(self.model.zero_velocity(k))
         for factor in keyframe.aiding:
             graph.push_back(factor)
-        stamps |= dict.fromkeys(self.model.calibration_keys(), float(k))  # they never leave
+        stamps |= dict.fromkeys(self.model.calibration_keys(), float(k))  # calibrations never leave
         keyframe.state = predicted
         self._remember(keyframe)
         self._observe_landmarks(keyframe, graph, stamps)
@@ -84,11 +84,11 @@ class Window:
         self._rejected &= self._observations.keys()
 
     def sees(self, ids: NDArray[np.int64]) -> bool:
-        """Whether enough of these landmarks (N,) are in it to hold a pose."""
+        """Whether enough of these landmarks (N,) are in the window to constrain a pose."""
         return sum(int(i) in self._landmarks for i in ids) >= self.model.settings.recovery.min_landmarks
 
     def joint(self, keys: list[int]) -> tuple[gtsam.Values, Array]:
-        """The estimate, and the joint covariance (N, N) of some of its variables, in the order of their keys."""
+        """The estimate, and the joint covariance (N, N) of some of its variables, in the order of `keys`."""
         smoother = self._smoother
         return smoother.estimate, joint_covariance(smoother.factors, smoother.linearised_at, keys)
 
@@ -106,7 +106,7 @@ class Window:
     def _observe_landmarks(
         self, keyframe: Keyframe, graph: gtsam.NonlinearFactorGraph, stamps: dict[int, float]
     ) -> None:
-        """Views of landmarks in the window; those far from the prediction have slid off their point."""
+        """Add views of landmarks in the window; those far from the prediction have slid off and are rejected."""
         settings = self.model.settings
         ids, rays, cameras = keyframe.observations.rows()
         known = [n for n, i in enumerate(ids) if int(i) in self._landmarks]
@@ -117,8 +117,8 @@ class Window:
             return
         points = np.array([self._points[int(i)] for i in ids[known]])
         errors = self.model.rig.errors_px(keyframe.estimate.matrix, points, rays[known], cameras[known])
-        # The prediction may be off as a whole, after a long time without tracks: judge against the crowd. A velocity
-        # that is measured is better than any crowd that drifts with the water.
+        # After a long time without tracks the prediction may be off as a whole: judge against the median. A measured
+        # velocity is better than any crowd that drifts with the water.
         crowd = 0.0 if measured else float(np.median(errors))
         limit = settings.landmarks.max_innovation_px + 2.0 * crowd
         self.lost_share = float(np.mean(errors > settings.landmarks.max_innovation_px))
@@ -141,7 +141,7 @@ class Window:
         values: gtsam.Values,
         stamps: dict[int, float],
     ) -> None:
-        """Tracks that have come to have parallax become landmarks, with all their views in the window."""
+        """Turn tracks that have gained enough parallax into landmarks, with all their views in the window."""
         last = keyframes[-1].index
         oldest = max(keyframes[0].index, last - self._lag + 1)
         track: list[int] = []
@@ -151,7 +151,7 @@ class Window:
             if landmark in self._landmarks or landmark in self._rejected:
                 continue
             seen = [view for view in self._observations[landmark] if view.keyframe >= oldest]
-            # A pair of cameras sees a caustic where it lies on the bottom at that instant: only time gives it away.
+            # A stereo pair sees a caustic where it lies on the bottom at that instant: only time gives it away.
             if len({view.keyframe for view in seen}) >= self.model.settings.landmarks.min_views:
                 track += [landmark] * len(seen)
                 observations += seen
@@ -184,7 +184,7 @@ class Window:
             graph.push_back(factor)
 
     def _read(self, keyframes: list[Keyframe], last: int) -> None:
-        """Write the smoother's estimate into the key frames, and into the model of the cameras."""
+        """Write the smoother's estimate into the keyframes, and into the model of the cameras."""
         values = self._smoother.estimate
         self.model.rig.read(values)
         for keyframe in keyframes[-self._lag :]:

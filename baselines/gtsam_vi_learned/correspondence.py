@@ -1,4 +1,4 @@
-"""Where the points of one picture of a sequence truly are in others: labels that rendering gives for nothing."""
+"""True positions in other images of the points of one image of a sequence: labels that rendering gives for free."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from oysterbench.sequence.types import CameraCalibration, Sequence
 from oysterbench_baselines.gtsam_vi_learned.lens import TrueLens
 
 AT_REST = frozenset({"bottom", "oyster", "stone", "sponge"})
-"""Classes whose points stay where they are: plants sway, what lives swims, and the vehicle comes along."""
-SHUTTER_ITERATIONS = 3  # of the row in which a point is read: 30 px between two rows at 0.1 px each
-EDGE = 0.01  # of the inverse depth, by which that around a pixel differs: beyond, it lies on an edge that hides
+"""Classes whose points stay where they are: plants sway, animals swim, and the vehicle moves along."""
+SHUTTER_ITERATIONS = 3  # of the row in which a point is read out: 30 px between two rows at 0.1 px each
+EDGE = 0.01  # of the inverse depth, by which its surroundings differ: beyond, a pixel lies on an occluding edge
 
 
 @dataclass(frozen=True)
 class Anchor:
-    """A picture that has a depth: its number among the pictures; depth (H, W) float32 m, 0 where no point at rest is
-    seen, or one on an edge."""
+    """An image with known depth: its number among the images; depth (H, W) float32 m, 0 where no point at rest is seen,
+    or one on an edge."""
 
     picture: int
     depth: NDArray[np.float32]
 
 
 class Footage:
-    """The pictures of one camera of a rendered sequence, how the camera truly moved, and depths for some of them.
+    """The images of one camera of a rendered sequence, the true motion of the camera, and depths for some of them.
 
     pictures: (H, W) uint8 grey, in time order; repeated ones are left out. taken_ns: (P,) int64, when each was taken.
     """
@@ -65,7 +65,7 @@ class Footage:
         self.taken_ns = np.array(taken, dtype=np.int64)
 
     def pairs(self, most_s: float) -> list[tuple[int, int]]:
-        """All (number of an anchor, picture) no more than that apart in time, the anchor's own picture left out."""
+        """All pairs (anchor number, image number) at most `most_s` apart in time, except for the anchor's own image."""
         found = []
         for k, anchor in enumerate(self.anchors):
             apart = np.abs(self.taken_ns - self.taken_ns[anchor.picture])
@@ -73,8 +73,8 @@ class Footage:
         return found
 
     def warp(self, anchor: Anchor, picture: int, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Where points at whole pixels (N, 2) of an anchor are in another picture: pixels (N, 2), and of which (N,)
-        that is known. What has come before them meanwhile is not looked at."""
+        """Positions in another image of points at integer pixels (N, 2) of an anchor: pixels (N, 2), and for which (N,)
+        they are known. Occlusions in the other image are ignored."""
         x, y = pixels.astype(int).T
         depth = anchor.depth[y, x].astype(float)
         known = depth > 0
@@ -96,7 +96,7 @@ class Footage:
         return end, inside
 
     def _poses(self, taken_ns: np.int64, rows: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """(N, 4, 4) T_map_cam when rows (N,) were read, and where (N,) the path reaches there."""
+        """T_map_cam (N, 4, 4) when rows (N,) were read out, and for which (N,) the path extends that far."""
         calibration = self.lens.calibration
         late = (rows / (calibration.height - 1) - 0.5) * calibration.readout_s
         wanted = taken_ns + np.round(late * 1e9).astype(np.int64)
@@ -106,30 +106,30 @@ class Footage:
 
 
 def _at_rest(depth: NDArray[np.float32], classes: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Depths (H, W) m of what stays where it is, away from edges; 0 elsewhere."""
+    """Depths (H, W) m of points at rest, away from edges; 0 elsewhere."""
     numbers = [number for number, name in {**REEF_CLASSES, **LIFE_CLASSES}.items() if name in AT_REST]
     inverse = np.where(depth > 0, 1 / np.maximum(depth, 1e-3), 0.0).astype(np.float32)
-    # Of a plane, inverse depths are linear over the picture, and the mean about a pixel is its own.
+    # The inverse depth of a plane is linear over the image, and its mean about a pixel is the pixel's own.
     good = np.isin(classes, numbers) & (depth > 0) & (np.abs(cv2.blur(inverse, (3, 3)) - inverse) < EDGE * inverse)
     return np.where(good, depth, 0.0).astype(np.float32)
 
 
 def _repeated(sequence: Sequence, camera: str) -> set[int]:
-    """Stamps of frames that show another frame's picture."""
+    """Stamps of frames that show another frame's image."""
     table = sequence.taken()
     table = table[(table["camera"] == camera) & (table["stamp_ns"] != table["shown_ns"])]
     return {int(stamp) for stamp in table["stamp_ns"]}
 
 
 def _on_time(camera: CameraCalibration, stamp_ns: int, start_ns: int) -> int:
-    """When a frame was truly taken: frames are taken evenly from the start; only their stamps jitter."""
+    """True time, ns, at which a frame was taken: frames are taken evenly from the start; only their stamps jitter."""
     period = 1e9 / camera.rate_hz
     return start_ns + round(round((camera.taken_ns(stamp_ns) - start_ns) / period) * period)
 
 
 def files_of(name: str, wanted: Iterable[str] = ()) -> list[Path]:
-    """The sequence files of a split, which is rendered where it is not there yet, of a folder, or the one at a path.
-    wanted: only sequences of these names, if any."""
+    """Sequence files of a split, which is rendered if missing, of a folder, or the one at a path. wanted: only
+    sequences of these names, if any are given. Raises LabelError where there are none."""
     wanted = tuple(wanted)
     if name in split_names() or name.endswith(".toml"):
         from oysterbench.cli.render import render_files
@@ -149,7 +149,7 @@ def files_of(name: str, wanted: Iterable[str] = ()) -> list[Path]:
 def read_footage(
     paths: Iterable[Path], progress: Callable[[int, int], None] = lambda done, total: None
 ) -> list[Footage]:
-    """That of several files, in their order."""
+    """Read the footage of several files, in their order."""
     paths, found = list(paths), []
     for done, path in enumerate(paths, start=1):
         found.append(Footage(path))

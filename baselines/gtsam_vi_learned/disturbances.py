@@ -1,4 +1,4 @@
-"""What water, light and cameras do to single pictures: laid over rendered ones, differently over each of a pair."""
+"""Disturbances of images by water, light and cameras: added to rendered ones, differently for each of a pair."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Disturbances:
-    """Chances of each, and how strong they are at most.
+    """Probability of each disturbance, and its greatest strength.
 
     plume, plume_depth: silt, and its optical depth; caustics, caustic_contrast: a web of light, times the light; snow,
-    specks: particles, and how many in a picture of 100 x 100 px; noise_grey, 1 sigma; blur_px, 1 sigma; gain, 1 sigma
+    specks: particles, and how many in an image of 100 x 100 px; noise_grey, 1 sigma; blur_px, 1 sigma; gain, 1 sigma
     of the logarithm; coding, quality: of JPEG, for a video link's blocks.
     """
 
@@ -37,7 +37,7 @@ class Disturbances:
 
 
 def disturbed(picture: NDArray[np.uint8], settings: Disturbances, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """A grey picture (H, W) as another moment might have shown it."""
+    """Disturb a grey image (H, W) as it might have looked at another moment."""
     values = picture.astype(np.float32)
     if rng.random() < settings.caustics:
         values *= 1 + rng.uniform(0, settings.caustic_contrast) * (_web(picture.shape, rng) - 0.4)
@@ -59,7 +59,7 @@ def disturbed(picture: NDArray[np.uint8], settings: Disturbances, rng: np.random
 
 
 def _smooth(shape: tuple[int, ...], period_px: float, rng: np.random.Generator) -> Floats:
-    """(H, W) of mean 0 and deviation about 1, that changes over so many pixels."""
+    """Smooth random field (H, W) of mean 0 and deviation about 1, which varies over `period_px` pixels."""
     small = (max(2, math.ceil(shape[0] / period_px) + 1), max(2, math.ceil(shape[1] / period_px) + 1))
     grid = rng.standard_normal(small, dtype=np.float32)
     return np.asarray(cv2.resize(grid, shape[::-1], interpolation=cv2.INTER_CUBIC), dtype=np.float32)
@@ -79,7 +79,7 @@ def _web(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
 
 
 def _specks(shape: tuple[int, ...], per_area: float, rng: np.random.Generator) -> Floats:
-    """Light (H, W) of particles, sharp ones and such as are out of focus, grey levels."""
+    """Light (H, W) of particles in focus and out of focus, grey levels."""
     found = np.zeros(shape, dtype=np.float32)
     for _ in range(rng.poisson(per_area * shape[0] * shape[1] / 1e4)):
         sigma, grey = rng.uniform(0.5, 2.5), rng.uniform(5, 60)

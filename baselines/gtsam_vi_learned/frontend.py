@@ -1,4 +1,4 @@
-"""Front end: that of gtsam_vi, its corners chosen by what a network expects of them, and followed in its maps."""
+"""Front end: that of gtsam_vi, with corners chosen by the error that a network expects, and tracked in its maps."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from oysterbench_baselines.gtsam_vi_learned.settings import GtsamViLearnedSettin
 
 
 class LearnedFrontEnd(FrontEnd):
-    """Tracks corners through the frames of one camera: where a network says that they can be tracked.
+    """Tracker of corners through the frames of one camera, where a network says that they can be tracked.
 
-    Everything around that is as in gtsam_vi: what the network is given has its veil, its uneven contrast and its fixed
-    pattern taken away, and what is tracked is held against the known rotation and translation.
+    Everything else is as in gtsam_vi: veil, uneven contrast and fixed pattern are removed from what the network is
+    given, and tracks are checked against the known rotation and translation.
     """
 
     def __init__(
@@ -25,10 +25,10 @@ class LearnedFrontEnd(FrontEnd):
     ) -> None:
         super().__init__(calibration, settings.frontend, seed)
         self.model, self.learned = model, settings.learned
-        self._seen: list[tuple[NDArray[np.uint8], LearnedMaps]] = []  # the latest two pictures and their maps
+        self._seen: list[tuple[NDArray[np.uint8], LearnedMaps]] = []  # the latest two images and their maps
 
     def maps_of(self, image: NDArray[np.uint8]) -> LearnedMaps:
-        """Maps of an equalised picture (H, W), made once."""
+        """Maps of an equalised image (H, W), computed once."""
         for known, maps in self._seen:
             if known is image:
                 return maps
@@ -54,6 +54,6 @@ class LearnedFrontEnd(FrontEnd):
 
 
 def _at(values: NDArray[np.float32], pixels: Array) -> NDArray[np.float32]:
-    """(N,) of values (H, W) at the pixels nearest to (N, 2), all within."""
+    """Values (N,) of a map (H, W) at the pixels nearest to (N, 2), which all lie within it."""
     x, y = np.round(pixels).astype(int).T
     return np.asarray(values[y, x], dtype=np.float32)

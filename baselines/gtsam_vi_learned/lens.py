@@ -1,4 +1,4 @@
-"""The lens of a rendered camera as it truly is, which what methods are given only approximates."""
+"""The true lens of a rendered camera, which the calibration given to methods only approximates."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 from oysterbench.core.geometry import Array
 from oysterbench.sequence.types import CameraCalibration
 
-PORT_ITERATIONS = 8  # of a ray behind a flat port: each leaves a fifth of the error
+PORT_ITERATIONS = 8  # for a ray behind a flat port: each leaves a fifth of the error
 
 
 class TrueLens:
-    """A camera's lens as it truly is, behind a flat port where there is one.
+    """A camera's true lens, behind a flat port where there is one.
 
     A ray leaves the pupil at the angle a to the axis, meets the port at the distance p, and goes on in water at the
     angle w, n sin w = sin a (Snell): at depth z it is r = p tan a + (z - p) tan w off the axis.
@@ -23,7 +23,7 @@ class TrueLens:
         self._lens = cv2.fisheye if calibration.distortion_model == "equidistant" else cv2
 
     def points(self, pixels: Array, depths: Array) -> Array:
-        """(N, 3) m in the optical frame, of pixels (N, 2) at depths (N,) m along the axis."""
+        """Points (N, 3) m in the optical frame of pixels (N, 2) at depths (N,) m along the axis."""
         if not len(pixels):
             return np.zeros((0, 3))
         c = self.calibration
@@ -33,7 +33,7 @@ class TrueLens:
         return np.column_stack([flat * share[:, None], depths])
 
     def pixels(self, points: Array) -> Array:
-        """Pixels (N, 2) of points (N, 3) m in the optical frame, before the camera."""
+        """Pixels (N, 2) of points (N, 3) m in the optical frame, in front of the camera."""
         if not len(points):
             return np.zeros((0, 2))
         c, depths = self.calibration, np.maximum(points[:, 2], 0.02)
@@ -47,7 +47,7 @@ class TrueLens:
         return np.asarray(found.reshape(-1, 2), dtype=float)
 
     def _radius(self, tangent: Array, depths: Array) -> Array:
-        """(N,) m off the axis at depths (N,), of rays that leave the pupil at angles whose tangents are (N,)."""
+        """Distances (N,) m off the axis, at depths (N,), of rays that leave the pupil at angles of tangents (N,)."""
         c = self.calibration
         if c.port_m is None:
             return tangent * depths

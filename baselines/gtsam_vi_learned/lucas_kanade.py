@@ -1,4 +1,4 @@
-"""Lucas and Kanade's tracking of points in maps, such that a loss can be taken through it."""
+"""Lucas-Kanade tracking of points in maps, differentiable so that a loss can be taken through it."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ import torch
 from torch.nn import functional
 
 PYRAMID = (1.0, 4.0, 6.0, 4.0, 1.0)
-"""Of the blur before every second pixel is taken, as OpenCV's pyramids have it (Burt & Adelson 1983), in sixteenths."""
+"""Taps of the blur before every second pixel is taken, as in OpenCV's pyramids (Burt & Adelson 1983), in sixteenths."""
 SCHARR = (3.0, 10.0, 3.0)
-"""Across a central difference, in sixteenths."""
+"""Taps of the blur across a central difference, in sixteenths."""
 
 
 @dataclass(frozen=True)
 class TrackingSettings:
-    """reach: px, half the side of a patch. levels: of the pyramid; iterations: on each. damping: added to the normal
+    """Settings of tracking.
+
+    reach: px, half the side of a patch. levels: of the pyramid; iterations: on each. damping: added to the normal
     equations of a patch, in squares of a map's slope, px^-2.
 
-    All pixels of a patch are taken: of every second one, half of the noise stays, and what is then learnt is to blur.
+    All pixels of a patch are used: with every second one, half of the noise stays, and the network learns to blur.
     """
 
     reach: int = 10
@@ -28,7 +30,7 @@ class TrackingSettings:
 
 
 def pyramid(maps: torch.Tensor, levels: int) -> list[torch.Tensor]:
-    """Maps (B, C, h, w), and each time half as large: pixel (2x, 2y) of one level is pixel (x, y) of the next."""
+    """Pyramid of maps (B, C, h, w), each half as large: pixel (2x, 2y) of one level is pixel (x, y) of the next."""
     taps = torch.tensor(PYRAMID) / 16
     kernel = (taps[:, None] * taps[None, :]).expand(maps.shape[1], 1, -1, -1)
     found = [maps]
@@ -39,7 +41,7 @@ def pyramid(maps: torch.Tensor, levels: int) -> list[torch.Tensor]:
 
 
 def slopes(maps: torch.Tensor) -> torch.Tensor:
-    """(B, 2C, h, w) of maps (B, C, h, w): along x of all of them, then along y."""
+    """Derivatives (B, 2C, h, w) of maps (B, C, h, w): along x of all of them, then along y."""
     across, along = torch.tensor(SCHARR) / 16, torch.tensor([-0.5, 0.0, 0.5])
     kernel = across[:, None] * along[None, :]
     padded = functional.pad(maps, (1, 1, 1, 1), mode="replicate")
@@ -54,7 +56,7 @@ def slopes(maps: torch.Tensor) -> torch.Tensor:
 
 
 def sample(maps: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
-    """(B, C, ...) of maps (B, C, h, w) at pixels (B, ..., 2), bilinearly; beyond the border what is on it."""
+    """Sample maps (B, C, h, w) bilinearly at pixels (B, ..., 2): (B, C, ...); beyond the border, what is on it."""
     height, width = maps.shape[-2:]
     scale = torch.tensor([2.0 / (width - 1), 2.0 / (height - 1)])
     grid = (pixels * scale - 1).flatten(1, -2)[:, None]
@@ -65,11 +67,11 @@ def sample(maps: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
 def track(
     before: torch.Tensor, after: torch.Tensor, pixels: torch.Tensor, guess: torch.Tensor, settings: TrackingSettings
 ) -> list[torch.Tensor]:
-    """Where the patches at pixels (B, N, 2) of maps (B, C, h, w) are in others, begun at guess (B, N, 2): (B, N, 2)
-    after each iteration.
+    """Track the patches at pixels (B, N, 2) of maps (B, C, h, w) into others, starting at guess (B, N, 2): pixels
+    (B, N, 2) after each iteration.
 
-    The slopes are those of the patch that is looked for, so that its normal equations hold for all iterations (Baker &
-    Matthews 2004), as in OpenCV: with g = dA/dx, dq = (sum g g^T)^-1 sum g (A(p + w) - B(q + w)).
+    The slopes are those of the patch that is searched for, so that its normal equations hold for all iterations (Baker
+    & Matthews 2004), as in OpenCV: with g = dA/dx, dq = (sum g g^T)^-1 sum g (A(p + w) - B(q + w)).
     """
     steps = torch.arange(-settings.reach, settings.reach + 1, dtype=torch.float32)
     patch = torch.stack(torch.meshgrid(steps, steps, indexing="xy"), dim=-1).reshape(-1, 2)
@@ -94,8 +96,8 @@ def track(
 def follow(
     before: torch.Tensor, after: torch.Tensor, pixels: torch.Tensor, guess: torch.Tensor, settings: TrackingSettings
 ) -> torch.Tensor:
-    """The same from coarse to fine, as `gtsam_vi` follows points: (levels, B, N, 2) px, the ends on each level, the
-    picture's own last. No gradient goes from level to level: through all of them it is chaos, and the maps go blank."""
+    """Track from coarse to fine, as `gtsam_vi` tracks points: end points (levels, B, N, 2) px on each level, the full
+    image last. No gradient passes between levels: through all of them it is chaotic, and the maps go blank."""
     place, found = guess, []
     levels = list(zip(pyramid(before, settings.levels), pyramid(after, settings.levels), strict=True))
     for number in reversed(range(len(levels))):

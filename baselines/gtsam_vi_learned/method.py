@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 class GtsamViLearned(GtsamVi):
     """Visual-inertial odometry on GTSAM, its corners chosen by how well a network expects them to be tracked.
 
-    output, camera, seed: as of gtsam_vi. checkpoint: path of the training; by default that which
-    `OYSTERBENCH_GTSAM_VI_LEARNED` names, or which `oysterbench train gtsam_vi_learned` or `oysterbench download
-    gtsam_vi_learned` left. threads: of the processor.
+    output, camera, seed: as in gtsam_vi. checkpoint: path of the trained network; by default the one that
+    `OYSTERBENCH_GTSAM_VI_LEARNED` names, or that `oysterbench train gtsam_vi_learned` or `oysterbench download
+    gtsam_vi_learned` left. threads: number of CPU threads.
     """
 
     name = "gtsam_vi_learned"
@@ -42,11 +42,11 @@ class GtsamViLearned(GtsamVi):
 
     @property
     def weights(self) -> dict[str, Path]:
-        """Files of trained weights that it runs on."""
+        """Files of the trained weights that it uses."""
         return {"gtsam_vi_learned": checkpoint_path("gtsam_vi_learned", self.checkpoint)}
 
     def run(self, sequence: Sequence) -> Estimate:
-        """As of gtsam_vi. Raises MethodError, with what to type, where there are no trained weights."""
+        """Run as gtsam_vi does. Raises MethodError, with what to type, where there are no trained weights."""
         self._path()
         return super().run(sequence)
 
@@ -61,7 +61,7 @@ class GtsamViLearned(GtsamVi):
 
 
 def load_model(path: Path, threads: int = 1) -> MapModel:
-    """The trained network at a path."""
+    """Load the trained network at a path."""
     import torch
 
     from oysterbench_baselines.gtsam_vi_learned.model import MapModel

@@ -1,4 +1,4 @@
-"""A trained network, ready to look at pictures."""
+"""A trained network, ready for inference."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ GREY = FrontEndSettings().contrast_grey
 
 @dataclass(frozen=True)
 class LearnedMaps:
-    """Of one picture: error_px (H, W) float32, how far off a point there is expected to be after tracking; maps (H, W,
-    C) uint8, in which points can be tracked, where these were asked for."""
+    """Output for one image: error_px (H, W) float32, expected error of a point there after tracking; maps (H, W, C)
+    uint8, in which points can be tracked, where these were requested."""
 
     error_px: NDArray[np.float32]
     maps: NDArray[np.uint8] | None
@@ -38,7 +38,7 @@ class MapModel:
 
     @classmethod
     def of(cls, checkpoint: Checkpoint) -> MapModel:
-        """From a training. Raises MethodError where it is of another network."""
+        """Build from a checkpoint. Raises MethodError where it is that of another network."""
         known = dict(checkpoint.network)
         if known.pop("kind", None) != KIND:
             found = checkpoint.network.get("kind")
@@ -49,11 +49,11 @@ class MapModel:
 
     @classmethod
     def read(cls, path: Path) -> MapModel:
-        """From a file."""
+        """Read from a file."""
         return cls.of(read_checkpoint(path))
 
     def __call__(self, even: NDArray[np.uint8], with_maps: bool = True) -> LearnedMaps:
-        """Of a picture (H, W) uint8 of even contrast, of any size."""
+        """Compute the maps of an image (H, W) uint8 of even contrast, of any size."""
         height, width = even.shape
         padded = np.pad(even, ((0, -height % MULTIPLE), (0, -width % MULTIPLE)), mode="edge")
         maps = None
@@ -71,6 +71,6 @@ class MapModel:
 
 
 def described(settings: MapNetworkSettings) -> dict[str, Any]:
-    """What a checkpoint says of the network."""
+    """Description of the network in a checkpoint."""
     plain = asdict(settings)
     return {"kind": KIND, **{key: list(value) if isinstance(value, tuple) else value for key, value in plain.items()}}

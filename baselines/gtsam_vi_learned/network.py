@@ -1,4 +1,4 @@
-"""The network: a picture in, how well each place can be tracked out, and maps in which points can be tracked."""
+"""The network: from an image to how well each place can be tracked, and to maps in which points can be tracked."""
 
 from __future__ import annotations
 
@@ -9,31 +9,32 @@ from torch import nn
 from torch.nn import functional
 
 MULTIPLE = 8
-"""Of pixels, that width and height of what the network is given must be."""
+"""Width and height of the network's input must be multiples of this, px."""
 RANGE = 3.0
-"""Within which maps stay, in units of a picture's contrast: of 40 grey levels each, as many as uint8 holds."""
+"""Bound of the maps, in units of an image's contrast: at 40 grey levels each, as much as uint8 holds."""
 
 
 @dataclass(frozen=True)
 class MapNetworkSettings:
-    """maps: of a picture, the first of which is the picture itself, changed. channels: of the levels at a half, a
-    quarter and an eighth of the size."""
+    """Size of the network. maps: number per image; the first is the image itself, changed. channels: of the levels at a
+    half, a quarter and an eighth of the size."""
 
     maps: int = 3
     channels: tuple[int, int, int] = (12, 24, 32)
 
 
 def convolution(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
-    """3 x 3 and ReLU. Nothing is normalised: pictures come with even contrast, and the sums of large pictures cost."""
+    """3 x 3 convolution and ReLU. Nothing is normalised: images come with even contrast, and sums over large images
+    are costly."""
     return nn.Sequential(nn.Conv2d(inputs, outputs, 3, stride, padding=1), nn.ReLU(inplace=True))
 
 
 class MapNetwork(nn.Module):
-    """(B, 1, h, w) pictures, 0 in the mean and 1 in contrast, to maps (B, maps, h, w) and log_error (B, 1, h/4, w/4):
-    expected logarithm of how far off, px, a point there is after tracking. h and w are multiples of `MULTIPLE`.
+    """From images (B, 1, h, w), of mean 0 and contrast 1, to maps (B, maps, h, w) and log_error (B, 1, h/4, w/4):
+    expected logarithm of the error, px, of a point there after tracking. h and w are multiples of `MULTIPLE`.
 
-    An hourglass with sums (as Newell, Yang & Deng 2016) that begins and ends with half the size, four pixels as
-    channels (Shi et al. 2016): at the full size a single layer would cost what all of it does.
+    An hourglass with skip sums (as Newell, Yang & Deng 2016) that starts and ends at half the size, with four pixels as
+    channels (Shi et al. 2016): at full size a single layer would cost as much as all of it does.
     """
 
     def __init__(self, settings: MapNetworkSettings) -> None:
@@ -49,7 +50,7 @@ class MapNetwork(nn.Module):
         self.from_middle, self.after_middle = nn.Conv2d(quarter, half, 1), convolution(half, half)
         self.maps = nn.Conv2d(half, 4 * settings.maps, 3, padding=1)
         self.error = nn.Conv2d(quarter, 1, 1)
-        with torch.no_grad():  # it begins as tracking in the picture itself
+        with torch.no_grad():  # it starts as tracking in the image itself
             self.maps.weight.mul_(0.1)
             self.maps.bias.zero_()  # type: ignore[union-attr]
 
@@ -62,12 +63,12 @@ class MapNetwork(nn.Module):
         return RANGE * torch.tanh(maps / RANGE), self.error(middle)
 
     def log_error(self, picture: torch.Tensor) -> torch.Tensor:
-        """Only that, in half of the time."""
+        """Compute only log_error, in half of the time."""
         found: torch.Tensor = self.error(self._seen(picture)[1])
         return found
 
     def _seen(self, picture: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """At a half and at a quarter of the size."""
+        """Features at a half and at a quarter of the size."""
         fine = self.enter(functional.pixel_unshuffle(picture, 2))
         middle = self.middle(fine)
         deep = self.from_deep(self.deep(middle))

@@ -1,4 +1,4 @@
-"""Pairs of pictures that see the same ground, cut out and disturbed, with points and where these truly are."""
+"""Pairs of images of the same ground, cropped and disturbed, with points and their true positions."""
 
 from __future__ import annotations
 
@@ -24,17 +24,20 @@ NAME = "gtsam_vi_learned"
 Floats = NDArray[np.float32]
 
 Batch = tuple[torch.Tensor, ...]
-"""Pictures before and after (B, 1, C, C), as `as_seen` gives them; points (B, N, 2), where they truly are, and where
-looking for them begins, (B, N, 2) px; how far off gtsam_vi ends, which follows them in the pictures, (B, N) px; and
-whether the truth is known (B, N); float32."""
+"""Images before and after (B, 1, C, C), as `as_seen` gives them; points (B, N, 2), their true positions, and the start
+of the search for them, (B, N, 2) px; error of gtsam_vi, which tracks them in the images, (B, N) px; and whether the
+truth is known (B, N); float32."""
 
 
 @dataclass(frozen=True)
 class PairSettings:
-    """crop: px, side of what is cut out; border: px around that, which contrast and veil are taken over; points: of a
-    pair, half of them corners; margin: px from a crop's border, that points keep; start_px: 1 sigma of where they are
-    begun to be looked for; lost_px: that tracking is taken to be off by where it says itself that it is lost; most_s:
-    between the pictures; tries: to find a crop with `least_points`."""
+    """Settings of the pairs.
+
+    crop: px, side of a crop; border: px around it, over which contrast and veil are computed as well; points: per pair,
+    half of them corners; margin: px between points and a crop's border; start_px: 1 sigma of where the search for them
+    starts; lost_px: error assumed where tracking itself reports a loss; most_s: between the images; tries: to find a
+    crop with `least_points`.
+    """
 
     crop: int = 128
     border: int = 32
@@ -50,7 +53,7 @@ class PairSettings:
 
 
 def as_seen(even: NDArray[np.uint8]) -> Floats:
-    """A picture (H, W) of even contrast (`even_contrast`) as the network is given it: 0 in the mean, 1 in contrast."""
+    """Convert an image (H, W) of even contrast (`even_contrast`) to the network's input: mean 0, contrast 1."""
     return (even.astype(np.float32) - 128) / np.float32(FrontEndSettings().contrast_grey)
 
 
@@ -68,7 +71,7 @@ class Pairs:
         return sum(map(len, self._pairs))
 
     def batch(self, streams: Streams, step: int, count: int) -> Batch:
-        """Pairs drawn at random, each with a stream of its own; sequences are as likely as each other."""
+        """Draw pairs at random, each with a stream of its own; all sequences are equally likely."""
         rows = [self._drawn(streams.generator("pair", step, k)) for k in range(count)]
         before, after, *others = (np.stack(part) for part in zip(*rows, strict=True))
         pictures = [torch.from_numpy(as_seen(one))[:, None] for one in (before, after)]
@@ -87,7 +90,7 @@ class Pairs:
     def _cut(
         self, footage: Footage, anchor: Anchor, picture: int, rng: np.random.Generator
     ) -> tuple[NDArray[Any], ...]:
-        """A row of a batch: a crop of an anchor and one of the other picture that shows the same, with points."""
+        """One row of a batch: a crop of an anchor and one of the other image that shows the same, with points."""
         s = self.settings
         first, second = footage.pictures[anchor.picture], footage.pictures[picture]
         room = np.array(first.shape[::-1]) - s.crop
@@ -96,7 +99,7 @@ class Pairs:
         points = self._points(before, rng)
         ends, known = footage.warp(anchor, picture, points + corner)
         moved = np.median((ends - points)[known], axis=0) if known.any() else corner
-        # Where the other crop lies says nothing of where a point is: a few pixels more or less.
+        # A few pixels more or less, so that the place of the other crop does not tell where a point is.
         other = np.clip(np.round(moved + rng.uniform(-8, 8, 2)), 0, room).astype(int)
         ends = ends - other
         known &= (ends >= s.margin).all(axis=1) & (ends < s.crop - s.margin).all(axis=1)
@@ -111,7 +114,7 @@ class Pairs:
     def _even(
         self, picture: NDArray[np.uint8], corner: NDArray[np.int64], rng: np.random.Generator
     ) -> NDArray[np.uint8]:
-        """(C, C) of a picture, disturbed, and then as the front end looks at pictures."""
+        """Crop (C, C) of an image, disturbed, and then prepared as in the front end."""
         s = self.settings
         left, top = np.maximum(corner - s.border, 0)
         right, bottom = corner + s.crop + s.border
@@ -121,7 +124,7 @@ class Pairs:
         return even[y : y + s.crop, x : x + s.crop]
 
     def _points(self, even: NDArray[np.uint8], rng: np.random.Generator) -> Array:
-        """(N, 2) whole pixels of a crop: corners, and places at random, from which it is learnt where not to track."""
+        """Integer pixels (N, 2) of a crop: corners, and random places to learn where not to track from."""
         s = self.settings
         corners = cv2.goodFeaturesToTrack(even, s.points // 2, 0.01, 8, blockSize=s.frontend.corner_block_px)
         found = np.zeros((0, 2)) if corners is None else corners.reshape(-1, 2)
@@ -133,7 +136,7 @@ class Pairs:
 def _flipped(
     before: NDArray[np.uint8], after: NDArray[np.uint8], points: tuple[Array, Array], rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], tuple[Array, Array]]:
-    """Both crops mirrored or turned alike."""
+    """Mirror or transpose both crops alike, at random."""
     first, second = points
     last = before.shape[0] - 1
     if rng.random() < 0.5:

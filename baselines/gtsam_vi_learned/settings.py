@@ -1,4 +1,4 @@
-"""Settings: those of gtsam_vi, and what is made of the network's answers."""
+"""Settings: those of gtsam_vi, and how the network's output is used."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 class LearnedSettings:
     """What maps and expected errors are used for."""
 
-    maps: bool = False  # track in the maps; False: in the picture, as gtsam_vi does, which is more exact so far
+    maps: bool = False  # track in the maps; False: in the image, as gtsam_vi does, which is more exact so far
     error_power: float = 2.0  # of the expected error, by which a corner's score is divided
-    max_error_px: float = 20.0  # expected; beyond, no track begins and none goes on: nowhere, as trained so far
+    max_error_px: float = 20.0  # expected; beyond, no track starts or continues: nowhere, as trained so far
 
 
 @dataclass(frozen=True)

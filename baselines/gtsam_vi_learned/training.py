@@ -1,4 +1,4 @@
-"""Training the network through the tracking that its maps are for."""
+"""Training of the network through the tracking that its maps are for."""
 
 from __future__ import annotations
 
@@ -21,14 +21,17 @@ from oysterbench_baselines.learning.checkpoint import Checkpoint
 from oysterbench_baselines.learning.loop import FitSettings, Progress, channels_last, fit
 
 LEAST_PX = 0.05
-"""Added to errors: the truth itself is no better."""
+"""Added to errors, px: the ground truth itself is no more accurate."""
 
 
 @dataclass(frozen=True)
 class MapTrainingSettings:
-    """batch: pairs of one step. tracked: points of a pair, corners first, that maps are learnt from; all of them tell
-    errors. good_px: error from which on a miss is one, and costs little more the farther off it is. coarse: weight of
-    the ends on each coarser level against those on the picture's own."""
+    """Settings of the training.
+
+    batch: pairs per step. tracked: points of a pair, corners first, from which maps are learnt; errors are learnt from
+    all of them. good_px: error beyond which a point is missed, and costs little more the farther off it is. coarse:
+    weight of the end points on each coarser level relative to those in the full image.
+    """
 
     batch: int = 6
     tracked: int = 16
@@ -51,11 +54,12 @@ def loss_of(
     known: torch.Tensor,
     settings: MapTrainingSettings,
 ) -> torch.Tensor:
-    """Of a batch of pairs (`Batch`).
+    """Loss of a batch of pairs (`Batch`).
 
-    Of the errors: the square of what the logarithm of how far off tracking ends is missed by. Of the maps:
-    log(1 + e / good_px) of the error e of tracking in them, which hardly minds how far off a miss is; by 1 / (1 + s), s
-    what the network expects of the place, px: where that is large nothing can be tracked, and the maps need not try.
+    For the expected errors: the squared difference to the logarithm of the tracking error. For the maps:
+    log(1 + e / good_px) of the error e of tracking in them, which hardly depends on how far off a miss is; weighted by
+    1 / (1 + s), s the error that the network expects there, px: where it is large nothing can be tracked, and the maps
+    need not try.
     """
     maps, log_error = network(torch.cat([before, after]))
     first, second = maps.chunk(2)
@@ -80,7 +84,7 @@ def train(
     seed: int,
     progress: Progress = lambda done, total: None,
 ) -> Checkpoint:
-    """Train on rendered sequences, or go on where `path` was left."""
+    """Train on rendered sequences, or resume from the checkpoint at `path`."""
     pairs, streams = Pairs(footages, settings.pairs), Streams(seed).at(NAME)
 
     def loss(network: torch.nn.Module, *batch: torch.Tensor) -> torch.Tensor:

@@ -1,4 +1,4 @@
-"""The methods: views in, commands out, without a look at them."""
+"""The methods: views in, commands out, without looking at them."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from oysterbench.methods.steering import Steering, Views
 
 
 class Straight:
-    """Always straight on, and neither up nor down: what a policy gains that never turns."""
+    """Always straight on, and neither up nor down: what a policy achieves that never turns."""
 
     name, track = "straight", "steering"
 
     def run(self, views: Views) -> Iterator[Steering]:
-        """The classes that turn by 0."""
+        """Yield the classes that turn by 0."""
         yaw, pitch = views.task.yaw_deg.index(0.0), views.task.pitch_deg.index(0.0)
         for view in views:
             yield Steering(view.name, yaw, pitch)
 
 
 class Chance:
-    """Commands drawn evenly from all pairs of classes, each by the name of its view."""
+    """Commands drawn uniformly from all pairs of classes, each seeded by the name of its view."""
 
     name, track = "chance", "steering"
 
@@ -29,7 +29,7 @@ class Chance:
         self.seed = seed
 
     def run(self, views: Views) -> Iterator[Steering]:
-        """Drawn classes."""
+        """Yield random classes."""
         for view in views:
             generator = stream(self.seed, b"", "chance", view.name)
             yield Steering(

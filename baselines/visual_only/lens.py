@@ -10,10 +10,10 @@ from oysterbench.sequence.types import CameraCalibration
 
 
 class Lens:
-    """Of one camera. Rays are (N, 2) normalised coordinates x / z, y / z in the water.
+    """Lens of one camera. Rays are (N, 2) normalised coordinates x / z, y / z in the water.
 
     A flat port bends the rays by Snell's law, sin(air) = n sin(water). That they then seem to come from points along
-    the axis instead of one pupil is left out: the shift is a part of the distance to the port, millimetres.
+    the axis instead of one pupil is ignored: the shift is a fraction of the distance to the port, millimetres.
     """
 
     def __init__(self, calibration: CameraCalibration) -> None:

@@ -52,7 +52,7 @@ class VisualOnly:
             raise MethodError(f"visual_only: sequence {sequence.name} has no camera{which}")
         right = overlapping(sequence, left, self.settings) if self.stereo else None
         if right is not None and next(iter(sequence.images(right)), None) is None:
-            right = None  # calibrated, and never recorded
+            right = None  # calibrated, but never recorded
         T_base_left = sequence.cameras[left].T_base_cam
         lens, tracker = Lens(sequence.cameras[left]), Tracker(self.settings)
         pair = T_left_right = None
@@ -98,7 +98,7 @@ def poses_of_base(poses: dict[int, Array], T_base_cam: Array) -> Trajectory:
 
 
 def overlapping(sequence: Sequence, left: str, settings: VisualOnlySettings) -> str | None:
-    """A camera that sees much of what `left` sees, from beside it; None if there is none."""
+    """Name of a camera beside `left` that sees much of what `left` sees; None if there is none."""
     T_base_left = sequence.cameras[left].T_base_cam
     for name, camera in sequence.cameras.items():
         T_left_other = invert(T_base_left) @ camera.T_base_cam
@@ -112,7 +112,7 @@ def overlapping(sequence: Sequence, left: str, settings: VisualOnlySettings) -> 
 def frames_of(
     sequence: Sequence, left: str, right: str | None, settings: VisualOnlySettings
 ) -> Iterator[tuple[Image, Image | None]]:
-    """Frames of `left` in time order, each with that of `right` at its stamp where there is one."""
+    """Yield the frames of `left` in time order, each with that of `right` at its stamp where there is one."""
     if right is None:
         yield from ((image, None) for image in sequence.images(left))
         return
@@ -127,14 +127,14 @@ def frames_of(
 
 
 class Pair:
-    """Finds the corners of the left image in the right one."""
+    """Search for the corners of the left image in the right one."""
 
     def __init__(self, left: Lens, right: Lens, T_left_right: Array, settings: VisualOnlySettings) -> None:
         self.left, self.right, self.settings = left, right, settings
         self.T_right_left = invert(T_left_right)
 
     def matcher(self, tracker: Tracker, tracks: FeatureTracks, pixels: NDArray[np.uint8]) -> MatchRight:
-        """Of the frame that the tracker has just taken, and the right image (H, W, 3) of its stamp."""
+        """Return a matcher of the frame that the tracker has just taken and the right image (H, W, 3) of its stamp."""
         left_image = tracker.image
         assert left_image is not None
 

@@ -1,4 +1,4 @@
-"""Monocular or stereo visual odometry: a pose for each frame from landmarks, landmarks at each key frame from poses."""
+"""Monocular or stereo visual odometry: a pose for each frame from landmarks, landmarks at each keyframe from poses."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from oysterbench_baselines.visual_only.views import (
 )
 
 SAME_TURN_RAD, SAME_SWING_RAD = np.radians(3.0), np.radians(20.0)
-"""Motions that differ by less are taken for estimates of one: the false one of a plane is farther from the true."""
+"""Motions that differ by less are taken for estimates of one: the false one of a plane differs more from the true."""
 
 MatchRight = Callable[[float | None], tuple[NDArray[np.int64], Array]]
-"""Ids (M,) and rays (M, 2) in the right camera of tracks of the frame; asked with the depth to begin with, m."""
+"""Function from the depth to start at, m, to ids (M,) and rays (M, 2) in the right camera of tracks of the frame."""
 
 
 @dataclass
 class Landmark:
-    """A track as key frames saw it: poses T_map_cam (4, 4) and rays (2,); and its point (3,) in the map, once known."""
+    """A track as keyframes saw it: poses T_map_cam (4, 4) and rays (2,); and its point (3,) in the map, once known."""
 
     poses: list[Array] = field(default_factory=list)
     rays: list[Array] = field(default_factory=list)
     point: Array | None = None
 
     def see(self, T_map_cam: Array, ray: Array, most: int) -> None:
-        """Add a view; of more than `most` the oldest goes."""
+        """Add a view; of more than `most`, drop the oldest."""
         self.poses, self.rays = [*self.poses, T_map_cam][-most:], [*self.rays, ray][-most:]
 
 
@@ -48,7 +48,7 @@ class Frame:
     rays: Array
 
     def of(self, ids: NDArray[np.int64]) -> Array:
-        """Rays (M, 2) of those tracks; ids are in order."""
+        """Rays (M, 2) of some tracks; the frame's ids must be sorted."""
         return self.rays[np.searchsorted(self.ids, ids)]
 
 
@@ -64,7 +64,7 @@ class Located:
 @dataclass(frozen=True)
 class Start:
     """A first map: landmarks by track, poses T_map_cam by stamp of the frames so far, and the mean squared error of
-    their tracks, in which those that fit no landmark, or no pose, count as the greatest error that is taken."""
+    their tracks, in which those that fit no landmark, or no pose, count with the greatest error that is accepted."""
 
     motion: Array  # T_first_last (4, 4) that it was made from
     landmarks: dict[int, Landmark]
@@ -82,13 +82,13 @@ class Farewell:
     velocity: Array
 
     def guess(self, stamp_ns: int) -> Array:
-        """T_map_cam (4, 4) of a later stamp: at the same attitude, gone on as it went."""
+        """Predict T_map_cam (4, 4) at a later stamp: same attitude, same velocity."""
         T_map_cam = self.T_map_cam.copy()
         T_map_cam[:3, 3] += self.velocity * (stamp_ns - self.stamp_ns) * 1e-9
         return T_map_cam
 
     def scale_of(self, poses: dict[int, Array]) -> float:
-        """By what the unit of a new map is to be multiplied for its camera to be as fast; one where either stands."""
+        """Factor on the unit of a new map that makes its camera as fast; one where either stands still."""
         first, last = min(poses), max(poses)
         way = float(np.linalg.norm(poses[last][:3, 3] - poses[first][:3, 3]))
         wanted = float(np.linalg.norm(self.velocity)) * (last - first) * 1e-9
@@ -108,9 +108,9 @@ class Odometry:
     focal_px turns the settings' pixels into rays. T_left_right (4, 4): the other camera of a stereo pair, which gives
     the map its scale; without one the median depth at the start is taken as `start_depth_m`.
 
-    A map that is not seen for `begin_again_s` is given up for a new one, which is laid where the camera would be had it
-    gone on as it went; without a second camera, in a unit in which it is as fast as before. That is a guess, and all
-    that a camera can say of the time in which it saw nothing.
+    A map that is not seen for `begin_again_s` is given up for a new one, which is placed where the camera would be had
+    it moved on as before; without a second camera, in a unit in which it is as fast as before. That is a guess, and all
+    that a camera can say about the time in which it saw nothing.
     """
 
     def __init__(self, settings: VisualOnlySettings, focal_px: float, T_left_right: Array | None = None) -> None:
@@ -120,7 +120,7 @@ class Odometry:
         self.lost_ns: int | None = None
         self.key_frames = 0
         self.maps = 0
-        self._farewell: Farewell | None = None  # to the map before this one
+        self._farewell: Farewell | None = None  # from the map before this one
         self._px = 1.0 / focal_px
         self._landmarks: dict[int, Landmark] = {}
         self._waiting: list[Frame] = []  # frames before there is a map
@@ -128,7 +128,7 @@ class Odometry:
         self._known_at_key = 0
 
     def add(self, frame: Frame, match_right: MatchRight | None = None) -> Array | None:
-        """The pose of the next frame, None as long as there is no map, or where the map is not seen any more."""
+        """Add the next frame and return its pose; None as long as there is no map, or it is no longer seen."""
         if self.key_frames == 0:
             self._start(frame, match_right)
             return self.poses.get(frame.stamp_ns)
@@ -149,11 +149,11 @@ class Odometry:
 
     @property
     def landmarks(self) -> Array:
-        """(L, 3) points of the map whose tracks live."""
+        """Points (L, 3) of the map whose tracks are alive."""
         return np.array([mark.point for mark in self._landmarks.values() if mark.point is not None]).reshape(-1, 3)
 
     def _start(self, frame: Frame, match_right: MatchRight | None) -> None:
-        """The first map: at once with stereo, after enough parallax without."""
+        """Start a map: at once with stereo, after enough parallax without."""
         if self.T_left_right is not None:
             if match_right is not None:
                 T_map_cam = np.eye(4) if self._farewell is None else self._farewell.guess(frame.stamp_ns)
@@ -186,13 +186,13 @@ class Odometry:
             self._take(maps[0], frame)
 
     def _map_of(self, first: Frame, last: Frame, T_first_last: Array) -> Start | None:
-        """The map of two views, None where it is too small or the frames between them do not fit it."""
+        """Build the map of two views; None where it is too small or the frames between them do not fit it."""
         settings = self.settings
         common = np.intersect1d(first.ids, last.ids)
         self._landmarks = {}
         self._see(first, np.eye(4))
         self._see(last, T_first_last)
-        # Without regard to the angle: a point too far to be used still tells a false motion.
+        # Regardless of the angle: a point too far away to be used still reveals a false motion.
         self._triangulate(last, 0.0)
         points = self.landmarks
         if len(points) < settings.start_min_points or np.median(points[:, 2]) <= 0:
@@ -214,7 +214,7 @@ class Odometry:
         return Start(T_first_last, self._landmarks, poses, len(self.landmarks), float(np.mean(errors)))
 
     def _take(self, start: Start, last: Frame) -> None:
-        """Go on from a map."""
+        """Continue from a map."""
         self._landmarks, poses = start.landmarks, start.poses
         if self._farewell is not None:
             factor, T_map_first = self._farewell.scale_of(poses), self._farewell.guess(min(poses))
@@ -230,7 +230,7 @@ class Odometry:
         self.maps, self.lost_ns = self.maps + 1, None
 
     def _give_up(self) -> None:
-        """Look for a new map, and remember where this one was last seen from."""
+        """Give up this map for a new one, and remember where it was last seen from."""
         stamps = sorted(self.poses)
         last = stamps[-1]
         before = next((stamp for stamp in reversed(stamps) if last - stamp > self.settings.speed_s * 1e9), stamps[0])
@@ -250,9 +250,9 @@ class Odometry:
             mark.point = None if mark.point is None else T[:3, :3] @ mark.point + T[:3, 3]
 
     def _locate(self, frame: Frame, drop: bool = True) -> Located | None:
-        """The pose from the landmarks that are seen; None where too few agree on one.
+        """Locate a frame by the landmarks that it sees; None where too few agree on a pose.
 
-        drop: those that do not agree are given up: their tracks have slid off their points, or they move.
+        drop: give up those that do not agree: their tracks have slid off their points, or they move.
         """
         settings = self.settings
         marks = [self._landmarks.get(int(track)) for track in frame.ids]
@@ -280,7 +280,7 @@ class Odometry:
         return float(np.median(moved)) > self.settings.key_parallax_px * self._px
 
     def _add_key(self, frame: Frame, T_map_cam: Array, match_right: MatchRight | None) -> None:
-        """Note what the frame sees, and fit all landmarks in it to their views."""
+        """Record what a keyframe sees, and fit all landmarks in it to their views."""
         depth = self._median_depth(T_map_cam)
         self._see(frame, T_map_cam)
         if match_right is not None and self.T_left_right is not None:
@@ -306,14 +306,14 @@ class Odometry:
             self._landmarks.setdefault(track, Landmark()).see(T_map_cam, ray, self.settings.max_views)
 
     def _forget_far(self, angle_deg: float) -> None:
-        """Take back points whose rays meet at less than an angle."""
+        """Discard points whose rays meet at less than an angle."""
         for mark in self._landmarks.values():
             if mark.point is not None and ray_angle(np.array(mark.poses), mark.point) < np.radians(angle_deg):
                 mark.point = None
 
     def _triangulate(self, frame: Frame, angle_deg: float) -> None:
-        """Points of the tracks of a key frame from all their views, where their rays meet at an angle; those that do
-        not fit them are forgotten."""
+        """Triangulate the tracks of a keyframe from all their views, where the rays meet at such an angle; those that
+        do not fit start anew."""
         settings = self.settings
         for track in frame.ids.tolist():
             mark = self._landmarks[track]
@@ -326,10 +326,10 @@ class Odometry:
             if view_errors(point, poses, rays).max() < settings.landmark_error_px * self._px:
                 mark.point = point
             else:
-                # Begun anew from its last view: the track has slid, or one of the poses was wrong.
+                # Started anew from its last view: the track has slid, or one of the poses was wrong.
                 self._landmarks[track] = Landmark([mark.poses[-1]], [mark.rays[-1]])
 
 
 def _scaled(T: Array, factor: float) -> Array:
-    """A pose (4, 4) in another unit."""
+    """Convert a pose (4, 4) to another unit."""
     return np.block([[T[:3, :3], factor * T[:3, 3:]], [T[3:]]])

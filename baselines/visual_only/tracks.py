@@ -1,4 +1,4 @@
-"""Corners, followed from frame to frame by optical flow."""
+"""Corners tracked from frame to frame by optical flow."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ class FeatureTracks:
 def follow(
     before: NDArray[np.uint8], after: NDArray[np.uint8], start: Array, guess: Array, settings: VisualOnlySettings
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Pixels (N, 2) of `start` (N, 2) in another image, and which of them (N,) were found there.
+    """Track pixels `start` (N, 2) into another image: pixels (N, 2), and which of them (N,) were found there.
 
-    Pyramidal Lucas-Kanade (Bouguet 2001) from `guess` (N, 2), and back again: what does not come home is not found.
+    Pyramidal Lucas-Kanade (Bouguet 2001) from `guess` (N, 2), and back again: a point that does not return is not
+    found.
     """
     if len(start) == 0:
         return np.empty((0, 2)), np.zeros(0, dtype=bool)
@@ -47,7 +48,7 @@ def follow(
 
 
 class Tracker:
-    """Follows corners through the frames of one camera, and finds new ones where there are few."""
+    """Tracker of corners through the frames of one camera, which finds new ones where there are few."""
 
     def __init__(self, settings: VisualOnlySettings) -> None:
         self.settings = settings
@@ -58,15 +59,15 @@ class Tracker:
         self._unusable = 0
 
     def equalised(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Grey with its contrast brought up: (H, W) of (H, W, 3) RGB or (H, W)."""
+        """Convert an image (H, W, 3) RGB or (H, W) to grey (H, W) with enhanced contrast."""
         grey = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
         return np.asarray(self._clahe.apply(grey), dtype=np.uint8)
 
     def add(self, pixels: NDArray[np.uint8]) -> FeatureTracks | None:
-        """Tracks in the next frame (H, W, 3) RGB or (H, W) grey, uint8.
+        """Track corners into the next frame (H, W, 3) RGB or (H, W) grey, uint8.
 
-        None where too few are found in it: the next frame is then followed from the last usable one, until patience
-        ends and all begins anew.
+        None where too few are found in it: the next frame is then tracked from the last usable one, until patience
+        ends and all starts anew.
         """
         settings, image = self.settings, self.equalised(pixels)
         if self.image is not None:
@@ -81,7 +82,7 @@ class Tracker:
         return self.tracks
 
     def _replenish(self) -> None:
-        """New corners (Shi & Tomasi 1994), the best of each cell of a grid that has room for more."""
+        """Add new corners (Shi & Tomasi 1994), the best of each cell of a grid that has room for more."""
         settings, tracks = self.settings, self.tracks
         assert self.image is not None
         if len(tracks.ids) > 0.8 * settings.max_tracks:

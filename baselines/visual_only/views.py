@@ -12,12 +12,12 @@ from oysterbench.core.geometry import Array, invert, transform
 
 
 def homogeneous(rays: Array) -> Array:
-    """(N, 3) directions x, y, 1 of rays (N, 2)."""
+    """Directions (N, 3), x, y, 1, of rays (N, 2)."""
     return np.column_stack([rays, np.ones(len(rays))])
 
 
 def reprojection_errors(points: Array, T_map_cam: Array, rays: Array) -> Array:
-    """(N,) distances between rays (N, 2) and points (N, 3) of the map seen from a pose; infinite behind the camera."""
+    """Distances (N,) between rays (N, 2) and points (N, 3) of the map seen from a pose; infinite behind the camera."""
     seen = (points - T_map_cam[:3, 3]) @ T_map_cam[:3, :3]
     depth = seen[:, 2]
     errors = np.linalg.norm(seen[:, :2] / np.where(depth > 0, depth, 1.0)[:, None] - rays, axis=1)
@@ -25,7 +25,7 @@ def reprojection_errors(points: Array, T_map_cam: Array, rays: Array) -> Array:
 
 
 def view_errors(point: Array, poses: Array, rays: Array) -> Array:
-    """(V,) the same of one point (3,) that is seen along rays (V, 2) from poses (V, 4, 4)."""
+    """Distances (V,) as in `reprojection_errors`, of one point (3,) seen along rays (V, 2) from poses (V, 4, 4)."""
     seen = np.einsum("vji,vj->vi", poses[:, :3, :3], point - poses[:, :3, 3])
     depth = seen[:, 2]
     errors = np.linalg.norm(seen[:, :2] / np.where(depth > 0, depth, 1.0)[:, None] - rays, axis=1)
@@ -95,10 +95,11 @@ def ray_angle(poses: Array, point: Array) -> float:
 
 
 def relative_poses(before: Array, after: Array, tolerance: float) -> list[Array]:
-    """T_before_after (4, 4) that two views of rays (N, 2), (N, 2) allow for, each with a translation of length one.
+    """Candidates for T_before_after (4, 4) by two views of rays (N, 2), (N, 2), each with a translation of length one.
 
-    The one of the essential matrix, by five points in RANSAC (Nistér 2004) and with the points before both cameras;
-    and those of the homography (Malis & Vargas 2007) with the plane before both: of a level bottom two views leave two.
+    That of the essential matrix, by five points in RANSAC (Nistér 2004) and with the points in front of both cameras;
+    and those of the homography (Malis & Vargas 2007) with the plane in front of both: two views of a level bottom leave
+    two.
     """
     found = []
     camera = np.eye(3)

@@ -1,4 +1,4 @@
-"""Aiding sensors of a rig, each a description of its own, and all of them together as an estimator has them."""
+"""Aiding sensors of a rig: each kind by itself, and all of them together as an estimator uses them."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from oysterbench_baselines.gtsam_vi.states import Keyframe, State
 
 KINDS = ("dvl", "pressure", "magnetometer")
-FRESH_NS = 1_000_000_000  # a velocity older than this no longer tells what an ROV does
+FRESH_NS = 1_000_000_000  # a velocity older than this no longer says how an ROV moves
 
 
 @dataclass(frozen=True)
 class AidingSettings:
-    """What calibrations do not say of the aiding sensors. sigmas of constants are priors: they are estimated."""
+    """Settings of the aiding sensors that no calibration gives. Sigmas of constants are priors: they are estimated."""
 
     dvl: DvlSettings = field(default_factory=DvlSettings)
     pressure: PressureSettings = field(default_factory=PressureSettings)
@@ -40,7 +40,7 @@ class AidingSettings:
 
 @dataclass(frozen=True)
 class SonarAidingSettings(AidingSettings):
-    """The same with an imaging sonar."""
+    """`AidingSettings` with those of an imaging sonar."""
 
     sonar: SonarSettings = field(default_factory=SonarSettings)
 
@@ -51,7 +51,7 @@ def sensors_of(sequence: Sequence) -> list[str]:
 
 
 def aiding_sensors(sequence: Sequence, settings: AidingSettings, kinds: Collection[str] = KINDS) -> list[AidingSensor]:
-    """Those of some kinds that a rig has."""
+    """Create the aiding sensors of the given kinds that a rig has."""
     T_imu_base, gravity = invert(sequence.imu_calibration.T_base_imu), sequence.imu_calibration.gravity
     dvl, pressure, compass = (getattr(sequence, f"{kind}_calibration") if kind in kinds else None for kind in KINDS)
     sensors = list[AidingSensor]()
@@ -72,9 +72,9 @@ def aiding_sensors(sequence: Sequence, settings: AidingSettings, kinds: Collecti
 def imaging_sonar(
     sequence: Sequence, settings: SonarAidingSettings, reach: int, dvl: Dvl | None = None
 ) -> Sonar | None:
-    """The first imaging sonar of a rig, with all that sounds the bottom below it; None where there is none.
+    """Create the first imaging sonar of a rig, with all that sounds the bottom below it; None where there is none.
 
-    reach: key frames back to which its factors may go. dvl: the log that goes before it, where one is used.
+    reach: keyframes back to which its factors may go. dvl: the log that takes precedence, where one is used.
     """
     T_imu_base, chosen, stated = invert(sequence.imu_calibration.T_base_imu), settings.sonar, sequence.uncertainty
     altimeters = {name: (T_imu_base @ of.T_base_sensor, of) for name, of in sequence.altimeters.items()}
@@ -86,19 +86,19 @@ def imaging_sonar(
 
 
 class Aiding:
-    """All aiding sensors of an estimator; none at all is a rig of cameras and an inertial unit."""
+    """All aiding sensors of an estimator; none at all for a rig of cameras and an IMU."""
 
     def __init__(self, sensors: Iterable[AidingSensor] = ()) -> None:
         self.sensors = {sensor.kind: sensor for sensor in sensors}
 
     @property
     def refused(self) -> dict[str, int]:
-        """Samples refused, in part or as a whole, by kind."""
+        """Number of samples refused, in part or as a whole, by kind."""
         kinds = dict.fromkeys([*KINDS, *(kind for kind in self.sensors if kind == Sonar.kind)])
         return {kind: self.sensors[kind].refused if kind in self.sensors else 0 for kind in kinds}
 
     def found(self, filter: InvariantFilter) -> dict[str, float]:
-        """What is known of the sensors by now, for the record."""
+        """Estimates of the sensors' constants by now, for the record."""
         return {name: value for sensor in self.sensors.values() for name, value in sensor.found(filter).items()}
 
     def counts(self) -> dict[str, int]:
@@ -107,7 +107,7 @@ class Aiding:
 
     @property
     def knows_velocity(self) -> bool:
-        """Whether the filter has ever been given a velocity: without one it is dead reckoning by the inertial unit."""
+        """Whether the filter has ever been given a velocity: without one it dead-reckons by the IMU alone."""
         dvl = self.sensors.get("dvl")
         return (dvl is not None and dvl.rows is not None) or bool(self._velocities())
 
@@ -116,7 +116,7 @@ class Aiding:
         return any(stamp_ns - velocity_ns < FRESH_NS for velocity_ns in self._velocities())
 
     def _velocities(self) -> list[int]:
-        """Stamps, ns, of the last velocities that were believed, of the sensors that have given any."""
+        """Stamps, ns, of the last velocity believed of each sensor that has given any."""
         stamps = (sensor.velocity_ns for sensor in self.sensors.values() if isinstance(sensor, Dvl | Sonar))
         return [stamp for stamp in stamps if stamp is not None]
 
@@ -144,13 +144,13 @@ class Aiding:
             sensor.initialise(keyframe, state, filter)
 
     def calibrations(self) -> list[Calibration]:
-        """Of the sensors that have a part in the graph, by their names."""
+        """Calibrations of the sensors that take part in the graph, sorted by kind."""
         found = (self.sensors[kind].calibration() for kind in sorted(self.sensors))
         return [calibration for calibration in found if calibration is not None]
 
     def shared_states(self) -> dict[int, tuple[slice, Array]]:
-        """Variables that filter and graph share beside the vehicle's state: rows of the filter's error, units (N,), by
-        key."""
+        """Variables that filter and graph share besides the vehicle's state, by key: rows of the filter's error, units
+        (N,)."""
         shared = {}
         for sensor in self.sensors.values():
             calibration = sensor.calibration()

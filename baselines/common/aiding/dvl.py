@@ -1,8 +1,8 @@
-"""Doppler velocity log: along beam b it sees b . (1 + s) Exp(-m) R_dvl_imu (R^T v + w x r) of when it pinged.
+"""Doppler velocity log: along beam b it measures b . (1 + s) Exp(-m) R_dvl_imu (R^T v + w x r) at the time of its ping.
 
-Scale s and misalignment m of its axes are its calibration, (4,); r is its place in the IMU's frame, w the angular rate.
-A ping was a latency before its message, and what this one was later than others. The latency is found by the filter
-alone: it multiplies accelerations, which are not known before it is, and that takes many small steps.
+Scale s and misalignment m of its axes are its calibration, (4,); r is its place in the IMU frame, w the angular rate.
+A ping precedes its message by a latency, and by what this message was later than others. The latency is estimated by
+the filter alone: it multiplies accelerations, which are not known before it is, and that takes many small steps.
 """
 
 from __future__ import annotations
@@ -47,37 +47,38 @@ if TYPE_CHECKING:
 
 DVL_KEY = symbol("d")
 WEAK = 1e-6  # share of the strongest direction's information below which beams say nothing about a direction
-BIAS_STEP = 1e-5  # rad/s, of the difference quotient
-LATENCY_STEP_S = 0.025  # of the same: long against a thruster's turn, which shakes more than the vehicle speeds up
-REACH_S = 0.6  # that a message may be late
-UNSEEN_ACCEL = 0.3  # m/s^2, 1 sigma: an ROV gathers speed, and sways
+BIAS_STEP = 1e-5  # rad/s, step of the difference quotient
+LATENCY_STEP_S = 0.025  # likewise: long against a thruster's revolution, whose vibration exceeds the acceleration
+REACH_S = 0.6  # by which a message may be late
+UNSEEN_ACCEL = 0.3  # m/s^2, 1 sigma: an ROV accelerates and sways
 
 
 @dataclass(frozen=True)
 class DvlSettings:
-    """What the samples do not say of a DVL. Scale and misalignment err by these beside what a calibration states."""
+    """Settings of a DVL that its samples do not give. Scale and misalignment err by these besides what a calibration
+    states."""
 
     scale_sigma: float = 0.01  # of 1: a DVL of the A50 class is sold as good to 1 %, the better model to 0.1 %
-    misalignment_sigma_deg: float = 0.5  # per axis: what a mount is made to
+    misalignment_sigma_deg: float = 0.5  # per axis: to which a mount is made
     latency_s: float = 0.1  # of messages behind their pings: 50 to 200 ms, or none where stamps are the log's own
     latency_sigma_s: float = 0.1
     latency_walk_s: float = 1e-3  # s/sqrt(s)
     noise_floor: float = 0.001  # m/s, 1 sigma of a beam, whatever the sample says
-    noise: float = 0.005  # m/s, likewise, where no sample has said anything
+    noise: float = 0.005  # m/s, likewise, where no sample has stated any
     huber: float = 3.0  # sigmas; beyond, a residual in the graph counts linearly
     clock: PingClockSettings = field(default_factory=PingClockSettings)
 
     @property
     def sigmas(self) -> Array:
-        """(4,) of scale and misalignment (rad)."""
+        """1 sigmas (4,) of scale and misalignment (rad)."""
         twist = np.radians(self.misalignment_sigma_deg)
         return np.array([self.scale_sigma, twist, twist, twist])
 
 
 @dataclass(frozen=True)
 class Ping:
-    """What the beams said, and when: time_s after a state of the vehicle, below zero before it, and a latency before
-    that. directions (K, 3), along (K,) m/s, variances (K,): see `beam_rows`."""
+    """What the beams measured, and when: time_s after a state of the vehicle (negative: before it), less the latency.
+    directions (K, 3), along (K,) m/s, variances (K,): see `beam_rows`."""
 
     time_s: float
     directions: Array
@@ -87,7 +88,7 @@ class Ping:
 
 @dataclass(frozen=True)
 class Interval:
-    """Pings of the time between two key frames, and the inertial measurements about the first of them."""
+    """Pings between two keyframes, and the inertial measurements around the first of the keyframes."""
 
     record: Record
     pings: list[Ping]
@@ -95,15 +96,15 @@ class Interval:
 
 @dataclass(frozen=True)
 class Latency:
-    """By which messages are late, s, and 1 sigma of that."""
+    """Delay of messages, s, and its 1 sigma."""
 
     mean_s: float
     sigma_s: float
 
 
 class Dvl(AidingSensor):
-    """T_imu_dvl (4, 4): its mount. velocity_ns: stamp of the last velocity that was believed. latency: as the filter
-    knows it by now."""
+    """DVL as an aiding sensor. T_imu_dvl (4, 4): its mount. velocity_ns: stamp of the last velocity that was believed.
+    latency: the filter's latest estimate."""
 
     kind = "dvl"
     measures = (DvlMeasurement,)
@@ -118,7 +119,7 @@ class Dvl(AidingSensor):
         gate: GateSettings,
         uncertainty: Uncertainty | None = None,
     ) -> None:
-        """uncertainty: as the calibration states it, of a whole rig."""
+        """uncertainty: of the whole rig, as its calibration states it."""
         super().__init__(gate)
         stated = stated_sigmas(uncertainty, "dvl", ("scale", *ROTATION))
         self._sigmas = np.hypot(settings.sigmas, stated)
@@ -130,14 +131,16 @@ class Dvl(AidingSensor):
         self._history = History(REACH_S)
         self._last_ns: int | None = None
         self._beam_variance = settings.noise**2
-        self._pings: list[Ping] = []  # since the last key frame
-        self._intervals: dict[int, Interval] = {}  # by the key frame that they lead to
+        self._pings: list[Ping] = []  # since the last keyframe
+        self._intervals: dict[int, Interval] = {}  # by the keyframe that they lead to
 
     def update(self, filter: InvariantFilter, sample: DvlMeasurement) -> bool:
-        """By its beams. Linear in v, but not in v and the calibration together: the slopes by the calibration are taken
-        at the velocity that the sample leads to. At the one before it, which at a start in motion is nothing, or after
-        a long silence wrong, the sample would say nothing of the misalignment, the next one would, and from the two of
-        them the filter would believe to know it.
+        """Correct the filter by the beams of a sample; return whether any of it was believed.
+
+        A beam is linear in v, but not in v and the calibration together: the derivatives by the calibration are taken
+        at the velocity that the sample leads to. At the one before it, which is zero at a start in motion, or wrong
+        after a long silence, the sample would say nothing about the misalignment, the next one would, and from the two
+        of them the filter would believe it knows it.
         """
         late_s, jitter_s = self._clock.late(sample.stamp_ns)
         beams = beam_rows(sample, self.settings.noise_floor)
@@ -153,7 +156,7 @@ class Dvl(AidingSensor):
             self._latency = added.start
         row = self._latency
         self._walk(filter, sample.stamp_ns)
-        # None is heard before it was sent.
+        # No message arrives before its ping.
         known = Latency(max(float(filter.extra[row - CORE]), -late_s), float(np.sqrt(filter.covariance[row, row])))
         ping = Ping(-late_s, directions, along, variances)
         record = self._history.about_end()
@@ -170,7 +173,7 @@ class Dvl(AidingSensor):
         return believed
 
     def _walk(self, filter: InvariantFilter, stamp_ns: int) -> None:
-        """The latency wanders, and what the clock does not know of it with it."""
+        """Add the latency's random walk since the last sample to its variance."""
         elapsed = 0.0 if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
         filter.covariance[self._latency, self._latency] += elapsed * self.settings.latency_walk_s**2
         self._last_ns = stamp_ns
@@ -201,11 +204,12 @@ class Dvl(AidingSensor):
 def predict(
     ping: Ping, latency: Latency, record: Record, filter: InvariantFilter, at: slice, T_imu_dvl: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Measured minus predicted (K,) of the beams of a ping, its derivatives by the filter's error (K, 15 + M), but the
-    latency's, and by the latency (K,), m/s^2; and the noise (K, K). at: rows of the log's calibration.
+    """Residuals (K,), measured minus predicted, of the beams of a ping; their derivatives by the filter's error
+    (K, 15 + M), except the latency, and by the latency (K,), m/s^2; and the noise (K, K). at: rows of the log's
+    calibration.
 
-    Latency and acceleration multiply, and both may be unknown at first: what they make together, of second order, is
-    noise of the product of their variances (Bar-Shalom, Li, Kirubarajan 2001, sec. 10.3.2). Without it a bias of the
+    Latency and acceleration multiply, and both may be unknown at first: their second-order effect counts as noise with
+    the product of their variances (Bar-Shalom, Li, Kirubarajan 2001, sec. 10.3.2). Without it a bias of the
     accelerometer is taken for latency.
     """
     calibration = filter.extra[at.start - CORE : at.stop - CORE]
@@ -217,7 +221,7 @@ def predict(
     times = time + LATENCY_STEP_S * np.array([0.0, -1.0, 1.0])
 
     def moving(gyro_bias: Array) -> tuple[Array, Instants]:
-        """(3, 3) m/s: velocities of the log at the ping, and a step before and after it, in the IMU's frame."""
+        """Velocities (3, 3) m/s of the log at the ping, and a step before and after it, in the IMU frame."""
         found = instants(record, times, gyro_bias, filter.accel_bias)
         return found.velocities(start, down) + np.cross(found.rate, lever), found
 
@@ -250,9 +254,9 @@ def predict(
 def beam_rows(sample: DvlMeasurement, floor: float) -> tuple[Array, Array, Array] | None:
     """Directions (K, 3) in the DVL's frame, velocities (K,) m/s along them, and their variances (K,).
 
-    The beams that are valid, each for itself: fewer than three, which give no velocity, still say something. The noise
-    of a beam follows from the covariance of the velocity, sigma^2 (B^T B)^-1, or is the floor. None where there
-    is neither.
+    Valid beams count individually: fewer than three, which give no velocity, still say something. The noise of a beam
+    follows from the covariance of the velocity, sigma^2 (B^T B)^-1, or is the floor. Without valid beams, the velocity
+    itself is taken; None where there is neither.
     """
     valid = np.asarray(sample.beam_valid, dtype=bool) & np.isfinite(sample.beam_velocities)
     if valid.any():
@@ -270,12 +274,12 @@ def beam_rows(sample: DvlMeasurement, floor: float) -> tuple[Array, Array, Array
 
 @dataclass(frozen=True)
 class Velocity:
-    """What a DVL says about the velocity at the first of two key frames, over the interval between them.
+    """What a DVL says about the velocity at the first of two keyframes, from the interval between them.
 
     With u = R^T v there, g gravity, a and b the changes of accelerometer and gyro bias, c the DVL's calibration:
     axes (u + down R^T g + accel a + gyro b + calibration c - measured) is white with `sigmas`.
 
-    axes (K, 3) unit rows, K <= 3; sigmas (K,) m/s; down (3, 3) s: the samples' mean time after the key frame, and how
+    axes (K, 3) unit rows, K <= 3; sigmas (K,) m/s; down (3, 3) s: the samples' mean time after the keyframe, and how
     the turns in between mix the axes; accel, gyro (3, 3), calibration (3, 4); measured (3,); bias: of the IMU, about
     which it was linearised.
     """
@@ -293,14 +297,14 @@ class Velocity:
 def sum_velocities(
     interval: Interval, latency: Latency, state: State, gravity: float, T_imu_dvl: Array
 ) -> Velocity | None:
-    """All pings of an interval, carried to its beginning by the inertial measurements, as one; None without any.
+    """Combine all pings of an interval, carried to its start by the inertial measurements, into one; None without any.
 
-    state: at its beginning, roughly. What is not known of the latency moves all pings together.
+    state: roughly, at its start. The uncertainty of the latency shifts all pings together.
 
-    A beam d of the DVL at time t sees
+    A beam d of the DVL at time t measures
     d . (1 + s) Exp(-m) R_dvl_imu (dR^T (u + t R^T g + dv) + w x r), with dR, dv the preintegrated rotation and velocity
     (Forster et al. 2017, eq. 33). The rows of all beams are linear in u: their least-squares solution for it is the
-    measurement, and keeps how it depends on the rest.
+    measurement, stored with its dependence on the rest.
     """
     if not interval.pings:
         return None
@@ -314,7 +318,7 @@ def sum_velocities(
     of = np.repeat(np.arange(len(pings)), [len(ping.directions) for ping in pings])  # by row, its ping
 
     def moving(gyro_bias: Array) -> tuple[Array, Instants]:
-        """(3 n, 3) m/s: velocities of the log at the pings, and a step before and after them, in the IMU's frame."""
+        """Velocities (3 n, 3) m/s of the log at the pings, and a step before and after them, in the IMU frame."""
         found = instants(interval.record, times, gyro_bias, bias.accelerometer())
         return found.velocities(start, down) + np.cross(found.rate, lever), found
 
@@ -325,7 +329,7 @@ def sum_velocities(
     for axis in range(3):
         moved, _ = moving(bias.gyroscope() + BIAS_STEP * np.eye(3)[axis])
         gyro_slope[:, axis] = np.einsum("kj,kj->k", directions, moved[of] - seen[of]) / BIAS_STEP
-    # The velocity in the DVL's frame, by which its calibration multiplies.
+    # The velocity in the DVL's frame, which its calibration multiplies.
     turned = np.cross(np.concatenate([ping.directions for ping in pings]), (seen @ to_dvl.T)[of])
     calibration_slope = np.column_stack([along, turned])
     _, before, after = np.split(seen, 3)
@@ -379,7 +383,7 @@ def velocity_error(
 
 
 def velocity_factor(velocity: Velocity, keyframe: int, gravity: float, huber: float) -> gtsam.NonlinearFactor:
-    """On pose, velocity and bias of a key frame, and the DVL's calibration."""
+    """Factor of a `Velocity` on pose, velocity and bias of a keyframe, and the DVL's calibration."""
     keys = [symbol("x", keyframe), symbol("v", keyframe), symbol("b", keyframe), DVL_KEY]
     evaluate: Callable[..., Any] = lambda *at: velocity_error(velocity, gravity, *at)  # noqa: E731
     return python_factor(keys, velocity.sigmas, len(velocity.sigmas), evaluate, huber=huber)

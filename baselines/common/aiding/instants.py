@@ -1,7 +1,7 @@
-"""Instants of the latest moments against a state: how the vehicle has turned and sped up between them.
+"""Recent instants relative to a state: how the vehicle has turned and accelerated between them.
 
-A sensor that reports late saw the vehicle where it was, and an estimator has it where it is: the inertial measurements
-tie the two, backwards in time as well as forwards.
+A sensor that reports late saw the vehicle where it was, while an estimator has it where it is: the inertial
+measurements link the two, backwards in time as well as forwards.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from oysterbench_baselines.common.inertial import Segment, integrate
 
 @dataclass(frozen=True)
 class Record:
-    """Inertial measurements about an instant: a segment (N,) that begins `before_s` (s) before it."""
+    """Inertial measurements around an instant: a segment (N,) that starts `before_s` (s) before it."""
 
     segment: Segment
     before_s: float
 
 
 class History:
-    """Inertial measurements of the last `reach_s` (s), and of what came after a mark."""
+    """Inertial measurements since a mark and of `reach_s` (s) before it."""
 
     def __init__(self, reach_s: float) -> None:
         self._reach_s = reach_s
@@ -34,7 +34,7 @@ class History:
 
     @property
     def since_s(self) -> float:
-        """From the mark to the end; from the beginning where there is no mark."""
+        """Time (s) from the mark to the end; from the start where there is no mark."""
         return self._since_s
 
     def add(self, segment: Segment) -> None:
@@ -46,7 +46,7 @@ class History:
             self._kept_s -= self._segments.popleft().duration
 
     def mark(self) -> None:
-        """Here: at a key frame."""
+        """Set the mark to the present end: at a keyframe."""
         self._marked, self._since_s = True, 0.0
 
     def about_end(self) -> Record:
@@ -58,12 +58,12 @@ class History:
 
 @dataclass(frozen=True)
 class Instants:
-    """K instants against a state of attitude R and velocity v, u = R^T v: at each the velocity is
+    """K instants relative to a state of attitude R and velocity v, u = R^T v: at each the velocity is
 
     rotation^T (u + time R^T g + gained), in the IMU's frame of that instant.
 
     time (K,) s, after the state; rotation (K, 3, 3) from there to the state's frame; gained (K, 3) m/s, by the specific
-    force less its bias, in the state's frame; accel (K, 3, 3): by a change of that bias; rate (K, 3) rad/s.
+    force less its bias, in the state's frame; accel (K, 3, 3): its derivative by that bias; rate (K, 3) rad/s.
     """
 
     time: Array
@@ -73,20 +73,20 @@ class Instants:
     rate: Array
 
     def velocities(self, start: Array, down: Array) -> Array:
-        """(K, 3) m/s, with u and R^T g (3,)."""
+        """Velocities (K, 3) m/s, given u and R^T g (3,)."""
         there = start + self.time[:, None] * down + self.gained
         return np.asarray(np.einsum("kji,kj->ki", self.rotation, there))
 
 
 def instants(record: Record, times: Array, gyro_bias: Array, accel_bias: Array) -> Instants:
-    """Those at times (K,) s after a record's instant, within what it holds; biases (3,)."""
+    """Instants at times (K,) s after a record's instant, clipped to what it holds; biases (3,)."""
     segment, before = record.segment, record.before_s
     if not len(segment.dt):  # nothing has happened yet
         segment = Segment(np.full(1, 1e-9), gyro_bias[None], accel_bias[None])
     nodes = np.concatenate([[0.0], np.cumsum(segment.dt)]) - before
     times = np.clip(times, nodes[0], nodes[-1])
     wanted, inverse = np.unique(np.concatenate([[0.0], times]), return_inverse=True)
-    # Within a step of the inertial unit the signal is what it is in the mean, so that a step may be cut anywhere.
+    # Within an IMU step the signal is taken to be its mean, so that a step may be cut anywhere.
     cuts = np.union1d(nodes, wanted)
     step = np.clip(np.searchsorted(nodes, 0.5 * (cuts[1:] + cuts[:-1])) - 1, 0, len(segment.dt) - 1)
     ends = np.searchsorted(cuts, wanted)
@@ -96,7 +96,7 @@ def instants(record: Record, times: Array, gyro_bias: Array, accel_bias: Array) 
     ]
     integral = integrate(parts, gyro_bias)
     velocity = integral.velocity - integral.velocity_rate @ accel_bias
-    # integral: against the beginning of the record, with one more node than wanted; the state's is `origin`.
+    # integral: relative to the start of the record, with one more node than wanted; the state's is `origin`.
     at, origin = inverse + 1, inverse[0] + 1
     back = integral.rotation[origin].T
     at = at[1:]

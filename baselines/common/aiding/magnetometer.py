@@ -1,7 +1,7 @@
-"""Magnetometer: A R_mag_imu R^T f + h, the Earth's field f in odom, hard iron h and soft iron A.
+"""Magnetometer: it measures A R_mag_imu R^T f + h, with the Earth's field f in odom, hard iron h and soft iron A.
 
-With f free, one attitude says nothing; yaw is held by how the field turns against the vehicle. Motors add a field that
-comes and goes with their current: its mean is hard iron, the rest is noise, alike over seconds.
+With f free, one attitude says nothing; yaw is constrained by how the field turns relative to the vehicle. Motors add a
+field that comes and goes with their current: its mean is hard iron, the rest is noise, correlated over seconds.
 """
 
 from __future__ import annotations
@@ -37,29 +37,30 @@ SOFT_IRON = tuple(f"soft_iron_{row}{column}" for row in "xyz" for column in "xyz
 COMPASS_KEY = symbol("m")
 """The Earth's field in odom (3), hard iron (3), both in FIELD_UNIT, and soft iron (9, row by row): (15,)."""
 FIELD_UNIT = 1e-5
-"""T: makes a field a number near one, as the solver likes its variables."""
+"""T: makes a field a number near one, as the solver prefers its variables."""
 
 
 @dataclass(frozen=True)
 class MagnetometerSettings:
-    """What the samples do not say of iron and fields, and which of them count for key frames."""
+    """Settings of iron and fields that the samples do not give, and which samples count for keyframes."""
 
-    field_sigma: float = 15e-6  # T, per axis, of the first field reading as the Earth's: what hard iron hides
+    field_sigma: float = 15e-6  # T, per axis, of the first reading as the Earth's field: what hard iron hides
     hard_iron_sigma: float = 10e-6  # T, per axis, of a vehicle that was not swung
     soft_iron_sigma: float = 0.03  # of each element, about the identity, likewise
-    mean_motor_sigma: float = 1e-6  # T, per axis: of motors, since it was swung
-    sigma: float = 0.3e-6  # T: what else there is beside the sensor's own noise
-    motor_sigma: float = 0.15e-6  # T, per axis, of what motors come and go by, before it has been seen
-    motor_memory_s: float = 20.0  # over which it is seen
+    mean_motor_sigma: float = 1e-6  # T, per axis: of the mean field of motors, since it was swung
+    sigma: float = 0.3e-6  # T: other errors besides the sensor's own noise
+    motor_sigma: float = 0.15e-6  # T, per axis, of the changing field of motors, before it has been estimated
+    motor_memory_s: float = 20.0  # over which it is estimated
     motor_tau_s: float = 3.0  # readings closer than this err alike: as long as a correction, or a wave
     interval_s: float = 0.1  # readings in between say nothing new: iron, not noise, limits the compass
-    max_delay_s: float = 0.06  # a reading older than this does not count for a key frame
-    keyframes: int = 1  # from one reading that counts to the next; 3 saves an eighth of the time, and heading
+    max_delay_s: float = 0.06  # a reading older than this does not count for a keyframe
+    keyframes: int = 1  # from one reading that counts to the next; 3 saves an eighth of the time, but costs heading
     huber: float = 3.0  # sigmas; beyond, a residual in the graph counts linearly
 
 
 class Magnetometer(AidingSensor):
-    """R_imu_compass (3, 3): its mount. earth: the Earth's field (3,) in odom, FIELD_UNIT, where a graph begins."""
+    """Magnetometer as an aiding sensor. R_imu_compass (3, 3): its mount. earth: the Earth's field (3,) in odom,
+    FIELD_UNIT, where a graph starts."""
 
     kind = "magnetometer"
     measures = (MagneticMeasurement,)
@@ -74,14 +75,14 @@ class Magnetometer(AidingSensor):
         gate: GateSettings,
         uncertainty: Uncertainty | None = None,
     ) -> None:
-        """iron: see `known_iron`. uncertainty: as the calibration states it, of a whole rig."""
+        """iron: see `known_iron`. uncertainty: of the whole rig, as its calibration states it."""
         super().__init__(gate)
         self.R_compass_imu, self.settings = R_imu_compass.T, settings
         self._hard, self._soft, self._sigmas = known_iron(iron, settings, uncertainty)
         self._motors = np.full(3, settings.motor_sigma**2)  # T^2, variances of their field, by axis
         self._last_ns: int | None = None
         self._believed: MagneticMeasurement | None = None
-        self._fields: dict[int, tuple[Array, Array]] = {}  # at a key frame, and 1 sigma by axis, FIELD_UNIT
+        self._fields: dict[int, tuple[Array, Array]] = {}  # at a keyframe, and 1 sigma by axis, FIELD_UNIT
         self._first_field: Array | None = None
         self.earth: Array | None = None
 
@@ -97,8 +98,8 @@ class Magnetometer(AidingSensor):
         return believed
 
     def _update(self, filter: InvariantFilter, sample: MagneticMeasurement, elapsed: float) -> bool:
-        """How much motors bend the field is told by how far readings are off beyond what the filter expects (Mehra
-        1970, IEEE TAC 15(2), on noise told from innovations)."""
+        """Correct the filter, and estimate how much motors bend the field by how far readings are off beyond what the
+        filter expects (Mehra 1970, IEEE TAC 15(2), on estimating noise from innovations)."""
         to_sensor = self.R_compass_imu @ filter.rotation.T
         if self.rows is None:
             mean = np.concatenate([to_sensor.T @ self._outside(sample.field), self._hard, self._soft.ravel()])
@@ -121,20 +122,20 @@ class Magnetometer(AidingSensor):
         return believed
 
     def _outside(self, field: Array) -> Array:
-        """(3,) T: what the field would be without the vehicle's iron, in the sensor's frame."""
+        """Field (3,) T as it would be without the vehicle's iron, in the sensor's frame."""
         return np.asarray(np.linalg.solve(self._soft, field - self._hard))
 
     def _own(self, sample: MagneticMeasurement) -> float:
         return float(sample.variance) + self.settings.sigma**2
 
     def variances(self, sample: MagneticMeasurement, interval_s: float) -> Array:
-        """Variances (3,) T^2 of readings so far apart: motors bend alike those that follow each other, which as white
-        noise must count for less."""
+        """Variances (3,) T^2 of readings `interval_s` apart: motors bend successive ones alike, which, treated as white
+        noise, must count for less."""
         alike = max(1.0, self.settings.motor_tau_s / max(interval_s, 1e-3))
         return self._own(sample) + self._motors * alike
 
     def add_keyframe(self, keyframe: int, stamp_ns: int, filter: InvariantFilter, interval_s: float) -> None:
-        """The field, if it was read a moment ago; less certain as the vehicle turns."""
+        """Keep the field, if it was read a moment ago; less certain as the vehicle turns."""
         sample, settings = self._believed, self.settings
         if sample is None or (stamp_ns - sample.stamp_ns) * 1e-9 > settings.max_delay_s:
             return
@@ -148,7 +149,7 @@ class Magnetometer(AidingSensor):
             self._first_field = field
 
     def initialise(self, keyframe: int, state: State, filter: InvariantFilter | None) -> None:
-        """The Earth's field as it was seen from there: it is free, and this is only where the solver begins."""
+        """Set the Earth's field as seen from there: it is free, and this is only where the solver starts."""
         if self._first_field is None or (filter is None and self.earth is not None):
             return
         field, _ = self._fields.get(keyframe, (self._first_field, None))
@@ -174,8 +175,8 @@ def known_iron(
 ) -> tuple[Array, Array, Array]:
     """Hard (3,) T and soft iron (3, 3) as a calibration has them, and 1 sigmas (15,) of the Earth's field and of both.
 
-    iron: as the swing found them; None where there was none. A mount that errs by a small turn e makes A (1 - [e]x) of
-    A: soft iron beside the diagonal.
+    iron: as found by the swing; None where there was none. A mount error of a small rotation e turns A into
+    A (1 - [e]x): soft iron off the diagonal.
     """
     field = np.full(3, settings.field_sigma)
     if iron is None:

@@ -1,4 +1,4 @@
-"""When a log pinged, from when its messages arrived: pings are regular, messages are late by this and that."""
+"""Ping times of a log from the arrival times of its messages: pings are regular, message delays are not."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 
 @dataclass(frozen=True)
 class PingClockSettings:
-    """How regular pings are, and their messages."""
+    """Regularity of pings and of the delays of their messages."""
 
     jitter_s: float = 0.06  # 1 sigma of a message's delay about its mean, before any is seen
-    memory: float = 20.0  # messages, over which it is told
+    memory: float = 20.0  # messages, over which it is estimated
     floor_s: float = 2e-4  # and not below this
-    period_walk_s: float = 2e-4  # from ping to ping: at 2 to 15 Hz over 50 m, it is 0.9 ms for 10 cm of altitude
+    period_walk_s: float = 2e-4  # s, from ping to ping: at 2 to 15 Hz over 50 m, 10 cm of altitude change it by 0.9 ms
     gate: float = 4.0  # sigmas, beyond which messages were lost in between
 
 
 class PingClock:
     """A Kalman filter of the time of the last ping and of the period, by the stamps of arrival (Olson 2010, IROS, on
-    why a steady clock behind a jittery link can be told)."""
+    why a steady clock behind a jittery link can be recovered)."""
 
     def __init__(self, settings: PingClockSettings) -> None:
         self.settings = settings
@@ -30,7 +30,7 @@ class PingClock:
         self._covariance = np.diag([self._variance, 0.0])
 
     def late(self, stamp_ns: int) -> tuple[float, float]:
-        """By how much (s) a message is later than in the mean, and 1 sigma of that; each message once, in order."""
+        """Delay (s) of a message relative to the mean, and its 1 sigma; to be called once per message, in order."""
         settings = self.settings
         if self._origin_ns is None:
             self._origin_ns = stamp_ns

@@ -1,4 +1,4 @@
-"""Pressure sensor: z of its place in odom, and a constant, the depth of odom with the sensor's own offset."""
+"""Pressure sensor: z of its position in odom plus a constant, the depth of odom with the sensor's own offset."""
 
 from __future__ import annotations
 
@@ -24,21 +24,22 @@ DEPTH_KEY = symbol("z")
 
 @dataclass(frozen=True)
 class PressureSettings:
-    """What the samples do not say of depth; waves press alike on readings that follow each other."""
+    """Settings of depth that the samples do not give; waves press alike on successive readings."""
 
-    height_sigma: float = 10.0  # m, of what the sensor's height is over odom: nothing is known of it
-    sigma: float = 0.005  # m: what water currents press on the sensor beside its own noise
-    wave_sigma: float = 0.03  # m, of what waves press, before it has been seen
-    wave_memory_s: float = 10.0  # over which it is seen: two or three waves
+    height_sigma: float = 10.0  # m, of the sensor's height over odom: nothing is known of it
+    sigma: float = 0.005  # m: pressure of water currents on the sensor besides its own noise
+    wave_sigma: float = 0.03  # m, of the pressure of waves, before it has been estimated
+    wave_memory_s: float = 10.0  # over which it is estimated: two or three waves
     wave_climb: float = 0.02  # m/s, 1 sigma of the vertical velocity, above which waves cannot be told from motion
     wave_tau_s: float = 1.0  # readings closer than this err alike: a quarter of a wave
     walk: float = 5e-4  # m/sqrt(s): the tide, taken as a walk: 6 cm in four hours, 1 cm in seven minutes
-    max_delay_s: float = 0.5  # a reading older than this does not count for a key frame
-    climb_sigma: float = 0.02  # m/s, 1 sigma of the speed at which a reading is moved to a key frame
+    max_delay_s: float = 0.5  # a reading older than this does not count for a keyframe
+    climb_sigma: float = 0.02  # m/s, 1 sigma of the speed at which a reading is moved to a keyframe
 
 
 class Pressure(AidingSensor):
-    """T_imu_pressure (4, 4): its mount. offset: its height over z of odom where a graph begins, m."""
+    """Pressure sensor as an aiding sensor. T_imu_pressure (4, 4): its mount. offset: its height over z of odom where a
+    graph starts, m."""
 
     kind = "pressure"
     measures = (PressureMeasurement,)
@@ -56,15 +57,15 @@ class Pressure(AidingSensor):
         self.lever, self.settings = T_imu_pressure[:3, 3], settings
         self._weight = calibration.density * gravity  # of the water, Pa/m
         self._atmosphere = calibration.atmosphere
-        self._waves = settings.wave_sigma**2  # m^2, variance of the height that waves press
-        self._off = 0.0  # m, by how much readings are off the prediction in the mean
+        self._waves = settings.wave_sigma**2  # m^2, variance of the height due to waves
+        self._off = 0.0  # m, mean deviation of readings from the prediction
         self._last_ns: int | None = None
         self._believed: PressureMeasurement | None = None
-        self._heights: dict[int, tuple[float, float]] = {}  # at a key frame, and 1 sigma, m
+        self._heights: dict[int, tuple[float, float]] = {}  # at a keyframe, and 1 sigma, m
         self.offset: float | None = None
 
     def update(self, filter: InvariantFilter, sample: PressureMeasurement) -> bool:
-        """How much waves press is told by how far the readings scatter about the motion that is known otherwise."""
+        """Correct the filter, and estimate the pressure of waves by the scatter of readings about the known motion."""
         settings, height = self.settings, self.height(sample)
         place = filter.position + filter.rotation @ self.lever
         if self.rows is None:
@@ -94,15 +95,15 @@ class Pressure(AidingSensor):
         return (self._atmosphere - sample.pressure) / self._weight
 
     def variance(self, sample: PressureMeasurement, interval_s: float) -> float:
-        """Variance (m^2) of that, less what is constant, for readings that are so far apart.
+        """Variance (m^2) of the height, apart from constant errors, for readings `interval_s` apart.
 
-        Waves press alike on readings that follow each other: as white noise they must count for less.
+        Waves press alike on successive readings: treated as white noise, these must count for less.
         """
         alike = max(1.0, self.settings.wave_tau_s / max(interval_s, 1e-3))
         return sample.variance / self._weight**2 + self.settings.sigma**2 + self._waves * alike
 
     def add_keyframe(self, keyframe: int, stamp_ns: int, filter: InvariantFilter, interval_s: float) -> None:
-        """The reading, moved to the key frame at the filter's vertical speed."""
+        """Keep the last reading, moved to the keyframe at the filter's vertical speed."""
         if self._believed is None:
             return
         delay = (stamp_ns - self._believed.stamp_ns) * 1e-9
@@ -119,7 +120,7 @@ class Pressure(AidingSensor):
             self.offset = next(iter(self._heights.values()))[0]  # odom is about where it starts
 
     def calibration(self) -> Calibration | None:
-        """The offset is a variable: what waves press while it is first read would otherwise lift the whole path."""
+        """The offset as a variable: otherwise, waves during the first reading would lift the whole path."""
         if self.offset is None:
             return None
         return Calibration(DEPTH_KEY, np.array([self.offset]), np.array([self.settings.height_sigma]))
@@ -139,6 +140,5 @@ def depth_error(height: float, lever: Array, pose: gtsam.Pose3, offset: Array) -
 
 
 def depth_factor(keyframe: int, height: float, lever: Array, sigma: float) -> gtsam.NonlinearFactor:
-    """A height (m) of a point at `lever` (3,) of the IMU, over a level that is where odom's zero is but for an
-    offset."""
+    """Factor of the height (m) of a point at `lever` (3,) from the IMU, over odom's zero level up to an offset."""
     return python_factor([symbol("x", keyframe), DEPTH_KEY], sigma, 1, partial(depth_error, height, lever))

@@ -1,7 +1,8 @@
 """What an aiding sensor is to an estimator: its update of the filter, and its factors in the graph, side by side.
 
-A factor written in Python costs a hundred times a native one: so a sensor sums up what it measures between two key
-frames, and adds one factor a key frame. GTSAM is imported where a factor is made: a filter alone does not need it.
+A factor written in Python costs a hundred times as much as a native one, so a sensor sums up what it measures between
+two keyframes and adds one factor per keyframe. GTSAM is imported where a factor is made: a filter alone does not need
+it.
 """
 
 from __future__ import annotations
@@ -47,11 +48,11 @@ class Calibration:
 
 
 class AidingSensor:
-    """A sensor beside camera and inertial unit. All but `update` may stay as they are.
+    """A sensor besides camera and IMU. All methods but `update` may be left as they are.
 
-    kind: as `Sequence.stream` names it. measures: types of its samples. suspect: what of the filter is taken to be
+    kind: as `Sequence.stream` names it. measures: types of its samples. suspect: part of the filter that is taken to be
     wrong when the sensor contradicts it for long. unit: the filter's states of the sensor, per unit of the variable in
-    the graph. rows: of these states in the filter's error; None before the first sample. refused: samples.
+    the graph. rows: of these states in the filter's error; None before the first sample. refused: number of samples.
     """
 
     kind: ClassVar[str]
@@ -66,17 +67,17 @@ class AidingSensor:
         self._refused_in_a_row = 0
 
     def update(self, filter: InvariantFilter, sample: Any) -> bool:
-        """Correct a filter that has been propagated to the sample's stamp; whether any of it was believed.
+        """Correct a filter that has been propagated to the sample's stamp; return whether any of it was believed.
 
         What the filter refuses takes no part in the graph either.
         """
         raise NotImplementedError
 
     def correct(self, filter: InvariantFilter, residual: Array, slope: Array, noise: Array) -> bool:
-        """Correct by the rows that are as near to their prediction as their covariance says; whether there were any.
+        """Correct by the rows as near to their prediction as their covariance allows; return whether there were any.
 
-        residual (K,), slope (K, 15 + M) and noise (K, K). When all of a sensor is refused time and again it is the
-        filter that is wrong: what the sensor measures is then as uncertain as it is off, and the sample counts.
+        residual (K,), slope (K, 15 + M) and noise (K, K). When all of a sensor is refused time and again, it is the
+        filter that is wrong: its `suspect` states are then made as uncertain as they are off, and the sample counts.
         """
         spread = np.einsum("ki,ij,kj->k", slope, filter.covariance, slope) + noise.diagonal()
         near = residual**2 <= float(chdtri(1, self.gate.chance)) * spread
@@ -92,43 +93,43 @@ class AidingSensor:
         return bool(near.any())
 
     def found(self, filter: InvariantFilter) -> dict[str, float]:
-        """What the filter has found of the sensor's constants, by names with units."""
+        """The filter's estimates of the sensor's constants, by names with units."""
         return {}
 
     def counts(self) -> dict[str, int]:
-        """What a run has done with it, for the record, by names."""
+        """What a run has done with the sensor, as counts by name, for the record."""
         return {}
 
     def propagate(self, segment: Segment) -> None:
-        """Inertial measurements since the last sample of any sensor."""
+        """Take in the inertial measurements since the last sample of any sensor."""
 
     def add_keyframe(self, keyframe: int, stamp_ns: int, filter: InvariantFilter, interval_s: float) -> None:
-        """Keep what was measured for a key frame, `interval_s` after the last one."""
+        """Keep what was measured for a keyframe, `interval_s` after the last one."""
 
     def forget_intervals(self) -> None:
-        """All that was kept of the time between key frames is in factors now."""
+        """Forget what was kept of the time between keyframes: all of it is in factors now."""
 
     def initialise(self, keyframe: int, state: State, filter: InvariantFilter | None) -> None:
-        """A graph begins, with `state` at a key frame. filter: where it has known the velocity."""
+        """Start a graph, with `state` at a keyframe. filter: given where it has known the velocity."""
 
     def calibration(self) -> Calibration | None:
-        """The sensor's constants; None where it has no part in the graph."""
+        """The sensor's constants; None where it takes no part in the graph."""
         return None
 
     def factors(self, keyframe: int, before: State) -> list[gtsam.NonlinearFactor]:
-        """Of a key frame and the interval that leads to it; before: the state one key frame earlier, roughly."""
+        """Factors of a keyframe and the interval that leads to it; before: rough state one keyframe earlier."""
         return []
 
     def stretch_factors(
         self, keyframes: list[Keyframe], states: list[State], ids: NDArray[np.int64], points: Array
     ) -> list[gtsam.NonlinearFactor]:
-        """What counts only where a stretch is adjusted as a whole, at the start and in the final smoothing. ids (L,)
-        and points (L, 3) in odom: of its landmarks."""
+        """Factors that count only where a stretch is adjusted as a whole, at the start and in the final smoothing. ids
+        (L,) and points (L, 3) in odom: of its landmarks."""
         return []
 
 
 def stated_sigmas(uncertainty: Uncertainty | None, sensor: str, parameters: Sequence[str]) -> Array:
-    """1 sigmas (N,) that a calibration states of a sensor's parameters; zeros where it has no errors to speak of."""
+    """1 sigmas (N,) that a calibration states of a sensor's parameters; zeros where there is no uncertainty."""
     if uncertainty is None:
         return np.zeros(len(parameters))
     return np.array([uncertainty.sigma(f"{sensor}.{name}") for name in parameters])
@@ -150,10 +151,10 @@ def python_factor(
     evaluate: Callable[..., tuple[Array, list[Array]]],
     **loss: float,
 ) -> gtsam.NonlinearFactor:
-    """A factor of error (dimension,) with 1 sigmas: one for all, or (dimension,).
+    """Factor in Python of an error (dimension,) with 1 sigmas: one for all, or (dimension,).
 
-    evaluate(*variables) gives error (K,) and its derivatives (K, d) by each variable's tangent. loss: `huber` or
-    `cauchy`, its threshold in sigmas; squares without.
+    evaluate(*variables) returns error (K,) and its derivatives (K, d) by each variable's tangent. loss: `huber` or
+    `cauchy`, its threshold in sigmas; least squares without.
     """
     import gtsam
 

@@ -1,4 +1,4 @@
-"""An imaging sonar as odometry: fans as pictures of the ground, registered on a chart of it."""
+"""An imaging sonar as odometry: fans as images of the ground, registered on a chart of it."""
 
 from oysterbench_baselines.common.aiding.sonar.ground import Ground
 from oysterbench_baselines.common.aiding.sonar.sensor import Sonar

@@ -1,7 +1,7 @@
-"""The chart: what the latest fans show of the ground, on cells that lie still, each fan where it was registered.
+"""The chart: what the latest fans show of the ground, on cells that do not move, each fan where it was registered.
 
-A fan is registered against the chart instead of the fan before it: speckle averages out, and what is off in one
-registration is not handed on from ping to ping. Older fans are forgotten, since relief shifts what they showed.
+A fan is registered against the chart instead of the fan before it: speckle averages out, and the error of one
+registration is not passed on from ping to ping. Older fans are forgotten, since relief shifts what they showed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from oysterbench_baselines.common.aiding.sonar.fan import Grid, View, sample
 from oysterbench_baselines.common.aiding.sonar.settings import ChartSettings, FanSettings
 
 STEP_CELLS = 16  # by which it is moved at a time
-STEPS_PER_DB = 8  # in which echoes are kept: a byte holds 32 dB
+STEPS_PER_DB = 8  # in which echoes are stored: a byte holds 32 dB
 UNKNOWN = 255
 
 
@@ -37,12 +37,12 @@ class Chart:
         return not self.fans.any()
 
     def points(self, cells: NDArray[np.int64]) -> Array:
-        """(N, 2) m: middles of cells (N,), by their place in `values.ravel()`."""
+        """Centres (N, 2) m of cells (N,), which are given by their index in `values.ravel()`."""
         n = self.settings.cells
         return np.asarray((np.column_stack([cells // n, cells % n]) + self._origin) * self.settings.cell_m)
 
     def add(self, picture: NDArray[np.float32], place: Array, view: View, grid: Grid, of: FanSettings) -> None:
-        """A fan's picture (bins, beams), the sonar at `place` (3,): x, y, heading."""
+        """Add a fan's image (bins, beams), with the sonar at `place` (3,): x, y, heading."""
         self._move(place[:2] + 0.5 * of.reach_m * np.array([np.cos(place[2]), np.sin(place[2])]))
         cells = np.arange(self.values.size)
         shown, seen = sample(picture, self.points(cells), place, view, grid, of)
@@ -52,7 +52,7 @@ class Chart:
         fans[there] = np.minimum(fans[there] + 1, self.settings.memory)
 
     def _move(self, middle: Array) -> None:
-        """By whole cells, so that nothing is interpolated."""
+        """Centre the chart on `middle` (2,) m, by whole cells, so that nothing is interpolated."""
         n = self.settings.cells
         wanted = np.round(middle / self.settings.cell_m).astype(np.int64) - n // 2
         shift = wanted - self._origin if self.fans.any() else np.full(2, n)
@@ -69,7 +69,7 @@ class Chart:
         self._origin = wanted
 
     def packed(self) -> PackedChart:
-        """A copy as it is now, of a seventh of the size."""
+        """Copy of its present content, of a seventh of the size."""
         return PackedChart(
             self.settings, np.where(self.fans > 0, packed(self.values), UNKNOWN).astype(np.uint8), self._origin.copy()
         )
@@ -77,14 +77,14 @@ class Chart:
 
 @dataclass(frozen=True)
 class PackedChart:
-    """shown (n, n): of a chart, see `packed`; origin (2,) as its own."""
+    """A compressed chart. shown (n, n): its values, see `packed`; origin (2,): of its first cell, in cells."""
 
     settings: ChartSettings
     shown: NDArray[np.uint8]
     origin: NDArray[np.int64]
 
     def chart(self) -> Chart:
-        """It again; how many fans a cell counts is forgotten."""
+        """Restore the chart; how many fans a cell counts is lost."""
         chart, known = Chart(self.settings), self.shown != UNKNOWN
         chart.values = np.where(known, unpacked(self.shown), np.float32(0))
         chart.fans, chart._origin = known.astype(np.float32), self.origin
@@ -92,10 +92,10 @@ class PackedChart:
 
 
 def packed(echoes: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Echoes over their surroundings, in steps of dB."""
+    """Quantise echoes over their surroundings, dB, to `STEPS_PER_DB` steps per dB."""
     return np.asarray(np.clip(np.rint(echoes * STEPS_PER_DB), 0, UNKNOWN - 1), dtype=np.uint8)
 
 
 def unpacked(steps: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """dB, of `packed`."""
+    """Echoes in dB, from `packed` ones."""
     return np.asarray(steps, dtype=np.float32) / np.float32(STEPS_PER_DB)

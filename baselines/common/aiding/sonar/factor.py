@@ -1,7 +1,7 @@
-"""The factor of two fans on one chart: how the sonar has moved, level, between the pings before two key frames.
+"""The factor of two fans on one chart: horizontal motion of the sonar between the pings before two keyframes.
 
-A ping is up to a ping's time before its key frame; inertial measurements say where the vehicle was then, as far as
-its velocity is known, which is in the factor.
+A ping is up to one ping interval before its keyframe; inertial measurements say where the vehicle was then, given its
+velocity, which is part of the factor.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ SONAR_KEY = symbol("s")
 
 @dataclass(frozen=True)
 class Motion:
-    """The inertial unit's way over a time (s) up to now, of which its velocity now is not part.
+    """Displacement of the IMU over a time (s) up to now, apart from what its velocity now contributes.
 
     p_now - p_then = v_now t - g t^2 / 2 - R_then lag, with g downwards. rotation (3, 3): R_then_now; lag (3,) m;
-    by_accel (3, 3): of the lag by the accelerometer's bias.
+    by_accel (3, 3): derivative of the lag by the accelerometer bias.
     """
 
     time: float
@@ -41,7 +41,7 @@ class Motion:
 
     @staticmethod
     def over(segments: list[Segment], gyro_bias: Array, accel_bias: Array) -> Motion:
-        """Along inertial measurements, at biases (3,)."""
+        """Integrate inertial measurements, at biases (3,)."""
         whole = Segment.join(segments)
         if not len(whole.dt):
             return Motion(0.0, np.eye(3), np.zeros(3), np.zeros((3, 3)))
@@ -54,11 +54,11 @@ class Motion:
 
 @dataclass(frozen=True)
 class Sighting:
-    """A fan on a chart, as a key frame some time (s) later has it.
+    """A fan registered on a chart, as seen from a keyframe some time (s) later.
 
     place (3,): x, y (m) and heading (rad) of the sonar in the chart, with covariance (3, 3). arm (3,) m: the sonar at
-    its ping, from the inertial unit at the key frame less what its velocity did, and axis (3,), both in the unit's
-    frame at the key frame. chart: which one; way: m, that the sonar had gone.
+    its ping, from the IMU at the keyframe, apart from what its velocity contributed, and axis (3,) of the sonar, both
+    in the IMU frame at the keyframe. chart: its number; way: m, path length of the sonar until then.
     """
 
     place: Array
@@ -71,15 +71,15 @@ class Sighting:
 
     @staticmethod
     def at(place: Array, covariance: Array, chart: int, way: float, since: Motion, T_imu_sonar: Array) -> Sighting:
-        """since: the vehicle's motion from the ping to the key frame."""
+        """since: the vehicle's motion from the ping to the keyframe."""
         arm = since.rotation.T @ (since.lag + T_imu_sonar[:3, 3])
         return Sighting(place, covariance, since.time, arm, since.rotation.T @ T_imu_sonar[:3, 0], chart, way)
 
 
 @dataclass(frozen=True)
 class Step:
-    """From one sighting to a later one: measured (2,) m in the level axes of the first ping, and the upper triangular
-    root (2, 2) of its information."""
+    """Displacement from one sighting to a later one: measured (2,) m in the level axes of the first ping, and the
+    upper triangular root (2, 2) of its information."""
 
     first: Sighting
     second: Sighting
@@ -88,7 +88,7 @@ class Step:
 
     @staticmethod
     def of(first: Sighting, second: Sighting, drift: float, turn_sigma: float) -> Step:
-        """drift: variance, m^2, of what the chart has drifted by in between; turn_sigma: rad, that it has turned by."""
+        """Build a step. drift: variance, m^2, of the chart's drift in between; turn_sigma: rad, of its rotation."""
         back = turned(-first.place[2])
         measured = back @ (second.place - first.place)[:2]
         aside = np.array([-measured[1], measured[0]])
@@ -98,13 +98,13 @@ class Step:
 
 
 def turned(angle: float) -> Array:
-    """(2, 2) rotation by an angle, rad."""
+    """Rotation matrix (2, 2) of an angle, rad."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
 
 
 def wrapped(angle: float) -> float:
-    """An angle within half a turn, rad."""
+    """Wrap an angle to within half a turn, rad."""
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
@@ -133,7 +133,7 @@ def step_error(
 
 
 def sonar_at(sighting: Sighting, state: State) -> tuple[Array, float]:
-    """Place (2,) m in odom, level, and heading (rad) of the sonar at the ping of a key frame whose state is given."""
+    """Place (2,) m in odom, level, and heading (rad) of the sonar at the ping of a keyframe whose state is given."""
     place, heading, *_ = _end(sighting, state.nav.pose(), state.nav.velocity())
     return place, heading
 
@@ -151,6 +151,6 @@ def _end(sighting: Sighting, pose: gtsam.Pose3, velocity: Array) -> tuple[Array,
 
 
 def step_factor(step: Step, first: int, second: int, **loss: float) -> gtsam.NonlinearFactor:
-    """On poses and velocities of two key frames, and the sonar's calibration; loss: as of `python_factor`."""
+    """Factor of a step on poses and velocities of two keyframes and the calibration; loss: as of `python_factor`."""
     keys = [symbol("x", first), symbol("v", first), symbol("x", second), symbol("v", second), SONAR_KEY]
     return python_factor(keys, 1.0, 2, partial(step_error, step), **loss)

@@ -1,7 +1,7 @@
-"""A fan of an imaging sonar as a picture of a level bottom.
+"""A fan of an imaging sonar as an image of a level bottom.
 
-A beam tells azimuth and range, not elevation: with the sonar's height over a level bottom and its attitude, a point of
-the bottom has one place in the fan (Hurtos et al. 2015, J. Field Robotics 32(1), sec. 3, on why that will do where
+A beam tells azimuth and range, not elevation: given the sonar's height over a level bottom and its attitude, a point of
+the bottom has one place in the fan (Hurtos et al. 2015, J. Field Robotics 32(1), sec. 3, on why that suffices where
 relief is small against the range).
 """
 
@@ -18,12 +18,12 @@ from oysterbench.sequence.types import SonarCalibration
 from oysterbench_baselines.common.aiding.sonar.settings import FanSettings
 
 WIDTH = 256
-"""Columns into which points are folded: OpenCV takes no picture of more than 32767."""
+"""Number of columns into which points are folded: OpenCV takes no image of more than 32767."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Ranges (m) and azimuths (rad, left positive) of a fan's rows and columns, which are even."""
+    """Ranges (m) and azimuths (rad, left positive) of a fan's rows and columns, which are evenly spaced."""
 
     first_range: float
     range_step: float
@@ -34,7 +34,7 @@ class Grid:
 
     @staticmethod
     def of(calibration: SonarCalibration) -> Grid:
-        """ValueError where ranges or azimuths are not even."""
+        """Build from a calibration. Raises ValueError where ranges or azimuths are not evenly spaced."""
         ranges, azimuths = np.asarray(calibration.ranges_m), np.asarray(calibration.azimuths_rad)
         for name, values in (("ranges", ranges), ("azimuths", azimuths)):
             steps = np.diff(values)
@@ -46,17 +46,17 @@ class Grid:
 
 @dataclass(frozen=True)
 class View:
-    """How a sonar hangs over a bottom: height (m) over its plane; level (3, 3), from the sonar's axes to level ones of
-    the same heading."""
+    """Height and attitude of a sonar over a bottom: height (m) over its plane; level (3, 3): rotation from the sonar's
+    axes to level ones of the same heading."""
 
     height: float
     level: Array
 
 
 def texture(pixels: NDArray[np.uint16], grid: Grid, settings: FanSettings) -> NDArray[np.float32]:
-    """Echoes (bins, beams) in dB over their surroundings; what is weaker is 0: shadows say where the sonar is, too.
+    """Echoes (bins, beams) in dB over their surroundings; weaker ones are 0, as shadows depend on the sonar's place.
 
-    ValueError where the picture is not of the grid's shape.
+    Raises ValueError where the image is not of the grid's shape.
     """
     if pixels.shape != (grid.bins, grid.beams):
         raise ValueError(f"sonar: expected a picture of {grid.bins} bins x {grid.beams} beams, got {pixels.shape}")
@@ -74,7 +74,7 @@ def _odd(size: float) -> int:
 def sample(
     picture: NDArray[np.float32], points: Array, place: Array, view: View, grid: Grid, settings: FanSettings
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """What a fan's picture (bins, beams) shows at points (N, 2) m of a level bottom, and whether it shows them, (N,).
+    """Sample a fan's image (bins, beams) at points (N, 2) m of a level bottom: values (N,), and which it shows (N,).
 
     place (3,): x, y (m) and heading (rad) of the sonar in the points' frame.
     """
@@ -93,15 +93,15 @@ def sample(
 
 
 def _interpolate(picture: NDArray[np.float32], row: Array, column: Array) -> NDArray[np.float32]:
-    """(N,): linearly between pixels."""
+    """Values (N,), interpolated linearly between pixels."""
     missing = -len(row) % WIDTH
     at = [np.pad(values.astype(np.float32), (0, missing)).reshape(-1, WIDTH) for values in (column, row)]
     return np.asarray(cv2.remap(picture, at[0], at[1], cv2.INTER_LINEAR).ravel()[: len(row)])
 
 
 def first_echo(pixels: NDArray[np.uint16], grid: Grid, near_share: float) -> float:
-    """Range (m) at which the bottom's echo begins in the middle third of a fan: its power comes to a share of the
-    highest; NaN where nothing is heard."""
+    """Range (m) at which the bottom's echo starts in the middle third of a fan, where its power reaches a share of the
+    highest; NaN where there is no echo."""
     third = grid.beams // 3
     profile = np.median(pixels[:, third : grid.beams - third].astype(float), axis=1) ** 2
     profile = np.convolve(profile, np.full(9, 1 / 9), mode="same")

@@ -1,4 +1,4 @@
-"""Height of the bottom, by what sounds it: an altimeter, the beams of a DVL, or where the fan's own echo begins."""
+"""Height of the bottom, as sounded by an altimeter, the beams of a DVL, or the start of the fan's own echo."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from oysterbench_baselines.common.filter import InvariantFilter
 
 
 class Ground:
-    """The plane that a fan is laid onto: z in odom, the mean of the latest soundings.
+    """The plane onto which a fan is projected: z in odom, the mean of the latest soundings.
 
     altimeters: T_imu_sensor (4, 4) and calibration, by name. T_imu_dvl (4, 4): None where there is no log.
     """
@@ -31,7 +31,7 @@ class Ground:
         self._soundings = deque[tuple[int, float]]()  # ns, z in odom
 
     def sound(self, filter: InvariantFilter, sample: RangeMeasurement | DvlMeasurement) -> None:
-        """Take a reading in, by a filter at its stamp. The beams of a log are a reading of an altimeter's weight."""
+        """Add a reading, given the filter at its stamp. The beams of a log together weigh as much as an altimeter."""
         found: list[float] = []
         if isinstance(sample, RangeMeasurement):
             mount, calibration = self._altimeters[sample.sensor]
@@ -55,7 +55,7 @@ class Ground:
         return float(filter.position[2] + filter.rotation[2] @ mount[:3, 3])
 
     def z(self, stamp_ns: int) -> float | None:
-        """Of the plane that echoes come from, at a stamp; None where nothing has sounded it of late."""
+        """z (m) of the plane that echoes come from, at a stamp; None where nothing has sounded it recently."""
         while self._soundings and stamp_ns - self._soundings[0][0] > self.settings.memory_s * 1e9:
             self._soundings.popleft()
         if not self._soundings:

@@ -1,9 +1,9 @@
-"""Loops of a sonar: ground that is heard again, long after.
+"""Loop closures of a sonar: ground that is seen again much later.
 
-Every metre or so a place is kept: the chart as it was, and the fan that was registered on it last. Where a dive is
+Every metre or so a place is stored: the chart as it was, and the fan that was registered on it last. Where a dive is
 adjusted as a whole, each place is looked for on the charts of earlier ones that should show the same ground: by
-correlation, within what the path may be off by, and then to a fraction of a cell (`registration`). On a bottom that
-looks alike everywhere one such match proves little: it counts where one of neighbouring places says the same.
+correlation, within the possible error of the path, and then to a fraction of a cell (`registration`). On a bottom that
+looks alike everywhere one such match proves little: it counts only if one between neighbouring places agrees.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Place:
-    """What was heard at a key frame: the chart, and the fan's picture (bins, beams), `packed`."""
+    """What the sonar saw at a keyframe: the chart, and the fan's image (bins, beams), `packed`."""
 
     keyframe: int
     sighting: Sighting
@@ -42,8 +42,8 @@ class Place:
 
 @dataclass(frozen=True)
 class Loop:
-    """The second of two places, by their numbers, on the chart of the first: place (3,) and covariance (3, 3) there;
-    miss (2,) m: how far the path was off, in its own axes."""
+    """The second of two places, by their numbers, found on the chart of the first: its place (3,) and covariance (3, 3)
+    there; miss (2,) m: error of the path, in its own axes."""
 
     first: int
     second: int
@@ -61,13 +61,13 @@ class Loops:
         self._tried: dict[tuple[int, int], Loop | None] = {}
 
     def keep(self, keyframe: int, sighting: Sighting, chart: Chart, picture: NDArray[np.float32], view: View) -> None:
-        """A place, where the sonar has gone on since the last one."""
+        """Store a place, if the sonar has moved on since the last one."""
         if self.places and sighting.way - self.places[-1].sighting.way < self.settings.loops.step_m:
             return
         self.places.append(Place(keyframe, sighting, chart.packed(), packed(picture), view))
 
     def factors(self, states: Mapping[int, State]) -> list[gtsam.NonlinearFactor]:
-        """Of the loops among key frames whose states are given."""
+        """Factors of the loops among keyframes whose states are given."""
         of, factors = self.settings.loops, []
         found = self._agreeing([self._tried_once(*pair, states) for pair in self._candidates(states)])
         self.count = len(found)
@@ -80,7 +80,7 @@ class Loops:
         return factors
 
     def _candidates(self, states: Mapping[int, State]) -> Iterator[tuple[int, int]]:
-        """Pairs of places that should show the same ground, the earlier one first; of each, the nearest few."""
+        """Pairs of places that should show the same ground, the earlier one first; for each place, the nearest few."""
         of = self.settings.loops
         numbers = [n for n, place in enumerate(self.places) if place.keyframe in states]
         if len(numbers) < 2:
@@ -96,7 +96,7 @@ class Loops:
             yield from ((first, second) for first in good[: of.candidates])
 
     def _way(self, first: int, second: int) -> float:
-        """m, from one place to a later one."""
+        """Path length (m) from one place to a later one."""
         return self.places[second].sighting.way - self.places[first].sighting.way
 
     def _tried_once(self, first: int, second: int, states: Mapping[int, State]) -> Loop | None:
@@ -105,7 +105,7 @@ class Loops:
         return self._tried[first, second]
 
     def _find(self, first: int, second: int, states: Mapping[int, State]) -> Loop | None:
-        """The second place on the chart of the first; None where it is not found there."""
+        """Find the second place on the chart of the first; None where it is not found there."""
         of, (old, new) = self.settings, (self.places[n] for n in (first, second))
         (spot, heading), (spot_2, heading_2) = (sonar_at(p.sighting, states[p.keyframe]) for p in (old, new))
         to_chart = turned(old.sighting.place[2] - heading)
@@ -119,7 +119,7 @@ class Loops:
         return Loop(first, second, match, to_chart.T @ (match.place - guess.place)[:2])
 
     def _agreeing(self, loops: list[Loop | None]) -> list[Loop]:
-        """Those that a loop between neighbours of their places bears out."""
+        """Loops that are confirmed by one between neighbours of their places."""
         of, found = self.settings.loops, [loop for loop in loops if loop is not None]
         return [
             loop

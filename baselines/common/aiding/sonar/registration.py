@@ -1,12 +1,12 @@
-"""Registration of a fan with the chart: where the sonar is, level, with a covariance; or that it cannot be told.
+"""Registration of a fan with the chart: horizontal pose of the sonar with a covariance, or that it cannot be told.
 
-Hurtos et al. (2015, J. Field Robotics 32(1)) register fans of forward-looking sonars as whole pictures of the ground,
-by correlation for all shifts at once in the Fourier domain. So does the first step here, where the way is not
-known well. The correlation is normalised and leaves out what either picture does not show (Padfield 2012, IEEE Trans.
-Image Processing 21(5)): their phase correlation finds the fan's own outline in both, which stands still. The turn is
-known by the gyroscopes. The second step finds shift and turn to a fraction of a cell: Gauss-Newton on the cells, up to
-a gain (Evangelidis & Psarakis 2008, IEEE TPAMI 30(10)), in its inverse form (Baker & Matthews 2004, IJCV 56(3)), whose
-gradients are those of the chart.
+Hurtos et al. (2015, J. Field Robotics 32(1)) register fans of forward-looking sonars as whole images of the ground, by
+correlation for all shifts at once in the Fourier domain. So does the first step here, where the displacement is not
+known well. The correlation is normalised and leaves out what either image does not show (Padfield 2012, IEEE Trans.
+Image Processing 21(5)): their phase correlation finds the fan's own outline in both, which stands still. The rotation
+is known from the gyroscopes. The second step finds shift and rotation to a fraction of a cell: Gauss-Newton on
+the cells, up to a gain (Evangelidis & Psarakis 2008, IEEE TPAMI 30(10)), in its inverse form (Baker & Matthews 2004,
+IJCV 56(3)), whose gradients are those of the chart.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from oysterbench_baselines.common.aiding.sonar.chart import Chart
 from oysterbench_baselines.common.aiding.sonar.fan import Grid, View, sample
 from oysterbench_baselines.common.aiding.sonar.settings import FanSettings, RegistrationSettings
 
-COARSE = 2  # cells of the chart, a side, to one of the search
-WORST_CONDITION = 1e10  # of the information: m and rad are of one size here
-LEAST_GAIN = 0.02  # of a fan's picture over the chart's: less is none
+COARSE = 2  # cells of the chart, along each side, to one of the search
+WORST_CONDITION = 1e10  # of the information: m and rad are of similar size here
+LEAST_GAIN = 0.02  # of a fan's image over the chart's: less is none
 
 
 @dataclass(frozen=True)
 class Guess:
-    """A place (3,), x, y (m) and heading (rad) in the chart's frame, and 1 sigmas of position (m) and heading.
+    """Predicted place (3,), x, y (m) and heading (rad) in the chart's frame, and 1 sigmas of position (m) and heading.
 
-    The heading is held by its sigma, as gyroscopes know it; the position is only where the search begins.
+    The heading is held by its sigma, as known from the gyroscopes; the position is only where the search starts.
     """
 
     place: Array
@@ -57,7 +57,7 @@ def register(
     fan: FanSettings,
     settings: RegistrationSettings,
 ) -> Match | None:
-    """Where the sonar is that shows `picture` (bins, beams); None where the pictures do not fit, or fit twice."""
+    """Locate the sonar that shows `picture` (bins, beams) on the chart; None where they do not fit, or fit twice."""
     place, off = guess.place, 3 * guess.position_sigma
     radius = min(off, settings.most_search_m)
     if off > settings.basin_m:
@@ -83,7 +83,7 @@ def search(
     fan: FanSettings,
     settings: RegistrationSettings,
 ) -> Array | None:
-    """The place within `radius` (m) of a given one, at its heading, where the correlation is highest; None where it is
+    """Find the place within `radius` (m) of a given one, at its heading, with the highest correlation; None where it is
     low, or nearly as high somewhere else."""
     shape, size = chart.values.shape, chart.settings.cells // COARSE
     shown, seen = sample(picture, chart.points(np.arange(chart.values.size)), place, view, grid, fan)
@@ -112,7 +112,8 @@ def search(
 
 
 def _coarse(values: NDArray[np.float32], known: NDArray[np.bool_], size: int) -> tuple[Array, Array]:
-    """Values (n, n), less their mean, where they are known, and 0 elsewhere; and a mask of that: (size, size) both."""
+    """Downsample values (n, n), less their mean where known and 0 elsewhere, and the mask of known ones: (size, size)
+    both."""
     shape = size, size
     mask = cv2.resize(known.astype(np.float32), shape, interpolation=cv2.INTER_AREA) > 0.99
     found = cv2.resize(np.where(known, values, np.float32(0)), shape, interpolation=cv2.INTER_AREA)
@@ -130,7 +131,7 @@ def refine(
     settings: RegistrationSettings,
     heading_sigma: float = np.inf,
 ) -> Match | None:
-    """From a place that is off by less than what the ground shows is wide; None where it does not converge.
+    """Refine a place that is off by less than the width of features on the ground; None where it does not converge.
 
     heading_sigma: rad, of the place's heading, where it is known.
 
@@ -174,7 +175,7 @@ def refine(
 
 
 def _steepest(chart: Chart, most: int) -> tuple[NDArray[np.int64], Array, Array]:
-    """The cells (N,) of the chart that say most, their values (N,) and gradients (N, 2), 1/m."""
+    """The most informative cells (N,) of the chart, their values (N,) and gradients (N, 2), 1/m."""
     smooth = cv2.GaussianBlur(chart.values, (0, 0), 0.7)
     scale = 1 / (8 * chart.settings.cell_m)
     by_x, by_y = (cv2.Sobel(smooth, cv2.CV_32F, dx, 1 - dx, ksize=3, scale=scale) for dx in (0, 1))

@@ -1,9 +1,9 @@
-"""Imaging sonar: each fan is registered on a chart of those before it, which says how the vehicle has moved, level.
+"""Imaging sonar: each fan is registered on a chart of those before it, which gives the vehicle's horizontal motion.
 
-The filter is told of the way since the last ping, as of a mean velocity; the graph of the way between the pings before
-two key frames on one chart, which drifts less than the sum of the ways between. A ping that cannot be registered is
-left out, and the next one is looked for as much farther as the vehicle may have gone. While a Doppler log gives
-velocities, which know the way several times better, pings keep the chart and nothing else.
+The filter is given the displacement since the last ping, as a mean velocity; the graph, that between the pings before
+two keyframes on one chart, which drifts less than the sum of the displacements between. A ping that cannot be
+registered is left out, and the next one is searched for as much farther as the vehicle may have moved. While a Doppler
+log gives velocities, which give the displacement several times better, pings only maintain the chart.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from oysterbench_baselines.gtsam_vi.states import Keyframe, State
 
 LOWEST_M = 0.1  # over the bottom: nearer, nothing of it is in the fan
-GAP_S = 0.005  # of inertial measurements, beyond which the way since the last ping is not known
+GAP_S = 0.005  # of inertial measurements, beyond which the displacement since the last ping is not known
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,9 @@ class Heard:
 
 
 class Sonar(AidingSensor):
-    """name: of the sonar. T_imu_sonar (4, 4): its mount. reach: key frames back to which a factor may go, as the window
-    has forgotten those before. velocity_ns: stamp of the last ping that was believed. registered: how many."""
+    """Imaging sonar as an aiding sensor. name: of the sonar. T_imu_sonar (4, 4): its mount. reach: keyframes back to
+    which a factor may go, as the window has forgotten those before. velocity_ns: stamp of the last ping that was
+    believed. registered: number of pings."""
 
     kind = "sonar"
     measures = (SonarImage, RangeMeasurement, DvlMeasurement)
@@ -77,7 +78,7 @@ class Sonar(AidingSensor):
         uncertainty: Uncertainty | None = None,
         dvl: Dvl | None = None,
     ) -> None:
-        """uncertainty: as the calibration states it, of a whole rig. dvl: the log that goes before it, if any."""
+        """uncertainty: of the whole rig, as its calibration states it. dvl: the log that takes precedence, if any."""
         super().__init__(gate)
         self.name, self.T_imu_sonar, self.ground, self.reach = name, T_imu_sonar, ground, reach
         self.settings, self._dvl = settings, dvl
@@ -93,9 +94,9 @@ class Sonar(AidingSensor):
         self._chart, self._charts, self._way = Chart(settings.chart), 0, 0.0
         self._last: Heard | None = None
         self._since: list[Segment] = []  # the last ping that was registered
-        self._sightings: dict[int, Sighting] = {}  # by key frame
-        self._alone: set[int] = set()  # key frames at which no log gives the velocity
-        self._first: int | None = None  # key frame of the graph; None until its first factors are asked for
+        self._sightings: dict[int, Sighting] = {}  # by keyframe
+        self._alone: set[int] = set()  # keyframes at which no log gives the velocity
+        self._first: int | None = None  # keyframe of the graph; None until its first factors are asked for
 
     def update(self, filter: InvariantFilter, sample: SonarImage | RangeMeasurement | DvlMeasurement) -> bool:
         if not isinstance(sample, SonarImage):
@@ -104,7 +105,7 @@ class Sonar(AidingSensor):
         return sample.sensor == self.name and self._hear(filter, sample)
 
     def _hear(self, filter: InvariantFilter, ping: SonarImage) -> bool:
-        """Register a ping, and correct the filter by the way since the last one."""
+        """Register a ping, and correct the filter by the displacement since the last one."""
         view, settings = self._view(filter, ping), self.settings
         if view is None:
             self.refused += 1
@@ -140,8 +141,8 @@ class Sonar(AidingSensor):
     def _register(
         self, filter: InvariantFilter, last: Heard, since: Motion, picture: NDArray[np.float32], view: View
     ) -> Match | None:
-        """On the chart, about where the filter has it. Its heading is the gyroscopes': what relief turns of a picture
-        it turns the same way for as long as the vehicle turns, and would be taken for a bias of the gyroscopes."""
+        """Register a fan on the chart, near where the filter has it. Its heading is that of the gyroscopes: relief
+        rotates the image in the same sense for as long as the vehicle turns, which would be taken for a gyro bias."""
         predicted, slope = predict(filter, since, self.T_imu_sonar)
         heading = heading_of(filter.rotation @ since.rotation.T @ self.T_imu_sonar[:3, :3])
         there = last.place + np.append(turned(last.place[2] - heading) @ predicted[:2], predicted[2])
@@ -153,12 +154,12 @@ class Sonar(AidingSensor):
         return register(self._chart, picture, view, guess, self._grid, of.fan, of.registration)
 
     def _counts(self, stamp_ns: int) -> bool:
-        """Whether no log has given a velocity of late."""
+        """Whether pings count: no log has given a velocity recently."""
         velocity_ns = None if self._dvl is None else self._dvl.velocity_ns
         return velocity_ns is None or stamp_ns - velocity_ns > self.settings.silence_s * 1e9
 
     def _view(self, filter: InvariantFilter, ping: SonarImage) -> View | None:
-        """How the sonar hangs over the bottom; None where that is not known, or too low."""
+        """Height and attitude of the sonar over the bottom; None where the height is not known, or too low."""
         rotation = filter.rotation @ self.T_imu_sonar[:3, :3]
         back = np.eye(3)
         back[:2, :2] = turned(-heading_of(rotation))
@@ -171,7 +172,7 @@ class Sonar(AidingSensor):
         return View(float(height), back @ rotation) if height > LOWEST_M else None
 
     def _begin(self, stamp_ns: int, picture: NDArray[np.float32], view: View) -> None:
-        """A new chart, with its origin at this ping."""
+        """Start a new chart, with its origin at this ping."""
         self._chart, self._charts = Chart(self.settings.chart), self._charts + 1
         self._chart.add(picture, np.zeros(3), view, self._grid, self.settings.fan)
         self._last, self._since = Heard(stamp_ns, np.zeros(3), self._floor, picture, view), []
@@ -184,7 +185,7 @@ class Sonar(AidingSensor):
             self._since.append(segment)
 
     def add_keyframe(self, keyframe: int, stamp_ns: int, filter: InvariantFilter, interval_s: float) -> None:
-        """The last ping that was registered, if it was a moment ago."""
+        """Keep the last ping that was registered, if it was a moment ago."""
         last = self._last
         if self._counts(stamp_ns):
             self._alone.add(keyframe)
@@ -205,7 +206,7 @@ class Sonar(AidingSensor):
         return Calibration(SONAR_KEY, np.zeros(2), self._sigmas)
 
     def factors(self, keyframe: int, before: State) -> list[gtsam.NonlinearFactor]:
-        """To the earliest key frame that is in the window, on the same chart, and near."""
+        """Factor to the earliest keyframe that is in the window, on the same chart, and near."""
         if self._first is None:
             self._first = keyframe - 1
         second, settings = self._sightings.get(keyframe), self.settings
@@ -223,20 +224,20 @@ class Sonar(AidingSensor):
     def stretch_factors(
         self, keyframes: list[Keyframe], states: list[State], ids: NDArray[np.int64], points: Array
     ) -> list[gtsam.NonlinearFactor]:
-        """Of the loops among them."""
+        """Factors of the loops among the keyframes."""
         return self.loops.factors({k.index: state for k, state in zip(keyframes, states, strict=True)})
 
 
 def heading_of(rotation: Array) -> float:
-    """Of the x axis, rad."""
+    """Heading of the x axis, rad."""
     return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
 
 
 def predict(filter: InvariantFilter, since: Motion, T_imu_sonar: Array) -> tuple[Array, Array]:
-    """The sonar's way over a motion up to now, (3,): x, y (m) in odom and turn (rad); and the derivative (2, 15 + M) of
-    x, y by the filter's error, less what heading does: it turns way and picture alike.
+    """Motion (3,) of the sonar up to now: x, y (m) in odom and rotation (rad); and the derivative (2, 15 + M) of x, y
+    by the filter's error, without the effect of heading, which turns displacement and image alike.
 
-    d = v t - g t^2 / 2 - R_then lag, and what the lever arm adds. A turn of the state takes d + g t^2 / 2 along;
+    d = v t - g t^2 / 2 - R_then lag, plus what the lever arm adds. A rotation of the state takes d + g t^2 / 2 along;
     gravity stays.
     """
     then = filter.rotation @ since.rotation.T
