@@ -142,8 +142,8 @@ def _restore(archive: tarfile.TarFile, folder: Path, board: Path | None) -> Back
         files += 1
         kind, _, digest = name.partition("/")
         if root == "private" and kind == "estimates":  # where the settings, which come before them, want them
-            _extract(archive, entry, folder / "incoming" / digest, secret=True)
-            Estimates(load_settings(folder).place).keep(Upload(folder / "incoming" / digest, digest, entry.size))
+            _extract(archive, entry, folder / digest, secret=True)
+            Estimates(load_settings(folder).place).keep(Upload(folder / digest, digest, entry.size))
             continue
         _extract(archive, entry, place / name, secret=root == "private")
     engine = open_engine(load_settings(folder).url)

@@ -190,5 +190,4 @@ def test_estimates_in_a_folder_of_their_own_are_kept_hidden_saved_and_restored(t
     shutil.move(private, tmp_path / "lost")
     assert restore(tmp_path / "all.tar", private) == saved
     assert [path.name for path in elsewhere.iterdir()] == [made.digest]
-    assert not any((private / "incoming").iterdir())
-    assert not (private / "estimates").exists()
+    assert {path.name for path in private.iterdir()} == {"settings.toml", "scored", "submissions.sqlite"}
