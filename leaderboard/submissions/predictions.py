@@ -8,7 +8,7 @@ import io
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,7 @@ from oysterbench_leaderboard.submissions.refusals import Refusal, without_option
 
 # A reader process is started for each submission: what only some kinds of upload need is imported lazily.
 if TYPE_CHECKING:
+    from oysterbench.annotations import MaskFiles
     from oysterbench.core.trajectory import Trajectory
     from oysterbench.evaluate.detection import ImageInstances
     from oysterbench.evaluate.segmentation import EstimateImage
@@ -42,6 +43,13 @@ Reader = Callable[..., Any]
 """Reads a prediction when it is called. For a path: takes the options that its file leaves open, and returns a
 Trajectory; for a table of commands: returns a list of Steering, one for each image; for an image: returns an
 EstimateImage (segmentation) or ImageInstances (detection)."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A mask as it was sent, an array (H, W), which is read when `read` is called."""
+
+    read: Callable[[], Any]
 
 
 LONGEST_LINE = 4000
@@ -79,7 +87,7 @@ def open_predictions(path: Path, wanted: Wanted, limits: Limits) -> Predictions:
         if not archive.entries:
             raise Refusal("archive", "the archive holds no file")
         if not all(name.endswith(".npy") for name in archive.entries):
-            return Predictions(wanted.kind, _members(archive, wanted, budget))
+            return Predictions(wanted.kind, _readers(_members(archive, wanted, budget), wanted))
     if size > limits.file_bytes:
         raise Refusal("size", f"one file has {size} bytes; expected at most {limits.file_bytes // 1_000_000} MB")
     data = path.read_bytes()
@@ -98,7 +106,8 @@ def open_predictions(path: Path, wanted: Wanted, limits: Limits) -> Predictions:
         got = {".npz": "arrays", ".json": "JSON without 'results'"}.get(suffix, "text")
         raise Refusal("type", f"{wanted.track}: expected {SENT[wanted.kind]}, got {got}")
     if wanted.of_images:
-        return Predictions(wanted.kind, opener(lambda: data, f"upload{suffix}", "", wanted, Budget(limits)))
+        opened = opener(lambda: data, f"upload{suffix}", "", wanted, Budget(limits))
+        return Predictions(wanted.kind, _readers(opened, wanted))
     if len(wanted.sequences) > 1:
         raise Refusal(
             "name",
@@ -107,7 +116,8 @@ def open_predictions(path: Path, wanted: Wanted, limits: Limits) -> Predictions:
             f"a zip archive with a file for each, named {wanted.sequences[0]}.tum and so on",
         )
     (only,) = wanted.sequences
-    return Predictions(wanted.kind, opener(lambda: data, f"{only}{suffix}", only, wanted, Budget(limits)))
+    opened = opener(lambda: data, f"{only}{suffix}", only, wanted, Budget(limits))
+    return Predictions(wanted.kind, _readers(opened, wanted))
 
 
 def _begins_with_array(first: bytes) -> bool:
@@ -116,9 +126,9 @@ def _begins_with_array(first: bytes) -> bool:
     return first[30 : 30 + length].endswith(b".npy")
 
 
-def _members(archive: Archive, wanted: Wanted, budget: Budget) -> dict[str, Reader]:
+def _members(archive: Archive, wanted: Wanted, budget: Budget) -> dict[str, Reader | Plane]:
     openers = OPENERS[wanted.kind]
-    found: dict[str, Reader] = {}
+    found: dict[str, Reader | Plane] = {}
     for name in archive.entries:
         place = PurePosixPath(name)
         stem, suffix = place.with_suffix("").as_posix(), place.suffix
@@ -233,8 +243,8 @@ def _check_shape(name: str, shape: tuple[int, ...], wanted: Wanted, where: str) 
         raise Refusal("format", f"{where}: expected {size[1]} x {size[0]} pixels, as the image has, got {got}")
 
 
-def _png(read: Callable[[], bytes], label: str, name: str, wanted: Wanted, budget: Budget) -> dict[str, Reader]:
-    """Reader of a mask in a file of its own, which is read from the archive on demand."""
+def _png(read: Callable[[], bytes], label: str, name: str, wanted: Wanted, budget: Budget) -> dict[str, Plane]:
+    """Plane of a mask in a file of its own, which is read from the archive on demand."""
     _check_image(name, wanted, label)
 
     def pixels() -> Any:
@@ -243,11 +253,11 @@ def _png(read: Callable[[], bytes], label: str, name: str, wanted: Wanted, budge
         with in_memory(read(), label) as path, refusing(shown(label), path):
             return read_png(path)
 
-    return {name: _mask_reader(name, pixels, wanted)}
+    return {name: Plane(pixels)}
 
 
-def _arrays(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, budget: Budget) -> dict[str, Reader]:
-    """Readers of an .npz with one mask per image."""
+def _arrays(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, budget: Budget) -> dict[str, Plane]:
+    """Planes of an .npz with one mask per image."""
     import numpy as np
 
     archive = arrays_of(read(), label, budget)
@@ -262,29 +272,31 @@ def _arrays(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted
     names = [key.removesuffix(".npy") for key in archive.entries]
     for name in names:
         _check_image(name, wanted, name, sequence)
-    return {name: _mask_reader(name, partial(pixels, name), wanted) for name in names}
+    return {name: Plane(partial(pixels, name)) for name in names}
 
 
-def _mask_reader(name: str, pixels: Callable[[], Any], wanted: Wanted) -> Reader:
-    """Reader that converts a mask into what the track scores."""
+def _readers(found: Mapping[str, Reader | Plane], wanted: Wanted) -> dict[str, Reader]:
+    """Readers of all that was found. What the values of masks mean is judged by all masks of the upload together, as
+    `oysterbench eval` judges a folder."""
+    planes = {name: one.read for name, one in found.items() if isinstance(one, Plane)}
 
-    def prediction() -> EstimateImage | ImageInstances:
+    @cache
+    def files() -> MaskFiles:
         from oysterbench.annotations import MaskFiles
-        from oysterbench.methods.images import Segmentation
 
-        with refusing(name):
-            found = MaskFiles(Path("upload"), {name: pixels}, "auto").get(name)
-        values = next(v for v in (found.oyster, found.probability, found.classes) if v is not None)
-        _check_shape(name, values.shape, wanted, name)
+        return MaskFiles(Path("upload"), planes, "auto")
+
+    def prediction(name: str) -> EstimateImage | ImageInstances:
         track = image_track(wanted.track)
         with refusing(name):
-            given = Segmentation(found.name, found.oyster, found.probability, found.classes)
-            taken: EstimateImage | ImageInstances = track.of_prediction(
-                given, name, wanted.size(name) or values.shape, track.settings({})
+            shape = files().plane(name).shape
+            _check_shape(name, shape, wanted, name)
+            taken: EstimateImage | ImageInstances = track.of_masks(
+                files(), name, wanted.size(name) or shape, track.settings({})
             )
             return taken
 
-    return prediction
+    return {name: partial(prediction, name) if isinstance(one, Plane) else one for name, one in found.items()}
 
 
 def image_track(name: str) -> ImageTrack:
@@ -322,7 +334,7 @@ def _coco(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, 
     return {name: partial(prediction, name) for name in file.names}
 
 
-Opener = Callable[[Callable[[], bytes], str, str, Wanted, Budget], dict[str, Reader]]
+Opener = Callable[[Callable[[], bytes], str, str, Wanted, Budget], Mapping[str, Reader | Plane]]
 """Takes a function that reads the file, the file's name, the name without suffix, what is wanted, and the budget for
 unpacking."""
 

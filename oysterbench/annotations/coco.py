@@ -68,11 +68,12 @@ class CocoItem(NamedTuple):
 
 @dataclass(frozen=True)
 class CocoFile:
-    """Content of a COCO file. images: by id; items: by name of the image."""
+    """Content of a COCO file. images: by id; items: by name of the image; categories: names by id."""
 
     path: Path
     images: Mapping[Any, CocoImage]
     items: Mapping[str, tuple[CocoItem, ...]]
+    categories: Mapping[Any, str]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -155,20 +156,25 @@ def _read(coco: CocoFile, image: CocoImage, file: Path, clip: str) -> LabelledIm
     return LabelledImage(image.name, clip, pixels, classes, instances, crowd & (instances == 0))
 
 
-def read_coco(path: Path, images: Mapping[Any, CocoImage] | None = None, category: str = "oyster") -> CocoFile:
-    """Read a document, or a list of results on `images`. Raises LabelError naming the item that is wrong.
+def read_coco(path: Path, truth: CocoFile | None = None, category: str = "oyster") -> CocoFile:
+    """Read a document, or a list of results on the images of `truth`, of which only the items of a category are kept.
+    Raises LabelError naming the item that is wrong.
 
-    Checked here: ids of images and annotations (unique, known), categories; when they are used: boxes, polygons, run
-    lengths and their size, scores.
+    In a list of results, `category_id` means what it means in `truth`; where that has a single category, all items are
+    of it, since programs number a single class from 0 or from 1. Checked here: ids of images and annotations (unique,
+    known), categories; when they are used: boxes, polygons, run lengths and their size, scores.
     """
     content = read_json(path)
     if isinstance(content, list):
-        if images is None:
+        if truth is None:
             raise LabelError(
                 f"{path}: a bare list of results names images only by number: expected ground truth in COCO form, "
                 "which maps numbers to images, or an object with 'images' here"
             )
-        return _sorted(path, images, _checked(path, "", content, images, None))
+        several = len(truth.categories) > 1
+        results = _checked(path, "", content, truth.images, truth.categories if several else None)
+        kept = (one for one in results if not several or truth.categories[one.values["category_id"]] == category)
+        return _sorted(path, truth.images, kept, truth.categories)
     for key in ("images", "annotations", "categories"):
         if not isinstance(content, dict) or not isinstance(content.get(key), list):
             raise LabelError(f"{path}: expected a list of results, or an object with the list {key!r}")
@@ -177,9 +183,10 @@ def read_coco(path: Path, images: Mapping[Any, CocoImage] | None = None, categor
         _check_id(number, f"{path}: categories")
     if category not in names:
         raise LabelError(f"{path}: no category is named {category!r}; its categories: {', '.join(names) or 'none'}")
+    categories = {one: name for name, one in names.items()}
     own = _images(path, content["images"])
-    items = _checked(path, "annotations", content["annotations"], own, {one: name for name, one in names.items()})
-    return _sorted(path, own, (item for item in items if item.values["category_id"] == names[category]))
+    items = _checked(path, "annotations", content["annotations"], own, categories)
+    return _sorted(path, own, (item for item in items if item.values["category_id"] == names[category]), categories)
 
 
 def read_json(path: Path) -> Any:
@@ -229,7 +236,8 @@ def _bare(file: Any) -> str:
 def _checked(
     path: Path, key: str, items: list[Any], images: Mapping[Any, CocoImage], categories: Mapping[Any, Any] | None
 ) -> Iterator[CocoItem]:
-    """Check the items, and yield each. categories: known ones; None for a bare list, which has none."""
+    """Check the items, and yield each. key: of an object in which they are; empty for a list of results, whose ids need
+    not be unique. categories: known ones; None if any will do."""
     seen: set[Any] = set()
     for k, item in enumerate(items):
         where = f"{path}: {key}[{k}]"
@@ -242,7 +250,7 @@ def _checked(
         if categories is not None and item.get("category_id") not in categories:
             known = ", ".join(f"{one} {name}" for one, name in categories.items())
             raise LabelError(f"{where}: category_id {item.get('category_id')!r} matches no category; known: {known}")
-        if categories is not None and "id" in item:
+        if key and "id" in item:
             if item["id"] in seen:
                 raise LabelError(f"{where}: id {item['id']!r} is used twice")
             seen.add(item["id"])
@@ -251,11 +259,13 @@ def _checked(
         yield CocoItem(where, item)
 
 
-def _sorted(path: Path, images: Mapping[Any, CocoImage], items: Iterator[CocoItem]) -> CocoFile:
+def _sorted(
+    path: Path, images: Mapping[Any, CocoImage], items: Iterator[CocoItem], categories: Mapping[Any, str]
+) -> CocoFile:
     found: dict[str, list[CocoItem]] = {image.name: [] for image in images.values()}
     for item in items:
         found[images[item.values["image_id"]].name].append(item)
-    return CocoFile(path, images, {name: tuple(own) for name, own in found.items()})
+    return CocoFile(path, images, {name: tuple(own) for name, own in found.items()}, categories)
 
 
 def _check_id(value: Any, where: str) -> None:

@@ -145,7 +145,7 @@ class MaskFiles:
             raise LabelError(
                 f"{self.place}: {self._zero_one} has only 0 and 1, like a mask, and {self._probability} greater "
                 f"values, like a probability map with {most} for 1; say which they are (--estimate-kind; of a map "
-                "--masks-kind)"
+                "--masks-kind), or send them as floating-point numbers"
             )
         if self.form == "auto" and greatest == 1:
             return EstimateImage(name, probability=values.astype(np.float32))

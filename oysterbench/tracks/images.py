@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations import LabelledSequence, labelled_sequence, open_predictions, open_truth, read_coco
-from oysterbench.annotations.masks import FORMS, Form, check_names
+from oysterbench.annotations.masks import FORMS, Form, MaskFiles, check_names
 from oysterbench.annotations.parts import connected_parts
 from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError, MethodError
@@ -180,24 +180,28 @@ class ImageTrack(Track):
         none, or where there is one too many."""
         if place.suffix.lower() == ".json":
             coco = next((one.coco for one in labelled if one.coco is not None), None)
-            ids = None if coco is None else coco.images
-            file = read_coco(place, ids)
+            file = read_coco(place, coco)
             names, get = file.names, lambda name, shape: self.of_coco(file, name, settings)
         else:
             files = open_predictions(place, form)
             names = files.names
 
             def get(name: str, shape: tuple[int, int]) -> Any:
-                found = files.get(name)
-                check_size(found, shape, files.where(name))
-                numbers = files.numbers(name)
-                prediction: Prediction = Segmentation(name, found.oyster, found.probability, found.classes)
-                if numbers is not None and self.single:
-                    prediction = Detections(name, np.ones(numbers.max(initial=0)), numbers=numbers)
-                return self.of_prediction(prediction, str(place), shape, settings)
+                return self.of_masks(files, name, shape, settings)
 
         check_names((name for one in labelled for name in one.names), names, place)
         return get
+
+    def of_masks(self, files: MaskFiles, name: str, shape: tuple[int, int], settings: Any) -> Any:
+        """Return the prediction for an image of size (H, W) from mask files, in the evaluator's type. Raises LabelError
+        naming its file."""
+        found = files.get(name)
+        check_size(found, shape, files.where(name))
+        numbers = files.numbers(name)
+        prediction: Prediction = Segmentation(name, found.oyster, found.probability, found.classes)
+        if numbers is not None and self.single:
+            prediction = Detections(name, np.ones(numbers.max(initial=0)), numbers=numbers)
+        return self.of_prediction(prediction, str(files.place), shape, settings)
 
     def score_files(self, truth: Path, estimate: Path, options: Mapping[str, Any]) -> Evaluation:
         """Score predictions in a folder, an .npz or COCO file against any ground truth (`annotations.open_truth`).

@@ -200,9 +200,25 @@ def test_bad_annotations_are_refused_by_item(tmp_path, changes, message):
 def test_results_without_a_score_are_refused_by_item(tmp_path, score):
     truth = read_coco(wrote(tmp_path / "x.json", document()))
     result = {"image_id": 1, "category_id": 3, "segmentation": [POLYGON]} | ({} if score is None else {"score": score})
-    file = read_coco(wrote(tmp_path / "r.json", [result]), truth.images)
+    file = read_coco(wrote(tmp_path / "r.json", [result]), truth)
     with pytest.raises(LabelError, match=r"r\.json: \[0\]: expected 'score', a number, got"):
         file.instances("clip/a", scored=True)
+
+
+def test_a_list_of_results_means_by_a_category_what_the_ground_truth_means(tmp_path):
+    """Whose document has oysters (3) and stones (4); with oysters alone, all results are of them."""
+    content = document()
+    results = [{"image_id": 1, "category_id": k, "segmentation": [POLYGON], "score": 0.5} for k in (4, 3, 4)]
+    truth = read_coco(wrote(tmp_path / "x.json", content))
+    file = read_coco(wrote(tmp_path / "r.json", results), truth)
+    assert [item.where for item in file.items["clip/a"]] == [f"{tmp_path / 'r.json'}: [1]"]
+    for wrong in ({"category_id": 0}, {}):
+        lone = {key: value for key, value in results[0].items() if key != "category_id"} | wrong
+        with pytest.raises(LabelError, match=r"r\.json: \[0\]: category_id .* no category; known: 3 oyster, 4 stone"):
+            read_coco(wrote(tmp_path / "r.json", [lone]), truth)
+    content["categories"] = [{"id": 3, "name": "oyster"}]
+    alone = read_coco(wrote(tmp_path / "x.json", content))
+    assert len(read_coco(wrote(tmp_path / "r.json", results), alone).items["clip/a"]) == 3
 
 
 def test_doubled_ids_and_lists_without_images_are_refused(tmp_path):

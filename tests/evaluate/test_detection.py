@@ -228,12 +228,24 @@ def test_counts_by_cells_do_not_let_errors_here_make_up_for_errors_there():
         assert metrics["count_mae"] <= metrics["game_1"] <= metrics["game_2"] <= metrics["game_3"]
 
 
-def test_boxes_alone_have_precision_and_counts_and_say_what_they_lack():
-    truth = image(square(5, 5, 20))
-    result = scored((truth, image(Instance((5.0, 5.0, 20.0, 20.0), None, 400.0, 0.9))))
+def test_a_detection_without_a_mask_has_a_box_and_overlaps_no_mask():
+    """One box must not take a clip, whose masks are bad, out of the mean over clips."""
+    truth, box = square(5, 5, 20), Instance((5.0, 5.0, 20.0, 20.0), None, 400.0, 0.9)
+    result = scored((image(truth), image(box)))
     assert result.metrics["ap_box"] == pytest.approx(1.0)
     assert result.metrics["count_error"] == 0
-    assert result.reasons["ap_mask"] == "the estimate has boxes, and no masks"
+    assert (result.metrics["ap_mask"], result.metrics["pq"]) == (0.0, 0.0)
+    right, aside = replace(truth, score=0.8), replace(box, box=(60.0, 60.0, 9.0, 9.0))
+    both = scored((image(truth), image(right, aside))).metrics
+    wrong = scored((image(truth), image(right, replace(square(60, 60, 9), score=0.9)))).metrics
+    assert both["ap_mask"] == wrong["ap_mask"] < 1.0
+
+
+def test_where_the_ground_truth_has_no_masks_only_boxes_are_scored():
+    truth = Instance((5.0, 5.0, 20.0, 20.0), None, 400.0)
+    result = scored((image(truth), image(replace(square(5, 5, 20), score=0.9))))
+    assert result.metrics["ap_box"] == pytest.approx(1.0)
+    assert result.reasons["ap_mask"] == "the ground truth has boxes, and no masks"
     assert math.isnan(result.metrics["pq"])
 
 

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
+import cv2
 import numpy as np
 import pytest
 
@@ -119,6 +120,27 @@ def test_masks_arrays_and_annotations_score_the_same(served, tmp_path):
             assert scored.data_set["metrics"][key] > 0
         assert len({tuple(values) for values in found.values()}) == 1, found
         assert all(0.3 < value <= 1 for value in found["png"])
+
+
+def test_what_the_values_of_masks_mean_is_judged_by_all_of_them_together(served, tmp_path):
+    """As `oysterbench eval` judges: a picture of two probabilities is no mask, and oysters that touch are two."""
+    wanted = wanted_of(served, "pool-masks", "segmentation")
+    likely = {name: np.where(mask, 250, 3).astype(np.uint8) for name, mask in masks(0).items()}
+    last = list(likely)[-1]
+    faint = likely | {last: np.ones_like(likely[last])}
+    sent = {
+        "png": zipped({f"{name}.png": cv2.imencode(".png", values)[1].tobytes() for name, values in faint.items()}),
+        "npz": npz(**faint),
+    }
+    for data in sent.values():
+        with pytest.raises(Refusal, match=r"has only 0 and 1, like a mask, .* or send them as floating-point numbers"):
+            opened(tmp_path, data, wanted)
+
+    numbers = np.zeros((48, 64), np.uint16)
+    numbers[5:20, 5:20], numbers[5:20, 20:35], numbers[30:40, 5:20] = 1, 2, 3
+    wanted = wanted_of(served, "pool-masks", "detection")
+    predictions, _ = opened(tmp_path, npz(**dict.fromkeys(masks(0), numbers)), wanted)
+    assert [len(predictions.readers[name]().instances) for name in masks(0)] == [3] * IMAGES
 
 
 def test_an_iou_is_the_evaluators(served, tmp_path):

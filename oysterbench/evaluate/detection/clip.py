@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import Array
 from oysterbench.evaluate.detection.counting import ImageCount, count, count_metrics
-from oysterbench.evaluate.detection.instances import ImageInstances
-from oysterbench.evaluate.detection.matching import Kind, Matches, match
+from oysterbench.evaluate.detection.instances import ImageInstances, mask_tools, numpy_2
+from oysterbench.evaluate.detection.matching import Matches, match
 from oysterbench.evaluate.detection.panoptic import PanopticCounts, pair
 from oysterbench.evaluate.detection.precision import PrecisionCurve, average_precision, join
 from oysterbench.evaluate.detection.settings import DetectionSettings
@@ -20,7 +20,7 @@ from oysterbench.evaluate.detection.states import STATE_METRICS, StateCounts, st
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
 
 NO_TRUTH = "the ground truth has no such oyster"
-NO_MASKS = "the estimate has boxes, and no masks"
+NO_MASKS = "the ground truth has boxes, and no masks"
 NOTHING = "there is neither a true nor an estimated oyster"
 NO_MATCH = "no estimate matches an oyster"
 RESAMPLES = 1000  # for the interval of AP: each needs a curve of its own
@@ -71,18 +71,16 @@ class DetectionScorer:
         """Return the result over all images so far. Raises LabelError if there is none."""
         if not self._truths:
             raise LabelError("expected at least one image to score, got none")
-        detections = [one for image in self._estimates for one in image.instances]
-        masks = all(one.mask is not None for one in detections) and all(
-            one.mask is not None for image in self._truths for one in image.instances
-        )
-        kinds: tuple[Kind, ...] = ("mask", "box") if masks else ("box",)
-        most = self.settings.max_detections
-        matches: dict[str, Mapping[str, Matches]] = {
-            kind: match(self._truths, self._estimates, kind, most) for kind in kinds
-        }
-        images = list(zip(self._truths, self._estimates, strict=True))
-        threshold = self.settings.threshold
-        pairings = [pair(*image, threshold) for image in images] if masks else None
+        masks = all(one.mask is not None for image in self._truths for one in image.instances)
+        threshold, most = self.settings.threshold, self.settings.max_detections
+        matches: dict[str, Mapping[str, Matches]] = {}
+        pairings = None
+        if masks:
+            masked = [_with_masks(image) for image in self._estimates]
+            matches["mask"] = match(self._truths, masked, "mask", most)
+            pairings = [pair(*image, threshold) for image in zip(self._truths, masked, strict=True)]
+        matches["box"] = match(self._truths, self._estimates, "box", most)
+        images = zip(self._truths, self._estimates, strict=True)
         return finish(
             matches,
             tuple(count(*image, threshold) for image in images),
@@ -90,6 +88,18 @@ class DetectionScorer:
             None if pairings is None else sum(map(states_of, pairings), StateCounts()),
             self.settings,
         )
+
+
+def _with_masks(estimate: ImageInstances) -> ImageInstances:
+    """Give detections without a mask an empty one, which overlaps nothing. Were masks not scored instead, one box would
+    take a whole clip out of a method's mean."""
+    if all(one.mask is not None for one in estimate.instances):
+        return estimate
+    tools = mask_tools()
+    with numpy_2():
+        empty = tools.encode(np.zeros((estimate.height, estimate.width), dtype=np.uint8, order="F"))
+    found = (one if one.mask is not None else replace(one, mask=empty) for one in estimate.instances)
+    return replace(estimate, instances=tuple(found))
 
 
 def finish(
