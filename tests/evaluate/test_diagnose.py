@@ -109,6 +109,20 @@ def test_quaternions_as_w_x_y_z_are_recognised_in_a_text_file(tmp_path):
     np.testing.assert_array_equal(read.quaternions, ESTIMATE.quaternions)
 
 
+@pytest.mark.parametrize("truth", [TRUTH, level()], ids=["free", "level"])
+def test_quaternions_as_x_y_z_w_in_a_file_that_looks_like_eurocs_are_recognised(tmp_path, truth):
+    """Lines with commas and no header, whole nanoseconds: EuRoC's, which have w first."""
+    estimate = noisy(truth)
+    write_tum(tmp_path / "truth.tum", truth)
+    rows = np.column_stack([estimate.positions, estimate.quaternions]).tolist()
+    lines = [",".join([str(t), *map(repr, row)]) for t, row in zip(estimate.stamps_ns, rows, strict=True)]
+    (tmp_path / "estimate.csv").write_text("\n".join(lines))
+    _, read = read_pair(tmp_path / "truth.tum", tmp_path / "estimate.csv")
+    np.testing.assert_array_equal(read.quaternions, estimate.quaternions)
+    (note,) = read.notes
+    assert "as x y z w; read accordingly (--quaternion xyzw, or --quaternion wxyz to keep them)" in note
+
+
 def test_quaternions_as_w_x_y_z_that_never_turn_are_refused(tmp_path):
     truth = transect()
     upright = noisy(truth)

@@ -13,6 +13,7 @@ from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import Array, align_umeyama, spread
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds
 from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL, inverted
+from oysterbench.core.trajectory.options import Order
 from oysterbench.evaluate.slam.clock import estimate_offset
 from oysterbench.evaluate.slam.validate import check_trajectory
 
@@ -39,6 +40,9 @@ SCALE_TOLERANCE = 0.1
 """Relative deviation from a scale of 1000, by drift of scale, up to which millimetres are still recognised."""
 SHAPE = 0.1
 """Maximum error of positions along the same path, as a share of the truth's spread."""
+
+ORDERS: tuple[tuple[Order, Order, list[int]], ...] = (("xyzw", "wxyz", [1, 2, 3, 0]), ("wxyz", "xyzw", [3, 0, 1, 2]))
+"""Order in which quaternions were read, the one in which they may have been written, and the columns to take then."""
 
 TIME_UNITS = {1e-9: "ns", 1e-6: "us", 1e-3: "ms", 1e9: "s"}
 """Factor that corrects stamps read in the wrong unit -> the unit that they are actually in.
@@ -252,17 +256,21 @@ def _attitude(truth: Array, estimate: Array) -> list[Finding]:
         return _level(truth, estimate)
     turns = _turns(estimate, lag)
     as_is = _rms(turns - true_turns) / size
-    reordered = _rms(_turns(estimate[:, [1, 2, 3, 0]], lag) - true_turns) / size
     optical = _rms(turns - true_turns @ ROTATION_BODY_OPTICAL) / size
     believed = min(FITS, as_is / GAIN)
     seen = f"the rotations between its poses are off by {as_is:.0%}"
-    if reordered < believed:
+    # Of a vehicle that stays level both orders give the rotations, but only one of them leaves it level.
+    for read, written, columns in sorted(ORDERS, key=lambda order: _tilt(truth, estimate[:, order[2]])):
+        reordered = _rms(_turns(estimate[:, columns], lag) - true_turns) / size
+        if reordered >= believed:
+            continue
         return [
             Finding(
                 "quaternion-order",
-                f"{seen} when the quaternions are read as x y z w, and by {reordered:.1%} as w x y z",
-                "--quaternion wxyz, or --quaternion xyzw to keep them",
-                {"quaternion": "wxyz"},
+                f"{seen} when the quaternions are read as {' '.join(read)}, and by {reordered:.1%} as "
+                f"{' '.join(written)}",
+                f"--quaternion {written}, or --quaternion {read} to keep them",
+                {"quaternion": written},
                 "certain",
             )
         ]
@@ -320,20 +328,20 @@ def _constant_turn(true_turns: Array, turns: Array) -> scipy.spatial.transform.R
 
 def _level(truth: Array, estimate: Array) -> list[Finding]:
     """Check attitudes that hardly rotate by their direction of up; this requires z up in both world frames."""
-    up = scipy.spatial.transform.Rotation.from_quat(truth).inv().apply([0.0, 0.0, 1.0])
-    tilts = {}
-    for name, quaternions, fixed in (
-        ("as they are", estimate, np.eye(3)),
-        ("as w x y z", estimate[:, [1, 2, 3, 0]], np.eye(3)),
-        ("as those of an optical frame", estimate, ROTATION_BODY_OPTICAL),
-    ):
-        its_up = scipy.spatial.transform.Rotation.from_quat(quaternions).inv().apply([0.0, 0.0, 1.0]) @ fixed.T
-        tilts[name] = float(np.median(np.arccos(np.clip(np.einsum("ij,ij->i", up, its_up), -1.0, 1.0))))
+    tilts = {
+        name: _tilt(truth, quaternions, fixed)
+        for name, quaternions, fixed in (
+            ("as they are", estimate, None),
+            *((f"as {' '.join(written)}", estimate[:, columns], None) for _, written, columns in ORDERS),
+            ("as those of an optical frame", estimate, ROTATION_BODY_OPTICAL),
+        )
+    }
     (_, as_is), *others = tilts.items()
     if as_is < TILTED_RAD:
         return []
     decisions: tuple[tuple[Cause, str, dict[str, Any]], ...] = (
         ("quaternion-order", "--quaternion wxyz or xyzw", {"quaternion": "wxyz"}),
+        ("quaternion-order", "--quaternion xyzw or wxyz", {"quaternion": "xyzw"}),
         ("frame", "--frame optical or body", {"frame": "optical"}),
     )
     likely = sorted(
@@ -352,6 +360,17 @@ def _level(truth: Array, estimate: Array) -> list[Finding]:
             "refuse",
         )
     ]
+
+
+def _tilt(truth: Array, estimate: Array, fixed: Array | None = None) -> float:
+    """Median angle, rad, between the directions of up of matched attitudes (N, 4), the estimate's those of a frame that
+    is rotated by `fixed` (3, 3) with respect to the body."""
+    up, its_up = (
+        scipy.spatial.transform.Rotation.from_quat(quaternions).inv().apply([0.0, 0.0, 1.0])
+        for quaternions in (truth, estimate)
+    )
+    its_up = its_up if fixed is None else its_up @ fixed.T
+    return float(np.median(np.arccos(np.clip(np.einsum("ij,ij->i", up, its_up), -1.0, 1.0))))
 
 
 def _rms(vectors: Array) -> float:

@@ -117,12 +117,13 @@ def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list
     error = _rms(rotation_angle(truth, aligned))
     if error < SUSPICIOUS_RAD:
         return []
-    reordered = _rms(rotation_angle(truth, alignment.rotate(estimate[:, [1, 2, 3, 0]])))
-    if reordered * SUSPICIOUS_GAIN < error:
-        return [
-            f"the attitudes err by {np.rad2deg(error):.1f} deg as they are and by {np.rad2deg(reordered):.1f} deg when "
-            "read as w x y z: were they written in that order? x y z w is expected"
-        ]
+    for columns, order in (([1, 2, 3, 0], "w x y z"), ([3, 0, 1, 2], "x y z w, and not as w x y z")):
+        reordered = _rms(rotation_angle(truth, alignment.rotate(estimate[:, columns])))
+        if reordered * SUSPICIOUS_GAIN < error:
+            return [
+                f"the attitudes err by {np.rad2deg(error):.1f} deg as they are and by {np.rad2deg(reordered):.1f} deg "
+                f"when read as {order}: were they written in that order? x y z w is expected, in EuRoC files w x y z"
+            ]
     from_quat = scipy.spatial.transform.Rotation.from_quat
     turns = from_quat(truth).inv() * from_quat(aligned)
     turn = turns.mean()
