@@ -271,7 +271,8 @@ def _median_and_range(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def boards(records: Iterable[ResultRecord]) -> list[Board]:
-    """Sort records into boards, in order of first appearance; a record that is given twice counts once.
+    """Sort records into boards, in order of first appearance; a record that is given twice counts once, even if
+    it was computed again elsewhere, with the same numbers.
 
     Raises ResultError where one sequence was scored against two ground truths, and for a track without a ranking
     metric.
@@ -279,7 +280,7 @@ def boards(records: Iterable[ResultRecord]) -> list[Board]:
     groups: dict[tuple[str, ...], list[ResultRecord]] = {}
     seen: set[str] = set()
     for record in records:
-        text = record.to_json()
+        text = replace(record, created="", hardware={}).to_json()
         if text not in seen:
             seen.add(text)
             groups.setdefault(comparable_key(record), []).append(record)

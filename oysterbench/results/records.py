@@ -391,10 +391,11 @@ def labelled_results(names: Iterable[str], find: Finder | None = None) -> list[R
                 record = replace(record, method=label if len(methods) == 1 else f"{label} {record.method}")
             key = (*comparable_key(record), *method_key(record), record.sequence, str(record.run))
             other = sources.setdefault(key, (str(path), record))
-            if other[1] != record:
+            if replace(other[1], created=record.created, hardware=record.hardware) != record:
                 raise ResultError(
                     f"{other[0]} and {path}: both hold run {record.run} of {record.method} on {record.sequence}, with "
                     f"different numbers; tell them apart by labels, e.g. `oysterbench compare A={other[0]} B={path}`"
                 )
-            records.append(record)
+            if other[1] is record:
+                records.append(record)
     return records

@@ -370,11 +370,62 @@ def test_a_matrix_that_is_no_rigid_transform_is_refused(tmp_path):
         read_trajectory(tmp_path, T_body_estimate=2 * np.eye(4))
 
 
-def test_a_covariance_that_is_none_is_refused(tmp_path):
+@pytest.mark.parametrize("wrong", [-1.0, np.nan, np.inf])
+def test_where_one_covariance_is_none_all_are_left_out_and_that_is_said(tmp_path, wrong):
+    """No score depends on them: the path is as good as one without."""
     bad = dive(covariances=True)
-    bad.covariances[3, 2, 2] = -1.0
-    with pytest.raises(TrajectoryError, match="message 4: expected a finite, symmetric covariance"):
-        read_trajectory(written(tmp_path, files.mcap(bad)))
+    bad.covariances[3, 2, 2] = wrong
+    read = read_trajectory(written(tmp_path, files.mcap(bad)))
+    assert read.covariances is None
+    assert any("the covariances are left out" in note and "message 4 has the diagonal" in note for note in read.notes)
+    np.testing.assert_array_equal(read.positions, bad.positions)
+
+
+def test_a_covariance_marked_as_unknown_is_none_in_bags_and_in_text(tmp_path):
+    """By -1 in its first cell, as in ROS: in one message, or in all lines of what `rostopic echo -p` writes."""
+    marked = dive(covariances=True)
+    marked.covariances[0, 0, 0] = -1.0
+    read = read_trajectory(written(tmp_path, files.mcap(marked)))
+    assert read.covariances is None
+    assert not any("covariance" in note for note in read.notes)
+    names = ["t", "x", "y", "z", "qx", "qy", "qz", "qw", *(f"field.pose.covariance{k}" for k in range(36))]
+    line = ",".join(["0,1,2,3,0,0,0,1", *["-1"] * 36])
+    read = read_trajectory(written(tmp_path, f"{','.join(names)}\n{line}\n{line.replace('0', '1', 1)}\n".encode()))
+    assert len(read) == 2
+    assert read.covariances is None
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "Time,header.seq,header.stamp.secs,header.stamp.nsecs",
+        "index,n,header.stamp.sec,header.stamp.nanosec",
+        "wall_time,n,sec,nanosec",
+    ],
+)
+def test_a_timestamp_in_two_columns_is_read_from_both(tmp_path, names):
+    header = f"{names},x,y,z,qx,qy,qz,qw\n"
+    lines = [f"17.5,{k},1700000000,{k * 250_000_007},1,2,3,0,0,0,1" for k in range(4)]
+    read = read_trajectory(written(tmp_path, (header + "\n".join(lines)).encode()))
+    assert read.stamps_ns.tolist() == [1_700_000_000_000_000_000 + k * 250_000_007 for k in range(4)]
+    for wrong in (lines[0].replace("1700000000", "17.5"), lines[3].replace("750000021", "1000000000")):
+        with pytest.raises(TrajectoryError, match=r":2: expected whole seconds in column 2, and whole nanoseconds"):
+            read_trajectory(written(tmp_path, (header + wrong).encode()))
+
+
+@pytest.mark.parametrize(
+    ("header", "line"),
+    [
+        (",timestamp,x,y,z,qx,qy,qz,qw", "0,1.5,1,2,3,0,0,0,1"),
+        ("timestamp,x,y,z,qx,qy,qz,qw,", "1.5,1,2,3,0,0,0,1"),
+        ("timestamp,x,y,z,qx,qy,qz,qw,", "1.5,1,2,3,0,0,0,1,"),
+        ('"timestamp","x","y","z","qx","qy","qz","qw"', '"1.5","1","2","3","0","0","0","1"'),
+    ],
+)
+def test_tables_as_other_programs_write_them_are_read(tmp_path, header, line):
+    """An index without a name, a comma at the end, quotes."""
+    read = read_trajectory(written(tmp_path, f"{header}\n{line}\n".encode()))
+    assert (read.stamps_ns.tolist(), read.positions.tolist()) == ([1_500_000_000], [[1.0, 2.0, 3.0]])
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import pytest
 
 from oysterbench.core.errors import ResultError
 from oysterbench.results.comparison import as_plain, boards
+from oysterbench.results.records import labelled_results, write_results
 from oysterbench.results.remarks import remarks
 from tests.results.test_results import record
 
@@ -113,6 +114,17 @@ def test_standings_are_over_the_sequences_that_all_were_run_on():
 def test_a_file_given_twice_counts_once():
     (board,) = boards([*runs("a", [0.5]), *runs("a", [0.5])])
     assert board.standings[0].runs == 1
+
+
+def test_the_same_file_scored_again_later_or_elsewhere_counts_once(tmp_path):
+    first = runs("a", [0.5], created="2026-01-01T00:00:00Z")
+    later = runs("a", [0.5], created="2026-01-02T00:00:00Z", hardware={"cpu": "another"})
+    assert boards([*first, *later])[0].standings[0].runs == 1
+    for name, records in (("a.json", first), ("b.json", later), ("c.json", runs("a", [0.6]))):
+        write_results(tmp_path / name, records)
+    assert labelled_results([str(tmp_path / "a.json"), str(tmp_path / "b.json")]) == first
+    with pytest.raises(ResultError, match=r"both hold run 0 of a on s0, with different numbers"):
+        labelled_results([str(tmp_path / "a.json"), str(tmp_path / "c.json")])
 
 
 def test_one_method_with_two_settings_is_two_methods():

@@ -102,14 +102,10 @@ def _read(path: Path, options: ReadOptions) -> Trajectory:
 
 
 def _covariances(given: list[Any]) -> np.ndarray | None:
-    """Covariances (N, 6, 6), or None where they are unknown: one is missing, all are zero, or all have -1 in the first
-    cell, as ROS marks that."""
+    """Covariances (N, 6, 6), or None where one is missing."""
     if any(covariance is None for covariance in given):
         return None
-    covariances = np.array(given, dtype=float).reshape(-1, 6, 6)
-    if not covariances.any() or (covariances[:, 0, 0] == -1).all():
-        return None
-    return covariances
+    return np.array(given, dtype=float).reshape(-1, 6, 6)
 
 
 def _stamp(header: Any) -> int:

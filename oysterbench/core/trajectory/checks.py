@@ -31,7 +31,8 @@ def checked_poses(
     where: pose, counted from 0 -> its place in the file; options: their `sort` and `duplicates` apply; None for poses
     that do not come from a file and are not to be chosen among. Changes are recorded in the trajectory's notes: one of
     several poses at a stamp is taken (`each_stamp_once`), quaternions with a norm within NORM_TOLERANCE of one are
-    normalised. Raises TrajectoryError for anything else.
+    normalised, and covariances are left out where one of them cannot be one: no score depends on them. Those that are
+    marked as unknown, as ROS does it, are none. Raises TrajectoryError for anything else.
     """
     options = options or ReadOptions(duplicates="refuse")
     notes = list(trajectory.notes)
@@ -43,7 +44,7 @@ def checked_poses(
         value = values[i][~np.isfinite(values[i])][0]
         raise TrajectoryError(f"{where(i)}: expected finite numbers, got {column} = {value}; leave out unknown poses")
     if trajectory.covariances is not None:
-        _check_covariances(trajectory.covariances, where)
+        trajectory = replace(trajectory, covariances=_known(trajectory.covariances, name, where, notes))
     quaternions = _unit(trajectory.quaternions, name, where, notes)
     trajectory = replace(trajectory, quaternions=quaternions)
     rows = np.arange(len(trajectory))
@@ -93,18 +94,25 @@ def _check_order(stamps: NDArray[np.int64], where: Callable[[int], str]) -> None
         )
 
 
-def _check_covariances(covariances: Array, where: Callable[[int], str]) -> None:
-    """Refuse covariances that are not finite, symmetric, and free of negative variances."""
+def _known(covariances: Array, name: str, where: Callable[[int], str], notes: list[str]) -> Array | None:
+    """Return covariances (N, 6, 6), or None where they are unknown, all zero or one of them with -1 in its first cell,
+    or where one is not finite, not symmetric, or has a negative variance, which is noted."""
+    if not covariances.any() or (covariances[:, 0, 0] == -1).any():
+        return None
+    finite = np.isfinite(covariances).all(axis=(1, 2))
+    known = np.where(finite[:, None, None], covariances, 0.0)
     diagonal = np.einsum("nii->ni", covariances)
-    scale = np.abs(covariances).max(axis=(1, 2), initial=0.0)
-    uneven = np.abs(covariances - covariances.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0) > 1e-6 * scale
-    wrong = np.asarray(~np.isfinite(covariances).all(axis=(1, 2)) | (diagonal < 0).any(axis=1) | uneven)
-    if wrong.any():
-        i = int(np.argmax(wrong))
-        raise TrajectoryError(
-            f"{where(i)}: expected a finite, symmetric covariance with variances of 0 or more, got diagonal "
-            f"{np.array2string(diagonal[i], precision=3)}{others(wrong)}"
-        )
+    scale = np.abs(known).max(axis=(1, 2), initial=0.0)
+    uneven = np.abs(known - known.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0) > 1e-6 * scale
+    wrong = np.asarray(~finite | (diagonal < 0).any(axis=1) | uneven)
+    if not wrong.any():
+        return covariances
+    i = int(np.argmax(wrong))
+    notes.append(
+        f"{name}: the covariances are left out, as one at least is not finite, not symmetric, or has a negative "
+        f"variance: {where(i)} has the diagonal {np.array2string(diagonal[i], precision=3)}{others(wrong)}"
+    )
+    return None
 
 
 def others(wrong: NDArray[np.bool_]) -> str:

@@ -12,8 +12,14 @@ UNIT_WORDS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
     **dict.fromkeys(("ms", "msec", "millisec", "milliseconds"), "ms"),
     **dict.fromkeys(("us", "usec", "microsec", "microseconds"), "us"),
-    **dict.fromkeys(("ns", "nsec", "nanosec", "nanoseconds"), "ns"),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"), "ns"),
 }
+PARTS = {
+    **dict.fromkeys(("sec", "secs", "seconds"), "s"),
+    **dict.fromkeys(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"), "ns"),
+}
+"""Last words of the names of two columns that make up one stamp, as tools for ROS write its fields: whole seconds, and
+the nanoseconds beyond them."""
 LENGTH_WORDS = {
     **dict.fromkeys(("", "m", "meter", "meters", "metre", "metres"), "m"),
     **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
@@ -33,6 +39,7 @@ class Columns:
     position:   columns of x, y, z
     quaternion: columns of x, y, z, w; empty for KITTI, whose 12 numbers are the top three rows of a matrix
     covariance: (row, column) of the 6 x 6 matrix -> column of the file
+    beyond:     column of the nanoseconds beyond the whole seconds of the stamp, where they are in two columns
     time_unit:  unit of the stamps, where the layout fixes it
     unit:       unit of the positions: m or mm
     exact:      how many columns a line must have; None: as many as the first line
@@ -45,6 +52,7 @@ class Columns:
     position: tuple[int, ...]
     quaternion: tuple[int, ...]
     covariance: dict[tuple[int, int], int] = field(default_factory=dict)
+    beyond: int | None = None
     time_unit: str | None = None
     unit: str = "m"
     exact: int | None = None
@@ -56,7 +64,8 @@ class Columns:
         """Columns other than the stamp that must hold finite numbers; each once, in the order of the file."""
         if self.stamp is None:
             return list(range(self.exact or 0))
-        return sorted({*self.position, *self.quaternion, *self.covariance.values()})
+        beyond = () if self.beyond is None else (self.beyond,)
+        return sorted({*self.position, *self.quaternion, *self.covariance.values(), *beyond})
 
     @property
     def whole_covariance(self) -> bool:
@@ -82,6 +91,7 @@ def named_columns(names: list[str]) -> Columns | None:
     covariance: dict[tuple[int, int], int] = {}
     stamp: tuple[int, str | None] | None = None
     units: set[str | None] = set()
+    parts: dict[tuple[str, ...], dict[str, int]] = {}
     for k, name in enumerate(names):
         words, unit = _words(name)
         if cell := _covariance_cell(words):
@@ -92,6 +102,11 @@ def named_columns(names: list[str]) -> Columns | None:
         elif _is_time(words) and (stamp is None or "stamp" in words):
             spelled = next((UNIT_WORDS[word] for word in words if word in UNIT_WORDS), None)
             stamp = (k, UNIT_WORDS.get(unit, spelled))
+        if words and words[-1] in PARTS and (len(words) == 1 or _is_time(words)):
+            parts.setdefault(tuple(words[:-1]), {}).setdefault(PARTS[words[-1]], k)
+    beyond = None
+    if whole := next((found for found in parts.values() if {"s", "ns"} <= found.keys()), None):
+        stamp, beyond = (whole["s"], "s"), whole["ns"]
     if stamp is None or not {"px", "py", "pz", "qx", "qy", "qz", "qw"} <= found.keys() or units not in ({"m"}, {"mm"}):
         return None
     return Columns(
@@ -100,6 +115,7 @@ def named_columns(names: list[str]) -> Columns | None:
         tuple(found[f"p{axis}"] for axis in "xyz"),
         tuple(found[f"q{axis}"] for axis in "xyzw"),
         covariance,
+        beyond,
         stamp[1],
         "mm" if "mm" in units else "m",
         named=True,

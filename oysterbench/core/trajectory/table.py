@@ -35,7 +35,7 @@ class NumberTable:
 
     stamps: (N,) texts of the stamps, ASCII; empty where the layout has none
     sizes:  (N,) float64, the stamps as rounded numbers
-    values: (N, K) float64, finite: the columns `Columns.numbers`
+    values: (N, K) float64, the columns `Columns.numbers`; finite, but for those of covariances
     where:  row, counted from 0 -> "path:line"
     """
 
@@ -62,7 +62,8 @@ def split(line: str) -> list[str]:
     """Split a line into its fields, at commas or semicolons, or else at spaces and tabs."""
     for separator in (",", ";"):
         if separator in line:
-            return [field.strip(" \t") for field in line.split(separator)]
+            fields = [field.strip(" \t") for field in line.split(separator)]
+            return [field.strip('"') for field in fields] if '"' in line else fields
     return re.split(r"[ \t]+", line.strip(" \t"))
 
 
@@ -163,7 +164,7 @@ def _read_lines(text: str, begin: int, columns: Columns, path: str) -> NumberTab
     stamps: list[str] = []
     values: list[list[float]] = []
     numbers: list[int] = []
-    wanted = columns.numbers
+    wanted, uncertain = columns.numbers, set(columns.covariance.values())
     sign: str | None = None
     for number, line in enumerate(text.split("\n")[begin:], begin + 1):
         if is_comment(line):
@@ -185,9 +186,10 @@ def _read_lines(text: str, begin: int, columns: Columns, path: str) -> NumberTab
                 raise TrajectoryError(f"{where}: expected a timestamp, got {stamp[:40]!r}")
             stamps.append(stamp)
         for k in wanted:
-            _check_number(fields[k], k, columns, where, line)
+            if k not in uncertain or not NO_NUMBER.fullmatch(fields[k]):
+                _check_number(fields[k], k, columns, where, line)
         values.append([float(fields[k]) for k in wanted])
-        if not np.isfinite(values[-1]).all():
+        if not np.isfinite([value for value, k in zip(values[-1], wanted, strict=True) if k not in uncertain]).all():
             raise TrajectoryError(f"{where}: expected numbers that a float64 holds, got {_shown(line)}")
         numbers.append(number)
     table = np.array(values, dtype=float).reshape(-1, len(wanted))

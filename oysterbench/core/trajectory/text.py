@@ -134,7 +134,7 @@ class _Head:
                     if not certain and named_columns(fields):
                         names = fields
                 elif not certain and _is_header(split(line)):
-                    names, certain = split(line), True
+                    names, certain = split(line.rstrip(" \t,;")), True
                 else:
                     return cls(names, certain, number, split(line), "," in line or ";" in line)
             if end < 0:
@@ -144,8 +144,9 @@ class _Head:
 
 
 def _is_header(fields: list[str]) -> bool:
-    """Whether no field is a number or a missing one, so that the fields are column names."""
-    return not any(NUMBER.fullmatch(field) or field.lower().lstrip("+-") in ("nan", "inf", "") for field in fields)
+    """Whether the fields are column names: no field is a number, and one at least is a word. An index may have none."""
+    numbers = any(NUMBER.fullmatch(field) or field.lower().lstrip("+-") in ("nan", "inf") for field in fields)
+    return not numbers and any(fields)
 
 
 def _columns(head: _Head, path: Path, options: ReadOptions) -> Columns:
@@ -185,6 +186,8 @@ def _stamps(
     """Stamps (N,) int64 ns. Their unit is the requested one, or that of the layout, or the one that their size
     implies."""
     sizes = np.abs(table.sizes)
+    if columns.beyond is not None:
+        return _stamps_in_parts(table, columns)
     unit = options.time_unit or columns.time_unit
     if unit is None:
         huge = sizes >= MIN_NANOSECONDS
@@ -224,6 +227,22 @@ def _stamps(
     except (ValueError, OverflowError):
         i = next(i for i, text in enumerate(table.stamps.tolist()) if not _fits(text.decode(), SHIFTS[unit]))
         raise TrajectoryError(f"{table.where(i)}: expected at most 2^63 ns, got {table.stamp(i)}") from None
+
+
+def _stamps_in_parts(table: NumberTable, columns: Columns) -> NDArray[np.int64]:
+    """Stamps (N,) int64 ns of two columns, whole seconds and the nanoseconds beyond them."""
+    assert columns.beyond is not None
+    beyond = table.values[:, columns.numbers.index(columns.beyond)]
+    whole = (beyond == np.floor(beyond)) & (beyond >= 0) & (beyond < 1e9) & (np.abs(table.sizes) <= MAX_SECONDS)
+    wrong = ~whole | _broken(table.stamps)
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise TrajectoryError(
+            f"{table.where(i)}: expected whole seconds in column {columns.stamp}, and whole nanoseconds beyond them in "
+            f"column {columns.beyond} (counted from 0), got {table.stamp(i)} and {beyond[i]:.12g}{others(wrong)}; "
+            "rename them if they are no two parts of one timestamp"
+        )
+    return scaled_integers(table.stamps, SHIFTS["s"]) + beyond.astype(np.int64)
 
 
 def _broken(stamps: NDArray[np.bytes_]) -> NDArray[np.bool_]:
