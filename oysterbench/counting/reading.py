@@ -23,6 +23,10 @@ COMPLETE = 0.95
 """Share of the frames that a video claims to have below which it is truncated: the claim is often off by a frame or
 two."""
 
+RESTART_S = 1.0
+"""Step back of a video's timestamps, s, above which they began again, as where recordings were joined; frames that are
+merely out of order step back by less."""
+
 
 @dataclass(frozen=True)
 class Sampling:
@@ -107,12 +111,12 @@ class Video:
 
         Raises LabelError, after all frames that could be read, if there is none, or the video is truncated.
         """
-        index, due_s = 0, 0.0
-        while self._capture.grab():
-            time_s = self._time_s(index)
+        index, due_s, step_s = 0, 0.0, 1 / sampling.per_second
+        for time_s in self._times_s():
             wanted = index % sampling.every == 0 if sampling.every else time_s >= due_s - 1e-6
             if wanted:
-                due_s = max(due_s + 1 / sampling.per_second, time_s)
+                # What fell due in a gap is not made up for by frames close together behind it.
+                due_s = due_s + step_s if due_s + step_s > time_s else time_s + step_s
                 yield VideoFrame(index, time_s, None if done(index) else self._pixels())
             index += 1
         self._capture.release()
@@ -126,10 +130,20 @@ class Video:
                 "counted; copy it again from the camera"
             )
 
-    def _time_s(self, index: int) -> float:
-        """Time, s, of the frame that was grabbed last; from the frame rate if the file has no timestamps."""
-        stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-        return stamp_s if stamp_s > 0 or not self.rate_hz else index / self.rate_hz
+    def _times_s(self) -> Iterator[float]:
+        """Grab the frames one by one and yield their times, s, by their timestamps or, without one, by the frame rate.
+        Where timestamps begin again, time goes on."""
+        period_s = 1 / self.rate_hz if self.rate_hz else 0.0
+        time_s, offset_s = -period_s, 0.0
+        while self._capture.grab():
+            stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+            if stamp_s <= 0 and self.rate_hz:
+                time_s += period_s
+            else:
+                if stamp_s + offset_s < time_s - RESTART_S:
+                    offset_s = time_s + period_s - stamp_s
+                time_s = stamp_s + offset_s
+            yield time_s
 
     def _pixels(self) -> NDArray[np.uint8]:
         read, pixels = self._capture.retrieve()

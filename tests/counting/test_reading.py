@@ -239,15 +239,37 @@ def test_a_video_without_its_index_is_said_to_be_cut_short_with_no_frame_read(ph
         Video(cut)
 
 
-def test_frames_of_a_variable_rate_are_taken_by_their_own_times(phone_video, tmp_path):
-    data = phone_video.read_bytes().replace(b"edts", b"free")  # an edit list would cut what is longer
+def retimed(video, folder, *runs):
+    """A copy of an MP4 whose frames last a multiple of what they did: (number of frames, factor) by runs."""
+    data = video.read_bytes().replace(b"edts", b"free")  # an edit list would cut what is longer
     step = struct.unpack(">I", data[data.find(b"stts") + 16 :][:4])[0]
-    times = struct.pack(">8I", 0, 3, 20, step, 20, 5 * step, 20, step)
-    varied = tmp_path / "varied.mp4"
-    varied.write_bytes(boxed(data, b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts", content=times))
+    times = struct.pack(f">{2 + 2 * len(runs)}I", 0, len(runs), *(n for many, k in runs for n in (many, k * step)))
+    (folder / "retimed.mp4").write_bytes(
+        boxed(data, b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts", content=times)
+    )
+    return folder / "retimed.mp4"
+
+
+def test_frames_of_a_variable_rate_are_taken_by_their_own_times(phone_video, tmp_path):
+    varied = retimed(phone_video, tmp_path, (20, 1), (20, 5), (20, 1))
     found = list(Video(varied).frames(Sampling(1.0)))
     assert [frame.time_s for frame in found] == pytest.approx(range(14), abs=1e-3)
     assert [frame.index for frame in found] == [0, 10, 20, 22, 24, 26, 28, 30, 32, 34, 36, 38, 40, 50]
+
+
+def test_behind_a_gap_frames_are_as_far_apart_as_before(phone_video, tmp_path):
+    found = list(Video(retimed(phone_video, tmp_path, (19, 1), (1, 81), (40, 1))).frames(Sampling(1.0)))
+    assert [frame.index for frame in found] == [0, 10, 20, 30, 40, 50]
+    assert [frame.time_s for frame in found] == pytest.approx([0, 1, 10, 11, 12, 13], abs=1e-3)
+
+
+def test_time_goes_on_where_the_timestamps_of_joined_recordings_begin_again(tmp_path):
+    frames = [np.full((*SHAPE, 3), 3 * k + 20, np.uint8) for k in range(40)]
+    one = write_video(tmp_path / "one.ts", frames, codec="mp4v").read_bytes()
+    (tmp_path / "both.ts").write_bytes(one + one)
+    found = list(Video(tmp_path / "both.ts").frames(Sampling(1.0)))
+    assert [frame.index for frame in found] == list(range(0, 80, 10))
+    assert [frame.time_s for frame in found] == pytest.approx(range(8), abs=1e-3)
 
 
 def test_a_moving_gif_is_a_video(tmp_path):
