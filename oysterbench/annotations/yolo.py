@@ -15,20 +15,31 @@ from oysterbench.core.errors import LabelError
 from oysterbench.core.polygons import rasterise
 from oysterbench.evaluate.detection.instances import OUTSIDE
 
+FILE = "data.yaml"
 
-def yolo_set(folder: Path, classes: Mapping[int, str] | None = None) -> LabelledSet:
+
+def yolo_set(folder: Path) -> LabelledSet:
     """Open a folder with images/, labels/ and, if clips and splits are known, manifest.csv.
 
-    A line of a label file is `CLASS x1 y1 x2 y2 ...` in fractions of width and height. classes: names of the numbers,
-    {0: "oyster"} by default; an image without a label file, a number without a name or a class other than oyster is
-    refused, by file and line. Polygons are clipped to the image.
+    A line of a label file is `CLASS x1 y1 x2 y2 ...` in fractions of width and height. Classes have the names that
+    data.yaml in the folder gives them, or in the one above, where train/, valid/ and test/ share it; without one, 0 is
+    oyster. An image without a label file, a number without a name or a class other than oyster is refused, by file and
+    line. Polygons are clipped to the image.
     """
-    names = dict(classes or {0: "oyster"})
+    names, source = _classes(folder)
     entries = []
     for name, row, image, label in images_with(folder, "labels", ".txt", "; one without oysters has an empty file"):
         read = partial(_read, image, label, names, name, row.clip)
-        entries.append(Entry(name, row.clip, read, (image, label), row.split))
+        entries.append(Entry(name, row.clip, read, (image, label, *source), row.split))
     return LabelledSet(folder.resolve().name, entries)
+
+
+def _classes(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
+    """Names of the classes by number, and the file that gives them, if one does."""
+    for path in (folder / FILE, folder.resolve().parent / FILE):
+        if path.is_file() and (names := read_classes(path)):
+            return names, (path,)
+    return {0: "oyster"}, ()
 
 
 def _read(image: Path, label: Path, classes: Mapping[int, str], name: str, clip: str) -> LabelledImage:
@@ -37,6 +48,29 @@ def _read(image: Path, label: Path, classes: Mapping[int, str], name: str, clip:
     masks = [rasterise(polygon * [width, height], height, width) for polygon in read_yolo(label, classes)]
     planes = planes_of(masks, height, width)
     return LabelledImage(name, clip, pixels, *planes, np.zeros((height, width), dtype=bool))
+
+
+def read_classes(path: Path) -> dict[int, str]:
+    """Read the names of the classes from a data.yaml, by number; empty if it names none. Raises LabelError if it cannot
+    be read, or none of them is oyster."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8-sig"))
+    except (OSError, UnicodeDecodeError, YAMLError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else "not YAML"
+        raise LabelError(f"{path}: {why}; expected the names of the classes under 'names'") from None
+    names = content.get("names") if isinstance(content, Mapping) else None
+    if names is None:
+        return {}
+    found = dict(enumerate(names)) if isinstance(names, list) else names
+    if not isinstance(found, Mapping) or not all(type(number) is int for number in found):
+        raise LabelError(f"{path}: names: expected a list, or number: name, got {str(names)[:60]!r}")
+    if "oyster" not in found.values():
+        known = ", ".join(f"{number} = {name}" for number, name in found.items())
+        raise LabelError(f"{path}: no class is named 'oyster'; its classes: {known or 'none'}: rename the one meant")
+    return {number: str(name) for number, name in found.items()}
 
 
 def read_yolo(path: Path, classes: Mapping[int, str]) -> list[NDArray[np.float64]]:
