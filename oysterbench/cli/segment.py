@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from oysterbench.counting.run import ScaleOf
     from oysterbench.counting.sources import Found, Source
     from oysterbench.counting.survey import Survey
+    from oysterbench.counting.tables import PictureTable
 
 METHOD = "unet_instances"
 TRACKS = ("detection", "segmentation")
@@ -147,7 +148,7 @@ def segment_command(
     from oysterbench.methods.weights import have_weights, weights_digests, weights_of
     from oysterbench.report.counting import Making, check_folder, write_counts
 
-    scale, about_scale = _scale(scaling, found.sources)
+    scale, about_scale, table = _scale(scaling, found.sources)
     weights = weights_of(chosen)
     have_weights(weights, message, frames_bar)
     accuracy = None if checked is None else read_accuracy(checked, chosen.name, weights_digests(weights))
@@ -186,7 +187,11 @@ def segment_command(
         "block": block,
     }
     command = shlex.join(["oysterbench", *sys.argv[1:]])
-    earlier = store.others({*(one.name for one in counted.pictures), *counted.failures})
+    names = {*(one.name for one in counted.pictures), *counted.failures}
+    if table is not None:
+        unused = table.besides({*names, *(source.name for source in found.sources)})
+        _tell_unused(table.path, unused, "frame that was counted")
+    earlier = store.others(names)
     if earlier:
         noun = "image or frame" if len(earlier) == 1 else "images and frames"
         more = f" and {len(earlier) - 3} more" if len(earlier) > 3 else ""
@@ -223,28 +228,30 @@ def _check_scaling(given: dict[str, Any], min_mm: float | None) -> None:
             raise click.UsageError(what)
 
 
-def _scale(given: dict[str, Any], sources: tuple[Source, ...]) -> tuple[ScaleOf, dict[str, Any] | None]:
-    """Scale of each image, and its description for records, None without a scale."""
+def _scale(
+    given: dict[str, Any], sources: tuple[Source, ...]
+) -> tuple[ScaleOf, dict[str, Any] | None, PictureTable | None]:
+    """Scale of each image, its description for records, None without a scale, and the table it is from, if any."""
     from oysterbench.counting.lens import read_lens
     from oysterbench.counting.per_picture import ALTITUDE, CORNERS, altitudes, plain, quadrats
     from oysterbench.counting.tables import read_table
 
     if given["mm_per_px"] is not None:
-        return plain(given["mm_per_px"]), {"kind": "plain", "mm_per_px": given["mm_per_px"]}
+        return plain(given["mm_per_px"]), {"kind": "plain", "mm_per_px": given["mm_per_px"]}, None
     if given["quadrat"] is not None:
         table = read_table(given["corners"], CORNERS, sources)
         _tell_unused(table.path, table.unused)
-        return quadrats(given["quadrat"], table), {"kind": "quadrat", "size_m": given["quadrat"]}
+        return quadrats(given["quadrat"], table), {"kind": "quadrat", "size_m": given["quadrat"]}, table
     if given["altitude"] is not None:
         lens = read_lens(given["calibration"], given["camera"])
         about = {"kind": "altitude", "altitude": given["altitude"], "calibration": given["calibration"].name}
         try:
-            return altitudes(lens, float(given["altitude"])), about
+            return altitudes(lens, float(given["altitude"])), about, None
         except ValueError:
             altitude = read_table(Path(given["altitude"]), ALTITUDE, sources)
             _tell_unused(altitude.path, altitude.unused)
-            return altitudes(lens, altitude), about
-    return (lambda source, name: None), None
+            return altitudes(lens, altitude), about, altitude
+    return (lambda source, name: None), None, None
 
 
 def _tell_others(found: Found) -> None:
@@ -260,10 +267,10 @@ def _tell_others(found: Found) -> None:
         message(f"left out because they hold labels, or results of another count: {listed(found.skipped)}")
 
 
-def _tell_unused(path: Path, names: tuple[str, ...]) -> None:
+def _tell_unused(path: Path, names: tuple[str, ...], what: str = "image") -> None:
     if names:
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-        message(f"{path}: no image is called {', '.join(names[:3])}{more}; these lines are not used")
+        message(f"{path}: no {what} is called {', '.join(names[:3])}{more}; these lines are not used")
 
 
 def _tell(found: Survey, page: Path, made: int, cpu_s: float) -> None:

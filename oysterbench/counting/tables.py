@@ -6,7 +6,7 @@ import csv
 import io
 import math
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +31,10 @@ class PictureTable:
         """Numbers of an image or frame of a source; None if there are none."""
         return self.rows.get(name, self.rows.get(source.name))
 
+    def besides(self, names: Collection[str]) -> tuple[str, ...]:
+        """Names in the table, of sources or their frames, that are not among `names`."""
+        return tuple(name for name in self.rows if name not in names)
+
 
 def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) -> PictureTable:
     """Read a CSV with the column `picture` and further columns of numbers. If it is separated by semicolons, commas may
@@ -46,7 +50,11 @@ def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) ->
     except UnicodeDecodeError:
         raise LabelError(f"{path}: expected a CSV table in UTF-8: in a spreadsheet, save it as 'CSV UTF-8'") from None
     semicolons = ";" in text.partition("\n")[0]
-    lines = list(csv.reader(io.StringIO(text, newline=""), delimiter=";" if semicolons else ","))
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=";" if semicolons else ",")
+    try:
+        lines = list(reader)
+    except csv.Error as error:
+        raise LabelError(f"{path}:{reader.line_num}: cannot be read as CSV: {error}") from None
     wanted = [PICTURE, *columns]
     head = [word.strip() for word in lines[0]] if lines else []
     if missing := [key for key in wanted if key not in head]:
@@ -90,8 +98,8 @@ class _Names:
         images have that name."""
         said = _composed(said)
         video, _, frame = said.rpartition("/")
-        if video in self._videos:
-            return f"{self._videos[video]}/{frame}"
+        if video in self._videos and frame.isascii() and frame.isdigit():
+            return f"{self._videos[video]}/{frame.lstrip('0').zfill(6)}"  # as `run.frame_name` writes it
         if exact := self._own.get(said) or self._whole.get(said):
             return exact
         same = self._files.get(said, [])

@@ -272,6 +272,18 @@ def test_quadrats_altitudes_and_checks_by_files(folder, tmp_path):
     assert_one_line(run("segment", folder, *DISCS, "--checked", "check"), "expected results of discs .* got other")
 
 
+def test_lines_of_frames_that_were_not_counted_are_told_of(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_video(tmp_path / "dive.avi", [discs((60, 60))] * 20)
+    (tmp_path / "lens.yaml").write_text(
+        "intrinsics: [100, 100, 79.5, 59.5]\nresolution: [160, 120]\ndistortion_coeffs: [0, 0, 0, 0]\n"
+    )
+    (tmp_path / "heights.csv").write_text("picture,altitude_m\ndive.avi,1.5\ndive.avi/10,1\ndive.avi/11,1\n")
+    done = run("segment", "dive.avi", *DISCS, "--altitude", "heights.csv", "--calibration", "lens.yaml", "--json")
+    assert json.loads(done.stdout)["area_m2"] == pytest.approx(1.6 * 1.2 * (1.5**2 + 1), rel=1e-6)
+    assert "heights.csv: no frame that was counted is called dive.avi/000011; these lines are not used" in done.stderr
+
+
 def test_corners_as_fractions_are_refused_at_once(folder, tmp_path):
     rows = "".join(f"{k},0.1,0.1,0.9,0.1,0.9,0.9,0.1,0.9\n" for k in range(6))
     (tmp_path / "c.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n" + rows)

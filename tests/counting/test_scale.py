@@ -258,6 +258,15 @@ def test_a_table_names_pictures_by_name_or_file_and_frames_by_their_video(tmp_pa
     assert found.unused == ("zz",)
 
 
+def test_frames_are_known_by_their_number_however_it_is_written(tmp_path, sources):
+    found = table(tmp_path, "picture,altitude_m\ndive.mp4/30,1\ndive.mp4/0000060,2\ndive.mp4/0,3\n", sources, ALTITUDE)
+    assert found.rows == {f"dive.mp4/{number:06d}": (height,) for number, height in ((30, 1), (60, 2), (0, 3))}
+    assert found.besides({"dive.mp4/000000", "dive.mp4/000060"}) == ("dive.mp4/000030",)
+    assert table(tmp_path, "picture,altitude_m\ndive.mp4/x,1\n", sources, ALTITUDE).unused == ("dive.mp4/x",)
+    with pytest.raises(LabelError, match=r"t\.csv:3: dive\.mp4/030 is listed twice"):
+        table(tmp_path, "picture,altitude_m\ndive.mp4/30,1\ndive.mp4/030,1\n", sources, ALTITUDE)
+
+
 def test_names_with_umlauts_are_the_same_however_they_are_composed(tmp_path):
     names = ("Bo\u0308schung 1.jpg", "Mu\u0308ll.mp4", "Mu\u0308ll 2.png")
     for name in names:
@@ -284,6 +293,7 @@ def test_a_table_of_a_spreadsheet_may_have_semicolons_and_decimal_commas(tmp_pat
         ("picture,altitude_m\na/1\n", ":2: expected 2 values, got 1"),
         ("picture,altitude_m\na/1,1\na/1.jpg,2\n", ":3: a/1.jpg is listed twice"),
         ("picture,altitude_m\n1.jpg,1\n", ":2: 2 images are called '1.jpg': expected one of a/1, b/1"),
+        pytest.param(f"picture,altitude_m\na/1,{'1' * 140_000}\n", ":2: cannot be read as CSV: field", id="long field"),
     ],
 )
 def test_a_table_that_is_wrong_is_refused_by_its_line(tmp_path, sources, text, said):
