@@ -65,7 +65,8 @@ def _shards(folder: Path, part: str, shard_bytes: int) -> Iterator[Callable[[str
             if tar is not None:
                 tar.close()
             number, written = number + 1, 0
-            tar = tarfile.open(folder / f"{part}-{number:05d}.tar", "w", format=tarfile.USTAR_FORMAT)  # noqa: SIM115
+            # The headers are ustar's, but for names over 100 characters, for which ustar has no place.
+            tar = tarfile.open(folder / f"{part}-{number:05d}.tar", "w", format=tarfile.PAX_FORMAT)  # noqa: SIM115
         for extension, data in files.items():
             entry = tarfile.TarInfo(f"{key}.{extension}")
             entry.size = len(data)

@@ -156,6 +156,12 @@ def test_of_anybodys_photographs_no_licence_is_claimed_and_their_files_are_passe
         assert sample[f"image.{file.suffix[1:]}"] == file.read_bytes()
 
 
+def test_names_may_be_as_long_as_those_of_files(tmp_path):
+    name = "reef-" + 200 * "1"
+    folder, _ = export_set([open_labelled(yolo_folder(tmp_path / "mine", {name: ""}))], "webdataset", tmp_path / "out")
+    assert sorted(samples(folder)[name]) == ["class.png", "ignore.png", "image.png", "instance.png", "json"]
+
+
 def test_two_images_of_one_name_are_refused(dive_file, tmp_path):
     sets = [open_labelled(dive_file), open_labelled(dive_file)]
     with pytest.raises(LabelError, match="two images have the same name, hand-made/cam_left"):
