@@ -65,7 +65,7 @@ class Store:
 
     def film(self, video: str) -> Path:
         """Path of the film of a video's overlays."""
-        return self.folder / "videos" / (video if video.lower().endswith(".mp4") else f"{video}.mp4")
+        return self.folder / "videos" / f"{video}.mp4"
 
     def write(
         self,

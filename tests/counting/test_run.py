@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib import import_module
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -207,6 +208,11 @@ def test_a_video_that_was_interrupted_goes_on_from_its_last_frame(video, tmp_pat
         count(video, tmp_path / "out", method=Interrupted())
     found, asked = count(video, tmp_path / "out")
     assert (asked, len(found.pictures)) == (2, 4)
+
+
+def test_each_video_has_a_film_of_its_own():
+    store = Store(Path("out"))
+    assert store.film("dive.avi") != store.film("dive.avi.mp4")
 
 
 def test_films_are_no_slower_than_four_frames_a_second():
