@@ -16,6 +16,8 @@ from oysterbench.core.polygons import rasterise
 from oysterbench.evaluate.detection.instances import OUTSIDE
 
 FILE = "data.yaml"
+OYSTERS = ("oyster", "oysters")
+"""Names of the class to be found, in any case."""
 
 
 def yolo_set(folder: Path) -> LabelledSet:
@@ -23,8 +25,8 @@ def yolo_set(folder: Path) -> LabelledSet:
 
     A line of a label file is `CLASS x1 y1 x2 y2 ...` in fractions of width and height. Classes have the names that
     data.yaml in the folder gives them, or in the one above, where train/, valid/ and test/ share it; without one, 0 is
-    oyster. An image without a label file, a number without a name or a class other than oyster is refused, by file and
-    line. Polygons are clipped to the image.
+    oyster. An image without a label file or a number without a name is refused, by file and line; other classes are
+    skipped. Polygons are clipped to the image.
     """
     names, source = _classes(folder)
     entries = []
@@ -67,14 +69,16 @@ def read_classes(path: Path) -> dict[int, str]:
     found = dict(enumerate(names)) if isinstance(names, list) else names
     if not isinstance(found, Mapping) or not all(type(number) is int for number in found):
         raise LabelError(f"{path}: names: expected a list, or number: name, got {str(names)[:60]!r}")
+    found = {number: "oyster" if str(name).lower() in OYSTERS else str(name) for number, name in found.items()}
     if "oyster" not in found.values():
         known = ", ".join(f"{number} = {name}" for number, name in found.items())
         raise LabelError(f"{path}: no class is named 'oyster'; its classes: {known or 'none'}: rename the one meant")
-    return {number: str(name) for number, name in found.items()}
+    return found
 
 
 def read_yolo(path: Path, classes: Mapping[int, str]) -> list[NDArray[np.float64]]:
-    """Read polygons (N, 2) in fractions of width and height. Raises LabelError naming file and line."""
+    """Read the oysters' polygons (N, 2), in fractions of width and height; other classes with a name are skipped, as in
+    COCO files. Raises LabelError naming file and line."""
     polygons = []
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -88,9 +92,11 @@ def read_yolo(path: Path, classes: Mapping[int, str]) -> list[NDArray[np.float64
             kind, *values = [float(word) for word in line.split()]
         except ValueError:
             raise LabelError(f"{where}: expected numbers, got {line[:60]!r}") from None
-        if classes.get(int(kind)) != "oyster" or kind != int(kind):
+        if kind not in classes:
             known = ", ".join(f"{k} = {v}" for k, v in classes.items())
             raise LabelError(f"{where}: class {kind:g} is not an oyster; known classes: {known}")
+        if classes[int(kind)] != "oyster":
+            continue
         if len(values) < 6 or len(values) % 2:
             hint = ": a box, not a polygon" if len(values) == 4 else ""
             raise LabelError(f"{where}: expected at least three corners x y, got {len(values)} numbers{hint}")

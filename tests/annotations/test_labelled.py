@@ -90,7 +90,7 @@ def test_a_bad_line_of_labels_is_refused_by_file_and_line(text, message, tmp_pat
         found[0]
 
 
-@pytest.mark.parametrize("names", ["  0: crab\n  1: oyster\n", "[crab, oyster]\n"])
+@pytest.mark.parametrize("names", ["  0: crab\n  1: oyster\n", "[crab, Oysters]\n"])
 @pytest.mark.parametrize("place", [".", ".."])
 def test_classes_have_the_names_of_data_yaml(names, place, tmp_path):
     folder = yolo_folder(tmp_path / "all" / "train", {"a": "1" + SQUARE[1:], "b": SQUARE})
@@ -98,15 +98,17 @@ def test_classes_have_the_names_of_data_yaml(names, place, tmp_path):
     (folder / place / "data.yaml").write_text(f"names: {names}" if "[" in names else f"names:\n{names}")
     found = open_labelled(folder)
     assert found[0].oysters.sum() == HEIGHT * WIDTH / 4
-    with pytest.raises(LabelError, match=r"b\.txt:1: class 0 is not an oyster; known classes: 0 = crab, 1 = oyster"):
-        found[1]
+    assert not found[1].oysters.any()
+    (folder / "labels" / "b.txt").write_text("2" + SQUARE[1:])
+    with pytest.raises(LabelError, match=r"b\.txt:1: class 2 is not an oyster; known classes: 0 = crab, 1 = oyster"):
+        open_labelled(folder)[1]
     assert found.digest() != before
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("names: [crab, Oysters]\n", "no class is named 'oyster'; its classes: 0 = crab, 1 = Oysters: rename"),
+        ("names: [crab, shell]\n", "no class is named 'oyster'; its classes: 0 = crab, 1 = shell: rename"),
         ("names: {a: oyster}\n", "names: expected a list, or number: name, got"),
         ("names: oyster\n", "names: expected a list, or number: name, got 'oyster'"),
         ("names: [\n", "not YAML; expected the names of the classes"),
