@@ -60,7 +60,8 @@ def score_again(
     estimates: folder of files named by their SHA-256; truth: folder with the sequences of a hidden split; recipe: of
     the split, if it is not shipped with oysterbench
 
-    Uploads are read and scored in a sandbox, as when they were submitted. Nothing is written.
+    Uploads are read and scored in a sandbox, as when they were submitted, within the limits of the settings.toml in the
+    folder that holds `estimates`. Nothing is written.
     """
     if not record.estimates:
         return Again(record.digest, None, "its estimates were not kept")
@@ -105,7 +106,7 @@ def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None,
     """Score a team's upload, one file, in the same sandbox as when it was submitted."""
     from oysterbench_leaderboard.submissions import sandbox
     from oysterbench_leaderboard.submissions.catalogue import serve_split
-    from oysterbench_leaderboard.submissions.settings import SubmissionSettings
+    from oysterbench_leaderboard.submissions.settings import load_settings
 
     if len(files) > 1:
         raise ResultError(f"expected one upload, got {len(files)} files")
@@ -115,7 +116,7 @@ def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None,
     _check_recipe(record, wanted.split_digest)
     if not served.truth:
         raise ResultError(f"{record.split} is not rendered here: `oysterbench render {record.split}`")
-    settings = SubmissionSettings(folder=path.parent.parent)
+    settings = load_settings(path.absolute().parent.parent)
     truths = {name: str(place.resolve()) for name, place in served.truth.items()}
     upload, hidden = path.resolve(), (str(path.parent.resolve()),)
     job = sandbox.Job(str(upload), wanted, settings.limits, hidden, truths, record.method, record.created)

@@ -78,6 +78,15 @@ def uploaded(folder: Path, recipe: Path) -> Record:
     )
 
 
+def test_uploads_are_scored_again_within_the_limits_that_their_server_sets(tmp_path, here):
+    recipe, truth = lay_split(tmp_path / "splits")
+    old = uploaded(tmp_path, recipe)
+    (tmp_path / "settings.toml").write_text("lines = 10\n")
+    assert "expected at most 10" in score_again(old, tmp_path / "estimates", truth, "x", str(recipe)).why
+    (tmp_path / "settings.toml").unlink()
+    assert score_again(old, tmp_path / "estimates", truth, "x", str(recipe)).record is not None
+
+
 def test_uploads_on_a_hidden_split_are_scored_again_and_what_changed_is_said(tmp_path, monkeypatch):
     monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("OYSTERBENCH_BOARD", str(tmp_path / "board"))
