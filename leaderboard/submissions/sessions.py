@@ -42,7 +42,8 @@ class Sessions:
     def check(self, request: Request, value: str, csrf: str) -> None:
         """Raises Refusal for a form that does not come from a page of this site and session."""
         check_origin(request)
-        if request.cookies.get(COOKIE) != value or not hmac.compare_digest(self.csrf(value), csrf):
+        own = csrf.isascii() and hmac.compare_digest(self.csrf(value), csrf)  # which takes no text that is not ASCII
+        if request.cookies.get(COOKIE) != value or not own:
             raise Refusal("origin", "the form is too old, or was not made by this site; open the page again")
 
     def holder(self, value: str) -> Holder | None:
@@ -82,8 +83,16 @@ def check_origin(request: Request) -> None:
     """Raises Refusal for a request that a page of another site made the browser send."""
     origin, site = request.headers.get("origin"), request.headers.get("sec-fetch-site")
     own = request.headers.get("host", "")
-    if (origin is None or urlsplit(origin).netloc != own) and not (origin is None and site == "same-origin"):
+    if (origin is None or _host(origin) != own) and not (origin is None and site == "same-origin"):
         raise Refusal("origin", f"expected a form of this site, got one from {origin or 'nowhere'!r:.80}")
+
+
+def _host(origin: str) -> str | None:
+    """Host and port of an Origin header; None where it is no address."""
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:
+        return None
 
 
 def _hash(value: str) -> str:

@@ -110,6 +110,8 @@ def listed(database: Database) -> list[dict[str, str]]:
 
 def recognise(connection: Connection, token: str) -> Holder | None:
     """Return the holder of a token; None where it is invalid. A wrong secret takes as long as a right one."""
+    if not (token.isascii() and token.isprintable()):  # such as with NUL, which PostgreSQL takes in no text
+        return None
     prefix, _, rest = token[:LONGEST].partition("_")
     id, _, secret = rest.partition("_")
     found = connection.execute(select(tokens.c.team, tokens.c.hash, tokens.c.revoked).where(tokens.c.id == id)).first()

@@ -31,14 +31,18 @@ def test_the_session_is_out_of_reach_of_scripts_and_of_other_sites(site):
     assert headers["cache-control"] == "no-store"
 
 
-@pytest.mark.parametrize("what", ["no csrf", "wrong csrf", "other origin", "null origin", "no origin", "other session"])
+@pytest.mark.parametrize(
+    "what",
+    ["no csrf", "wrong csrf", "odd csrf", "other origin", "null origin", "odd origin", "no origin", "other session"],
+)
 def test_a_form_that_is_not_of_this_site_changes_nothing(site, tmp_path, what):
     _, made = site.server.send(site.token, answers(tmp_path, case=88), method="csrf")
     cookie, csrf = site.signed_in()
-    fields = {"csrf": {"no csrf": "", "wrong csrf": "0" * 64}.get(what, csrf)}
+    fields = {"csrf": {"no csrf": "", "wrong csrf": "0" * 64, "odd csrf": "\u00e9"}.get(what, csrf)}
     if what == "other session":
         fields["csrf"] = site.signed_in(site.tokens["others"])[1]
-    origins = {"other origin": "https://evil.example", "null origin": "null", "no origin": ""}
+    origins = {"other origin": "https://evil.example", "null origin": "null", "odd origin": "http://[x"}
+    origins["no origin"] = ""
     more = {"Origin": origins[what]} if what in origins else {}
     status, _, page = site.post_form(f"/submit/{made['id']}/withdraw", fields, cookie, **more)
     assert status == 403

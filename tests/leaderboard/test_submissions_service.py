@@ -14,7 +14,8 @@ from oysterbench_leaderboard.submissions.database import Database, find, submiss
 from oysterbench_leaderboard.submissions.estimates import upload_of
 from oysterbench_leaderboard.submissions.rates import DailyReads
 from oysterbench_leaderboard.submissions.refusals import FAILED, Refusal
-from oysterbench_leaderboard.submissions.tokens import issue
+from oysterbench_leaderboard.submissions.settings import load_settings
+from oysterbench_leaderboard.submissions.tokens import issue, recognise
 from tests.helpers.pool import NAMES, answers, estimate, tum, zipped
 from tests.helpers.served import FAST, drain, make_service
 from tests.helpers.serving import FORM, events, send
@@ -243,6 +244,14 @@ def test_two_hosts_share_a_queue_in_postgresql(laid, tmp_path, here, postgres):
     assert hosts[0].store.digests() == [published]
     for host in hosts:
         host.close()
+
+
+def test_a_token_with_odd_characters_is_unknown_in_postgresql(tmp_path, postgres):
+    database = Database(load_settings(tmp_path, database=postgres.replace("+psycopg", "")))
+    with database.reading() as connection:
+        for odd in ("oyb_\0_x", "oyb_\u00e9_x", "oyb_1_\udc80"):
+            assert recognise(connection, odd) is None
+    database.close()
 
 
 def test_what_is_refused_is_read_so_often_a_day_and_no_more(service, tmp_path):
