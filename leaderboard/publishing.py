@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from oysterbench.core.errors import OysterbenchError, RecipeError, ResultError, TrajectoryError
+from oysterbench.core.errors import RecipeError, ResultError, TrajectoryError
 from oysterbench.core.files import write_atomically
 from oysterbench.evaluate.metrics import FAILED
 from oysterbench.hub.canonical import sha256
@@ -95,7 +95,8 @@ def publish(store: RecordStore, records: Iterable[Drawn]) -> list[tuple[Record, 
     done = []
     for given, curves in records:
         record = given if curves is None else replace(given, curves=store.add_curves(curves))
-        earlier = _earlier(store, record)
+        before = store.records_by(record.team, record.method)
+        earlier = [(digest, one) for digest, one in before if one.board == record.board]
         same = next((digest for digest, one in earlier if one.results == record.results and _text(one, record)), None)
         if same is not None:
             done.append((store.record(same), same, False))
@@ -106,22 +107,6 @@ def publish(store: RecordStore, records: Iterable[Drawn]) -> list[tuple[Record, 
             record = replace(record, supersedes=last[0])
         done.append((record, store.add(record), True))
     return done
-
-
-def _earlier(store: RecordStore, record: Record) -> list[tuple[str, Record]]:
-    """Records of the same method, team and board. Unreadable ones are skipped; `verify` reports them."""
-    found = []
-    for digest in store.digests():
-        try:
-            # Most are of other methods, and parsing them takes long.
-            if json.dumps(record.method, ensure_ascii=False).encode() not in store.data(digest):
-                continue
-            other = store.record(digest)
-        except OysterbenchError:
-            continue
-        if (other.method, other.team, other.board) == (record.method, record.team, record.board):
-            found.append((digest, other))
-    return found
 
 
 def _text(one: Record, other: Record) -> bool:

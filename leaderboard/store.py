@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
@@ -74,6 +75,22 @@ class RecordStore:
         """Read a record. Raises ResultError where there is none of that digest, or its file was changed."""
         data = self._read("records", digest)
         return Record.from_dict(parse(data, str(self._path("records", digest))), f"record {digest[:12]}")
+
+    def records_by(self, team: str, method: str) -> list[tuple[str, Record]]:
+        """Records of a team's method on all boards, with their digests. Unreadable ones are skipped; `verify` reports
+        them."""
+        found = []
+        for digest in self.digests():
+            try:
+                # Most are of other methods, and parsing them takes long.
+                if json.dumps(method, ensure_ascii=False).encode() not in self.data(digest):
+                    continue
+                record = self.record(digest)
+            except OysterbenchError:
+                continue
+            if (record.team, record.method) == (team, method):
+                found.append((digest, record))
+        return found
 
     def curves(self, digest: str) -> dict[str, Any]:
         """Read curves stored by `add_curves`. Raises ResultError."""

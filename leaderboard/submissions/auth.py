@@ -36,9 +36,7 @@ HEADERS = {
     "form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
 }
 
-FAILED = Refusal(
-    "failed", "something went wrong on the server and nothing was changed; its operators can see the cause"
-)
+FAILED = Refusal("failed", "something went wrong on the server; try again later, its operators can see the cause")
 
 Handler = Callable[[Request], Awaitable[Response]]
 Show = Callable[[Request, Refusal], Awaitable[Response]]

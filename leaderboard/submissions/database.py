@@ -207,10 +207,15 @@ def log_event(connection: Connection, at: str, who: str, what: str, submission: 
     connection.execute(insert(events).values(values))
 
 
-def find(connection: Connection, *conditions: Any, newest: bool = True, limit: int | None = None) -> list[Submission]:
-    """Return the submissions that meet all conditions, in order of creation; newest: the newest first."""
+def find(
+    connection: Connection, *conditions: Any, newest: bool = True, limit: int | None = None, lock: bool = False
+) -> list[Submission]:
+    """Return the submissions that meet all conditions, in order of creation; newest: the newest first; lock: let no
+    other transaction change them before this one ends."""
     time = submissions.c.created_s.desc() if newest else submissions.c.created_s
     query = select(submissions).where(*conditions).order_by(time, submissions.c.id).limit(limit)
+    if lock:
+        query = query.with_for_update()
     return [Submission(**row) for row in connection.execute(query).mappings()]
 
 

@@ -92,7 +92,8 @@ def on_cluster(address: str) -> Iterator[Engine]:
 def recover(service: Service, connection: Connection) -> None:
     """Requeue the submissions that a vanished dispatcher had started."""
     with connection.begin():
-        for lost in find(connection, submissions.c.state == "running"):
+        # Locked, so that what its team withdraws meanwhile is not queued again.
+        for lost in find(connection, submissions.c.state == "running", lock=True):
             change(connection, lost.id, service.now(), state="queued")
             log_event(connection, service.now(), "dispatcher", "queued", lost.id, "its server was gone")
 

@@ -9,7 +9,7 @@ import secrets
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -235,8 +235,8 @@ class Service:
         with self.database.reading() as connection:
             return self._own(connection, team, id)
 
-    def _own(self, connection: Connection, team: str, id: str) -> Submission:
-        found = find(connection, submissions.c.id == id, submissions.c.team == team)
+    def _own(self, connection: Connection, team: str, id: str, lock: bool = False) -> Submission:
+        found = find(connection, submissions.c.id == id, submissions.c.team == team, lock=lock)
         if not found:
             raise Refusal("absent", "you have no such submission")
         return found[0]
@@ -257,47 +257,62 @@ class Service:
     def publish(self, team: str, id: str) -> Submission:
         """Put a submission on the board, where it supersedes the team's current record of the same method; idempotent.
         Raises Refusal where its state is not "done"."""
-        c = submissions.c
         with self.database.writing() as connection:
-            found = self._own(connection, team, id)
-            if found.published and found.state == "done":
-                return found
+            found = self._own(connection, team, id, lock=True)
             if found.state != "done":
                 raise Refusal("state", f"only finished submissions can be published; this one is {found.state}")
-            record = self.scored.record(found.record)
-            same = (c.team == team, c.track == found.track, c.split == found.split, c.method == found.method)
-            before = [other for other in find(connection, *same, c.published != "") if other.state == "done"]
-            shown = [self.scored.record(other.published) for other in before]
-            replaced = {each.supersedes for each in shown}
-            current = [each for each in shown if each.board == record.board and each.digest not in replaced]
-            if current:
-                record = replace(record, supersedes=current[0].digest, reason=LATER)
-            # On disk before the database refers to it, so that publication can be completed after a crash.
-            self.scored.add(record)
-            at = self.now()
-            change(connection, id, at, published=record.digest)
-            log_event(connection, at, team, "published", id, record.digest)
-        self._show(record)
-        self.changed()
-        return replace(found, published=record.digest, updated=at)
+            if not found.published:
+                record = self._in_place(connection, found)
+                # On disk before the database refers to it, so that publication can be completed after a crash.
+                self.scored.add(record)
+                at = self.now()
+                change(connection, id, at, published=record.digest)
+                log_event(connection, at, team, "published", id, record.digest)
+                found = replace(found, published=record.digest, updated=at)
+        if found.published not in self.store.digests():  # also where an earlier attempt to write it failed
+            self._show(self.scored.record(found.published))
+            self.changed()
+        return found
+
+    def _in_place(self, connection: Connection, found: Submission) -> Record:
+        """Scored record of a submission, in place of the team's current record of the same method, if there is one."""
+        c, record = submissions.c, self.scored.record(found.record)
+        same = (c.team == found.team, c.track == found.track, c.split == found.split, c.method == found.method)
+        before = [other for other in find(connection, *same, c.published != "") if other.state == "done"]
+        shown = [*(self.scored.record(other.published) for other in before), *self._rescored(before)]
+        replaced = {each.supersedes for each in shown}
+        current = [each for each in shown if each.board == record.board and each.digest not in replaced]
+        return replace(record, supersedes=current[0].digest, reason=LATER) if current else record
 
     def withdraw(self, team: str, id: str, reason: str = "") -> Submission:
-        """Withdraw a submission, whatever its state; a published record stays in the store, marked as withdrawn."""
+        """Withdraw a submission, whatever its state; idempotent. A published record stays in the store, marked as
+        withdrawn, and so do those that it was scored again into."""
         check_words("reason", reason)
-        at = self.now()
         with self.database.writing() as connection:
-            found = self._own(connection, team, id)
-            if found.state == "withdrawn":
-                return found
-            reason = reason.strip() or "withdrawn by the team"
-            notice = at if found.published else ""
-            change(connection, id, at, state="withdrawn", reason=reason, notice=notice)
-            log_event(connection, at, team, "withdrawn", id, reason)
-        found = replace(found, state="withdrawn", reason=reason, notice=notice, updated=at)
-        if notice:
+            found = self._own(connection, team, id, lock=True)
+            if found.state != "withdrawn":
+                at, reason = self.now(), reason.strip() or "withdrawn by the team"
+                notice = at if found.published else ""
+                change(connection, id, at, state="withdrawn", reason=reason, notice=notice)
+                log_event(connection, at, team, "withdrawn", id, reason)
+                found = replace(found, state="withdrawn", reason=reason, notice=notice, updated=at)
+        if found.notice:  # also of an earlier withdrawal: writing to the board may have failed
             self._announce(found)
             self.changed()
         return found
+
+    def _rescored(self, several: Sequence[Submission]) -> list[Record]:
+        """Records on the board that were scored again from the uploads of published submissions of one method."""
+        if not several:
+            return []
+        published = {one.published for one in several}
+        uploads = {(one.track, one.split, one.digest) for one in several}
+        return [
+            record
+            for digest, record in self.store.records_by(several[0].team, several[0].method)
+            if digest not in published
+            and any((record.track, record.split, upload) in uploads for upload in record.estimates.values())
+        ]
 
     def _show(self, record: Record) -> None:
         """Put a record and its curves on the board; idempotent."""
@@ -306,9 +321,10 @@ class Service:
         self.store.add(record)
 
     def _announce(self, submission: Submission) -> None:
-        self.store.add_status_change(
-            StatusChange(submission.published, "withdrawn", submission.reason, submission.notice)
-        )
+        """Mark the records of a submission as withdrawn; idempotent. The published one comes last: where its mark is,
+        those of the others are."""
+        for digest in (*(record.digest for record in self._rescored([submission])), submission.published):
+            self.store.add_status_change(_mark(submission, digest))
 
     def _settle(self) -> None:
         """Complete what a crash left undone: bring the board in line with what the database calls published or
@@ -316,9 +332,10 @@ class Service:
         c = submissions.c
         with self.database.reading() as connection:
             shown = find(connection, c.published != "")
+        marked = set(self.store.read_status_changes()[0])
         for submission in shown:
             self._show(self.scored.record(submission.published))
-            if submission.notice:
+            if submission.notice and _mark(submission, submission.published) not in marked:
                 self._announce(submission)
         oldest = time.time() - self.settings.upload_s
         for path in self.incoming.iterdir():
@@ -351,6 +368,11 @@ class Service:
             return Record.from_dict(parse(record.data, "record"))
         except (OysterbenchError, UnicodeEncodeError, ValueError) as error:
             raise ResultError(f"the record cannot be read again: {error}") from None
+
+
+def _mark(submission: Submission, digest: str) -> StatusChange:
+    """Withdrawal of a record with that of its submission."""
+    return StatusChange(digest, "withdrawn", submission.reason, submission.notice)
 
 
 def _private_log(path: Path) -> logging.Logger:

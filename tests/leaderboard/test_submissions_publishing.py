@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-import pytest
+import errno
+import shutil
+import threading
+from dataclasses import replace
 
-from oysterbench_leaderboard.submissions import sandbox, sandbox_worker
+import pytest
+from sqlalchemy import text
+
+from oysterbench.results.records import ResultRecord
+from oysterbench_leaderboard.ranking import withdrawn
+from oysterbench_leaderboard.submissions import queue, sandbox, sandbox_worker
 from oysterbench_leaderboard.submissions.refusals import Refusal
-from tests.helpers.served import drain, make_service
+from oysterbench_leaderboard.submissions.tokens import issue
+from tests.helpers.served import FAST, drain, make_service
 from tests.helpers.serving import done, events, send
+from tests.helpers.waiting import until
 
 
 def test_a_record_comes_onto_the_board_when_its_team_says_so(service, tmp_path):
@@ -77,6 +87,98 @@ def test_what_is_withdrawn_while_it_is_scored_stays_withdrawn(service, tmp_path,
     drain(service)
     assert service.get("reef lab", made.id).state == "withdrawn"
     assert service.store.status_changes() == []
+
+
+def rescored(service, digest: str, evaluator: str = "slam 99") -> str:
+    """Append what `leaderboard rescore` makes of a record; return its digest."""
+    old = service.store.record(digest)
+    results: list[ResultRecord] = [replace(result, evaluator_version=evaluator) for result in old.results]
+    made = replace(old, results=results, supersedes=digest, reason="Rescored.", created=service.now())
+    return service.store.add(made)
+
+
+def test_a_withdrawal_takes_what_was_scored_again_from_the_upload_off_the_board(service, tmp_path):
+    one = service.publish("reef lab", done(service, tmp_path))
+    other = service.publish("others", done(service, tmp_path, team="others"))
+    again = rescored(service, one.published)
+    twice = rescored(service, again, "slam 100")
+    rescored(service, other.published)
+    two = service.publish("reef lab", done(service, tmp_path, 1))
+    service.withdraw("reef lab", one.id)
+    assert withdrawn(service.store.status_changes()) == {one.published, again, twice}
+    assert two.published in service.store.digests()
+
+
+def test_what_is_published_after_a_rescoring_takes_the_place_of_the_rescored_record(service, tmp_path):
+    first, second = done(service, tmp_path), done(service, tmp_path, 1)
+    published = service.publish("reef lab", first).published
+    service.clock.now += 60
+    again = rescored(service, published, service.store.record(published).evaluator_version)
+    last = service.publish("reef lab", second).published
+    assert service.store.record(last).supersedes == again
+
+
+def test_what_could_not_be_written_to_the_board_is_written_when_asked_again(service, tmp_path, monkeypatch):
+    def full(*args):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    told = []
+    service.changed = lambda: told.append(1)
+    id = done(service, tmp_path)
+    for ask, kind in ((service.publish, "records"), (service.withdraw, "changes")):
+        with monkeypatch.context() as patch:
+            patch.setattr(service.store, "_keep", full)
+            with pytest.raises(OSError, match="No space left"):
+                ask("reef lab", id)
+        assert service.store.names(kind) == told == []
+        ask("reef lab", id)
+        assert (len(service.store.names(kind)), told) == (1, [1])
+        told.clear()
+
+
+def begun(service, work) -> threading.Thread:
+    """Start work in a thread; return once it has ended, or waits for another transaction."""
+    thread = threading.Thread(target=work)
+    thread.start()
+    waiting = text("SELECT count(*) FROM pg_stat_activity WHERE wait_event_type = 'Lock'")
+
+    def settled() -> bool:
+        with service.database.reading() as connection:
+            return not thread.is_alive() or connection.execute(waiting).scalar_one() > 0
+
+    until(settled)
+    return thread
+
+
+@pytest.mark.slow
+def test_on_postgresql_a_withdrawal_waits_for_what_another_host_does_to_the_submission(
+    laid, tmp_path, here, postgres, monkeypatch
+):
+    shutil.copytree(laid / "splits", tmp_path / "splits")
+    one, two = (make_service(tmp_path, database=postgres.replace("+psycopg", ""), **FAST) for _ in range(2))
+    issue(one.database, "reef lab")
+    published, lost = done(one, tmp_path), send(one, tmp_path, 1)[0].id
+    threads = []
+
+    def withdraws_before(step, id):
+        def step_after(*args, **values):
+            threads.append(begun(two, lambda: two.withdraw("reef lab", id)))
+            return step(*args, **values)
+
+        return step_after
+
+    monkeypatch.setattr(one.scored, "add", withdraws_before(one.scored.add, published))
+    digest = one.publish("reef lab", published).published
+    with one.database.alone() as connection:
+        queue.claim(one, connection)
+        monkeypatch.setattr(queue, "change", withdraws_before(queue.change, lost))
+        queue.recover(one, connection)
+    for thread in threads:
+        thread.join()
+    assert withdrawn(one.store.status_changes()) == {digest}
+    assert [found.state for found in one.of_team("reef lab")] == ["withdrawn", "withdrawn"]
+    one.close()
+    two.close()
 
 
 def test_what_a_crash_left_between_database_and_board_is_done_at_the_next_start(service, tmp_path):
