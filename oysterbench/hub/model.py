@@ -60,9 +60,10 @@ class Training(msgspec.Struct, frozen=True):
 
 
 class Figure(msgspec.Struct, frozen=True):
-    """A metric that a method achieved with these weights: its mean over the sequences of a split.
+    """A metric that a method achieved with these weights: its mean over the sequences of a split or, for an error of a
+    track that has them, its median over those that are not lost.
 
-    heading, unit, better: of the metric; low, high: 95 % confidence interval over sequences, None where there is none
+    heading, unit, better: of the metric; low, high: 95 % confidence interval of the mean, None where there is none
     evaluator: version that scored it; results: SHA-256 of the file with the results
     """
 

@@ -52,7 +52,9 @@ def _figures(row: dict[str, Any], results: str) -> list[Figure]:
         value, metric = row["metrics"].get(key), find_metric(key, row["track"])
         if value is None or metric is None:
             continue
-        interval = row["statistics"][key]["interval"]
+        # An error is a median over the sequences that are not lost, the interval that of the mean over all.
+        median = key in TRACKS[row["track"]].errors
+        interval: dict[str, float | None] = {} if median else row["statistics"][key]["interval"]
         found.append(
             Figure(
                 method=row["method"],
@@ -67,8 +69,8 @@ def _figures(row: dict[str, Any], results: str) -> list[Figure]:
                 value=float(value),
                 evaluator=row["evaluator_version"],
                 results=results,
-                low=interval["low"],
-                high=interval["high"],
+                low=interval.get("low"),
+                high=interval.get("high"),
             )
         )
     return found

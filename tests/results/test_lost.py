@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from oysterbench.report.tables import results_table, standings_table
 from oysterbench.results.comparison import as_plain, boards
 from oysterbench.results.lost import lost_sequences
-from oysterbench.results.records import ResultRecord, aggregate
+from oysterbench.results.reached import figures_of
+from oysterbench.results.records import ResultRecord, aggregate, write_results
 
 DIVERGED = {"score": 0.0004, "ate_percent": 34000.0, "ate_rmse_m": 51000.0, "coverage": 0.9, "realtime_factor": 2.0}
 
@@ -35,6 +37,17 @@ def test_errors_are_medians_over_what_is_not_lost_and_all_else_means_over_everyt
     assert row["metrics"]["ate_percent"] == 0.3
     assert math.isclose(row["metrics"]["coverage"], (5 + 0.9) / 7)
     assert row["statistics"]["ate_percent"]["mean"] > 5000
+
+
+def test_the_card_of_weights_has_no_interval_of_means_beside_a_median(tmp_path):
+    weights = {"weights": {"w": "ab" * 32}}
+    write_results(tmp_path / "results.json", [replace(one, method_settings=weights) for one in SOME[:-1]])
+    figures = {figure.metric: figure for figure in figures_of(tmp_path, "w", "ab" * 32)}
+    error, score = figures["ate_rmse_m"], figures["score"]
+    assert math.isclose(error.value, 1.5 * 0.3)
+    assert error.low is error.high is None
+    assert score.low is not None
+    assert score.low < score.value < score.high
 
 
 def test_a_method_that_lost_everything_has_no_errors_and_says_why():
