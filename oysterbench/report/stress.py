@@ -44,13 +44,15 @@ def stress_table(board: Board) -> Table | None:
     note = (
         f"{metric_column(board.metric).heading} on the calm dive and at strengths "
         f"{_list(found[0].strengths[1:])}; a method is broken from the strength at which it stays below "
-        f"{BROKEN_SHARE:.0%} of the former."
+        f"{BROKEN_SHARE:.0%} of the former. Where that is not above 0, there is nothing to break."
     )
     return Table(f"Disturbances on {board.name}", tuple(columns), tuple(rows), (note,))
 
 
 def _cell(disturbance: Disturbance, label: str) -> Cell:
     values = "  ".join("-" if math.isnan(value) else f"{value:.2f}" for value in disturbance.scores[label])
+    if not disturbance.can_break(label):
+        return Cell(values, kind="warn", small="nothing to break")
     broken = disturbance.breaks_at(label)
     return Cell(values, kind="" if broken is None else "warn", small="" if broken is None else f"broken from {broken}")
 

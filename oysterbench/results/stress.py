@@ -21,9 +21,15 @@ class Disturbance:
     strengths: tuple[int, ...]
     scores: Mapping[str, tuple[float, ...]]
 
+    def can_break(self, label: str) -> bool:
+        """Whether the method has a score above 0 on the calm dive, without which there is nothing to break."""
+        return self.scores[label][0] > 0
+
     def breaks_at(self, label: str) -> int | None:
         """Least strength from which on the method's score stays below BROKEN_SHARE of that on the calm dive; None if
-        it withstands the strongest."""
+        it withstands the strongest, or cannot break."""
+        if not self.can_break(label):
+            return None
         calm, *disturbed = self.scores[label]
         whole = [value >= BROKEN_SHARE * calm for value in disturbed]
         last = max((i for i, withstood in enumerate(whole) if withstood), default=-1)

@@ -55,6 +55,17 @@ def test_a_method_is_broken_from_the_strength_on_at_which_it_stays_below_half_of
     assert plumes.breaks_at("steady") is None
 
 
+def test_a_method_that_fails_the_calm_dive_withstands_nothing():
+    (board,) = boards([*runs("steady", STEADY), *runs("crashing", [None] * 7), *runs("late", FRAGILE)[1:]])
+    for disturbance in disturbances(board):
+        assert [disturbance.can_break(label) for label in ("steady", "crashing", "late")] == [True, False, False]
+        assert [disturbance.breaks_at(label) for label in ("steady", "crashing", "late")] == [None, None, None]
+    table = stress_table(board)
+    assert table is not None
+    column = [each.key for each in table.columns].index("crashing")
+    assert {(row.cells[column].kind, row.cells[column].small) for row in table.rows} == {("warn", "nothing to break")}
+
+
 def test_a_dive_that_a_method_was_not_run_on_leaves_a_gap():
     (board,) = boards([*runs("steady", STEADY), *runs("short", FRAGILE)[:-1]])
     blur = disturbances(board)[1]
