@@ -114,10 +114,12 @@ def sequence_means(sample: Sample) -> dict[str, float]:
 
 
 def sequence_weights(sample: Sample, weights: Sample | None) -> dict[str, float]:
-    """Weight of each sequence that has a value: the mean of its runs' weights; 1 if no weights are given."""
+    """Weight of each sequence that has a value: the mean over its runs that have a weight, NaN where none has; 1 if no
+    weights are given."""
     if weights is None:
         return dict.fromkeys(sequence_means(sample), 1.0)
-    return {name: math.fsum(weights[name]) / len(weights[name]) for name in sequence_means(sample)}
+    means = sequence_means(weights)
+    return {name: means.get(name, math.nan) for name in sequence_means(sample)}
 
 
 def weighed_means(sample: Sample, weights: Sample | None) -> dict[str, float]:

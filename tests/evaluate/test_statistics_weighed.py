@@ -38,6 +38,11 @@ def test_runs_without_weight_leave_the_plain_mean():
     assert summarise({"a": [1.0], "b": [1.0]}, {"a": [0.0], "b": [0.0]}).mean == 1.0
 
 
+def test_a_run_without_value_and_weight_leaves_its_sequence_the_weight_of_the_others():
+    nan = float("nan")
+    assert summarise({"a": [0.5, nan], "b": [1.0]}, {"a": [2.0, nan], "b": [6.0]}).mean == pytest.approx((1 + 6) / 8)
+
+
 def test_records_say_the_same_as_the_counts_that_they_are_of():
     rng = stream(2, b"", "weighed")
     clips = []
