@@ -66,14 +66,18 @@ def download(
     """
     from oysterbench.hub.download import Hub, choose, download, find_here
     from oysterbench.hub.settings import hub_key, hub_places
+    from oysterbench.hub.sources import is_offline
+    from oysterbench.hub.trusted import is_trusted
 
     name, _, version = name.partition("@")
     split = _known_split(name, version)
     version = version or (split.version if split else "")
     split_name = split.name if split else name
     hub_at = hub_places(places)
-    # Local data needs no network: a released version never changes.
+    # Local data needs no network: a released version never changes. But a manifest from elsewhere may be anybody's.
     here = None if check else find_here(split_name, version or None, patterns, out)
+    if here and hub_at and not is_offline() and not is_trusted(here[1]):
+        here = None
     if here is None and split is None and (model := _model(name, version, hub_at, key, out, connections)):
         if patterns or topics:
             raise click.UsageError(f"--sequence and --topics apply to splits; {name} is trained weights")

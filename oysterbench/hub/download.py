@@ -23,6 +23,7 @@ from oysterbench.hub.part import Part
 from oysterbench.hub.pieces import Pieced
 from oysterbench.hub.sources import Patience, Refusal, Setback, is_offline, open_source
 from oysterbench.hub.transfer import Mirror, Transfer, no_mirror_left, pause_s
+from oysterbench.hub.trusted import remember
 from oysterbench.hub.verify import MANIFEST, RIGHT, check_file, kept_manifest
 
 T = TypeVar("T")
@@ -93,9 +94,12 @@ class Hub:
                 raise IntegrityError(f"{what}: it is of {manifest.split} {manifest.version}, not of {split} {version}")
             return manifest
 
-        return self._document(
+        manifest = self._document(
             f"manifests/{release.manifest}.json", release.manifest_size, f"the manifest of {split} {version}", check
         )
+        assert self.public is not None  # or there had been no index
+        remember(manifest, self.public)
+        return manifest
 
     def model(self, name: str, version: str | None = None) -> Model:
         """Fetch the card of trained weights that the signed index names."""

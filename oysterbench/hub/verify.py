@@ -16,6 +16,7 @@ from oysterbench.hub.index import IndexBody, SignedIndex
 from oysterbench.hub.manifest import NAME, VERSION_NAME, FileEntry, Manifest, read_manifest, released_manifest
 from oysterbench.hub.model import Model, read_model
 from oysterbench.hub.release import made_with
+from oysterbench.hub.trusted import is_trusted
 
 if TYPE_CHECKING:
     from oysterbench.hub.content import Content
@@ -155,13 +156,18 @@ def check_unknown(path: Path) -> Check:
 
 
 def kept_manifest(folder: Path) -> Manifest | None:
-    """Read the manifest that a download left next to its files; None where there is none, or it has been damaged: then
-    it vouches for nothing, and files are read instead."""
+    """Read the manifest that a download left next to its files; None where there is none, it has been damaged, or it
+    is another one than ships with oysterbench for this version: then it vouches for nothing, and files are read
+    instead."""
     path = folder / MANIFEST
+    if not path.is_file():
+        return None
     try:
-        return read_manifest(path.read_bytes(), str(path)) if path.is_file() else None
+        manifest = read_manifest(path.read_bytes(), str(path))
     except IntegrityError:
         return None
+    released = released_manifest(manifest.split, manifest.version)
+    return manifest if released is None or released == manifest else None
 
 
 def kept_card(path: Path) -> Model | None:
@@ -258,13 +264,23 @@ def _check_folder(folder: Path) -> Iterator[Check]:
     """Check the files in a split's folder, and report those in its manifest that are absent."""
     manifest = kept_manifest(folder)
     if manifest is not None:
-        yield from (check_file(folder / entry.name, entry) for entry in manifest.files)
+        yield from (_check_beside(folder / entry.name, entry, manifest) for entry in manifest.files)
         yield from map(_check_alone, sorted(folder.glob(SMALLER_FILES)))
         return
     if (folder / MANIFEST).is_file():
-        yield Check(folder / MANIFEST, DAMAGED, "not a manifest; downloading the split again writes it anew")
+        again = "downloading the split again writes it anew"
+        yield Check(folder / MANIFEST, DAMAGED, f"not a manifest, or not the released one; {again}")
     for path in sorted([*folder.glob("*.mcap"), *folder.glob(SMALLER_FILES)]):
         yield _check_alone(path)
+
+
+def _check_beside(path: Path, entry: FileEntry, manifest: Manifest) -> Check:
+    """Check a file against its entry in the manifest next to it, and say so where no key vouches for that manifest."""
+    check = check_file(path, entry)
+    if not check.good or is_trusted(manifest):
+        return check
+    by = "by the manifest beside it, which was not checked against a key"
+    return replace(check, detail="; ".join(filter(None, (check.detail, by))))
 
 
 def _check_alone(path: Path) -> Check:
@@ -275,8 +291,8 @@ def _check_alone(path: Path) -> Check:
         return Check(path, ABSENT)
     manifest = kept_manifest(path.parent)
     entry = manifest.find(path.name) if manifest else None
-    if entry is not None:
-        return check_file(path, entry)
+    if manifest is not None and entry is not None:
+        return _check_beside(path, entry, manifest)
     try:
         known = McapSequence(path).metadata
         manifest = released_manifest(known.get("split", ""), known.get("split_version", ""))

@@ -124,7 +124,7 @@ class RecipeSource(Source):
 
         for folder in sorted((home() / "splits" / self.name).glob(f"{self.version}-*")):
             manifest = kept_manifest(folder)
-            if manifest is not None and manifest.version == self.version:
+            if manifest is not None and (manifest.split, manifest.version) == (self.name, self.version):
                 found = _whole(manifest, folder, name)
                 if found is not None:
                     return found

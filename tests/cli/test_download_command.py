@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from oysterbench.hub.manifest import build_manifest
 from oysterbench.recipe import load_split
 from oysterbench.simulation.generate import digest
 from tests.helpers.hub_place import Place
-from tests.helpers.trees import oysterbench_serve
+from tests.helpers.trees import FACTS, oysterbench_serve, write_sequence
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +45,15 @@ def test_offline_gives_what_is_here(place, tmp_path):
     assert "tiny-01" in place.run("download", "tiny@1.0", "--json", home=tmp_path, **hub).stdout
     failed = place.run("download", "tiny@2.0", home=tmp_path, code=4, **hub)
     assert failed.stderr.startswith("oysterbench: http://127.0.0.1:9: OYSTERBENCH_OFFLINE is set")
+
+
+def test_a_manifest_from_elsewhere_is_held_against_the_hub(place, tmp_path):
+    forged = write_sequence(tmp_path / "usb" / "tiny-01.mcap", "tiny-01", 0.3)
+    facts = {**FACTS, "split": "tiny"}
+    (tmp_path / "usb" / "manifest.json").write_bytes(build_manifest(facts, {"tiny-01": forged}).data)
+    hub = ("--out", tmp_path / "usb", "--from", place.tree, "--key", place.public)
+    failed = place.run("download", "tiny@1.0", *hub, home=tmp_path / "home", code=1)
+    assert f"{forged}: a different file has this name" in failed.stderr
 
 
 def test_topics_and_out(place, tmp_path):

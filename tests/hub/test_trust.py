@@ -9,15 +9,20 @@ import pytest
 
 from oysterbench.core.errors import HubError, IntegrityError, NetworkError
 from oysterbench.hub import download as downloading
+from oysterbench.hub import verify as verifying
 from oysterbench.hub.canonical import canonical
-from oysterbench.hub.download import Hub, download
+from oysterbench.hub.download import Hub, download, find_here
 from oysterbench.hub.index import read_index
+from oysterbench.hub.manifest import build_manifest
+from oysterbench.hub.verify import DAMAGED, OTHER, RIGHT, checks
 from tests.helpers.blobs import CALM
 from tests.helpers.trees import (
+    FACTS,
     a_key,
     assert_same,
     hub_at,
     publish_split,
+    write_sequence,
 )
 from tests.helpers.web import misbehaving
 
@@ -108,6 +113,27 @@ def test_a_released_manifest_needs_no_key_and_no_index(published, tmp_path, monk
         shutil.copy(published.tree / "blobs" / entry.sha256, tmp_path / "mirror" / "blobs")
     hub = Hub.at([str(tmp_path / "mirror")], None, patience=CALM)
     assert_same(download(hub, hub.manifest("fake-val", "1.0"), tmp_path / "a"), published)
+
+
+def test_a_manifest_beside_files_does_not_stand_in_for_the_released_one(published, tmp_path, monkeypatch):
+    monkeypatch.setattr(verifying, "released_manifest", lambda *name: published.manifest)
+    forged = write_sequence(tmp_path / "dive-01.mcap", "dive-01", 0.5)
+    (tmp_path / "manifest.json").write_bytes(build_manifest(FACTS, {"dive-01": forged}).data)
+    assert find_here("fake-val", "1.0", folder=tmp_path) is None
+    states = {check.path.name: check.state for check in checks(str(tmp_path))}
+    assert states == {"manifest.json": DAMAGED, "dive-01.mcap": OTHER}
+    assert [check.state for check in checks(str(forged))] == [OTHER]
+
+
+def test_verify_says_where_no_key_vouches_for_a_manifest(published, tmp_path):
+    for name, path in published.files.items():
+        shutil.copy(path, tmp_path / f"{name}.mcap")
+    (tmp_path / "manifest.json").write_bytes(published.manifest.data)
+    unsigned = "by the manifest beside it, which was not checked against a key"
+    assert [(check.state, check.detail) for check in checks(str(tmp_path))] == [(RIGHT, unsigned)] * 2
+    assert [check.detail for check in checks(str(tmp_path / "dive-01.mcap"))] == [unsigned]
+    hub_at(published, published.tree).manifest("fake-val")
+    assert [(check.state, check.detail) for check in checks(str(tmp_path))] == [(RIGHT, "")] * 2
 
 
 def test_splits_and_versions_that_are_not_there_are_named_with_those_that_are(published):

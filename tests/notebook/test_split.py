@@ -11,8 +11,9 @@ import pytest
 import oysterbench
 from oysterbench.core.errors import HubError, MachineError, RecipeError, SequenceError
 from oysterbench.core.files import home as home_folder
+from oysterbench.hub.manifest import build_manifest
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
-from tests.helpers.trees import a_key, publish_split, write_split
+from tests.helpers.trees import FACTS, a_key, publish_split, write_sequence, write_split
 
 SHORT = TINY_SPLIT.replace("duration_s = 2.5", "duration_s = 1.0").replace('rig = "tiny"', 'rig = "rig.toml"')
 TWO = SHORT + SHORT[SHORT.index("[[sequence]]") :].replace("tiny-01", "tiny-02")
@@ -140,6 +141,15 @@ def test_a_split_that_only_a_hub_knows_is_downloaded(hub, capsys):
     assert list(split.here) == ["dive-01"]
     assert "downloading fake-val" in capsys.readouterr().err
     assert split.fetch()["dive-02"].read_bytes() == hub["dive-02"].read_bytes()
+
+
+def test_files_by_the_manifest_of_another_split_are_not_taken(recipe):
+    folder = home_folder() / "splits" / "tiny" / "1.0-x"
+    file = write_sequence(folder / "tiny-01.mcap", "tiny-01")
+    for split, here in (("tiny", [file]), ("other", [])):
+        manifest = build_manifest({**FACTS, "split": split}, {"tiny-01": file})
+        (folder / "manifest.json").write_bytes(manifest.data)
+        assert list(oysterbench.split(recipe).here.values()) == here
 
 
 def test_a_folder_of_files_is_a_split(hub):
