@@ -160,7 +160,7 @@ def iter_messages(
 
 def read_chunk(file: IO[bytes], index: ChunkIndex) -> Iterator[Message]:
     """Messages of a chunk, in the order in which they were written; its CRC is checked."""
-    return _messages(_unpacked(Chunk.read(_record_at(file, index.chunk_start_offset, Opcode.CHUNK))))
+    return _messages(unpacked_chunk(file, index.chunk_start_offset))
 
 
 def message_places(file: IO[bytes], index: ChunkIndex, channel: int) -> list[tuple[int, int]]:
@@ -172,6 +172,15 @@ def message_places(file: IO[bytes], index: ChunkIndex, channel: int) -> list[tup
     if record.channel_id != channel:
         raise ValueError(f"its index names messages of channel {channel}, and finds those of {record.channel_id}")
     return [(int(stamp), int(place)) for stamp, place in record.records]
+
+
+def chunk_places(file: IO[bytes], index: ChunkIndex) -> dict[int, list[tuple[int, int]]]:
+    """Channel -> log time, ns, and offset in the chunk of each of its messages, from the chunk itself: what
+    `message_places` should give. Its CRC is checked."""
+    found: dict[int, list[tuple[int, int]]] = {}
+    for place, message in _placed(unpacked_chunk(file, index.chunk_start_offset)):
+        found.setdefault(message.channel_id, []).append((message.log_time, place))
+    return found
 
 
 def unpacked_chunk(file: IO[bytes], offset: int) -> bytes:
@@ -255,6 +264,11 @@ def unpack(data: bytes, compression: str, most: int) -> bytes:
 
 
 def _messages(data: bytes) -> Iterator[Message]:
+    return (message for _, message in _placed(data))
+
+
+def _placed(data: bytes) -> Iterator[tuple[int, Message]]:
+    """Messages among the records of a chunk, each with its offset."""
     at = count = 0
     while at < len(data):
         count += 1
@@ -266,11 +280,12 @@ def _messages(data: bytes) -> Iterator[Message]:
             raise ValueError(f"expected records in a chunk, got {'none' if opcode == 0 else 'a part of one'}")
         if opcode == Opcode.MESSAGE:
             channel, sequence, log_time, publish_time = MESSAGE.unpack_from(data, at)
-            yield Message(
+            message = Message(
                 channel_id=channel,
                 log_time=log_time,
                 data=data[at + MESSAGE.size : at + length],
                 publish_time=publish_time,
                 sequence=sequence,
             )
+            yield at - RECORD.size, message
         at += length

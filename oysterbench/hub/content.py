@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import struct
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import cv2
+from mcap.summary import Summary
 
+from oysterbench.core.mcap import chunk_places, iter_messages, message_places
 from oysterbench.core.pictures import decode_picture
 from oysterbench.core.ros import decode, stamp_of
 from oysterbench.hub.canonical import sha256
@@ -31,14 +34,15 @@ class Content:
 
 
 def content_of(path: Path) -> Content:
-    """Hash all topics and attachments of a sequence file. Raises SequenceError where it is damaged.
+    """Hash all topics and attachments of a sequence file. Raises SequenceError where it is damaged, or its index says
+    something else than its chunks.
 
     The hash of a topic covers each message's stamp (int64, ns), length (int64) and payload, in the order of the file.
     The payload is the CDR data; for an image in PNG, it is header, shape and pixels. So neither the compression of
     chunks nor that of PNG images changes it. JPEG stays as it is: its decoders may differ in the last bit.
     """
-    with Reading(path) as (_, summary):
-        pass
+    with Reading(path) as (file, summary):
+        _check_index(file, summary)
     assert summary.statistics is not None
     counts = summary.statistics.channel_message_counts
     content = {}
@@ -59,6 +63,36 @@ def content_of(path: Path) -> Content:
     attachments = {name: sha256(data) for name, data in sorted(read_attachments(path).items())}
     statistics = summary.statistics
     return Content(content, attachments, statistics.message_end_time - statistics.message_start_time)
+
+
+def _check_index(file: IO[bytes], summary: Summary) -> None:
+    """Raise ValueError unless the index names exactly the messages that the chunks hold. Readers that seek one message,
+    or those of some time, follow the index, and would else give other data than is hashed here."""
+    topics = Counter(channel.topic for channel in summary.channels.values())
+    if twice := [topic for topic, n in topics.items() if n > 1]:
+        raise ValueError(f"its index has two channels on {twice[0]}")
+    counts: Counter[int] = Counter()
+    for index in summary.chunk_indexes:
+        found = chunk_places(file, index)
+        stamps = [stamp for places in found.values() for stamp, _ in places]
+        if stamps and (index.message_start_time, index.message_end_time) != (min(stamps), max(stamps)):
+            raise ValueError(f"its index has other times for the chunk at byte {index.chunk_start_offset}")
+        # A chunk without message indexes is read whole.
+        for number in {*found, *index.message_index_offsets} if index.message_index_offsets else ():
+            if sorted(message_places(file, index, number)) != sorted(found.get(number, [])):
+                raise ValueError(f"its index names other messages in the chunk at byte {index.chunk_start_offset}")
+        counts.update({number: len(places) for number, places in found.items()})
+    if not summary.chunk_indexes:
+        counts.update(channel.id for _, channel, _ in iter_messages(file, summary))
+    assert summary.statistics is not None
+    told = Counter(summary.statistics.channel_message_counts)
+    if unknown := counts.keys() - summary.channels.keys():
+        raise ValueError(f"it has messages of a channel {min(unknown)}, which its index lacks")
+    for number, channel in summary.channels.items():
+        if counts[number] != told[number]:
+            raise ValueError(
+                f"its statistics count {told[number]} messages on {channel.topic}, it has {counts[number]}"
+            )
 
 
 def decoded_image(data: bytes) -> bytes:

@@ -7,8 +7,10 @@ import json
 import cv2
 import numpy as np
 import pytest
+from mcap._chunk_builder import ChunkBuilder
+from mcap.writer import Writer
 
-from oysterbench.core.errors import HubError, IntegrityError
+from oysterbench.core.errors import HubError, IntegrityError, SequenceError
 from oysterbench.hub.canonical import canonical, parse, sha256
 from oysterbench.hub.content import content_of
 from oysterbench.hub.manifest import build_manifest, describe_file, read_manifest, released_manifest
@@ -164,6 +166,61 @@ def test_verify_tells_right_damaged_absent_and_unknown(manifest, file, tmp_path)
     assert check_unknown(file).state == UNKNOWN
     damaged.write_bytes(data)
     assert check_unknown(damaged).state == DAMAGED
+
+
+def hide_truth(writer):
+    """Statistics say that there is none, and readers do not ask them."""
+    (truth,) = (key for key, channel in writer._Writer__channels.items() if channel.topic == "/truth/odometry")
+    writer._Writer__statistics.channel_message_counts[truth] = 0
+
+
+def lead_elsewhere(chunk):
+    """Readers of one message by its number go where the index leads."""
+    for index in chunk.message_indices.values():
+        index.records[-1] = (index.records[-1][0], index.records[-1][1] + 9)
+
+
+def leave_out_last(chunk):
+    for index in chunk.message_indices.values():
+        index.records.pop()
+
+
+def end_early(chunk):
+    """Readers of some time leave out the chunk."""
+    chunk.message_end_time = chunk.message_start_time
+
+
+@pytest.mark.parametrize(
+    ("change", "of", "call", "cause"),
+    [
+        (hide_truth, Writer, "finish", "its statistics count 0 messages on /truth/odometry, it has 50"),
+        (lead_elsewhere, ChunkBuilder, "end", "its index names other messages in the chunk at byte"),
+        (leave_out_last, ChunkBuilder, "end", "its index names other messages in the chunk at byte"),
+        (end_early, ChunkBuilder, "end", "its index has other times for the chunk at byte"),
+    ],
+)
+def test_a_file_whose_index_says_something_else_than_its_chunks_is_damaged(
+    manifest, tmp_path, monkeypatch, change, of, call, cause
+):
+    honest = getattr(of, call)
+    monkeypatch.setattr(of, call, lambda self: (change(self), honest(self))[1])
+    forged = write_sequence(tmp_path / "dive-01.mcap", "dive-01")
+    with pytest.raises(SequenceError, match=cause):
+        content_of(forged)
+    assert check_file(forged, manifest.files[0], smaller=True).state == DAMAGED
+
+
+def test_a_topic_on_two_channels_is_damage(tmp_path):
+    path = tmp_path / "twice.mcap"
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        kind = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        for _ in range(2):
+            writer.add_message(writer.register_channel("/a", "cdr", kind), 1, b"", 1)
+        writer.finish()
+    with pytest.raises(SequenceError, match="its index has two channels on /a"):
+        content_of(path)
 
 
 def test_verify_finds_the_manifest_of_a_file_beside_it_or_among_the_released(manifest, file, tmp_path, monkeypatch):
