@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -44,17 +45,23 @@ def publish(
 
     Blobs go first, the signed index last: whoever reads the tree in between sees the old one. Earlier keys sign the
     index too, so that it still works for those who pin them. truth: for a hidden split, the folder for its truth
-    package; only what may be seen is published. Raises HubError where the version was released with other bytes.
+    package; only what may be seen is published. Raises HubError where the version was released with other bytes, and
+    then leaves tree and truth as they were.
     """
     keys = (key, *old_keys)
     with writing(tree, *keys) as index, tempfile.TemporaryDirectory(dir=tree, prefix=TEMPORARY) as scratch:
-        commitment = None
-        if truth is not None:
-            files, commitment = _without_truth(tree, truth, facts, files, Path(scratch), announce)
-        announce(f"hashing {len(files)} sequences")
-        manifest = build_manifest(facts, files, None if commitment else recipe_digest, commitment)
-        if commitment is None:
-            manifest = _as_released(manifest)
+        if truth is None:
+            announce(f"hashing {len(files)} sequences")
+            manifest = _as_released(build_manifest(facts, files, recipe_digest))
+            _check_unchanged(tree, index, manifest)
+        else:
+            package = _package(tree, truth, facts)
+            with tempfile.TemporaryDirectory(dir=truth, prefix=TEMPORARY) as draft:
+                files, secret = _without_truth(facts, files, Path(scratch), Path(draft), announce)
+                announce(f"hashing {len(files)} sequences")
+                manifest = build_manifest(facts, files, commitment=secret.sha256)
+                _check_unchanged(tree, index, manifest)
+                _keep_truth(Path(draft), secret, package)
         _release(tree, keys, index, manifest, files, url, announce)
     return manifest
 
@@ -74,28 +81,49 @@ def _as_released(manifest: Manifest) -> Manifest:
     return released
 
 
-def _without_truth(
-    tree: Path, truth: Path, facts: Mapping[str, str], files: Mapping[str, Path], scratch: Path, announce: Announce
-) -> tuple[dict[str, Path], str]:
-    """Split off the ground truth: public files of a hidden split, in `scratch`, and the commitment to its truth.
-
-    The truth goes into a package, `<truth>/<split>-<version>/`: a sequence file each with what was withheld, and
-    `manifest.json`, whose SHA-256 is the commitment in the public manifest. So nobody can replace the truth later.
-    """
+def _package(tree: Path, truth: Path, facts: Mapping[str, str]) -> Path:
+    """Folder of a hidden split's truth package, `<truth>/<split>-<version>/`, within `truth`, which is made. Raises
+    HubError where it is in the tree."""
     package = truth / f"{facts['split']}-{facts['version']}"
     if tree.resolve() in (package.resolve(), *package.resolve().parents):
         raise HubError(f"{truth}: expected a folder outside the tree {tree}, which is public")
+    truth.mkdir(parents=True, exist_ok=True)
+    return package
+
+
+def _without_truth(
+    facts: Mapping[str, str], files: Mapping[str, Path], scratch: Path, draft: Path, announce: Announce
+) -> tuple[dict[str, Path], Manifest]:
+    """Split off the ground truth: public files of a hidden split, in `scratch`, and the manifest of its truth package.
+
+    In `draft`, the package holds a sequence file each with what was withheld. The SHA-256 of its manifest is the
+    commitment in the public manifest. So nobody can replace the truth later.
+    """
     shown, kept = {}, {}
     for name, path in files.items():
         announce(f"removing the ground truth from {name}")
-        shown[name], kept[name] = scratch / f"{name}.mcap", package / f"{name}.mcap"
+        shown[name], kept[name] = scratch / f"{name}.mcap", draft / f"{name}.mcap"
         with open(shown[name], "wb") as file:
             cut_public(path, file)
         with appearing(kept[name], TEMPORARY) as hidden:
             cut_truth(path, hidden)
-    secret = build_manifest(facts, kept)
-    write_atomically(package / "manifest.json", secret.data)
-    return shown, secret.sha256
+    return shown, build_manifest(facts, kept)
+
+
+def _keep_truth(draft: Path, secret: Manifest, package: Path) -> None:
+    """Move a truth package to its place, its `manifest.json` last. Raises HubError where another one is there, which a
+    released split may be committed to."""
+    known = package / "manifest.json"
+    if known.is_file() and (there := sha256(known.read_bytes())) != secret.sha256:
+        raise HubError(
+            f"{known}: the truth of another render of {secret.split} {secret.version} is there (SHA-256 {there[:12]}…, "
+            f"now {secret.sha256[:12]}…); it was left unchanged and nothing was published: raise the version in the "
+            "split's recipe, or delete that package if it was never released"
+        )
+    package.mkdir(exist_ok=True)
+    for entry in secret.files:
+        os.replace(draft / entry.name, package / entry.name)
+    write_atomically(known, secret.data)
 
 
 def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: str, hidden: bool) -> None:
@@ -142,6 +170,19 @@ def writing(tree: Path, *keys: Ed25519PrivateKey) -> Iterator[Index]:
         yield read_own_index(tree, *keys)
 
 
+def _check_unchanged(tree: Path, index: Index, manifest: Manifest) -> None:
+    """Raise HubError where the index has a model of the split's name, or this version with another manifest."""
+    if manifest.split in index.models:
+        raise HubError(f"{manifest.split}: a model in {tree} has this name, and `download` finds both by name")
+    known = index.splits.get(manifest.split, {}).get(manifest.version)
+    if known is not None and known.manifest != manifest.sha256:
+        raise HubError(
+            f"{manifest.split} {manifest.version} was released with other bytes (manifest {known.manifest[:12]}…, now "
+            f"{manifest.sha256[:12]}…) and a release never changes; the tree was left unchanged: raise the version in "
+            "the split's recipe"
+        )
+
+
 def _release(
     tree: Path,
     keys: Sequence[Ed25519PrivateKey],
@@ -152,15 +193,7 @@ def _release(
     announce: Announce,
 ) -> None:
     """Put everything that is not there yet into the tree, and list it in the index."""
-    if manifest.split in index.models:
-        raise HubError(f"{manifest.split}: a model in {tree} has this name, and `download` finds both by name")
     known = index.splits.get(manifest.split, {}).get(manifest.version)
-    if known is not None and known.manifest != manifest.sha256:
-        raise HubError(
-            f"{manifest.split} {manifest.version} was released with other bytes (manifest {known.manifest[:12]}…, now "
-            f"{manifest.sha256[:12]}…) and a release never changes; the tree was left unchanged: raise the version in "
-            "the split's recipe"
-        )
     for entry in manifest.files:
         new = put_blob(tree, files[entry.sequence], entry.sha256)
         announce(f"{entry.name}, {entry.size / 1e6:.1f} MB: {'published' if new else 'already there'}")

@@ -115,6 +115,20 @@ def test_another_truth_has_another_commitment(hidden, key, tmp_path):
     assert manifest.commitment != hidden[2].commitment
 
 
+def test_a_refused_publication_leaves_the_truth_that_was_released(hidden, key, tmp_path):
+    shutil.copytree(hidden[0], tmp_path / "tree")
+    shutil.copytree(hidden[1], tmp_path / "truth" / "fake-val-1.0")
+    before = tree_bytes(tmp_path)
+    other = {"dive-01": write_sequence(tmp_path / "dive-01.mcap", "dive-01", 0.8, SECRET)}
+    with pytest.raises(HubError, match="a release never changes"):
+        publish_secret(tmp_path / "tree", tmp_path / "truth", other, key)
+    with pytest.raises(HubError, match=r"the truth of another render of fake-val 1\.0 is there"):
+        publish_secret(tmp_path / "new", tmp_path / "truth", other, key)
+    after = tree_bytes(tmp_path)
+    assert {path: data for path, data in after.items() if path in before} == before
+    assert after.keys() - before.keys() == {"dive-01.mcap", "new/.lock"}
+
+
 @pytest.mark.parametrize("place", ["tree", "tree/truth", "tree/blobs"])
 def test_the_truth_never_goes_into_the_tree(tmp_path, secret_files, key, place):
     with pytest.raises(HubError, match="outside the tree"):
