@@ -208,18 +208,21 @@ def plan(manifest: Manifest, entries: Sequence[FileEntry], folder: Path) -> list
     """Determine which files are here and which have to be fetched.
 
     In a folder that holds this manifest, a file of the right name and size is right: it appeared complete. Elsewhere,
-    it is read. Raises HubError where it is a different one, which is left unchanged.
+    each file with a name of the manifest is read, also those not chosen, since the manifest will stand for them too.
+    Raises HubError where one is different, and leaves it unchanged.
     """
     kept = kept_manifest(folder)
     same = kept is not None and kept.sha256 == manifest.sha256
-    steps = []
-    for entry in entries:
-        path, part = folder / entry.name, part_path(folder, entry)
-        if path.is_file() and not same and not (found := check_file(path, entry)).good:
+    for entry in () if same else manifest.files:
+        path = folder / entry.name
+        if path.is_file() and not (found := check_file(path, entry)).good:
             raise HubError(
                 f"{path}: a different file has this name ({found.detail}); it was left unchanged: delete it or "
                 "choose another folder with --out"
             )
+    steps = []
+    for entry in entries:
+        path, part = folder / entry.name, part_path(folder, entry)
         if path.is_file() and (not same or path.stat().st_size == entry.size):
             steps.append(Step(entry, path, "here", entry.size))
         else:

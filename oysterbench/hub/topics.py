@@ -19,6 +19,7 @@ from oysterbench.hub.draft import remove_drafts
 from oysterbench.hub.manifest import FileEntry
 from oysterbench.hub.part import Part
 from oysterbench.hub.transfer import Transfer
+from oysterbench.hub.verify import check_file, kept_manifest
 from oysterbench.sequence.cut import chunks_with, cut_to, match_topics, topics_folder
 from oysterbench.sequence.file import Reading, damaged
 
@@ -53,7 +54,7 @@ def fetch_topics(
                 f"{target}: the complete file is here; it was left unchanged: choose another folder with --out"
             )
         source = folder / entry.name
-        if _is_here(source, entry):
+        if _is_here(folder, entry):
             cut_to(target, source, names)
         else:
             _fetch_and_cut(hub, entry, folder, target, names, lambda n, done=done: progress(done + n, total))  # type: ignore[misc]
@@ -72,7 +73,7 @@ def plan_topics(hub: Hub, entries: Sequence[FileEntry], folder: Path, wanted: Se
     sizes = {}
     for entry in entries:
         names = match_topics(entry.content, wanted, entry.name)
-        if _is_here(folder / entry.name, entry):
+        if _is_here(folder, entry):
             sizes[entry.sequence] = 0
             continue
         with _part_of(hub, entry, folder, lambda n: None) as (path, fetch):
@@ -129,8 +130,13 @@ def _index(path: Path, entry: FileEntry, fetch: Fetch) -> tuple[Summary, list[Sp
         return summary, ends
 
 
-def _is_here(path: Path, entry: FileEntry) -> bool:
-    return path.is_file() and path.stat().st_size == entry.size
+def _is_here(folder: Path, entry: FileEntry) -> bool:
+    """Whether a folder has the whole file. It is read unless the folder's manifest names it, as in `download.plan`."""
+    path = folder / entry.name
+    if not path.is_file() or path.stat().st_size != entry.size:
+        return False
+    kept = kept_manifest(folder)
+    return (kept is not None and kept.find(entry.name) == entry) or check_file(path, entry).good
 
 
 def _summary_start(path: Path, size: int) -> int:

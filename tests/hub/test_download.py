@@ -82,6 +82,17 @@ def test_another_file_under_the_name_is_left_alone(published, tmp_path):
     assert (tmp_path / "dive-01.mcap").read_bytes() == b"mine"
 
 
+@pytest.mark.parametrize("as_long", [False, True])
+def test_another_file_is_left_alone_too_where_it_was_not_chosen(published, tmp_path, as_long):
+    """Else the manifest would vouch for it, and the next download replace it or take it for the published one."""
+    mine = b"mine".ljust(published.manifest.files[1].size if as_long else 4)
+    (tmp_path / "dive-02.mcap").write_bytes(mine)
+    hub, entries = hub_at(published, published.tree), choose(published.manifest, ["dive-01"])
+    with pytest.raises(HubError, match=r"dive-02\.mcap: a different file has this name"):
+        download(hub, published.manifest, tmp_path, entries)
+    assert tree_bytes(tmp_path) == {"dive-02.mcap": mine}
+
+
 def test_a_manifest_that_was_damaged_since_is_written_anew_and_no_file_is_fetched_again(published, tmp_path, home):
     hub = hub_at(published, published.tree)
     folder = home / "splits" / "fake-val" / "1.0-x"
@@ -254,6 +265,18 @@ def test_topics_of_a_file_that_is_here_need_no_hub(long_dive, tmp_path):
         fetch_topics(Hub([], None), manifest.files, download_folder, ["/nothing"])
     with pytest.raises(HubError, match="it was left unchanged"):
         fetch_topics(Hub([], None), manifest.files, download_folder, ["/imu"], download_folder)
+
+
+def test_topics_are_not_cut_from_another_file_of_the_same_size(long_dive, published, tmp_path):
+    file, manifest, tree = long_dive
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    (tmp_path / "dive-01.mcap").write_bytes(data)
+    hub = hub_at(published, tree)
+    assert plan_topics(hub, manifest.files, tmp_path, ["/imu"])["dive-01"] > 0
+    files = fetch_topics(hub, manifest.files, tmp_path, ["/imu"])
+    assert list(read_messages(files["dive-01"], ["/imu"])) == list(read_messages(file, ["/imu"]))
+    assert (tmp_path / "dive-01.mcap").read_bytes() == data
 
 
 def test_a_part_that_grows_is_kept_when_topics_are_cut_from_it(long_dive, published, tmp_path):
