@@ -171,9 +171,13 @@ def kept_manifest(folder: Path) -> Manifest | None:
 
 
 def kept_card(path: Path) -> Model | None:
-    """Read the card that a download left next to a weights file, which may since have been damaged or replaced."""
+    """Read the card that a download left next to a weights file, which may since have been damaged or replaced; None
+    where there is none, or it is damaged itself."""
     card = path.with_suffix(".json")
-    return read_model(card.read_bytes(), str(card)) if card.is_file() else None
+    try:
+        return read_model(card.read_bytes(), str(card)) if card.is_file() else None
+    except IntegrityError:
+        return None
 
 
 def check_weights(path: Path) -> Check:
@@ -181,6 +185,9 @@ def check_weights(path: Path) -> Check:
     card = kept_card(path)
     if not path.is_file():
         return Check(path, ABSENT)
+    if card is None and path.with_suffix(".json").is_file():
+        again = f"`oysterbench download {path.stem} --again` writes it anew"
+        return Check(path.with_suffix(".json"), DAMAGED, f"not a card that can be read; {again}")
     if card is None:
         return Check(path, UNKNOWN, "trained here")
     with open(path, "rb") as file:

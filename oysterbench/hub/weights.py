@@ -68,10 +68,15 @@ def there_bytes(path: Path, entry: Pieced) -> int:
 
 
 def check_replaced(path: Path, model: Model, again: bool = False) -> bool:
-    """Whether this model is already at a path. Raises HubError where there are weights that did not come from a hub,
-    which a download may replace only with `again`."""
-    here = weights_here(path)
+    """Whether this model is already at a path. Raises HubError where there are weights that did not come from a hub, or
+    a file that is no card has its card's name, which a download may replace only with `again`."""
+    here, card = weights_here(path), path.with_suffix(".json")
     if here is None:
+        if card.is_file() and kept_card(path) is None and not again:
+            raise HubError(
+                f"{card}: a different file has this name; it was left unchanged: --again replaces it with the card of "
+                f"{model.name} {model.version}, --out downloads it into another folder"
+            )
         return False
     if here.sha256 == model.file.sha256:
         return True

@@ -16,6 +16,7 @@ from oysterbench.hub.model import read_model
 from oysterbench.hub.publish_model import publish_model
 from oysterbench.hub.verify import ABSENT, DAMAGED, RIGHT, UNKNOWN, checks
 from oysterbench.hub.weights import fetch_weights, there_bytes, weights_here
+from oysterbench.notebook.doctor.data import look_at_data
 from tests.helpers.blobs import CALM
 from tests.helpers.trees import FACTS, a_key, oysterbench_serve, publish_split, tree_bytes, write_split
 from tests.helpers.web import Honest, misbehaving, serving
@@ -299,6 +300,30 @@ def test_weights_of_ones_own_are_replaced_only_where_it_is_asked_for(released, t
     assert weights_here(path).model is None
     fetch_weights(hub, hub.model("unet"), path, again=True)
     assert path.read_bytes() == released.files["1.1"].read_bytes()
+
+
+def test_a_damaged_card_stops_nothing_and_is_repaired(released, home):
+    path = home / "models" / "unet.pt"
+    card = path.with_suffix(".json")
+    fetch_weights(released.hub(), released.cards["1.0"], path)
+    card.write_bytes(card.read_bytes()[:-40])
+    (check,) = checks("unet")
+    assert (check.path, check.state) == (card, DAMAGED)
+    assert "`oysterbench download unet --again`" in check.detail
+    assert weights_here(path).model is None
+    assert [finding.state for finding in look_at_data() if finding.name == "weights unet"] == ["broken"]
+    fetch_weights(released.hub(), released.cards["1.1"], path, again=True)
+    assert [check.state for check in checks("unet")] == [RIGHT]
+
+
+def test_a_file_with_the_name_of_a_card_is_replaced_only_where_it_is_asked_for(released, tmp_path):
+    mine = tmp_path / "unet.json"
+    mine.write_text('{"mine": 1}')
+    with pytest.raises(HubError, match=r"unet\.json: a different file has this name"):
+        fetch_weights(released.hub(), released.cards["1.0"], tmp_path / "unet.pt")
+    assert mine.read_text() == '{"mine": 1}'
+    fetch_weights(released.hub(), released.cards["1.0"], tmp_path / "unet.pt", again=True)
+    assert mine.read_bytes() == released.cards["1.0"].data
 
 
 def test_a_failed_download_leaves_the_version_that_was_there(released, tmp_path):

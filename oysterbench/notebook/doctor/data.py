@@ -115,6 +115,10 @@ def _weights() -> Iterator[Finding]:
                 yield Finding("data", f"weights {name}", "missing", detail, advice)
             continue
         card = None if named else kept_card(path)
+        if not named and card is None and path.with_suffix(".json").is_file():
+            detail = f"{path.with_suffix('.json')}: not a card that can be read"
+            yield Finding("data", f"weights {name}", "broken", detail, f"oysterbench download {name} --again")
+            continue
         origin = named or (f"version {card.version} of a hub" if card else "trained here")
         yield Finding("data", f"weights {name}", "ok", f"{in_bytes(path.stat().st_size)}, {origin}")
 
