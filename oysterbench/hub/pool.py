@@ -18,10 +18,13 @@ if TYPE_CHECKING:
     from oysterbench.hub.sources import Patience
 
 REDIRECTS = 5
+MOST_HEADERS = 1 << 20
+"""Size limit of the headers of a response, bytes, with any interim responses (1xx) before it, which may not end."""
 
 
 class _Watched(io.RawIOBase):
-    """Input from a socket. Raises ConnectionError where fewer than `least` bytes arrive in a window of waiting."""
+    """Input from a socket. Raises ConnectionError where fewer than `least` bytes arrive in a window of waiting, or
+    headers do not end."""
 
     def __init__(self, file: io.BufferedReader, sock: socket.socket, patience: Patience) -> None:
         self._file = file  # keeps the socket open until it is closed
@@ -47,6 +50,8 @@ class _Watched(io.RawIOBase):
             try:
                 n = self._socket.recv_into(buffer)
                 self._got += n
+                if self._least is None and self._got > MOST_HEADERS:
+                    raise ConnectionError(f"the headers did not end within {MOST_HEADERS >> 20} MiB")
                 return n
             except TimeoutError:
                 if wait_s == self._patience.idle_s:

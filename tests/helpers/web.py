@@ -173,6 +173,11 @@ class Misbehaving(Honest):
             threading.Event().wait(0.01)
         self.cut_off()
 
+    def interim(self, data: bytes, start: int, end: int) -> None:
+        for _ in range(100):
+            self.wfile.write(b"HTTP/1.1 100 Continue\r\n\r\n" * 1000)
+        self.cut_off()
+
     def trickled_chunks(self, data: bytes, start: int, end: int) -> None:
         self.send_response(206)
         self.send_header("Content-Range", f"bytes {start}-{end - 1}/{len(data)}")

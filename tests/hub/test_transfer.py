@@ -271,3 +271,10 @@ def test_a_server_that_trickles_is_given_up(kind, cause, tmp_path):
     patience = replace(IMPATIENT, attempts=1)
     with misbehaving(kind, {PATH: DATA}, 1, 1.0) as site, pytest.raises(NetworkError, match=cause):
         fetch(ENTRY, tmp_path / "file", [site.url], patience, connections=1)
+
+
+def test_a_server_that_sends_interim_responses_without_end_is_given_up(tmp_path):
+    patience = replace(IMPATIENT, attempts=1, window_s=30.0, idle_s=30.0)
+    endless = pytest.raises(NetworkError, match="the headers did not end within 1 MiB")
+    with misbehaving("interim", {PATH: DATA}, 1, 1.0) as site, endless:
+        fetch(ENTRY, tmp_path / "file", [site.url], patience, connections=1)
