@@ -14,8 +14,8 @@ from oysterbench.core.errors import ResultError
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.board import BoardInfo
 from oysterbench_leaderboard.database import CONTENTS, METADATA, ROWS
-from oysterbench_leaderboard.ranking import Claim, Ranked, board_of, columns_of, in_order, rank, states, withdrawn
-from oysterbench_leaderboard.record_summary import COLUMNS, RecordSummary, read_record
+from oysterbench_leaderboard.ranking import Claim, Ranked, board_of, in_order, rank, read_columns, states, withdrawn
+from oysterbench_leaderboard.record_summary import COLUMNS, RecordSummary
 from oysterbench_leaderboard.store import RecordStore
 
 SCHEMA = f"13 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
@@ -69,7 +69,11 @@ def write(connection: Connection, store: RecordStore, anew: bool, progress: Prog
     problems |= _add(connection, store, [digest for digest in present if digest not in old], boards, progress)
     touched |= _set_states(connection, withdrawn(changes))
     for board in sorted(touched):
-        ranked = _rank(connection, boards.pop(board))
+        try:
+            ranked = _rank(connection, boards.pop(board))
+        except (ArithmeticError, ValueError) as error:  # the other boards must go on
+            problems |= _leave_out(connection, board, f"its board could not be ranked: {error}")
+            continue
         boards |= {board: ranked} if ranked else {}
     revision = hashlib.sha256(f"{inputs} {sorted(problems)}".encode()).hexdigest()[:16]
     now = Contents(SCHEMA, inputs, revision, {board.id: board for board in in_order(boards.values())}, problems)
@@ -91,12 +95,11 @@ def _add(
         rows = []
         for digest in digests[start : start + CHUNK]:
             try:
-                record = read_record((store.folder / "records" / f"{digest}.json").read_bytes(), digest)
-                columns, summary = columns_of(record, digest)
-                rows.append({**columns, "summary_data": msgspec.json.encode(summary).decode()})
-            except (ResultError, OSError) as error:
+                record, columns, summary = read_columns(store, digest)
+            except ResultError as error:
                 problems[digest] = str(error)
                 continue
+            rows.append({**columns, "summary_data": msgspec.json.encode(summary).decode()})
             if record.board not in boards:
                 boards[record.board] = board_of(record)
         if rows:
@@ -129,6 +132,13 @@ def _rank(connection: Connection, board: BoardInfo) -> BoardInfo | None:
     board, rows = rank(board, found)
     _for_each(connection, update(ROWS), rows)
     return board
+
+
+def _leave_out(connection: Connection, board: str, reason: str) -> dict[str, str]:
+    """Remove all records of a board; return their digests -> reason."""
+    digests = connection.scalars(select(ROWS.c.digest).where(ROWS.c.board == board)).all()
+    connection.execute(delete(ROWS).where(ROWS.c.board == board))
+    return dict.fromkeys(digests, reason)
 
 
 def _for_each(connection: Connection, statement: Any, rows: Sequence[dict[str, Any]]) -> None:

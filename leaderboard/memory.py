@@ -13,8 +13,8 @@ from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.statistics import sequence_means
 from oysterbench.results.records import samples
 from oysterbench_leaderboard.board import LEAST_DIGITS, BoardInfo, BoardPage, Query, Row
-from oysterbench_leaderboard.ranking import Claim, Ranked, board_of, columns_of, in_order, rank, states, withdrawn
-from oysterbench_leaderboard.record_summary import RecordSummary, read_record
+from oysterbench_leaderboard.ranking import Claim, Ranked, board_of, in_order, rank, read_columns, states, withdrawn
+from oysterbench_leaderboard.record_summary import RecordSummary
 from oysterbench_leaderboard.store import RecordStore
 
 
@@ -30,9 +30,8 @@ class MemoryIndex:
         boards: dict[str, BoardInfo] = {}
         for digest in store.digests():
             try:
-                record = read_record((store.folder / "records" / f"{digest}.json").read_bytes(), digest)
-                columns[digest], summaries[digest] = columns_of(record, digest)
-            except (ResultError, OSError) as error:
+                record, columns[digest], summaries[digest] = read_columns(store, digest)
+            except ResultError as error:
                 self._problems[digest] = str(error)
                 continue
             boards.setdefault(record.board, board_of(record))
@@ -47,7 +46,13 @@ class MemoryIndex:
                 Ranked(row["digest"], row["state"], row["tier"], row["created"], summaries[row["digest"]])
                 for row in on_it
             ]
-            board, places = rank(board, found)
+            try:
+                board, places = rank(board, found)
+            except (ArithmeticError, ValueError) as error:  # the other boards must go on
+                for row in on_it:
+                    self._problems[row["digest"]] = f"its board could not be ranked: {error}"
+                    del columns[row["digest"]]
+                continue
             ranked.append(board)
             for place in places:
                 columns[place.pop("key")] |= place

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from string import digits
 from typing import Any
 
+from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.metrics import FAILED, TRACKS
 from oysterbench.results.records import comparable_key
 from oysterbench.results.standings import PRIMARY, ScoreTable, direction
@@ -21,10 +22,11 @@ from oysterbench_leaderboard.record_summary import (
     RecordSummary,
     column_means,
     data_set_value,
+    read_record,
     said_of_method,
     summarise_record,
 )
-from oysterbench_leaderboard.store import StatusChange
+from oysterbench_leaderboard.store import RecordStore, StatusChange
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,17 @@ def columns_of(record: Record, digest: str) -> tuple[dict[str, Any], RecordSumma
         "sequences": len(summary.sequences),
         "runs": len(record.results),
     }, summary
+
+
+def read_columns(store: RecordStore, digest: str) -> tuple[Record, dict[str, Any], RecordSummary]:
+    """Read a record of a store, with `columns_of` it. Raises ResultError where it cannot be used."""
+    try:
+        record = read_record((store.folder / "records" / f"{digest}.json").read_bytes(), digest)
+        return record, *columns_of(record, digest)
+    except OSError as error:
+        raise ResultError(str(error)) from None
+    except (ArithmeticError, ValueError, RecursionError) as error:  # numbers or nesting beyond what is computed with
+        raise ResultError(f"its values cannot be used: {error}") from None
 
 
 def rank(board: BoardInfo, found: Sequence[Ranked]) -> tuple[BoardInfo, list[dict[str, Any]]]:

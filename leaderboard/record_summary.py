@@ -73,7 +73,8 @@ def read_record(data: bytes, digest: str) -> Record:
 
 
 def summarise_record(record: Record) -> RecordSummary:
-    """Summarise a record for ranking. Raises ResultError where a value lacks its weight in the mean."""
+    """Summarise a record for ranking. Raises ResultError where a value lacks its weight in the mean, or a weight is
+    negative."""
     metric = PRIMARY[record.track]
     values, (sample, weights) = samples(record.results, metric), _weighed_sample(record.results, metric)
     unpredicted = UNPREDICTED_WEIGHT.get(_weight(metric))
@@ -83,7 +84,7 @@ def summarise_record(record: Record) -> RecordSummary:
         SequenceScores(
             {**weighed_means(sample, weights), **without},
             None if weights is None else sequence_weights(sample, weights),
-            sequence_means(samples(record.results, unpredicted)) if unpredicted else None,
+            sequence_means(_weights(record.results, unpredicted)) if unpredicted else None,
         ),
         sequence_means(samples(record.results, "coverage")) if "coverage" in FAILED[record.track] else {},
         tuple(dict.fromkeys(result.sequence for result in record.results)),
@@ -123,17 +124,27 @@ def data_set_value(record: Record) -> float | None:
 def _weighed_sample(results: Sequence[ResultRecord], key: str) -> tuple[Sample, Sample | None]:
     """Values of a metric by sequence, and their weights; None for a metric without weights. A sequence with a failed
     run that has no weight is left out: its weight without predictions is known only to the board. Raises ResultError
-    where a run that did not fail lacks its weight."""
+    where a run that did not fail lacks its weight, or a weight is negative."""
     values, weight = samples(results, key), _weight(key)
     if not weight:
         return values, None
-    weights = samples(results, weight)
+    weights = _weights(results, weight)
     for result in results:
         lacks = math.isnan(result.metrics.get(weight, math.nan)) and not math.isnan(result.metrics.get(key, math.nan))
         if lacks and result.failure is None:
             raise ResultError(f"a result on {result.sequence} has {key}, but not {weight}, its weight in the mean")
     values = {name: found for name, found in values.items() if not any(map(math.isnan, weights[name]))}
     return values, {name: weights[name] for name in values}
+
+
+def _weights(results: Sequence[ResultRecord], key: str) -> Sample:
+    """`samples` of a metric that gives weights. Raises ResultError where one is negative."""
+    found = samples(results, key)
+    for name, values in found.items():
+        for value in values:
+            if value < 0:
+                raise ResultError(f"a result on {name} has {key} = {value:g}: expected 0 or more, as it is a weight")
+    return found
 
 
 def _weight(key: str) -> str:

@@ -64,6 +64,8 @@ async def _keep_up(index: BoardIndex) -> None:
             await anyio.to_thread.run_sync(watch.look)
         except (OysterbenchError, OSError) as error:  # may be temporary, such as a full disk
             LOG.error("new records were not loaded: %s", error)
+        except Exception:  # a fault of ours: the next records should be looked for all the same
+            LOG.exception("new records were not loaded")
 
 
 def whole(

@@ -97,6 +97,11 @@ def neutral(heading: str, unit: str = "", column: Column | None = None, weight: 
     return lambda text: Metric(text, heading, unit=unit, weight=weight, column=column)
 
 
+def counted(heading: str, unit: str = "", column: Column | None = None) -> Callable[[str], Metric]:
+    """Return a function that makes the metric of a number of things, at least 0, of a definition; see `higher`."""
+    return lambda text: Metric(text, heading, unit=unit, column=column, limits=(0.0, math.inf))
+
+
 @dataclass(frozen=True)
 class TrackMetrics:
     """The metrics of a track by their key, and which of them are shown where.

@@ -385,9 +385,10 @@ def _difference(a: float, b: float) -> float:
 
 def mean_of(values: Array, weights: Array | None = None) -> float:
     """Weighted mean of values (n,); the plain mean without weights, or if all of them are 0."""
-    if weights is None or not weights.any():
+    total = 0.0 if weights is None else math.fsum(weights)
+    if weights is None or total <= 0:
         return math.fsum(values) / len(values)
-    return math.fsum(values * weights) / math.fsum(weights)
+    return math.fsum(values * weights) / total
 
 
 def _pooled_deviation(runs: Sequence[Sequence[float]]) -> float:

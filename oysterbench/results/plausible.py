@@ -13,6 +13,9 @@ from oysterbench.results.records import ResultRecord
 RELATIVE, ABSOLUTE = 1e-6, 1e-6
 """Tolerances within which numbers must fulfil a relation: results published by a server are rounded."""
 
+MOST = 1e100
+"""Greatest amount of any number: the sums and squares of greater ones could be infinite."""
+
 COSTS: dict[str, tuple[float, float]] = {
     "wall_s": (1e-5, math.inf),
     "cpu_s": (1e-5, math.inf),
@@ -42,6 +45,8 @@ def check_plausible(record: ResultRecord, where: str = "result") -> None:
             low, high = COSTS.get(key, (low, high))
         if not _above(value, low) or not _above(high, value):
             raise ResultError(f"{where}: metric {key!r}: expected {_between(low, high)}, got {value:.6g}")
+        if abs(value) > MOST:
+            raise ResultError(f"{where}: metric {key!r}: expected {-MOST:g} to {MOST:g}, got {value:.6g}")
     for keys, holds, relation in RELATIONS.get(record.track, ()):
         if all(key in known for key in keys) and not holds(*(known[key] for key in keys)):
             values = ", ".join(f"{key} = {known[key]:.6g}" for key in keys)

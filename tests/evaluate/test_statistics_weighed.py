@@ -36,6 +36,7 @@ def test_equal_weights_are_no_weights():
 
 def test_runs_without_weight_leave_the_plain_mean():
     assert summarise({"a": [1.0], "b": [1.0]}, {"a": [0.0], "b": [0.0]}).mean == 1.0
+    assert summarise({"a": [1.0], "b": [0.0]}, {"a": [1.0], "b": [-1.0]}).mean == 0.5
 
 
 def test_a_run_without_value_and_weight_leaves_its_sequence_the_weight_of_the_others():

@@ -9,6 +9,7 @@ import pytest
 from sqlalchemy import text
 
 from oysterbench.core.errors import ResultError
+from oysterbench.core.geometry import Array
 from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.evaluate.statistics import summarise
 from oysterbench.hub.canonical import canonical, sha256
@@ -17,6 +18,7 @@ from oysterbench.results.standings import ScoreTable
 from oysterbench_leaderboard.board import BoardInfo, Query
 from oysterbench_leaderboard.database import open_engine
 from oysterbench_leaderboard.index import BoardIndex, open_index
+from oysterbench_leaderboard.memory import MemoryIndex
 from oysterbench_leaderboard.ranking import evaluator_order
 from oysterbench_leaderboard.store import StatusChange
 from oysterbench_leaderboard.tables import board_table
@@ -229,6 +231,38 @@ def test_damaged_notices_are_named_and_left_out(store):
     index = opened(store)
     assert set(index.problems()) == {"0" * 64}
     assert state_of(index, digests["fraud"]) == "withdrawn"
+
+
+@pytest.mark.parametrize("key", ["union_px", "truth_px"])
+def test_a_record_with_a_negative_weight_is_left_out(store, key):
+    whole = record_made(track="segmentation", split="seg-val")
+    first, *others = whole.results
+    odd = replace(first, metrics={**first.metrics, key: -1e5})
+    forged = store.add(replace(whole, team="somebody", tier="reported", results=(odd, *others)))
+    index = opened(store)
+    assert index.problems() == MemoryIndex(store).problems()
+    assert f"has {key} = -100000: expected 0 or more" in index.problems()[forged]
+
+
+def test_a_board_that_cannot_be_ranked_is_left_out_and_the_others_go_on(store, monkeypatch):
+    digests = fill(store)
+    whole = ScoreTable.means
+
+    def means(table: ScoreTable) -> Array:
+        return whole(table) if table.weights is None else math.fsum([1e308, 1e308])  # type: ignore[return-value]
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ScoreTable, "means", means)
+        index, memory = opened(store), MemoryIndex(store)
+    assert index.problems() == memory.problems()
+    assert set(index.problems()) == {digests["unet"], digests["colour"]}
+    assert "its board could not be ranked: " in index.problems()[digests["unet"]]
+    assert state_of(index, digests["cod"]) == "current"
+    assert index.boards() == memory.boards()
+    store.add(record_made("another"))
+    index.refresh()
+    assert index.problems() == {}
+    assert pages(index) == pages(opened(store, "fresh.sqlite"))
 
 
 def test_a_record_that_is_taken_away_leaves_the_board(store):

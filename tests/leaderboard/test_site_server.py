@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import gzip
 import re
 import shutil
@@ -15,6 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 from oysterbench.core.errors import ResultError
+from oysterbench_leaderboard.site import running
 from oysterbench_leaderboard.site.cache import Kept, PageCache
 from oysterbench_leaderboard.site.command import build_command, serve_command
 from oysterbench_leaderboard.site.export import export
@@ -187,9 +189,23 @@ def test_a_new_record_is_shown_and_an_old_page_is_not(tmp_path):
     assert "turbot" in after.text
 
 
-def test_many_who_ask_at_once_wait_for_one_making(made):
-    import asyncio
+def test_new_records_are_looked_for_again_after_any_failure(made, monkeypatch):
+    looks: list[int] = []
 
+    def look(watch: Watch) -> bool:
+        looks.append(1)
+        if len(looks) < 3:
+            raise RuntimeError("a fault of ours")
+        raise SystemExit  # ends the task, and so this test
+
+    monkeypatch.setattr(running, "LOOK_S", 0.0)
+    monkeypatch.setattr(Watch, "look", look)
+    with pytest.raises(SystemExit):
+        asyncio.run(running._keep_up(made[0].index))
+    assert len(looks) == 3
+
+
+def test_many_who_ask_at_once_wait_for_one_making(made):
     site, asked = made[0], []
 
     class Counting:

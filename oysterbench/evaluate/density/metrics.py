@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, higher, lower, neutral
+from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, counted, higher, lower, neutral
 
 PER_M2 = "per m\N{SUPERSCRIPT TWO}"
 _SHOWN = "the oysters on the seen ground that some image shows, by the true poses"
@@ -40,8 +40,8 @@ DENSITY: dict[str, Metric] = {
         "Oysters found in an image but without their own entry, because they were merged with others, relative to the "
         "true oysters."
     ),
-    "oysters_truth": neutral("True")(f"True oysters: {_SHOWN}."),
-    "oysters_counted": neutral("Map")("Oysters of the map; one that the edge cuts in every image counts as half."),
+    "oysters_truth": counted("True")(f"True oysters: {_SHOWN}."),
+    "oysters_counted": counted("Map")("Oysters of the map; one that the edge cuts in every image counts as half."),
     "hidden_percent": neutral("Hidden", "%")(
         "Share of the oysters on the seen ground that no image shows, because others lie on them: no map from images "
         "counts them."

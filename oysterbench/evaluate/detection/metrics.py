@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from oysterbench.evaluate.detection.counting import LEVELS
-from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, higher, lower, neutral
+from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, counted, higher, lower, neutral
 
 _AP = "average precision of {}: the mean over 101 recalls and the overlaps (IoU) 0.50, 0.55, ... 0.95 (COCO)"
 
@@ -60,10 +60,10 @@ DETECTION: dict[str, Metric] = {
     "count_error": neutral("Count error", "oysters", column=Column("count", "error", 0))(
         "Estimated minus true number of oysters over all images of the clip."
     ),
-    "count_truth": neutral("True count", column=Column("true", "count", 0))(
+    "count_truth": counted("True count", column=Column("true", "count", 0))(
         "True number of oysters over all images of the clip."
     ),
-    "count_estimate": neutral("Estimated count", column=Column("estimated", "count", 0))(
+    "count_estimate": counted("Estimated count", column=Column("estimated", "count", 0))(
         "Estimated number of oysters over all images of the clip."
     ),
     "density_error_per_m2": neutral("Density error", "per m\N{SUPERSCRIPT TWO}", Column("density", "err/m²", 1))(

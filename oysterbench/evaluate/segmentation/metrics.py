@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, higher, lower, neutral
+from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, counted, higher, lower, neutral
 from oysterbench.recipe import CLASSES
 
 SEGMENTATION: dict[str, Metric] = {
@@ -46,17 +46,17 @@ SEGMENTATION: dict[str, Metric] = {
         "Greatest IoU over thresholds in steps of 1/256, chosen with the ground truth: an upper bound, not a result."
     ),
     "best_threshold": neutral("Best threshold")("The threshold of best_iou."),
-    "images": neutral("Images")("Number of images."),
-    "scored_images": neutral("Scored images")("Number of images that are not entirely ignored."),
-    "empty_images": neutral("Empty images")("Number of images without any oyster."),
-    "union_px": neutral("Union", "px")("Pixels that are oyster in ground truth or estimate."),
-    "truth_px": neutral("Truth", "px")("Pixels that are oyster in the ground truth."),
-    "estimate_px": neutral("Estimate", "px")("Pixels predicted as oyster."),
-    "dice_px": neutral("Both", "px")("Oyster pixels of ground truth plus those of the estimate."),
-    "boundary_union_px": neutral("Border", "px")("Pixels in the border of ground truth or estimate."),
-    "asked_px": neutral("Asked", "px")("Pixels that are not ignored."),
-    "ignored_px": neutral("Ignored", "px")("Pixels that are ignored."),
-    "empty_px": neutral("Empty", "px")("Pixels of images without any oyster."),
+    "images": counted("Images")("Number of images."),
+    "scored_images": counted("Scored images")("Number of images that are not entirely ignored."),
+    "empty_images": counted("Empty images")("Number of images without any oyster."),
+    "union_px": counted("Union", "px")("Pixels that are oyster in ground truth or estimate."),
+    "truth_px": counted("Truth", "px")("Pixels that are oyster in the ground truth."),
+    "estimate_px": counted("Estimate", "px")("Pixels predicted as oyster."),
+    "dice_px": counted("Both", "px")("Oyster pixels of ground truth plus those of the estimate."),
+    "boundary_union_px": counted("Border", "px")("Pixels in the border of ground truth or estimate."),
+    "asked_px": counted("Asked", "px")("Pixels that are not ignored."),
+    "ignored_px": counted("Ignored", "px")("Pixels that are ignored."),
+    "empty_px": counted("Empty", "px")("Pixels of images without any oyster."),
 }
 """Metrics of the segmentation track by their key."""
 
@@ -80,7 +80,7 @@ def find_segmentation(key: str) -> Metric | None:
     if (match := re.fullmatch(r"iou_(\w+)", key)) and match[1] in CLASSES.values():
         return Metric(f"IoU of the class {match[1]} over the data set.", f"IoU, {match[1]}", better="higher")
     if match := re.fullmatch(r"weight_(.+)_px", key):
-        return Metric(f"Pixels over which {match[1]} is computed.", f"Pixels of {match[1]}", unit="px")
+        return counted(f"Pixels of {match[1]}", "px")(f"Pixels over which {match[1]} is computed.")
     return None
 
 

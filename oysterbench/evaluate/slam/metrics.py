@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import replace
 
-from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, higher, lower, neutral
+from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, counted, higher, lower, neutral
 
 
 def _consistency(part: str, freedom: int, of: str) -> dict[str, Metric]:
@@ -78,7 +78,7 @@ SLAM: dict[str, Metric] = {
     "rpe_1s_rotation_rmse_deg": lower("RPE 1 s rotation", "deg", Column("RPE rot", "deg", 2, small=0.1))(
         "Relative pose error over 1 s: root mean square rotation angle over the same pairs."
     ),
-    "rpe_1s_pairs": neutral("RPE 1 s pairs")("Number of pairs behind the relative errors over 1 s."),
+    "rpe_1s_pairs": counted("RPE 1 s pairs")("Number of pairs behind the relative errors over 1 s."),
     "subpath_translation_percent": lower("Drift", "%")(
         "Mean over all segments with an estimate at both ends, of all lengths, of the translation of (Q_i^-1 Q_j)^-1 "
         "(P_i^-1 P_j) as a "
@@ -100,7 +100,7 @@ SLAM: dict[str, Metric] = {
     "subpath_10percent_translation_percent": lower("10 % of path", "%")(
         "Mean relative translation error per length over the estimated segments of 10 % of the true path."
     ),
-    "subpath_segments": neutral("Segments")("Number of segments with an estimate at both ends."),
+    "subpath_segments": counted("Segments")("Number of segments with an estimate at both ends."),
     "subpath_coverage": higher("Segments answered")(
         "Share (0 to 1) of the segments of the true path with an estimate at both ends."
     ),
@@ -131,7 +131,7 @@ SLAM: dict[str, Metric] = {
     "longest_gap_s": lower("Longest gap", "s")(
         "Longest gap: from the last ground-truth pose with an estimate before it to the first after it, or to the end."
     ),
-    "matched": neutral("Matched")("Number of ground-truth poses behind the errors."),
+    "matched": counted("Matched")("Number of ground-truth poses behind the errors."),
     "path_length_m": neutral("Path", "m")("Length of the whole true path."),
     "duration_s": neutral("Duration", "s")("Time from the first to the last ground-truth pose."),
     "scale": neutral("Scale")("Scale that the alignment applied to the estimate; 1 except for sim3 and scale."),
