@@ -18,7 +18,7 @@ from oysterbench_leaderboard.ranking import Claim, Ranked, board_of, in_order, r
 from oysterbench_leaderboard.record_summary import COLUMNS, RecordSummary
 from oysterbench_leaderboard.store import RecordStore
 
-SCHEMA = f"13 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
+SCHEMA = f"14 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
 """Changes with every change of a table or of its contents: an index with another value is rebuilt."""
 
 CHUNK = 1000

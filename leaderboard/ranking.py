@@ -129,7 +129,8 @@ def rank(board: BoardInfo, found: Sequence[Ranked]) -> tuple[BoardInfo, list[dic
     current = [k for k, one in enumerate(found) if one.state == "current"]
     ranked = [k for k in current if found[k].tier in RANKED]
     sequences = sorted({name for k in ranked or current or range(len(found)) for name in summaries[k].sequences})
-    table = ScoreTable.of([summary.scores for summary in summaries], sequences, board.track)
+    trusted = [summaries[k].scores for k in ranked] or None  # what is not ranked must not change what is
+    table = ScoreTable.of([summary.scores for summary in summaries], sequences, board.track, trusted)
     means = table.means().tolist()
     # An interval takes half a millisecond to compute; it is reused while the board's sequences are the same, if the
     # record has all of them.

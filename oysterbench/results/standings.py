@@ -92,9 +92,18 @@ class ScoreTable:
     weights: Array | None = None
 
     @classmethod
-    def of(cls, scores: Sequence[SequenceScores], sequences: Iterable[str], track: str) -> ScoreTable:
+    def of(
+        cls,
+        scores: Sequence[SequenceScores],
+        sequences: Iterable[str],
+        track: str,
+        trusted: Sequence[SequenceScores] | None = None,
+    ) -> ScoreTable:
         """Make the table of a track's ranking metric; a sequence that a method lacks counts as failed, weighted as if
-        nothing were predicted there."""
+        nothing were predicted there.
+
+        trusted: scores of the methods from which that weight is taken; by default all
+        """
         names = sorted(sequences)  # the bootstrap resamples sequences in this order, as in `summarise`
         metric = PRIMARY[track]
         found, failed = find_metric(metric), FAILED[track][metric]
@@ -102,7 +111,7 @@ class ScoreTable:
         values = np.array([[one.values.get(name, failed) for name in names] for one in scores], float).reshape(shape)
         if found is None or not found.weight:
             return cls(values)
-        lacking = {name: _unpredicted_weight(scores, name) for name in names}
+        lacking = {name: _unpredicted_weight(scores if trusted is None else trusted, name) for name in names}
         weights = [[(one.weights or {}).get(name, lacking[name]) for name in names] for one in scores]
         return cls(values, np.array(weights, float).reshape(shape))
 

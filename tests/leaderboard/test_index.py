@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from sqlalchemy import text
@@ -319,6 +320,26 @@ def test_what_is_self_reported_is_shown_and_not_ranked(store):
     assert (boast.method, boast.state, boast.place, boast.rank, boast.tied) == ("boast", "current", None, None, False)
     assert boast.score == pytest.approx(0.99 * 7 / 8, abs=0.02)
     assert any("is not ranked" in note for note in board_table(index.page(board_of(index).id, Query())).notes)
+
+
+@pytest.mark.parametrize("action", ["reported", "withdrawn", "superseded"])
+def test_a_record_that_is_not_ranked_gives_no_weights_to_those_that_are(store, action):
+    masks: dict[str, Any] = {"track": "segmentation", "split": "seg-val"}
+    store.add(record_made("whole", skill=0.7, **masks))
+    store.add(record_made("part", skill=0.9, without=("clip-01", "clip-02", "clip-03"), **masks))
+    index = opened(store)
+    before = {row.method: row for row in pages(index)[0].rows}
+    record = record_made("forged", skill=0.5, tier="reported" if action == "reported" else "scored", **masks)
+    tiny = [replace(one, metrics={**one.metrics, "union_px": 1e-9, "truth_px": 1e-9}) for one in record.results]
+    digest = store.add(replace(record, results=tuple(tiny)))
+    if action == "withdrawn":
+        store.change_status(digest, "withdrawn", "A mistake.")
+    elif action == "superseded":
+        store.add(replace(record, created="2026-11-02T12:00:00Z"))
+    index.refresh()
+    after = {row.method: row for row in pages(index)[0].rows}
+    for method, row in before.items():
+        assert (after[method].score, after[method].low, after[method].high) == (row.score, row.low, row.high)
 
 
 def test_the_newest_evaluator_has_the_board(store):

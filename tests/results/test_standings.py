@@ -149,6 +149,14 @@ def test_a_sequence_that_a_method_lacks_weighs_what_is_true_there():
     assert table.means()[1] == pytest.approx(0.5 * 2000 / 2700)
 
 
+def test_only_trusted_methods_say_what_a_lacking_sequence_weighs():
+    whole = SequenceScores({"a": 0.9, "b": 0.8}, {"a": 1000.0, "b": 3000.0}, {"a": 800.0, "b": 700.0})
+    forged = SequenceScores({"a": 0.5, "b": 0.5}, {"a": 1.0, "b": 1.0}, {"a": 1e-9, "b": 1e-9})
+    lacking = SequenceScores({"a": 0.5}, {"a": 2000.0})
+    table = ScoreTable.of([whole, lacking, forged], ["a", "b"], "segmentation", [whole, lacking])
+    assert table.means()[1] == pytest.approx(0.5 * 2000 / 2700)
+
+
 def test_on_a_large_board_the_first_methods_are_what_others_are_tested_against(monkeypatch):
     values = made(40, 8, 0.2, "large")
     whole = ScoreTable(values).standings("higher")
