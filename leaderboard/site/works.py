@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from urllib.parse import urlsplit
 
+from oysterbench.core.text import web_host
 from oysterbench.report.table import Cell
 
 ADDRESS = re.compile(r"https?://[^\s<>\"]+[^\s<>\".,;)]")
@@ -19,7 +19,7 @@ MOST_NAME = 40
 
 def code_cell(code: str) -> Cell:
     """Cell with the name of the program, linked to it. code: where it is."""
-    return Cell(code or None, code_name(code) or None, url=code if ADDRESS.fullmatch(code) else "")
+    return Cell(code or None, code_name(code) or None, url=code if ADDRESS.fullmatch(code) and web_host(code) else "")
 
 
 def paper_cell(paper: str) -> Cell:
@@ -42,7 +42,7 @@ def code_name(place: str) -> str:
     >>> code_name("https://github.com/rpng/open_vins"), code_name("https://colmap.github.io/x")
     ('open_vins', 'colmap.github.io')
     """
-    host = urlsplit(place).netloc.removeprefix("www.") if ADDRESS.fullmatch(place) else ""
+    host = web_host(place).removeprefix("www.") if ADDRESS.fullmatch(place) else ""
     own = place.strip("/").removesuffix(".git").rpartition("/")[2]
     return (host if host and host not in FORGES else own)[:MOST_NAME]
 
@@ -67,7 +67,7 @@ def paper_name(citation: str) -> str:
 
 def paper_address(citation: str) -> str:
     """Address where a cited paper can be read: a URL in the text, a DOI or an arXiv number; empty without any."""
-    if found := ADDRESS.search(citation):
+    if (found := ADDRESS.search(citation)) and web_host(found[0]):
         return found[0]
     if found := DOI.search(citation):
         return f"https://doi.org/{found[1]}"

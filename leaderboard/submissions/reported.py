@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from oysterbench.core.errors import OysterbenchError
+from oysterbench.core.text import web_host
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.results.machines import machine_of
 from oysterbench.results.plausible import BOUNDING, check_plausible
@@ -74,6 +75,7 @@ def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: L
                 raise Refusal("format", f"{where}: expected the metrics {', '.join(lacking)}, which are not there")
             check_plausible(record, where)
             _check_created(record.created, where)
+            _check_code(record.info.get("method"), where)
             if (size := len(machine_of(record.hardware))) > MOST_MACHINE:
                 at_most = f"expected at most {MOST_MACHINE} characters of processor and cores, got {size}"
                 raise Refusal("text", f"{where}: key 'hardware': {at_most}")
@@ -91,6 +93,14 @@ def _check_created(created: str, where: str) -> None:
     if at is None or not EARLIEST <= at <= datetime.now(UTC) + TOLERANCE:
         expected = f"a time from {EARLIEST:%Y} to now, as 2026-11-01T12:00:00Z"
         raise Refusal("format", f"{where}: key 'created': expected {expected}, got {created!r:.40}")
+
+
+def _check_code(said: Any, where: str) -> None:
+    """Refuse an address of a method's code that cannot be opened. Raises Refusal."""
+    code = said.get("code") if isinstance(said, dict) else None
+    if isinstance(code, str) and code.startswith(("http://", "https://")) and not web_host(code):
+        expected = "a web address, or a name or path without http://"
+        raise Refusal("format", f"{where}: key 'info.method.code': expected {expected}, got {code!r:.80}")
 
 
 def _check_texts(value: Any, where: str) -> None:

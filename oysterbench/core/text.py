@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import unicodedata
+from urllib.parse import urlsplit
 
 IGNORABLE = re.compile(
     "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0\U000e0100-\U000e01ef]"
@@ -41,6 +42,19 @@ def in_one_line(error: Exception, most: int = 200) -> str:
     """
     text = re.sub(r" at 0x[0-9a-fA-F]+", "", " ".join(str(error).split()))
     return text[:most] or type(error).__name__
+
+
+def web_host(text: str) -> str:
+    """Host of a web address, with its port; empty where the text is no web address that can be opened.
+
+    >>> web_host("https://example.org:8080/x"), web_host("http://[x"), web_host("ftp://example.org")
+    ('example.org:8080', '', '')
+    """
+    try:
+        parts = urlsplit(text)
+    except ValueError:  # such as brackets without an IPv6 address in them
+        return ""
+    return parts.netloc if parts.scheme in ("http", "https") else ""
 
 
 def unseen(text: str) -> str | None:

@@ -113,6 +113,17 @@ def test_a_paper_is_named_in_a_few_words_and_linked_where_it_has_an_address(cita
     assert html.count("<a ") == bool(address)
 
 
+@pytest.mark.parametrize("odd", ["http://[x", "https://a]b/c", "http://a\u2100b.org/x"])
+def test_an_address_that_cannot_be_opened_is_shown_without_a_link(odd, tmp_path):
+    assert (code_cell(odd).value, code_cell(odd).url, paper_cell(f"A. Bee: Reefs. 2020, {odd}").url) == (odd, "", "")
+    record = record_made()
+    store = RecordStore(tmp_path / "board")
+    said = {"code": odd, "paper": odd}
+    store.add(replace(record, results=tuple(replace(one, info={"method": said}) for one in record.results)))
+    site = Site(open_index(store, str(tmp_path / "index.sqlite")))
+    assert f'href="{odd}' not in render.page_html(board_page(site, "slam", "slam-val"), render.server_links())
+
+
 def test_code_is_named_as_where_it_lies_names_it():
     places = ("https://gitlab.com/reef/slam", "https://www.slam.org/x", "baselines/gtsam_vi", "ftp://x/y", "")
     assert [code_cell(place).text for place in places] == ["slam", "slam.org", "gtsam_vi", "y", None]

@@ -250,6 +250,10 @@ WHOLE = dict.fromkeys(BOUNDING["slam"], 1.0)
         ({"metrics": {"<script>": 1.0}}, "'<script>' is no metric"),
         ({"info": {"x": "a\u202eb"}}, "plain text in one line"),
         ({"info": {"x": "y" * 3000}}, "at most 2000 characters"),
+        (
+            {"info": {"method": {"code": "http://[x"}}},
+            r"key 'info.method.code': expected a web address, .*'http://\[x'",
+        ),
         ({"run": 1, "sequence": "pool-01"}, "each run of a sequence once"),
         ({"hardware": {"cpu": "x" * 300}}, r"results\[0\]: key 'hardware': expected at most 200 characters"),
         (
