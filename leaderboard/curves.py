@@ -6,8 +6,9 @@ Only for public splits: a drawn path would reveal the ground truth.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 
 from oysterbench.core.geometry import Array
@@ -23,6 +24,28 @@ DECIMALS = 3
 
 ERROR_DECIMALS = 5
 """Decimals of errors in m: those of the best paths are about a millimetre."""
+
+
+Point = tuple[float, float, float]
+"""x y z, m, in the world frame `map`."""
+
+
+class Curve(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The path on a sequence, as `sequence_curve` makes it."""
+
+    run: Annotated[int, msgspec.Meta(ge=0)]
+    t_s: list[float]
+    truth: list[Point]
+    path: list[Point | None]
+    error_m: list[float | None]
+
+
+class Curves(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The document of a record's curves, as `curves_document` makes it."""
+
+    format: str
+    align: str
+    sequences: dict[str, Curve]
 
 
 def sequence_curve(result: SlamResult, run: int) -> dict[str, Any]:

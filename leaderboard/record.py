@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from datetime import datetime
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -22,6 +24,9 @@ TIERS: tuple[Tier, ...] = get_args(Tier)
 
 RANKED: tuple[Tier, ...] = ("baseline", "scored")
 """Tiers that a board ranks: for these it is known that a program computed the numbers from an estimate."""
+
+TIME = re.compile("2[0-9]{3}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z")
+"""A time as records have it: UTC, of this millennium, and so sorted as text."""
 
 MOST_TEXT = {"method": 80, "team": 80, "url": 300, "summary": 500, "reason": 500}
 """Key of a record -> maximum number of characters."""
@@ -67,6 +72,7 @@ class Record:
             raise ResultError("record: expected a name of the method and of the team, got an empty one")
         if self.url and not self.url.startswith(("https://", "http://")):
             raise ResultError(f"record: key 'url': expected https://... or nothing, got {self.url!r:.60}")
+        check_time("created", self.created)
         if not self.results:
             raise ResultError(f"record of {self.method}: expected results, got none")
         for key in ("manifest", "curves", "supersedes"):
@@ -130,6 +136,18 @@ class Record:
             read = [ResultRecord.from_dict(r, f"{where}: results[{i}]") for i, r in enumerate(results)]
             values = {**values, "results": read}
         return checked(values, cls, FORMAT, where)
+
+
+def check_time(key: str, value: str) -> None:
+    """Refuse a value that is not a time as `TIME`. Raises ResultError naming the key."""
+    try:
+        known = TIME.fullmatch(value) and datetime.fromisoformat(value)
+    except ValueError:
+        known = None
+    if not known:
+        raise ResultError(
+            f"key {key!r}: expected a UTC time from 2000 to 2999, as 2026-11-01T12:00:00Z, got {value!r:.60}"
+        )
 
 
 def check_text(key: str, value: Any, most: int) -> None:

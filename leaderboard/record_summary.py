@@ -65,7 +65,7 @@ def read_record(data: bytes, digest: str) -> Record:
         raise ResultError("its bytes do not match its name: it was changed")
     try:
         record = Record.from_dict(msgspec.json.decode(data), "record")
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise ResultError(f"expected JSON: {error}") from None
     if record.track not in PRIMARY:
         raise ResultError(f"track {record.track!r:.60}: expected one of {', '.join(PRIMARY)}")

@@ -13,7 +13,7 @@ from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.core.files import write_atomically
 from oysterbench.hub.canonical import SHA256, canonical, parse, sha256
 from oysterbench.results.records import checked, now
-from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.record import Record, check_time
 
 FORMAT = "oysterbench-status-change/1"
 KINDS = ("records", "changes", "curves")
@@ -24,12 +24,15 @@ Action = Literal["withdrawn", "restored"]
 @dataclass(frozen=True)
 class StatusChange:
     """The withdrawal of a record (it is no longer ranked, and its page says so) or its restoration, with the reason.
-    The latest change of a record counts."""
+    The latest change of a record counts. created: UTC, ISO 8601."""
 
     record: str
     action: Action
     reason: str
     created: str
+
+    def __post_init__(self) -> None:
+        check_time("created", self.created)
 
     def order(self) -> tuple[str, str, str]:
         """Sort key of changes."""
@@ -67,9 +70,10 @@ class RecordStore:
         """Digests of all records, sorted."""
         return self.names("records")
 
-    def data(self, digest: str) -> bytes:
-        """Return a record's bytes, as they are in the file."""
-        return self._read("records", digest)
+    def data(self, digest: str, kind: str = "records") -> bytes:
+        """Return the bytes of a record, or of a file of another kind. Raises ResultError where there is none of that
+        digest, or its file was changed."""
+        return self._read(kind, digest)
 
     def record(self, digest: str) -> Record:
         """Read a record. Raises ResultError where there is none of that digest, or its file was changed."""

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.core.text import in_one_line
+from oysterbench.hub.canonical import canonical, decode, parse
+from oysterbench.results.plausible import check_plausible
 from oysterbench_leaderboard.curves import FORMAT as CURVES
+from oysterbench_leaderboard.curves import Curves
+from oysterbench_leaderboard.ranking import columns_of
+from oysterbench_leaderboard.record_summary import read_record
 from oysterbench_leaderboard.store import KINDS, RecordStore
 
 
@@ -19,7 +24,8 @@ class Verified:
 
 
 def verify(store: RecordStore) -> Verified:
-    """Read every file of a store completely, and check that the curves that records name exist."""
+    """Read every file of a store completely: each must be canonical JSON of its kind, with plausible numbers, and the
+    curves and records that a record names must exist."""
     problems: dict[str, str] = {}
     checked = dict.fromkeys(KINDS, 0)
     known = {kind: set(store.names(kind)) for kind in KINDS}
@@ -36,26 +42,38 @@ def verify(store: RecordStore) -> Verified:
                 _check(store, kind, path.stem, known)
             except OysterbenchError as error:
                 problems[where] = str(error)
+            except (OSError, ArithmeticError, ValueError, RecursionError) as error:
+                problems[where] = f"it cannot be read: {in_one_line(error)}"
     return Verified(checked, problems)
 
 
 def _check(store: RecordStore, kind: str, name: str, known: dict[str, set[str]]) -> None:
+    data = store.data(name, kind)
     if kind == "changes":
         store.status_change(name)
-        return
-    if kind == "curves":
-        _check_curves(store.curves(name))
-        return
-    record = store.record(name)
+    elif kind == "curves":
+        _check_curves(data)
+    else:
+        _check_record(data, name, known)
+    if canonical(parse(data, kind)) != data:
+        raise ResultError("expected canonical JSON: keys sorted, each of them once, and no spaces")
+
+
+def _check_record(data: bytes, name: str, known: dict[str, set[str]]) -> None:
+    record = read_record(data, name)
+    columns_of(record, name)
+    for result in record.results:
+        check_plausible(result, f"run {result.run + 1} on {result.sequence}")
     if record.curves and record.curves not in known["curves"]:
         raise ResultError(f"the curves that it names, {record.curves[:12]}, are missing")
+    if record.supersedes and record.supersedes not in known["records"]:
+        raise ResultError(f"the record that it supersedes, {record.supersedes[:12]}, is missing")
 
 
-def _check_curves(document: dict[str, Any]) -> None:
-    if document.keys() != {"format", "align", "sequences"} or document["format"] != CURVES:
-        raise ResultError(f"expected curves of the format {CURVES!r}")
-    for sequence, curve in document["sequences"].items():
-        if curve.keys() != {"run", "t_s", "truth", "path", "error_m"}:
-            raise ResultError(f"curve of {sequence}: expected run, t_s, truth, path and error_m")
-        if len({len(curve[key]) for key in ("t_s", "truth", "path", "error_m")}) > 1:
+def _check_curves(data: bytes) -> None:
+    document = decode(data, Curves, "curves")
+    if document.format != CURVES:
+        raise ResultError(f"expected curves of the format {CURVES!r}, got {document.format!r:.60}")
+    for sequence, curve in document.sequences.items():
+        if len({len(curve.t_s), len(curve.truth), len(curve.path), len(curve.error_m)}) > 1:
             raise ResultError(f"curve of {sequence}: expected lists of one length")
