@@ -121,7 +121,7 @@ class ForkServer:
     def _start(self) -> None:
         self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
-            command = [sys.executable, "-I", self._program, "serve"]
+            command = [sys.executable, "-IB", self._program, "serve"]
             self._process = subprocess.Popen(
                 namespaces.inside(command, [self._program], FOLDER_BYTES, may_mount=True),
                 stdin=theirs.fileno(),

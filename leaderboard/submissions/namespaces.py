@@ -52,7 +52,7 @@ def missing() -> str:
     """Reason in one line why namespaces are not available here; empty where they are. Tried once only."""
     if shutil.which(PROGRAM) is None:
         return f"{PROGRAM} is not installed"
-    command = inside([sys.executable, "-I", "-c", "import oysterbench_leaderboard, numpy"], (), 1 << 20)
+    command = inside([sys.executable, "-IB", "-c", "import oysterbench_leaderboard, numpy"], (), 1 << 20)
     try:
         tried = subprocess.run(command, capture_output=True, text=True, timeout=PROBE_S)
     except subprocess.TimeoutExpired:

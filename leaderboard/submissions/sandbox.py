@@ -126,7 +126,7 @@ def run(
         open_files=OPEN_FILES,
         cpu_s=allowance.cpu_s,
     )
-    command = sandbox.command([sys.executable, "-I", str(WORKER)])
+    command = sandbox.command([sys.executable, "-IB", str(WORKER)])
     namespaced = not namespaces.missing()
     if namespaced:
         command = namespaces.inside(command, (str(WORKER), *sandbox.visible), 2 * allowance.file_bytes)

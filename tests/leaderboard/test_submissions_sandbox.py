@@ -105,6 +105,11 @@ def test_it_knows_nothing_of_the_servers_environment_and_folder(doing, monkeypat
     assert not os.path.exists(answer["env"]["HOME"]), "its folder went with it"
 
 
+def test_it_leaves_no_compiled_code_which_a_limit_of_file_sizes_would_cut_for_everybody(doing):
+    doing("return {'left': not sys.dont_write_bytecode}")
+    assert sandbox.run(job(), ALLOWED).answer == {"left": False}
+
+
 @pytest.mark.parametrize(
     ("body", "allowance"),
     [
