@@ -1,4 +1,4 @@
-"""Suggestions for names that were asked for but do not exist."""
+"""Names: which are plain, and suggestions for those that were asked for but do not exist."""
 
 from __future__ import annotations
 
@@ -7,6 +7,18 @@ from collections.abc import Iterable
 
 FEW = 10
 """Up to this many known names are all listed where an unknown one was asked for."""
+
+PLAIN = "letters, digits, '-' and '_'"
+"""What plain names are made of, in words."""
+
+
+def is_plain(name: str) -> bool:
+    """Whether a name is made of letters, digits, '-' and '_', so that as a file's it stays in the file's folder.
+
+    >>> is_plain("mini-01"), is_plain("../mini-01"), is_plain("")
+    (True, False, False)
+    """
+    return name != "" and all(c.isalnum() or c in "-_" for c in name)
 
 
 def instead(name: str, known: Iterable[str], listed_by: str) -> str:

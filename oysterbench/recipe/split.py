@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import RecipeError
-from oysterbench.core.names import instead
+from oysterbench.core.names import PLAIN, instead, is_plain
 from oysterbench.core.streams import Streams
 from oysterbench.recipe.drawn import draw
 from oysterbench.recipe.keys import as_plain, build, choice, number, stated
@@ -194,8 +194,8 @@ def _check_split(split: SplitRecipe, where: str) -> None:
     if len(set(names)) != len(names):
         raise RecipeError(f"{where}: key 'sequence.name': names must differ, got {names}")
     for name in (split.name, *names):
-        if not name or not all(c.isalnum() or c in "-_" for c in name):
-            raise RecipeError(f"{where}: key 'name': expected letters, digits, '-' and '_', got {name!r}")
+        if not is_plain(name):
+            raise RecipeError(f"{where}: key 'name': expected {PLAIN}, got {name!r}")
     for sequence in split.sequence:
         place = f"{where}: sequence {sequence.name}"
         bases = [other.name for other in split.sequence if not other.same_dive_as and other is not sequence]

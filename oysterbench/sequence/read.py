@@ -13,6 +13,7 @@ import numpy as np
 from oysterbench.core.documents import read_json
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.measurements import Cloud, Image
+from oysterbench.core.names import PLAIN, is_plain
 from oysterbench.core.ros import decode, stamp_of
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.sensors.camera_messages import LAYERS, read_layer
@@ -107,17 +108,26 @@ class McapSequence(Sequence):
             self.types = {
                 channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()
             }
-            self.name = self.metadata["sequence"]
+            self.name = self._plain(self.metadata["sequence"], "the sequence")
             document = read_json(self.attachments[CALIBRATION])
             self._calibrate(document)
             if UNCERTAINTY in document:
                 self.uncertainty = Uncertainty.from_entry(document[UNCERTAINTY])
 
+    def _plain(self, name: str, what: str) -> str:
+        """Return a name if it is plain: exports name files by it, and must not leave their folder."""
+        if not is_plain(name):
+            raise SequenceError(
+                f"{self.path}: name of {what}: expected {PLAIN}, got {name!r:.80}; oysterbench writes no such name: do "
+                "not trust the file"
+            )
+        return name
+
     def _calibrate(self, document: Mapping[str, Any]) -> None:
         """Set the calibrations of the sensors that the file has: a smaller file still lists those of the whole rig."""
         for block, found in read_calibrations(document).items():
             kind = sensor_kinds()[block]
-            here = {name: known for name, known in found.items() if self._sends(name)}
+            here = {name: known for name, known in found.items() if self._sends(self._plain(name, "a sensor"))}
             if not kind.single:
                 setattr(self, kind.attribute, here)
             elif here or kind.required:

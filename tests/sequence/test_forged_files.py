@@ -181,17 +181,39 @@ def test_forged_files_are_read_or_refused_in_little_time_and_memory(tmp_path, se
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - used < LIMIT_KIB
 
 
+def write(path, content: bytes, name: str = "forged", messages=()):
+    """A file with a calibration, and messages of the topics and types of the hand-made dive."""
+    types = dive.all_types()
+    with open(path, "wb") as file:
+        writer = SequenceWriter(file, {message.topic: types[message.topic] for message in messages})
+        writer.metadata(METADATA, {"sequence": name})
+        writer.attachment(CALIBRATION, "application/json", content)
+        for message in messages:
+            writer.write(message)
+        writer.finish()
+    return path
+
+
 @pytest.mark.parametrize(
     "content", [b"[" * 100_000, b'{"cameras": 1}', b'{"cameras": {}, "imu": []}', b"9" * 5000, b"\xff"]
 )
 def test_a_calibration_that_is_none_is_refused_in_a_line(tmp_path, content):
-    path = tmp_path / "forged.mcap"
-    with open(path, "wb") as file:
-        writer = SequenceWriter(file, {})
-        writer.metadata(METADATA, {"sequence": "forged"})
-        writer.attachment(CALIBRATION, "application/json", content)
-        writer.finish()
+    path = write(tmp_path / "forged.mcap", content)
     with pytest.raises(SequenceError, match=r"forged\.mcap: truncated or damaged"):
+        oysterbench.open(path)
+
+
+@pytest.mark.parametrize("name", ["../../thesis", "/tmp/thesis", "..", "", "a b"])
+def test_a_name_that_could_lead_out_of_a_folder_is_refused(tmp_path, name):
+    known = dive.calibration()
+    path = write(tmp_path / "forged.mcap", json.dumps(known).encode(), name)
+    with pytest.raises(
+        SequenceError, match=r"forged\.mcap: name of the sequence: expected letters, digits, '-' and '_'"
+    ):
+        oysterbench.open(path)
+    known["cameras"][name] = known["cameras"].pop("cam_left")
+    path = write(tmp_path / "forged.mcap", json.dumps(known).encode())
+    with pytest.raises(SequenceError, match=r"forged\.mcap: name of a sensor: expected letters, digits, '-' and '_'"):
         oysterbench.open(path)
 
 
