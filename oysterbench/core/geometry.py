@@ -23,6 +23,9 @@ CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 GRAVITY = 9.80665
 """Standard gravity, m/s^2, along -z of `map`."""
 
+RIGID_TOLERANCE = 1e-3
+"""Tolerance on R^T R - I, for matrices written with few digits."""
+
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
     """Homogeneous (4, 4) transform from a (3, 3) rotation matrix and a (3,) translation in m."""
@@ -30,6 +33,19 @@ def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
     matrix[:3, :3] = rotation
     matrix[:3, 3] = translation
     return matrix
+
+
+def is_rigid(matrix: ArrayLike) -> bool:
+    """Whether a matrix is a rigid transform (4, 4): finite, with a proper rotation up to `RIGID_TOLERANCE`."""
+    matrix = np.asarray(matrix, dtype=float)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        return False
+    rotation = matrix[:3, :3]
+    return bool(
+        np.allclose(rotation.T @ rotation, np.eye(3), rtol=0, atol=RIGID_TOLERANCE)
+        and np.linalg.det(rotation) > 0
+        and np.allclose(matrix[3], [0, 0, 0, 1])
+    )
 
 
 def invert(transform: ArrayLike) -> Array:

@@ -27,7 +27,7 @@ from oysterbench.sensors.camera_messages import (
 )
 from oysterbench.sensors.exposure import exposures
 from oysterbench.sensors.faults import Fault, spans
-from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, from_entry, topic
+from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, topic
 from oysterbench.sensors.uncertainty import ErrorModel, Quality
 
 if TYPE_CHECKING:
@@ -44,6 +44,12 @@ FRAME_LAYERS = ("depth", "class", "instance")
 
 LARGEST_PX = 65535
 """Longest edge of an image that JPEG can hold, px."""
+
+DISTORTIONS = {"plumb_bob": (4, 5), "equidistant": (4,)}
+"""Distortion model -> numbers of coefficients that it may have."""
+
+LONGEST_OFFSET_S = 2.0**31
+"""Greatest offset of a camera's stamps, s: that of a clock from power-on, where another counts from 1970, and more."""
 
 
 @dataclass(frozen=True)
@@ -227,9 +233,19 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
     def read_calibration(self, entry: Mapping[str, Any]) -> CameraCalibration:
         port = entry.get("port")
         values = entry if port is None else {**entry, "port_m": port["distance_m"], "port_index": port["index"]}
-        found = from_entry(CameraCalibration, values)
+        found = super().read_calibration(values)
         if not (0 < found.width <= LARGEST_PX and 0 < found.height <= LARGEST_PX):
             raise ValueError(f"expected a width and height of 1 to {LARGEST_PX} px, got {found.width} x {found.height}")
+        if found.matrix.shape != (3, 3) or not (found.matrix[0, 0] > 0 and found.matrix[1, 1] > 0):
+            raise ValueError("matrix: expected (3, 3) with focal lengths above zero")
+        model, shape = found.distortion_model, found.distortion.shape
+        if model not in DISTORTIONS:
+            raise ValueError(f"distortion_model: expected {' or '.join(DISTORTIONS)}, got {model:.40}")
+        if shape not in [(n,) for n in DISTORTIONS[model]]:
+            wanted = " or ".join(map(str, DISTORTIONS[model]))
+            raise ValueError(f"distortion: expected {wanted} coefficients for {model}, got an array {shape}")
+        if abs(found.time_offset_s) > LONGEST_OFFSET_S:
+            raise ValueError(f"expected a time offset of at most {LONGEST_OFFSET_S:g} s, got {found.time_offset_s:g}")
         return found
 
     def error_model(self, recipe: CameraRecipe, entry: Mapping[str, Any], quality: Quality) -> ErrorModel:
@@ -318,6 +334,12 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
 
     def decode(self, name: str, calibration: CameraCalibration, *data: bytes) -> Image:
         stamp, pixels = read_colour(*data)
+        height, width = pixels.shape[:2]
+        if (width, height) != (calibration.width, calibration.height):
+            raise ValueError(
+                f"{name}: expected images of {calibration.width} x {calibration.height} px, as its calibration says, "
+                f"got {width} x {height}"
+            )
         return Image(stamp, name, pixels)
 
     def panels(self, sequence: Any, name: str) -> list[Panel]:

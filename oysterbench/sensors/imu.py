@@ -370,6 +370,8 @@ class Imu(SensorKind[ImuRecipe, ImuCalibration, ImuMeasurement]):
         message = decode(data[0], IMU)
         rate, force = message.angular_velocity, message.linear_acceleration
         gyro, accel = np.array([rate.x, rate.y, rate.z]), np.array([force.x, force.y, force.z])
+        if not np.isfinite([gyro, accel]).all():
+            raise ValueError(f"{name}: expected finite angular rates and specific forces")
         return ImuMeasurement(stamp_of(message.header), gyro, accel)
 
     def strips(self, name: str) -> list[Strip]:

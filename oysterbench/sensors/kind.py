@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oysterbench.core.geometry import Array
+from oysterbench.core.geometry import Array, is_rigid
 from oysterbench.core.ros import Message
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import SequenceRecipe, SiteRecipe
@@ -196,8 +196,11 @@ class SensorKind(ABC, Generic[R, C, M]):
         return found
 
     def read_calibration(self, entry: Mapping[str, Any]) -> C:
-        """Read a calibration from its entry. Raises LookupError, TypeError or ValueError where that is malformed."""
+        """Read a calibration from its entry. Raises LookupError, TypeError or ValueError where that is malformed: its
+        numbers must be finite, and its pose a rigid transform."""
         found: C = from_entry(self.calibration, entry)
+        if not is_rigid(getattr(found, self.pose)):
+            raise ValueError(f"{self.pose}: expected a rigid transform (4, 4), got {str(entry[self.pose])[:60]}")
         return found
 
     def times(self, world: SensedWorld, recipe: R) -> Array | None:
@@ -258,12 +261,15 @@ def columns_of(prefix: str, value: Any, axes: Iterable[str] = XYZ) -> Row:
 
 
 def from_entry(kind: type[T], entry: Mapping[str, Any]) -> T:
-    """Build a calibration from its entry in calibration.json; keys that it does not know are ignored."""
+    """Build a calibration from its entry in calibration.json; keys that it does not know are ignored. Raises
+    LookupError, TypeError or ValueError where a key is missing or its value is of another type or not finite."""
     values: dict[str, Any] = {}
     for name, annotation in kind.__annotations__.items():
         if name not in entry and hasattr(kind, name):
             continue
-        values[name] = _CONVERSIONS[annotation](entry[name])
+        value = values[name] = _CONVERSIONS[annotation](entry[name])
+        if isinstance(value, float | np.ndarray) and not np.isfinite(value).all():
+            raise ValueError(f"{name}: expected finite numbers, got {str(entry[name])[:60]}")
     return kind(**values)
 
 

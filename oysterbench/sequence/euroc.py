@@ -4,18 +4,35 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import TypeVar
 
 import cv2
 import numpy as np
 
 from oysterbench.core.errors import SequenceError
-from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.core.pictures import decode_picture
 from oysterbench.core.trajectory import Trajectory, read_trajectory
+from oysterbench.sensors.camera import KIND as CAMERA
+from oysterbench.sensors.imu import KIND as IMU
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
+
+C = TypeVar("C")
+
+STAMP = re.compile(r"-?[0-9]{1,18}|[1-8][0-9]{18}")
+"""Stamp in ns, which fits an int64."""
+
+LENSES = {
+    "radial-tangential": "plumb_bob",
+    "radtan": "plumb_bob",
+    "plumb_bob": "plumb_bob",
+    "none": "plumb_bob",
+    "equidistant": "equidistant",
+    "fisheye": "equidistant",
+}
+"""Distortion model in a sensor.yaml -> that of `CameraCalibration`."""
 
 GRAVITY = 9.81  # m/s^2; used where the folder has no key for it, which is not part of the layout
 
@@ -32,59 +49,51 @@ class EurocSequence(Sequence):
         if not (root / "imu0" / "data.csv").is_file():
             raise SequenceError(f"{self.folder}: expected an EuRoC folder with mav0/imu0/data.csv, found none")
         folders = [path for path in root.glob("cam[0-9]*") if path.name[3:].isdigit()]
-        self.cameras = {path.name: self._camera(path) for path in sorted(folders, key=lambda path: int(path.name[3:]))}
-        settings = _read_yaml(root / "imu0" / "sensor.yaml")
-        self.imu_calibration = ImuCalibration(
-            rate_hz=_scalar(settings, "rate_hz", 200.0),
-            gyro_noise_density=_scalar(settings, "gyroscope_noise_density"),
-            gyro_random_walk=_scalar(settings, "gyroscope_random_walk"),
-            gyro_turn_on=0.1,
-            accel_noise_density=_scalar(settings, "accelerometer_noise_density"),
-            accel_random_walk=_scalar(settings, "accelerometer_random_walk"),
-            accel_turn_on=0.1,
-            gravity=_scalar(settings, "gravity", GRAVITY),
-            T_base_imu=np.eye(4),
-        )
-
-    def _camera(self, folder: Path) -> CameraCalibration:
-        settings = _read_yaml(folder / "sensor.yaml")
-        fx, fy, cx, cy = _numbers(settings, "intrinsics")
-        width, height = _numbers(settings, "resolution")
-        return CameraCalibration(
-            width=int(width),
-            height=int(height),
-            rate_hz=_scalar(settings, "rate_hz", 20.0),
-            matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]),
-            distortion=_numbers(settings, "distortion_coefficients"),
-            T_base_cam=_numbers(settings, "data").reshape(4, 4),
-            time_offset_s=0.0 - _scalar(settings, "timeshift_cam_imu", 0.0),
-            distortion_model="equidistant" if "equidistant" in settings.get("distortion_model", "") else "plumb_bob",
-        )
+        self.cameras = {
+            path.name: _read_sensor(path / "sensor.yaml", _camera)
+            for path in sorted(folders, key=lambda path: int(path.name[3:]))
+        }
+        self.imu_calibration = _read_sensor(root / "imu0" / "sensor.yaml", _imu)
 
     def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
         if camera not in self.cameras:
             raise SequenceError(f"{self.folder}: no camera {camera!r}; cameras: {', '.join(self.cameras)}")
-        for line in _rows(self._root / camera / "data.csv"):
-            stamp, file = line.split(",")[:2]
-            if not _within(int(stamp), start_ns, end_ns):
+        calibration = self.cameras[camera]
+        for stamp, fields, where in _rows(self._root / camera / "data.csv"):
+            if not _within(stamp, start_ns, end_ns):
                 continue
-            path = self._root / camera / "data" / file.strip()
+            if not fields:
+                raise SequenceError(f"{where}: expected a stamp, and the name of a file in data/, got {fields!s:.80}")
+            path = self._root / camera / "data" / fields[0]
             pixels = decode_picture(path.read_bytes() if path.is_file() else b"", cv2.IMREAD_COLOR_RGB)
             if pixels is None:
                 raise SequenceError(f"{path}: expected an image, could not read one")
-            yield Image(int(stamp), camera, pixels)
+            height, width = pixels.shape[:2]
+            if (width, height) != (calibration.width, calibration.height):
+                raise SequenceError(
+                    f"{path}: expected {calibration.width} x {calibration.height} px, as sensor.yaml says, got {width} "
+                    f"x {height}; correct `resolution` and `intrinsics` there"
+                )
+            yield Image(stamp, camera, pixels)
 
     def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
-        for line in _rows(self._root / "imu0" / "data.csv"):
-            fields = line.split(",")
-            if not _within(int(fields[0]), start_ns, end_ns):
+        for stamp, fields, where in _rows(self._root / "imu0" / "data.csv"):
+            if not _within(stamp, start_ns, end_ns):
                 continue
-            values = np.array(fields[1:7], dtype=float)
-            yield ImuMeasurement(int(fields[0]), values[:3], values[3:])
+            try:
+                values = np.array(fields, dtype=float)
+            except ValueError:
+                values = np.empty(0)
+            if len(values) != 6 or not np.isfinite(values).all():
+                raise SequenceError(
+                    f"{where}: expected a stamp and 6 finite numbers (angular rate, specific force), got "
+                    f"{fields!s:.80}; correct or delete the line"
+                )
+            yield ImuMeasurement(stamp, values[:3], values[3:])
 
     @property
     def duration_s(self) -> float:
-        stamps = [int(row.split(",")[0]) for row in _rows(self._root / "imu0" / "data.csv")]
+        stamps = [stamp for stamp, _, _ in _rows(self._root / "imu0" / "data.csv")]
         return (stamps[-1] - stamps[0]) * 1e-9 if stamps else 0.0
 
     def contents(self) -> list[tuple[str, str, int]]:
@@ -102,30 +111,104 @@ def _within(stamp_ns: int, start_ns: int | None, end_ns: int | None) -> bool:
     return (start_ns is None or stamp_ns >= start_ns) and (end_ns is None or stamp_ns < end_ns)
 
 
-def _rows(path: Path) -> Iterator[str]:
-    with open(path, encoding="utf-8") as file:
-        for line in file:
-            if line.strip() and not line.startswith("#"):
-                yield line
+def _rows(path: Path) -> Iterator[tuple[int, list[str], str]]:
+    """Yield the stamp of each row of a data.csv, in ns, its other fields, and where it is.
+
+    Raises SequenceError where there is no such file, or stamps are not whole numbers that increase.
+    """
+    before: int | None = None
+    for number, line in enumerate(_lines(path), start=1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        first, *fields = (field.strip() for field in line.split(","))
+        if number == 1 and first[:1].isalpha():  # the names of the columns, without the layout's #
+            continue
+        where = f"{path}, line {number}"
+        stamp = int(first) if STAMP.fullmatch(first) else None
+        if stamp is None or (before is not None and stamp <= before):
+            after = "" if before is None else f" above {before}"
+            raise SequenceError(
+                f"{where}: expected a stamp in whole ns{after}, got {first!r:.40}; correct, delete or sort the lines"
+            )
+        yield stamp, fields, where
+        before = stamp
 
 
-def _read_yaml(path: Path) -> dict[str, str]:
-    """Read the `key: value` lines of an ASL sensor.yaml; lists may span lines. Nested keys go by their own name."""
+def _read_sensor(path: Path, read: Callable[[Mapping[str, str]], C]) -> C:
+    """Read a calibration from an ASL sensor.yaml. Raises SequenceError naming the file and what is wrong in it."""
+    # Nested keys go by their own name; lists may span lines.
+    text = re.sub(r"#.*", "", "".join(_lines(path)))
+    found = re.findall(r"^\s*(\w+):[ \t]*(\[[^\]]*\]|[^\n\[]*)", text, re.M)
     try:
-        text = path.read_text(encoding="utf-8")
-    except OSError:
-        raise SequenceError(f"{path}: expected a sensor.yaml of the EuRoC layout, found none") from None
-    text = re.sub(r"#.*", "", text)
-    return {key: value.strip() for key, value in re.findall(r"^\s*(\w+):[ \t]*(\[[^\]]*\]|[^\n\[]*)", text, re.M)}
+        return read({key: value.strip().strip("\"'") for key, value in found})
+    except ValueError as error:
+        raise SequenceError(f"{path}: {error}") from None
 
 
-def _numbers(settings: dict[str, str], key: str) -> Array:
+def _lines(path: Path) -> Iterator[str]:
+    """Yield the lines of a text file, with or without a byte order mark. Raises SequenceError where there is none."""
+    try:
+        # Other encodings than UTF-8 matter only in comments: what is read are numbers and words in ASCII.
+        with open(path, encoding="utf-8-sig", errors="replace") as file:
+            yield from file
+    except OSError as error:
+        raise SequenceError(f"{path}: expected this file of the EuRoC layout, got: {error.strerror}") from None
+
+
+def _camera(settings: Mapping[str, str]) -> CameraCalibration:
+    """Camera from the keys of its sensor.yaml. Raises ValueError where they describe none that is supported."""
+    model, lens = settings.get("camera_model", "pinhole"), settings.get("distortion_model", "radial-tangential")
+    if model != "pinhole":
+        raise ValueError(f"camera_model: expected pinhole, got {model:.40}")
+    if lens not in LENSES:
+        raise ValueError(f"distortion_model: expected one of {', '.join(LENSES)}, got {lens:.40}")
+    fx, fy, cx, cy = _numbers(settings, "intrinsics", 4)
+    width, height = _numbers(settings, "resolution", 2)
+    return CAMERA.read_calibration(
+        {
+            "width": width,
+            "height": height,
+            "rate_hz": _scalar(settings, "rate_hz", 20.0),
+            "matrix": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]],
+            "distortion": _numbers(settings, "distortion_coefficients"),
+            "T_base_cam": np.reshape(_numbers(settings, "data", 16), (4, 4)),
+            "time_offset_s": 0.0 - _scalar(settings, "timeshift_cam_imu", 0.0),
+            "distortion_model": LENSES[lens],
+        }
+    )
+
+
+def _imu(settings: Mapping[str, str]) -> ImuCalibration:
+    """IMU from the keys of its sensor.yaml. Raises ValueError where one is missing or no number."""
+    return IMU.read_calibration(
+        {
+            "rate_hz": _scalar(settings, "rate_hz", 200.0),
+            "gyro_noise_density": _scalar(settings, "gyroscope_noise_density"),
+            "gyro_random_walk": _scalar(settings, "gyroscope_random_walk"),
+            "gyro_turn_on": 0.1,
+            "accel_noise_density": _scalar(settings, "accelerometer_noise_density"),
+            "accel_random_walk": _scalar(settings, "accelerometer_random_walk"),
+            "accel_turn_on": 0.1,
+            "gravity": _scalar(settings, "gravity", GRAVITY),
+            "T_base_imu": np.eye(4),
+        }
+    )
+
+
+def _numbers(settings: Mapping[str, str], key: str, count: int | None = None) -> list[float]:
+    """Numbers of a key, as many as `count` says. Raises ValueError where they are not."""
     if key not in settings:
-        raise SequenceError(f"sensor.yaml: missing key {key!r}")
-    return np.array([float(item) for item in settings[key].strip("[]").replace("\n", " ").split(",")])
+        raise ValueError(f"missing key {key!r}")
+    try:
+        found = [float(item) for item in settings[key].strip("[]").split(",")]
+    except ValueError:
+        found = []
+    if not np.isfinite(found).all() or len(found) != (count or len(found)) or not found:
+        raise ValueError(f"{key}: expected {f'{count} ' if count else ''}finite numbers, got {settings[key]:.60}")
+    return found
 
 
-def _scalar(settings: dict[str, str], key: str, default: float | None = None) -> float:
+def _scalar(settings: Mapping[str, str], key: str, default: float | None = None) -> float:
     if key not in settings and default is not None:
         return default
-    return float(_numbers(settings, key)[0])
+    return _numbers(settings, key, 1)[0]

@@ -268,8 +268,15 @@ class McapSequence(Sequence):
     def _decode_all(
         self, read: Callable[..., Any], names: tuple[str, ...], start_ns: int | None, end_ns: int | None
     ) -> Iterator[Any]:
+        before_ns = None
         for data in self._messages(names, start_ns, end_ns):
-            yield self._decoded(read, *data)
+            found = self._decoded(read, *data)
+            # Messages come in the order of the file's times; the stamps that count are those in their headers.
+            if before_ns is not None and found.stamp_ns < before_ns:
+                cause = f"{names[0]}: expected stamps in time order, got {found.stamp_ns} after {before_ns}"
+                raise SequenceError(damaged(self.path, cause))
+            before_ns = found.stamp_ns
+            yield found
 
     def _messages(
         self, names: tuple[str, ...], start_ns: int | None = None, end_ns: int | None = None

@@ -110,7 +110,10 @@ def read_truth(messages: list[bytes]) -> Trajectory:
     near = (np.abs(place) <= MAX_POSITION_M).all() and (np.abs(turn) <= 2.0).all()  # NaN is not
     if not near or (np.abs(np.linalg.norm(turn, axis=1) - 1.0) > NORM_TOLERANCE).any():
         raise ValueError(f"{TRUTH}: expected positions within {MAX_POSITION_M:g} m and unit quaternions")
-    return Trajectory(np.array(stamps, dtype=np.int64), place, turn)
+    times = np.array(stamps, dtype=np.int64)
+    if not (np.diff(times) > 0).all():
+        raise ValueError(f"{TRUTH}: expected stamps that increase")
+    return Trajectory(times, place, turn)
 
 
 def read_twist(data: bytes) -> tuple[int, Array, Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import resource
 import signal
 import struct
@@ -18,7 +19,11 @@ from mcap.records import Chunk, Metadata
 import oysterbench
 from oysterbench.core.errors import OysterbenchError, SequenceError
 from oysterbench.core.mcap import FOOTER, MAGIC, RECORD
-from oysterbench.core.ros import decode
+from oysterbench.core.measurements import ImuMeasurement
+from oysterbench.core.ros import Message, decode
+from oysterbench.sensors.camera_messages import colour_message
+from oysterbench.sensors.imu import KIND as IMU
+from oysterbench.sensors.imu import ImuRecipe
 from oysterbench.sequence import describe
 from oysterbench.sequence.file import CHECKSUM, checksum
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
@@ -201,6 +206,67 @@ def test_a_calibration_that_is_none_is_refused_in_a_line(tmp_path, content):
     path = write(tmp_path / "forged.mcap", content)
     with pytest.raises(SequenceError, match=r"forged\.mcap: truncated or damaged"):
         oysterbench.open(path)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "key", "value", "message"),
+    [
+        ("camera", "distortion_model", "mei", "expected plumb_bob or equidistant, got mei"),
+        ("camera", "distortion", [0.1] * 2, "expected 4 or 5 coefficients for plumb_bob"),
+        ("camera", "distortion", [0.1] * 9, "expected 4 or 5 coefficients for plumb_bob"),
+        ("camera", "matrix", [[math.nan] * 3] * 3, "matrix: expected finite numbers"),
+        ("camera", "matrix", np.eye(2).tolist(), r"matrix: expected \(3, 3\) with focal lengths above zero"),
+        ("camera", "T_base_cam", np.eye(3).tolist(), r"T_base_cam: expected a rigid transform \(4, 4\)"),
+        ("camera", "T_base_cam", np.zeros((4, 4)).tolist(), "T_base_cam: expected a rigid transform"),
+        ("camera", "T_base_cam", np.diag([1, 1, -1, 1]).tolist(), "T_base_cam: expected a rigid transform"),
+        ("camera", "time_offset_s", 1e300, "expected a time offset of at most"),
+        ("dvl", "T_base_sensor", np.zeros((4, 4)).tolist(), "T_base_sensor: expected a rigid transform"),
+        ("imu", "rate_hz", math.inf, "rate_hz: expected finite numbers"),
+    ],
+)
+def test_a_calibration_that_no_sensor_has_is_refused(tmp_path, sensor, key, value, message):
+    known = dive.calibration()
+    entry = known["cameras"]["cam_left"] if sensor == "camera" else known[sensor]
+    entry[key] = value
+    path = write(tmp_path / "forged.mcap", json.dumps(known).encode())
+    with pytest.raises(SequenceError, match=message):
+        oysterbench.open(path)
+
+
+def imu(stamp: int, force: float = 9.8) -> bytes:
+    densities = ("gyro_noise_density", "gyro_random_walk", "accel_noise_density", "accel_random_walk")
+    recipe = ImuRecipe(rate_hz=100.0, **dict.fromkeys(densities, 1e-4))
+    return IMU.encode(recipe, ImuMeasurement(stamp, np.zeros(3), np.full(3, force)))[0].data
+
+
+def test_stamps_that_go_back_in_the_headers_alone_are_refused(tmp_path):
+    sent = [Message("/imu", stamp, imu(own)) for stamp, own in ((1, 10**18), (2, 10**18 + 1), (3, 5))]
+    sequence = oysterbench.open(write(tmp_path / "forged.mcap", json.dumps(dive.calibration()).encode(), messages=sent))
+    with pytest.raises(SequenceError, match="/imu: expected stamps in time order, got 5 after 1000000000000000001"):
+        list(sequence.imu())
+
+
+def test_samples_of_an_inertial_unit_that_are_not_finite_are_refused(tmp_path):
+    sent = [Message("/imu", 1, imu(1, math.nan))]
+    sequence = oysterbench.open(write(tmp_path / "forged.mcap", json.dumps(dive.calibration()).encode(), messages=sent))
+    with pytest.raises(SequenceError, match="imu: expected finite angular rates and specific forces"):
+        list(sequence.imu())
+
+
+def test_an_image_of_another_size_than_its_calibration_is_refused(tmp_path):
+    known = dive.calibration()
+    known["cameras"]["cam_left"]["width"] *= 2
+    pixels = np.zeros((dive.HEIGHT, dive.WIDTH, 3), np.uint8)
+    sent = [colour_message(1, "cam_left", pixels, 95)]
+    sequence = oysterbench.open(write(tmp_path / "forged.mcap", json.dumps(known).encode(), messages=sent))
+    with pytest.raises(SequenceError, match="expected images of 128 x 48 px, as its calibration says, got 64 x 48"):
+        list(sequence.images("cam_left"))
+
+
+def test_a_truth_whose_stamps_stand_still_is_refused():
+    still = [np.array(value, float) for value in ([0, 0, 0], [0, 0, 0, 1], [0, 0, 0], [0, 0, 0])]
+    with pytest.raises(ValueError, match="/truth/odometry: expected stamps that increase"):
+        read_truth([truth_message(1, *still).data, truth_message(1, *still).data])
 
 
 @pytest.mark.parametrize("name", ["../../thesis", "/tmp/thesis", "..", "", "a b"])

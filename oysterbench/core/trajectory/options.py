@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import TrajectoryError
-from oysterbench.core.geometry import Array
+from oysterbench.core.geometry import Array, is_rigid
 
 Format = Literal["tum", "euroc", "kitti", "csv", "npz", "mcap", "bag"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
@@ -70,19 +70,7 @@ class ReadOptions:
             check_rigid(self.T_body_estimate, "T_body_estimate")
 
 
-RIGID_TOLERANCE = 1e-3
-"""Tolerance on R^T R - I, for matrices written with few digits."""
-
-
 def check_rigid(matrix: Array, name: str) -> None:
     """Refuse a matrix that is not a rigid transform (4, 4). Raises TrajectoryError, which starts with `name`."""
-    good = np.shape(matrix) == (4, 4) and bool(np.isfinite(matrix).all())
-    if good:
-        rotation = np.asarray(matrix)[:3, :3]
-        good = (
-            np.allclose(rotation.T @ rotation, np.eye(3), rtol=0, atol=RIGID_TOLERANCE)
-            and np.linalg.det(rotation) > 0
-            and np.allclose(np.asarray(matrix)[3], [0, 0, 0, 1])
-        )
-    if not good:
+    if not is_rigid(matrix):
         raise TrajectoryError(f"{name}: expected a rigid transform (4, 4), got {np.array2string(np.asarray(matrix))}")

@@ -11,11 +11,11 @@ import scipy
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import NoStampsError, TrajectoryError
-from oysterbench.core.geometry import Array
+from oysterbench.core.geometry import RIGID_TOLERANCE, Array
 from oysterbench.core.trajectory.checks import checked_poses, others
 from oysterbench.core.trajectory.columns import EUROC, KITTI, KITTI_MATRIX, TUM, Columns, named_columns
 from oysterbench.core.trajectory.frames import METRES, scaled
-from oysterbench.core.trajectory.options import RIGID_TOLERANCE, ReadOptions
+from oysterbench.core.trajectory.options import ReadOptions
 from oysterbench.core.trajectory.poses import Trajectory
 from oysterbench.core.trajectory.stamps import SHIFTS, scaled_integer, scaled_integers
 from oysterbench.core.trajectory.table import NUMBER, NumberTable, is_comment, read_table, split

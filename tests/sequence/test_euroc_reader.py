@@ -1,0 +1,154 @@
+"""Folders in EuRoC layout as others make them: read, or refused in a line that names the file."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+import oysterbench
+from oysterbench.core.errors import SequenceError
+
+CAMERA = """sensor_type: camera
+T_BS:
+  cols: 4
+  rows: 4
+  data: [1.0, 0.0, 0.0, 0.1, 0.0, 1.0, 0.0, 0.2,
+         0.0, 0.0, 1.0, 0.3, 0.0, 0.0, 0.0, 1.0]
+rate_hz: 20
+resolution: [32, 24]
+camera_model: pinhole
+intrinsics: [25.0, 25.0, 15.5, 11.5]
+distortion_model: radial-tangential
+distortion_coefficients: [0.1, 0.0, 0.0, 0.0]
+"""
+IMU = """sensor_type: imu
+rate_hz: 200
+gyroscope_noise_density: 1.0e-4
+gyroscope_random_walk: 1.0e-5
+accelerometer_noise_density: 1.0e-3
+accelerometer_random_walk: 1.0e-3
+"""
+FRAMES = [10**18 + k * 50_000_000 for k in range(3)]
+SAMPLES = [10**18 + k * 5_000_000 for k in range(20)]
+
+
+class Folder:
+    """A folder whose files can be changed: `change` replaces a text in one of them."""
+
+    def __init__(self, path) -> None:
+        self.path, self.root = path, path / "mav0"
+        (self.root / "cam0" / "data").mkdir(parents=True)
+        (self.root / "imu0").mkdir()
+        for stamp in FRAMES:
+            cv2.imwrite(str(self.root / "cam0" / "data" / f"{stamp}.png"), np.zeros((24, 32), np.uint8))
+        rows = "".join(f"{stamp},0,0,0,0,0,{k}.5\n" for k, stamp in enumerate(SAMPLES))
+        self.write("cam0/sensor.yaml", CAMERA)
+        self.write("cam0/data.csv", "#timestamp [ns],filename\n" + "".join(f"{s},{s}.png\n" for s in FRAMES))
+        self.write("imu0/sensor.yaml", IMU)
+        self.write("imu0/data.csv", f"#timestamp [ns],w_x,w_y,w_z,a_x,a_y,a_z\n{rows}")
+
+    def write(self, file: str, text: str, encoding: str = "utf-8") -> None:
+        (self.root / file).write_text(text, encoding=encoding)
+
+    def change(self, file: str, old: str, new: str) -> None:
+        text = (self.root / file).read_text()
+        assert old in text
+        self.write(file, text.replace(old, new))
+
+    def read(self) -> list[int]:
+        return [item.stamp_ns for item in oysterbench.open(self.path).stream()]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return Folder(tmp_path / "dive")
+
+
+def test_a_folder_gives_its_calibration_and_measurements(folder):
+    sequence = oysterbench.open(folder.path)
+    assert sequence.cameras["cam0"].T_base_cam[:3, 3].tolist() == [0.1, 0.2, 0.3]
+    assert sequence.cameras["cam0"].distortion.tolist() == [0.1, 0.0, 0.0, 0.0]
+    assert [sample.accel[2] for sample in sequence.imu(SAMPLES[2], SAMPLES[4])] == [2.5, 3.5]
+    assert folder.read() == sorted(SAMPLES + FRAMES)
+
+
+@pytest.mark.parametrize("header", ["\ufeff#timestamp [ns],filename", "timestamp [ns],filename", ""])
+def test_a_header_may_have_a_byte_order_mark_or_lack_its_hash(folder, header):
+    folder.change("cam0/data.csv", "#timestamp [ns],filename", header)
+    assert len(folder.read()) == len(SAMPLES + FRAMES)
+
+
+def test_a_comment_may_be_in_another_encoding(folder):
+    folder.write("cam0/sensor.yaml", f"# caméra\n{CAMERA}", "latin-1")
+    assert len(folder.read()) == len(SAMPLES + FRAMES)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("radial-tangential", "fov", "distortion_model: expected one of .*, got fov"),
+        ("pinhole", "omni", "camera_model: expected pinhole, got omni"),
+        ("[25.0, ", "[fx, ", r"intrinsics: expected 4 finite numbers, got \[fx"),
+        ("[25.0, ", "[0.9, 25.0, ", "intrinsics: expected 4 finite numbers"),
+        ("[25.0, ", "[-25.0, ", "focal lengths above zero"),
+        ("[25.0, ", "[nan, ", "intrinsics: expected 4 finite numbers"),
+        ("[0.1, 0.0, ", "[0.1, ", "distortion: expected 4 or 5 coefficients for plumb_bob"),
+        (
+            "radial-tangential\ndistortion_coefficients: [",
+            "equidistant\ndistortion_coefficients: [0.0, ",
+            "expected 4 ",
+        ),
+        (", 0.0, 0.0, 0.0, 1.0]", "]", "data: expected 16 finite numbers"),
+        ("[1.0, ", "[2.0, ", r"expected a rigid transform \(4, 4\)"),
+        ("[32, 24]", "[32]", "resolution: expected 2 finite numbers"),
+        ("resolution:", "size:", "missing key 'resolution'"),
+        ("rate_hz: 20", "rate_hz: 20\ntimeshift_cam_imu: 1e300", "expected a time offset of at most"),
+    ],
+)
+def test_a_calibration_that_is_not_supported_is_refused(folder, old, new, message):
+    folder.change("cam0/sensor.yaml", old, new)
+    with pytest.raises(SequenceError, match=f"cam0/sensor.yaml: .*{message}"):
+        folder.read()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (f"{SAMPLES[-1]},0,0,0,0,0,", f"{SAMPLES[-1]},0,0,0", "line 21: expected a stamp and 6 finite numbers"),
+        (f"{SAMPLES[1]},0", f"{SAMPLES[1]},nan", r"line 3: expected a stamp and 6 finite numbers .*\['nan'"),
+        (f"{SAMPLES[1]},0", f"{SAMPLES[1]},x", "line 3: expected a stamp and 6 finite numbers"),
+        (f"{SAMPLES[1]},0", f"{SAMPLES[1]},0,0", "line 3: expected a stamp and 6 finite numbers"),
+        (f"{SAMPLES[-1]},", f"{str(SAMPLES[-1])[:9]},", f"line 21: expected a stamp in whole ns above {SAMPLES[-2]}"),
+        (f"{SAMPLES[1]},", f"{SAMPLES[0]},", f"line 3: expected a stamp in whole ns above {SAMPLES[0]}"),
+        (f"{SAMPLES[1]},", "1000000000.005,", "line 3: .* in whole ns .*, got '1000000000.005'"),
+        (f"{SAMPLES[0]},", "1.0e18,", "line 2: expected a stamp in whole ns, got '1.0e18'"),
+        (f"{SAMPLES[-1]},", f"{10**19},", "line 21: expected a stamp in whole ns"),
+    ],
+)
+def test_samples_that_are_cut_short_or_out_of_order_are_refused(folder, old, new, message):
+    folder.change("imu0/data.csv", old, new)
+    with pytest.raises(SequenceError, match=f"imu0/data.csv, {message}"):
+        folder.read()
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("sensor.yaml", "[32, 24]", "[320, 240]", "expected 320 x 240 px, as sensor.yaml says, got 32 x 24"),
+        ("data.csv", f"{FRAMES[1]},", f"{FRAMES[0]},", f"line 3: expected a stamp in whole ns above {FRAMES[0]}"),
+        ("data.csv", f"{FRAMES[1]},", f"{FRAMES[1]};", "line 3: expected a stamp in whole ns"),
+        ("data.csv", f",{FRAMES[1]}.png", "", "line 3: expected a stamp, and the name of a file in data/"),
+        ("data.csv", f"{FRAMES[1]}.png", "none.png", "none.png: expected an image, could not read one"),
+    ],
+)
+def test_images_that_do_not_fit_their_list_or_calibration_are_refused(folder, file, old, new, message):
+    folder.change(f"cam0/{file}", old, new)
+    with pytest.raises(SequenceError, match=message):
+        folder.read()
+
+
+def test_a_camera_without_its_list_is_refused(folder):
+    (folder.root / "cam0" / "data.csv").unlink()
+    with pytest.raises(SequenceError, match=r"cam0/data\.csv: expected this file of the EuRoC layout"):
+        folder.read()
