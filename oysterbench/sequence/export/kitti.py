@@ -55,7 +55,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
             f"{sequence.name}: no frame that every camera and the ground truth share; nothing to export"
         )
     for index, name in enumerate(pair):
-        _write_images(sequence, name, matrix, turns[index], set(kept), place / f"image_{index}", steps)
+        _write_images(sequence, name, matrix, turns[index], kept, place / f"image_{index}", steps)
     calibration = [*_projections(sequence, pair, matrix), f"Tr: {_row(_of_body(sequence, left, turns[0]))}"]
     write_lines(place / "calib.txt", calibration)
     write_lines(place / "times.txt", (f"{(stamp - kept[0]) * 1e-9:.9e}" for stamp in kept))
@@ -105,12 +105,16 @@ def _of_body(sequence: Sequence, left: str, turn: Array) -> Array:
 
 
 def _write_images(
-    sequence: Sequence, name: str, matrix: Array, turn: Array, kept: set[int], folder: Path, steps: Steps
+    sequence: Sequence, name: str, matrix: Array, turn: Array, kept: list[int], folder: Path, steps: Steps
 ) -> None:
+    """Write the images of the stamps `kept`, numbered as these are; of several at one stamp, the first."""
     folder.mkdir()
     maps = undistorting_maps(sequence.cameras[name], matrix, turn)
-    chosen = (image for image in steps.counted(sequence.images(name)) if image.stamp_ns in kept)
-    for index, image in enumerate(chosen):
+    numbers = {stamp: index for index, stamp in enumerate(kept)}
+    for image in steps.counted(sequence.images(name)):
+        index = numbers.pop(image.stamp_ns, None)
+        if index is None:
+            continue
         pixels = image.pixels if maps is None else np.asarray(cv2.remap(image.pixels, *maps, cv2.INTER_LINEAR))
         write_png(folder / f"{index:06d}.png", cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY))
 

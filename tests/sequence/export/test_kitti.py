@@ -8,6 +8,7 @@ import pytest
 from evo.tools import file_interface
 
 from oysterbench.core.geometry import invert
+from oysterbench.sequence.export import export_sequence
 from oysterbench.sequence.export.kitti import _projections
 from tests.helpers import hand_made_dive as dive
 
@@ -33,6 +34,19 @@ def test_kitti_is_a_stereo_pair_with_poses_of_the_left_camera(sequence, folders)
     poses = sequence.truth().at(stamps[stamps <= sequence.truth().stamps_ns[-1]]).matrices @ T_BASE_LEFT
     np.testing.assert_allclose(np.array(loaded.poses_se3), invert(poses[0]) @ poses, atol=1e-9)
     np.testing.assert_allclose(loaded.poses_se3[0], np.eye(4), atol=1e-12)
+
+
+def test_kitti_numbers_images_by_their_stamps_where_one_is_repeated(sequence, folders, tmp_path, monkeypatch):
+    read = sequence.images
+    monkeypatch.setattr(sequence, "images", lambda name: (image for image in read(name) for _ in range(2)))
+    folder, _ = export_sequence(sequence, "kitti", tmp_path / "repeated")
+    place, once = (root / "sequences" / "00" for root in (folder, folders["kitti"]))
+    assert (place / "times.txt").read_text() == (once / "times.txt").read_text()
+    for index in (0, 1):
+        written, expected = (
+            {file.name: file.read_bytes() for file in (root / f"image_{index}").iterdir()} for root in (place, once)
+        )
+        assert written == expected
 
 
 def test_kitti_projects_a_point_where_each_camera_sees_it(sequence, folders):
