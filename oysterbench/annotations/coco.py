@@ -24,6 +24,7 @@ from oysterbench.annotations.image import (
 )
 from oysterbench.core import documents
 from oysterbench.core.errors import LabelError
+from oysterbench.core.files import leads_out
 from oysterbench.core.pictures import LARGEST_IMAGE_PX
 from oysterbench.evaluate.detection import ImageInstances, Instance
 from oysterbench.evaluate.detection.instances import OUTSIDE, Runs, mask_tools, numpy_2
@@ -135,6 +136,11 @@ def coco_set(path: Path) -> LabelledSet:
     coco = read_coco(path)
     entries = []
     for key, image in coco.images.items():
+        if leads_out(image.file_name):
+            raise LabelError(
+                f"{path}: image {key}: expected a file_name relative to this folder or to images/ in it, got one that "
+                f"leads out of it: {image.file_name!r:.80}; put the image there and correct its name"
+            )
         places = (path.parent / image.file_name, path.parent / "images" / image.file_name)
         file = next((place for place in places if place.is_file()), None)
         if file is None:

@@ -39,6 +39,15 @@ def write_atomically(path: str | os.PathLike[str], data: bytes) -> None:
         file.write(data)
 
 
+def leads_out(name: str) -> bool:
+    """Whether a path, relative to a folder, leads out of that folder: names of files in it must not.
+
+    >>> leads_out("clip/1.png"), leads_out("clip/../../1.png"), leads_out("/tmp/1.png")
+    (False, True, True)
+    """
+    return os.path.isabs(name) or os.path.normpath(name).split(os.sep)[0] == os.pardir
+
+
 @contextlib.contextmanager
 def appearing(path: str | os.PathLike[str], prefix: str | None = None, mode: int = 0o644) -> Iterator[IO[bytes]]:
     """Yield a file to write, which appears under its name, synced, when the block succeeds, and leaves nothing behind

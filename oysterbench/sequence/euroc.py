@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from oysterbench.core.errors import SequenceError
+from oysterbench.core.files import leads_out
 from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.core.pictures import decode_picture
 from oysterbench.core.trajectory import Trajectory, read_trajectory
@@ -62,7 +63,7 @@ class EurocSequence(Sequence):
         for stamp, fields, where in _rows(self._root / camera / "data.csv"):
             if not _within(stamp, start_ns, end_ns):
                 continue
-            if not fields:
+            if not fields or leads_out(fields[0]):
                 raise SequenceError(f"{where}: expected a stamp, and the name of a file in data/, got {fields!s:.80}")
             path = self._root / camera / "data" / fields[0]
             pixels = decode_picture(path.read_bytes() if path.is_file() else b"", cv2.IMREAD_COLOR_RGB)

@@ -219,6 +219,17 @@ def coco_file(folder, segmentation, **more):
     return folder
 
 
+@pytest.mark.parametrize("name", ["../a.png", "images/../../a.png", "ABSOLUTE"])
+def test_a_coco_file_cannot_name_an_image_outside_its_folder(tmp_path, name):
+    place = coco_file(tmp_path / "set", [[0, 0, 8, 0, 8, 8]]) / "all.json"
+    (tmp_path / "set" / "images").mkdir()
+    write_png(tmp_path / "a.png", picture(0))
+    name = name.replace("ABSOLUTE", str(tmp_path / "a.png"))
+    place.write_text(place.read_text().replace("a.png", name))
+    with pytest.raises(LabelError, match=r"all\.json: image 3: expected a file_name relative to this folder"):
+        open_labelled(place.parent)
+
+
 def test_coco_polygons_crowds_and_other_categories(tmp_path):
     box = [8, 8, 24, 8, 24, 20, 8, 20]
     assert open_labelled(coco_file(tmp_path, [box]))[0].oysters.sum() == 16 * 12

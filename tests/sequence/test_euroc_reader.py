@@ -139,6 +139,8 @@ def test_samples_that_are_cut_short_or_out_of_order_are_refused(folder, old, new
         ("data.csv", f"{FRAMES[1]},", f"{FRAMES[0]},", f"line 3: expected a stamp in whole ns above {FRAMES[0]}"),
         ("data.csv", f"{FRAMES[1]},", f"{FRAMES[1]};", "line 3: expected a stamp in whole ns"),
         ("data.csv", f",{FRAMES[1]}.png", "", "line 3: expected a stamp, and the name of a file in data/"),
+        ("data.csv", f"{FRAMES[1]}.png", f"../data/../../{FRAMES[1]}.png", "line 3: .* a file in data/, got"),
+        ("data.csv", f"{FRAMES[1]}.png", f"/tmp/{FRAMES[1]}.png", "line 3: .* a file in data/, got"),
         ("data.csv", f"{FRAMES[1]}.png", "none.png", "none.png: expected an image, could not read one"),
     ],
 )
