@@ -117,32 +117,33 @@ def run(
     forks: fork server from which the process is forked where namespaces are available; such a process is never stopped,
     and raises OSError where it cannot be forked
     """
-    sandbox = Sandbox(
-        hidden=job.hidden,
-        visible=(job.path, *(job.truth or {}).values()),
-        network=False,
-        memory_bytes=allowance.memory_bytes,
-        file_bytes=allowance.file_bytes,
-        open_files=OPEN_FILES,
-        cpu_s=allowance.cpu_s,
-    )
-    command = sandbox.command([sys.executable, "-IB", str(WORKER)])
     namespaced = not namespaces.missing()
-    if namespaced:
-        command = namespaces.inside(command, (str(WORKER), *sandbox.visible), 2 * allowance.file_bytes)
     with (
         tempfile.TemporaryDirectory(prefix="oysterbench-") as folder,
         tempfile.TemporaryFile() as asked,
         tempfile.TemporaryFile() as answer,
         tempfile.TemporaryFile() as stderr,
     ):
+        home = namespaces.FOLDER if namespaced else folder
+        sandbox = Sandbox(
+            hidden=job.hidden,
+            visible=(job.path, *(job.truth or {}).values()),
+            writable=(home, *namespaces.DEVICES),
+            network=False,
+            memory_bytes=allowance.memory_bytes,
+            file_bytes=allowance.file_bytes,
+            open_files=OPEN_FILES,
+            cpu_s=allowance.cpu_s,
+        )
         forked = forks if namespaced else None
         asked.write(msgspec.json.encode(replace(job, path=UPLOAD) if forked else job))
         asked.seek(0)
         if forked:
             code = forked.run(replace(sandbox, visible=()), job.path, (asked, answer, stderr), allowance.wall_s)
             return _ended(code, answer, stderr)
-        home = namespaces.FOLDER if namespaced else folder
+        command = sandbox.command([sys.executable, "-IB", str(WORKER)])
+        if namespaced:
+            command = namespaces.inside(command, (str(WORKER), *sandbox.visible), 2 * allowance.file_bytes)
         process = subprocess.Popen(
             command,
             stdin=asked,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import subprocess
 import sys
 import textwrap
@@ -164,14 +165,32 @@ def test_it_dies_with_the_server(doing, tmp_path):
     """Which is seen by a pipe whose other end nobody holds any more."""
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    doing(f"kept = open(job.path, 'wb', buffering=0)\nkept.write(b'up')\n{FOREVER}")
+    doing(f"kept = open(job.path, 'rb')\n{FOREVER}")
     server = subprocess.Popen([sys.executable, "-c", RUNS, str(sandbox.WORKER), str(pipe)], cwd=ROOT)
-    with open(pipe, "rb") as reader:
-        assert reader.read(2) == b"up"
+    with open(pipe, "wb") as writer:
+        ended = select.poll()
+        ended.register(writer, 0)
+        assert ended.poll(0) == []
         assert server.poll() is None
         server.kill()
         server.wait()
-        assert reader.read() == b""
+        assert ended.poll(60_000) == [(writer.fileno(), select.POLLERR)]
+
+
+@STARTED
+@pytest.mark.skipif(not can_hide(), reason="needs Landlock: Linux 5.13 or later")
+def test_it_writes_nowhere_but_in_its_folder(doing, tmp_path):
+    (tmp_path / "upload").write_text("carp")
+    doing("""
+        def refused(path):
+            try:
+                open(path, 'a')
+            except OSError:
+                return True
+        beside = os.path.join(os.path.dirname(job.path), 'other')
+        return {'places': [bool(refused(path)) for path in ('notes', job.path, beside, worker.__file__)]}""")
+    answer = sandbox.run(job(tmp_path / "upload"), ALLOWED).answer
+    assert answer == {"places": [False, True, True, True]}
 
 
 @pytest.mark.parametrize("doing", ["namespaces"], indirect=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from oysterbench.methods.processes import environment
-from oysterbench.methods.sandbox import Sandbox, can_hide
+from oysterbench.methods.sandbox import SINCE_OUTSIDE, Sandbox, can_hide, landlock_version
 
 hides = pytest.mark.skipif(not can_hide(), reason="needs Landlock: Linux 5.13 or later")
 
@@ -66,6 +66,32 @@ def test_a_visible_file_of_a_hidden_folder_is_read_and_not_written(truth):
     assert python(sandbox, READS, truth / "secret.txt").stdout == "1.2345\n"
     assert "PermissionError" in python(sandbox, "import sys; open(sys.argv[1], 'a')", truth / "secret.txt").stderr
     assert "PermissionError" in python(sandbox, READS, truth.parent / "images.txt").stderr
+
+
+@hides
+def test_where_only_some_folders_are_writable_all_others_are_read(truth, tmp_path):
+    sandbox = Sandbox(writable=(str(tmp_path),), fixed=(str(truth),))
+    appends = "import sys; open(sys.argv[1], 'a')"
+    assert python(sandbox, READS, truth / "secret.txt").stdout == "1.2345\n"
+    assert python(sandbox, appends, truth.parent / "images.txt").returncode == 0
+    for path in (truth / "secret.txt", truth / "new", __file__):
+        assert "PermissionError" in python(sandbox, appends, path).stderr
+    hides_all = Sandbox(hidden=(str(tmp_path),), writable=(str(truth),))
+    assert python(hides_all, appends, truth / "secret.txt").returncode == 0
+    assert "PermissionError" in python(hides_all, READS, truth.parent / "images.txt").stderr
+
+
+@pytest.mark.skipif(landlock_version() < SINCE_OUTSIDE, reason="needs Linux 6.12 or later")
+@pytest.mark.parametrize("network", [True, False])
+def test_no_process_outside_is_signalled(network):
+    signals = "import os, sys; os.kill(int(sys.argv[1]), 0); print('reached')"
+    assert "PermissionError" in python(Sandbox(network=network), signals, os.getpid()).stderr
+    assert python(Sandbox(network=network), "import os; os.kill(os.getpid(), 9)").returncode == -9
+
+
+def test_the_environment_of_whoever_started_it_is_not_read_even_by_root(truth):
+    reads = "import os; print(open(f'/proc/{os.getppid()}/environ').read())"
+    assert "PermissionError" in python(Sandbox(hidden=(str(truth),)), reads).stderr
 
 
 def test_without_a_network_no_server_is_reached():
