@@ -12,6 +12,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from typing import IO, Any
@@ -19,11 +20,11 @@ from typing import IO, Any
 import numpy as np
 
 from oysterbench.core.errors import MethodError, OysterbenchError
-from oysterbench.core.files import home, scratch
+from oysterbench.core.files import scratch
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.interfaces.steering import task_of
 from oysterbench.methods.policy import commands
-from oysterbench.methods.processes import environment, failure_of, supervised_command
+from oysterbench.methods.processes import STDERR, environment, failure_of, secrets, supervised_command
 from oysterbench.methods.steering import Steering, SteeringMethod, VehicleState, View, Views
 
 LIMIT_S = 4 * 3600.0
@@ -42,18 +43,18 @@ class PolicyProcess:
 
     def run(self, views: Views) -> Iterator[Steering]:
         """Yield a command for each view. Raises MethodError where the policy fails."""
-        with scratch() as folder:
-            report, log = folder / "process.json", folder / "stderr.txt"
+        with scratch() as folder, tempfile.TemporaryFile() as report:
             words = [sys.executable, "-m", __name__, self.reference]
-            command = supervised_command(words, LIMIT_S, report, [home() / "splits"])
-            with open(log, "wb") as err:
+            command = supervised_command(words, LIMIT_S, report, secrets(), own=[folder])
+            with open(folder / STDERR, "wb") as err:
                 process = subprocess.Popen(
                     command,
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=err,
                     start_new_session=True,
-                    env=environment(),
+                    pass_fds=[report.fileno()],
+                    env=environment() | {"TMPDIR": str(folder)},
                 )
             try:
                 assert process.stdin is not None

@@ -5,27 +5,45 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from oysterbench.core.errors import MachineError
-from oysterbench.core.files import MODELS, free_bytes, models
+from oysterbench.core.files import MODELS, SCRATCH, free_bytes, home, models
 from oysterbench.methods.sandbox import Sandbox, can_hide
+from oysterbench.methods.supervise import KILLING_S
+from oysterbench.simulation.salt import SALT_FILE
 
 SUPERVISOR = Path(__file__).with_name("supervise.py")
-STDOUT, STDERR, REPORT = "stdout.txt", "stderr.txt", "process.json"
+PACKAGE = str(Path(__file__).parent.parent)
+DEVICES = "/dev"
+STDOUT, STDERR = "stdout.txt", "stderr.txt"
+MARGIN_S = 10.0
+"""Time that a supervisor may take beyond its limit and KILLING_S."""
+CONTINUED_S = KILLING_S + MARGIN_S
+"""Time that it may take after it was stopped and continued."""
 LEAST_FREE = 1 << 20
 """Free space, bytes, below which any failure is put down to a full disk."""
 KILLED_STATUS = 128 + signal.SIGKILL
 """Exit status by which a shell reports that its command was killed by SIGKILL."""
 WEIGHTS = ".pt"
 """File suffix of trained weights."""
+CACHES = ("huggingface", "matplotlib", "numba", "torch", "torch_extensions")
+"""Folders in the user's cache that libraries of methods fail or are slow without. All others are fixed: those of
+installers have files that may be hard links to installed code."""
+CACHES_AT_HOME = (".nv", ".ros", ".triton")
+"""Folders in the user's home that are used in the same way, if they are there."""
+TEMPORARY = "tmp"
+"""Name of the temporary folder of a method's process."""
 TAIL_BYTES, TAIL_LINES, TAIL_CHARACTERS = 8192, 10, 2000
 
 
@@ -64,18 +82,27 @@ class Processes:
         folder: Path,
         hidden: Iterable[Path] = (),
         visible: Iterable[Path] = (),
+        fixed: Iterable[Path] = (),
     ) -> Ended:
         """Run a command to its end; its output goes to stdout.txt and stderr.txt in a folder.
 
         hidden: paths that it cannot open, if the kernel can hide them (`sandbox`); its environment does not reveal them
-        either. visible: paths inside these that it can read but not write.
+        either, and its temporary folder is one inside the folder, which is deleted afterwards. visible: paths inside
+        hidden ones that it can read. fixed: paths that it cannot write to; see `supervised_command` for others.
         Raises MachineError where it was killed from outside, by the kernel for lack of memory or by a person, and
         Stopped once `stop` was called.
         """
-        report = folder / REPORT
-        report.unlink(missing_ok=True)
-        supervised = supervised_command(command, limit_s, report, hidden, visible)
-        with open(folder / STDOUT, "wb") as out, open(folder / STDERR, "wb") as err:
+        hidden, temporary = tuple(hidden), folder / TEMPORARY
+        env: dict[str, str] | None = None
+        if hidden:
+            temporary.mkdir(exist_ok=True)
+            env = environment() | {"TMPDIR": str(temporary)}
+        with (
+            tempfile.TemporaryFile() as report,
+            open(folder / STDOUT, "wb") as out,
+            open(folder / STDERR, "wb") as err,
+        ):
+            supervised = supervised_command(command, limit_s, report, hidden, visible, [folder], fixed)
             with self._lock:
                 if self._stopped:
                     raise Stopped
@@ -86,20 +113,24 @@ class Processes:
                     stdout=out,
                     stderr=err,
                     start_new_session=True,
-                    env=environment() if hidden else None,
+                    pass_fds=[report.fileno()],
+                    env=env,
                 )
                 self._running.add(process)
             try:
-                process.wait()
+                _wait(process, limit_s)
             finally:
                 with self._lock:
                     self._running.discard(process)
+            said = report_of(report)
+        if hidden:
+            shutil.rmtree(temporary, ignore_errors=True)
         self.raise_if_stopped()
-        if not report.is_file():
+        if process.returncode != 0 or said is None:
             raise MachineError(
                 f"the supervisor of {command[0]} was killed: {tail(folder / STDERR) or 'no word from it'}"
             )
-        ended = _ended(json.loads(report.read_text(encoding="utf-8")), limit_s, folder)
+        ended = _ended(said, limit_s, folder)
         if ended.killed:
             raise MachineError(ended.failure)
         return ended
@@ -118,15 +149,69 @@ class Processes:
 
 
 def supervised_command(
-    command: Sequence[str], limit_s: float, report: Path, hidden: Iterable[Path], visible: Iterable[Path] = ()
+    command: Sequence[str],
+    limit_s: float,
+    report: IO[bytes],
+    hidden: Iterable[Path],
+    visible: Iterable[Path] = (),
+    own: Iterable[Path] = (),
+    fixed: Iterable[Path] = (),
 ) -> list[str]:
-    """Command line that runs a command under the supervisor, unable to open what is hidden and not visible."""
+    """Command line that runs a command under the supervisor, unable to open what is hidden and not visible.
+
+    If anything is hidden, it can write only to its own folders and, as far as they are neither hidden nor fixed, to
+    temporary folders, devices and CACHES. Python and this package are always fixed. report: file that the supervisor
+    inherits (see `supervise`), which `report_of` reads
+    """
     places = [os.path.realpath(path) for path in hidden if path.exists()]
     if places and can_hide():
+        places += _disks()
         names = {os.path.realpath(path or os.curdir) for path in [os.curdir, *sys.path]}
-        shown = tuple(os.path.realpath(path) for path in visible)
-        command = Sandbox(hidden=tuple(places), visible=shown, listed=tuple(sorted(names))).command(command)
-    return [sys.executable, "-I", "-S", str(SUPERVISOR), repr(float(limit_s)), str(report), *command]
+        shared = [os.path.realpath(path) for path in (tempfile.gettempdir(), "/tmp", "/var/tmp", DEVICES, *_caches())]
+        sandbox = Sandbox(
+            hidden=tuple(places),
+            visible=tuple(map(str, visible)),
+            listed=(*sorted(names), DEVICES),
+            writable=(*map(str, own), *(path for path in shared if not _is_in(path, places))),
+            fixed=(PACKAGE, sys.prefix, sys.base_prefix, *map(str, _scratches()), *map(str, fixed)),
+        )
+        command = sandbox.command(command)
+    return [sys.executable, "-I", "-S", str(SUPERVISOR), repr(float(limit_s)), str(report.fileno()), *command]
+
+
+def secrets() -> tuple[Path, ...]:
+    """Paths that no method may open, whatever it runs on: rendered splits, and the file of the salt of hidden ones."""
+    salt = os.environ.get(SALT_FILE)
+    return (home() / "splits", *([Path(salt)] if salt else []))
+
+
+def _disks() -> list[str]:
+    """Disks as devices, in which root could read all files."""
+    with os.scandir(DEVICES) as found:
+        return [each.path for each in found if Path(each.path).is_block_device()]
+
+
+def _scratches() -> Iterator[Path]:
+    """Folders that runs of this and of other commands use."""
+    return Path(tempfile.gettempdir()).glob(f"{SCRATCH}*")
+
+
+def _caches() -> list[Path]:
+    """Folders of CACHES, which are made where absent, and of CACHES_AT_HOME."""
+    try:
+        home_folder = Path.home()
+    except RuntimeError:  # a user without a home, as in some containers
+        return []
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or home_folder / ".cache")
+    found = [cache / name for name in CACHES]
+    for path in found:
+        with suppress(OSError):
+            path.mkdir(parents=True, exist_ok=True)
+    return [*found, *(home_folder / name for name in CACHES_AT_HOME)]
+
+
+def _is_in(path: str, places: Iterable[str]) -> bool:
+    return any(Path(path).is_relative_to(place) for place in places)
 
 
 def environment() -> dict[str, str]:
@@ -156,12 +241,34 @@ def _ended(report: dict[str, Any], limit_s: float, folder: Path) -> Ended:
     return Ended(report["wall_s"], report["cpu_s"], report["peak_bytes"], report["left_behind"], failure, killed)
 
 
-def failure_of(report: Path, limit_s: float, folder: Path) -> str | None:
-    """Reason why a supervised command failed, from its report or else its output in a folder; None if none is known."""
+def report_of(report: IO[bytes]) -> dict[str, Any] | None:
+    """Read what a supervisor reported; None if it was killed before it did."""
+    report.seek(0)
     try:
-        return _ended(json.loads(report.read_text(encoding="utf-8")), limit_s, folder).failure
-    except (OSError, ValueError):
-        return tail(folder / STDERR) or None
+        said: dict[str, Any] = json.loads(report.read())
+    except ValueError:
+        return None
+    return said
+
+
+def failure_of(report: IO[bytes], limit_s: float, folder: Path) -> str | None:
+    """Reason why a supervised command failed, from its report or else its output in a folder; None if none is known."""
+    said = report_of(report)
+    return tail(folder / STDERR) or None if said is None else _ended(said, limit_s, folder).failure
+
+
+def _wait(process: subprocess.Popen[bytes], limit_s: float) -> None:
+    """Wait for a supervisor. One that is not done in time was stopped, by its command where the kernel does not prevent
+    that, and is continued; then it is killed."""
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(limit_s + KILLING_S + MARGIN_S)
+        return
+    process.send_signal(signal.SIGCONT)
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(CONTINUED_S)
+        return
+    process.kill()
+    process.wait()
 
 
 def raise_if_full(folder: Path, said: str) -> None:

@@ -4,10 +4,12 @@
 
 It imports only the standard library, so that what it measures is the command and not itself. It adopts the orphans of
 the command, even those that became daemons, and kills every remaining process when the command ends, when the limit is
-reached, when it receives SIGTERM, and when the process that started it dies. REPORT, a JSON file, says what happened:
+reached, when it receives SIGTERM, and when the process that started it dies. REPORT, the number of an open file
+that the command does not inherit, receives JSON that says what happened:
 
 status, signal: how the command ended; one of them is null
-timed_out:      whether the limit was reached; stopped: whether SIGTERM was received
+timed_out:      whether the limit was reached, though the command may have ended itself later
+stopped:        whether SIGTERM was received
 wall_s, cpu_s:  wall time of the command; user and system CPU time of all its descendants
 peak_bytes:     the larger of two resident sizes: the peak of any single process, as recorded by the kernel, and the
                 peak of all processes together, sampled every LOOK_S
@@ -77,7 +79,8 @@ class Supervisor:
             stopped = woken is not None and woken.si_signo == signal.SIGTERM
             self.look()
             self.reap()
-            timed_out = pid not in self.statuses and time.monotonic() >= start + limit_s
+            # Also if it has ended since: it may have stopped this process until then.
+            timed_out = time.monotonic() >= start + limit_s
         wall_s = time.monotonic() - start
         left_behind = len(descendants())
         self.kill()
@@ -122,7 +125,8 @@ class Supervisor:
 
 
 def main(limit_s: str, report: str, *command: str) -> None:
-    """Run the command and write the report atomically."""
+    """Run the command and write the report."""
+    os.set_inheritable(int(report), False)
     signal.pthread_sigmask(signal.SIG_BLOCK, WATCHED)
     parent = os.getppid()
     prctl = ctypes.CDLL(None, use_errno=True).prctl
@@ -132,9 +136,8 @@ def main(limit_s: str, report: str, *command: str) -> None:
     if os.getppid() != parent:  # the parent died before it could be watched
         return
     result = Supervisor().run(list(command), float(limit_s))
-    with open(f"{report}.new", "w", encoding="utf-8") as file:
+    with open(int(report), "w", encoding="utf-8") as file:
         json.dump(result, file)
-    os.replace(f"{report}.new", report)
 
 
 if __name__ == "__main__":
