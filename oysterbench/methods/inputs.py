@@ -21,9 +21,9 @@ Announce = Callable[[str], None]
 class Inputs:
     """Sequences in the forms that methods read, each made once.
 
-    scratch: folder whose path does not reveal where the sequences come from; exports: folder where inputs in lasting
-    forms are kept for other runs, except those of hidden splits; only a program that is given one of them can read it,
-    and none can write to it
+    scratch: folder whose path does not reveal where the sequences come from, also of what the runs write; exports:
+    folder where inputs in lasting forms are kept for other runs, except those of hidden splits; only a program that is
+    given an input can read it, and none can write to it
     """
 
     def __init__(
@@ -43,8 +43,8 @@ class Inputs:
 
     @property
     def hidden(self) -> tuple[Path, ...]:
-        """Folders that no program may open, apart from its own input."""
-        return () if self._exports is None else (self._exports.folder,)
+        """Folders that no program may open, apart from its own input and output."""
+        return (self.scratch,) if self._exports is None else (self.scratch, self._exports.folder)
 
     def of(self, job: Job) -> Path:
         """Path of a job's input, which is made now if it does not exist. Raises MethodError where it cannot be made."""

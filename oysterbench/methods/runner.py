@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import LabelError, MachineError, MethodError, SequenceError
-from oysterbench.core.files import home, scratch
+from oysterbench.core.files import scratch
 from oysterbench.methods.hearing import Told, hear
 from oysterbench.methods.inputs import Announce, Inputs
 from oysterbench.methods.interfaces import Predicted
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, read_outcome
-from oysterbench.methods.processes import Processes, raise_if_full
+from oysterbench.methods.processes import Processes, raise_if_full, secrets
 from oysterbench.methods.sandbox import can_hide
 
 ASSUMED_BYTES = 2 * 2**30
@@ -172,7 +172,7 @@ def run_job(
     begun(folder)
     started, seed = _now(), job.adapter.seed(job.number)
     who = f"method {job.adapter.name!r} on {job.sequence.name}"
-    hidden = (*job.sequence.hidden, home() / "splits", *inputs.hidden)
+    hidden = (*job.sequence.hidden, *secrets(), *inputs.hidden)
     command: list[str] = []
     outcome = Outcome(
         identity=job.identity,
@@ -192,7 +192,7 @@ def run_job(
         job.adapter.check(job.sequence)
         given = inputs.of(job)
         command += job.adapter.command(given, folder, job.number)
-        ended = processes.run(command, job.limit_s, folder, hidden, visible=[given])
+        ended = processes.run(command, job.limit_s, folder, hidden, visible=[given], fixed=[root])
         process = {key: getattr(ended, key) for key in outcome.process}
         outcome = replace(outcome, wall_s=ended.wall_s, cpu_s=ended.cpu_s, process=process)
         _move(folder, kept)
@@ -210,7 +210,7 @@ def run_job(
         inputs.done(job)
         shutil.rmtree(folder, ignore_errors=True)
     if outcome.failure is not None:
-        for place in (inputs.scratch, *inputs.hidden, kept):
+        for place in (*inputs.hidden, kept):
             raise_if_full(place, outcome.failure)
     outcome = replace(outcome, ended=_now())
     if outcome.finished:

@@ -31,6 +31,13 @@ SPOILS = (
     "shutil.copy(argv[0], argv[2])"
 )
 
+LOOKS = (
+    "import shutil, pathlib\n"
+    "try: print(list(pathlib.Path(argv[2]).parent.parent.iterdir()))\n"
+    "except OSError as error: print(error)\n"
+    "shutil.copy(argv[0], argv[2])"
+)
+
 
 @pytest.fixture
 def run(dive_file, tmp_path, monkeypatch):
@@ -112,6 +119,19 @@ def test_nothing_is_kept_of_a_hidden_split_nor_where_nothing_shall_be(run, tmp_p
     monkeypatch.setenv(exports.SETTING, "0")
     assert run("two")[1] == 1
     assert kept(tmp_path) == []
+
+
+@pytest.mark.skipif(not can_hide(), reason="the kernel has no Landlock")
+def test_an_input_that_is_not_kept_is_not_written_to_either_nor_seen_by_other_runs(
+    run, tmp_path, monkeypatch, tiny_split
+):
+    hidden = replace(tiny_split, hidden=True, sequence=(replace(tiny_split.sequence[0], name="hand-made"),))
+    monkeypatch.setitem(PROGRAMS, "looks", LOOKS)
+    for program, said in (("spoils", ["Permission denied"] * 3), ("looks", ["Permission denied"])):
+        (done,), _ = run("one", program, split=hidden)
+        assert done.failure is None
+        text = (done.job.folder(tmp_path / "one") / "stdout.txt").read_text()
+        assert [line.partition("] ")[2].partition(":")[0] for line in text.splitlines()] == said
 
 
 def test_a_bound_that_is_no_number_is_named(monkeypatch):

@@ -33,8 +33,10 @@ def cluster():
 @pytest.fixture
 def answer(tmp_path, dive_file):
     """The true poses of the vehicle as a TUM file."""
-    write_tum(tmp_path / "answer.tum", oysterbench.open(dive_file).truth())
-    return tmp_path / "answer.tum"
+    path = tmp_path / "work" / "answer.tum"  # programs write beside it, and cannot do so beside the results
+    path.parent.mkdir()
+    write_tum(path, oysterbench.open(dive_file).truth())
+    return path
 
 
 def run(methods, dive_file, out, **options):

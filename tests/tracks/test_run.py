@@ -34,8 +34,10 @@ def truth(dive_file):
 @pytest.fixture
 def answer(tmp_path, truth):
     """The true poses of the vehicle as a TUM file."""
-    write_tum(tmp_path / "answer.tum", truth)
-    return tmp_path / "answer.tum"
+    path = tmp_path / "work" / "answer.tum"  # programs write beside it, and cannot do so beside the results
+    path.parent.mkdir()
+    write_tum(path, truth)
+    return path
 
 
 def moved(truth: Trajectory, T_base_frame: np.ndarray) -> Trajectory:
@@ -291,7 +293,7 @@ def test_processes_that_outlive_their_program_are_killed_and_noted(run, answer, 
     assert done.scored.record.metrics["coverage"] == 1.0
     assert "1 processes were still running after it ended and were killed" in done.scored.record.notes
     with pytest.raises(ProcessLookupError):
-        os.kill(int((tmp_path / "answer.tum.pid").read_text()), 0)
+        os.kill(int(Path(f"{answer}.pid").read_text()), 0)
 
 
 @pytest.mark.parametrize(
@@ -337,7 +339,7 @@ def test_jobs_wait_for_memory(run, answer, tmp_path, monkeypatch):
 
 def test_what_is_finished_is_not_run_again_unless_that_is_asked_for(run, answer, tmp_path):
     counts = ExternalCommand(command(tmp_path, "counts", answer, "mcap", "{seed}"), "counts")
-    log = tmp_path / "answer.tum.log"
+    log = Path(f"{answer}.log")
     first = run(counts, runs=2)
     assert [done.scored.record.seed for done in first] == [0, 1]
     assert log.read_text() == "0\n1\n"
