@@ -98,3 +98,13 @@ def test_the_file_of_the_salt_is_as_secret_as_the_splits(monkeypatch, tmp_path):
     assert secrets() == (tmp_path / "splits", tmp_path / "salt")
     monkeypatch.delenv("OYSTERBENCH_SALT_FILE")
     assert secrets() == (tmp_path / "splits",)
+
+
+@hides
+def test_who_writes_where_he_may_not_is_told_where_he_may(tmp_path):
+    (tmp_path / "hidden").mkdir()
+    place = Path.home() / "never.txt"
+    failure = run(tmp_path / "own", f"open({str(place)!r}, 'w')", hidden=[tmp_path / "hidden"]).failure
+    assert failure is not None
+    assert not place.exists()
+    assert failure.endswith("it can write only to the folder of {out}, to TMPDIR and to /dev/shm")
