@@ -16,6 +16,8 @@ from oysterbench.core.polygons import rasterise
 from oysterbench.evaluate.detection.instances import OUTSIDE
 
 FILE = "data.yaml"
+USUAL = {0: "oyster"}
+"""Names of the classes where no file gives them."""
 OYSTERS = ("oyster", "oysters")
 """Names of the class to be found, in any case."""
 
@@ -37,11 +39,11 @@ def yolo_set(folder: Path) -> LabelledSet:
 
 
 def _classes(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
-    """Names of the classes by number, and the file that gives them, if one does."""
+    """Names of the classes by number, and the file that gives them, if they are others than without one."""
     for path in (folder / FILE, folder.resolve().parent / FILE):
         if path.is_file() and (names := read_classes(path)):
-            return names, (path,)
-    return {0: "oyster"}, ()
+            return names, () if names == USUAL else (path,)
+    return USUAL, ()
 
 
 def _read(image: Path, label: Path, classes: Mapping[int, str], name: str, clip: str) -> LabelledImage:

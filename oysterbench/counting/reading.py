@@ -23,6 +23,8 @@ COMPLETE = 0.95
 """Share of the frames that a video claims to have below which it is truncated: the claim is often off by a frame or
 two."""
 
+ROUNDING_S = 1e-3
+"""Rounding of timestamps, s: some containers have them in whole milliseconds."""
 RESTART_S = 1.0
 """Step back of a video's timestamps, s, above which they began again, as where recordings were joined; frames that are
 merely out of order step back by less."""
@@ -113,10 +115,10 @@ class Video:
         """
         index, due_s, step_s = 0, 0.0, 1 / sampling.per_second
         for time_s in self._times_s():
-            wanted = index % sampling.every == 0 if sampling.every else time_s >= due_s - 1e-6
+            wanted = index % sampling.every == 0 if sampling.every else time_s >= due_s - ROUNDING_S
             if wanted:
                 # What fell due in a gap is not made up for by frames close together behind it.
-                due_s = due_s + step_s if due_s + step_s > time_s else time_s + step_s
+                due_s = due_s + step_s if due_s + step_s > time_s - ROUNDING_S else time_s + step_s
                 yield VideoFrame(index, time_s, None if done(index) else self._pixels())
             index += 1
         self._capture.release()

@@ -64,8 +64,10 @@ class Store:
         return self.folder / "overlays" / f"{name}.jpg"
 
     def film(self, video: str) -> Path:
-        """Path of the film of a video's overlays."""
-        return self.folder / "videos" / f"{video}.mp4"
+        """Path of the film of a video's overlays; no two videos share one."""
+        *inner, last = Path(video).suffixes or [""]
+        own = last.lower() == ".mp4" and not inner  # dive.avi.mp4 is the film of dive.avi
+        return self.folder / "videos" / (video if own else f"{video}.mp4")
 
     def write(
         self,

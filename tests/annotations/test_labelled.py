@@ -99,10 +99,18 @@ def test_classes_have_the_names_of_data_yaml(names, place, tmp_path):
     found = open_labelled(folder)
     assert found[0].oysters.sum() == HEIGHT * WIDTH / 4
     assert not found[1].oysters.any()
+    assert found.digest() != before
     (folder / "labels" / "b.txt").write_text("2" + SQUARE[1:])
     with pytest.raises(LabelError, match=r"b\.txt:1: class 2 is not an oyster; known classes: 0 = crab, 1 = oyster"):
         open_labelled(folder)[1]
-    assert found.digest() != before
+
+
+def test_a_data_yaml_that_says_nothing_new_leaves_a_set_what_it_was(tmp_path):
+    """Whose ever paths are in it."""
+    folder = yolo_folder(tmp_path / "set", {"a": SQUARE})
+    before = open_labelled(folder).digest()
+    (folder / "data.yaml").write_text("path: /home/somebody\nnames: [oyster]\n")
+    assert open_labelled(folder).digest() == before
 
 
 @pytest.mark.parametrize(

@@ -272,6 +272,15 @@ def test_time_goes_on_where_the_timestamps_of_joined_recordings_begin_again(tmp_
     assert [frame.time_s for frame in found] == pytest.approx(range(8), abs=1e-3)
 
 
+@pytest.mark.parametrize("rate_hz", [30.0, 30000 / 1001, 15.0])
+def test_stamps_in_whole_milliseconds_lose_no_frame_at_the_videos_own_rate(phone_video, monkeypatch, rate_hz):
+    """As in Matroska files: 0, 33, 67, 100 ms, some of them before they are due."""
+    video = Video(phone_video)
+    monkeypatch.setattr(video, "_times_s", lambda: iter([round(k / rate_hz, 3) for k in range(150)]))
+    monkeypatch.setattr(video, "claimed", 150)
+    assert len(list(video.frames(Sampling(round(rate_hz)), lambda index: True))) >= 149
+
+
 def test_a_moving_gif_is_a_video(tmp_path):
     path = tmp_path / "ten.gif"
     pillow = pytest.importorskip("PIL.Image")

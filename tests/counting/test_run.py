@@ -212,7 +212,9 @@ def test_a_video_that_was_interrupted_goes_on_from_its_last_frame(video, tmp_pat
 
 def test_each_video_has_a_film_of_its_own():
     store = Store(Path("out"))
-    assert store.film("dive.avi") != store.film("dive.avi.mp4")
+    videos = ["dive.avi", "dive.avi.mp4", "dive.MP4", "dive.avi.mp4.mp4", "dive.mp4"]
+    assert len({store.film(video) for video in videos}) == len(videos)
+    assert store.film("dive.mp4").name == "dive.mp4"
 
 
 def test_films_are_no_slower_than_four_frames_a_second():

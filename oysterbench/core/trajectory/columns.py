@@ -85,8 +85,9 @@ KITTI = Columns("12 numbers r11 r12 r13 tx ... r33 tz", None, (3, 7, 11), (), ex
 KITTI_MATRIX = (0, 1, 2, 4, 5, 6, 8, 9, 10)
 
 
-def named_columns(names: list[str]) -> Columns | None:
-    """Columns that a header names, or None where it does not name a stamp, a position and a quaternion."""
+def named_columns(names: list[str], two_parts: bool = True) -> Columns | None:
+    """Columns that a header names, or None where it does not name a stamp, a position and a quaternion. two_parts:
+    whether a stamp may be in two columns."""
     found: dict[str, int] = {}
     covariance: dict[tuple[int, int], int] = {}
     stamp: tuple[int, str | None] | None = None
@@ -105,7 +106,7 @@ def named_columns(names: list[str]) -> Columns | None:
         if words and words[-1] in PARTS and (len(words) == 1 or _is_time(words)):
             parts.setdefault(tuple(words[:-1]), {}).setdefault(PARTS[words[-1]], k)
     beyond = None
-    if whole := next((found for found in parts.values() if {"s", "ns"} <= found.keys()), None):
+    if two_parts and (whole := next((found for found in parts.values() if {"s", "ns"} <= found.keys()), None)):
         stamp, beyond = (whole["s"], "s"), whole["ns"]
     if stamp is None or not {"px", "py", "pz", "qx", "qy", "qz", "qw"} <= found.keys() or units not in ({"m"}, {"mm"}):
         return None

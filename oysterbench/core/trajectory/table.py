@@ -186,9 +186,9 @@ def _read_lines(text: str, begin: int, columns: Columns, path: str) -> NumberTab
                 raise TrajectoryError(f"{where}: expected a timestamp, got {stamp[:40]!r}")
             stamps.append(stamp)
         for k in wanted:
-            if k not in uncertain or not NO_NUMBER.fullmatch(fields[k]):
+            if k not in uncertain or not (NO_NUMBER.fullmatch(fields[k]) or not fields[k]):
                 _check_number(fields[k], k, columns, where, line)
-        values.append([float(fields[k]) for k in wanted])
+        values.append([float(fields[k] or "nan") for k in wanted])
         if not np.isfinite([value for value, k in zip(values[-1], wanted, strict=True) if k not in uncertain]).all():
             raise TrajectoryError(f"{where}: expected numbers that a float64 holds, got {_shown(line)}")
         numbers.append(number)

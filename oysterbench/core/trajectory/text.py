@@ -42,12 +42,10 @@ def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
             "export them with points"
         )
     columns = _columns(head, path, options)
-    if options.quaternion is not None and columns.quaternion:
-        first = min(columns.quaternion)
-        order = (0, 1, 2, 3) if options.quaternion == "xyzw" else (1, 2, 3, 0)
-        if sorted(columns.quaternion) == list(range(first, first + 4)):
-            columns = replace(columns, quaternion=tuple(first + k for k in order))
     table = read_table(text, head.begin, columns, str(path))
+    if columns.beyond is not None and not _in_parts(table, columns):
+        columns = _columns(head, path, options, parts=False)
+        table = read_table(text, head.begin, columns, str(path))
     if columns.stamp is None:
         return _kitti(table, path, options)
     place = {column: k for k, column in enumerate(columns.numbers)}
@@ -149,9 +147,21 @@ def _is_header(fields: list[str]) -> bool:
     return not numbers and any(fields)
 
 
-def _columns(head: _Head, path: Path, options: ReadOptions) -> Columns:
-    """Column layout: as requested, as a header names it, or as the number of columns and their separator indicate."""
-    named = named_columns(head.names) if len(head.names) <= len(head.first) else None
+def _columns(head: _Head, path: Path, options: ReadOptions, parts: bool = True) -> Columns:
+    """Column layout: as requested, as a header names it, or as the number of columns and their separator indicate, with
+    the requested order of the quaternion. parts: whether two columns may make up one stamp."""
+    columns = _layout(head, path, options, parts and options.time_unit is None)
+    if options.quaternion is None or not columns.quaternion:
+        return columns
+    first = min(columns.quaternion)
+    order = (0, 1, 2, 3) if options.quaternion == "xyzw" else (1, 2, 3, 0)
+    if sorted(columns.quaternion) != list(range(first, first + 4)):
+        return columns
+    return replace(columns, quaternion=tuple(first + k for k in order))
+
+
+def _layout(head: _Head, path: Path, options: ReadOptions, parts: bool) -> Columns:
+    named = named_columns(head.names, parts) if len(head.names) <= len(head.first) else None
     if options.format == "kitti":
         return KITTI
     if options.format == "tum":
@@ -187,7 +197,7 @@ def _stamps(
     implies."""
     sizes = np.abs(table.sizes)
     if columns.beyond is not None:
-        return _stamps_in_parts(table, columns)
+        return table.sizes.astype(np.int64) * 10**9 + _beyond(table, columns).astype(np.int64)
     unit = options.time_unit or columns.time_unit
     if unit is None:
         huge = sizes >= MIN_NANOSECONDS
@@ -229,20 +239,16 @@ def _stamps(
         raise TrajectoryError(f"{table.where(i)}: expected at most 2^63 ns, got {table.stamp(i)}") from None
 
 
-def _stamps_in_parts(table: NumberTable, columns: Columns) -> NDArray[np.int64]:
-    """Stamps (N,) int64 ns of two columns, whole seconds and the nanoseconds beyond them."""
+def _in_parts(table: NumberTable, columns: Columns) -> bool:
+    """Whether two columns can be one stamp: whole seconds, and whole nanoseconds of less than a second."""
+    beyond = _beyond(table, columns)
+    whole = (table.sizes == np.floor(table.sizes)) & (beyond == np.floor(beyond))
+    return bool((whole & (beyond >= 0) & (beyond < 1e9) & (np.abs(table.sizes) <= MAX_SECONDS)).all())
+
+
+def _beyond(table: NumberTable, columns: Columns) -> Array:
     assert columns.beyond is not None
-    beyond = table.values[:, columns.numbers.index(columns.beyond)]
-    whole = (beyond == np.floor(beyond)) & (beyond >= 0) & (beyond < 1e9) & (np.abs(table.sizes) <= MAX_SECONDS)
-    wrong = ~whole | _broken(table.stamps)
-    if wrong.any():
-        i = int(np.argmax(wrong))
-        raise TrajectoryError(
-            f"{table.where(i)}: expected whole seconds in column {columns.stamp}, and whole nanoseconds beyond them in "
-            f"column {columns.beyond} (counted from 0), got {table.stamp(i)} and {beyond[i]:.12g}{others(wrong)}; "
-            "rename them if they are no two parts of one timestamp"
-        )
-    return scaled_integers(table.stamps, SHIFTS["s"]) + beyond.astype(np.int64)
+    return table.values[:, columns.numbers.index(columns.beyond)]
 
 
 def _broken(stamps: NDArray[np.bytes_]) -> NDArray[np.bool_]:
