@@ -167,7 +167,8 @@ def supervised_command(
     if places and can_hide():
         places += _disks()
         names = {os.path.realpath(path or os.curdir) for path in [os.curdir, *sys.path]}
-        shared = [os.path.realpath(path) for path in (tempfile.gettempdir(), "/tmp", "/var/tmp", DEVICES, *_caches())]
+        folders = (tempfile.gettempdir(), "/tmp", "/var/tmp", DEVICES, *map(str, _caches()))
+        shared = [os.path.realpath(path) for path in folders]
         sandbox = Sandbox(
             hidden=tuple(places),
             visible=tuple(map(str, visible)),

@@ -234,8 +234,13 @@ def test_a_calibration_that_no_sensor_has_is_refused(tmp_path, sensor, key, valu
 
 
 def imu(stamp: int, force: float = 9.8) -> bytes:
-    densities = ("gyro_noise_density", "gyro_random_walk", "accel_noise_density", "accel_random_walk")
-    recipe = ImuRecipe(rate_hz=100.0, **dict.fromkeys(densities, 1e-4))
+    recipe = ImuRecipe(
+        rate_hz=100.0,
+        gyro_noise_density=1e-4,
+        gyro_random_walk=1e-4,
+        accel_noise_density=1e-4,
+        accel_random_walk=1e-4,
+    )
     return IMU.encode(recipe, ImuMeasurement(stamp, np.zeros(3), np.full(3, force)))[0].data
 
 

@@ -99,7 +99,7 @@ def _known(covariances: Array, name: str, where: Callable[[int], str], notes: li
     or where one is not finite, not symmetric, or has a negative variance, which is noted."""
     if not covariances.any() or (covariances[:, 0, 0] == -1).any():
         return None
-    finite = np.isfinite(covariances).all(axis=(1, 2))
+    finite = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
     known = np.where(finite[:, None, None], covariances, 0.0)
     diagonal = np.einsum("nii->ni", covariances)
     scale = np.abs(known).max(axis=(1, 2), initial=0.0)
