@@ -152,7 +152,8 @@ def _camera(values: Mapping[str, Any]) -> Lens:
         fx, fy, cx, cy = _numbers(values["intrinsics"], (4,))
         matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         key = "distortion_coeffs" if "distortion_coeffs" in values else "distortion_coefficients"
-        distortion = _numbers(values[key], (4, 5))
+        given = (values.get(key) or [0.0] * 4) if said == "none" else values[key]
+        distortion = _numbers(given, (4, 5))
         width, height = values["resolution"]
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and int(width) > 0 and int(height) > 0):
         raise ValueError("expected focal lengths and a resolution above zero")

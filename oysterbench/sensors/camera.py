@@ -243,7 +243,10 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
             raise ValueError(f"distortion_model: expected {' or '.join(DISTORTIONS)}, got {model:.40}")
         if shape not in [(n,) for n in DISTORTIONS[model]]:
             wanted = " or ".join(map(str, DISTORTIONS[model]))
-            raise ValueError(f"distortion: expected {wanted} coefficients for {model}, got an array {shape}")
+            raise ValueError(
+                f"distortion: expected {wanted} coefficients for {model}, got an array {shape}; calibrate with "
+                "that model: others, such as the rational one of 8, are not supported"
+            )
         if abs(found.time_offset_s) > LONGEST_OFFSET_S:
             raise ValueError(f"expected a time offset of at most {LONGEST_OFFSET_S:g} s, got {found.time_offset_s:g}")
         return found

@@ -78,17 +78,22 @@ class EurocSequence(Sequence):
             yield Image(stamp, camera, pixels)
 
     def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
+        columns = 0
         for stamp, fields, where in _rows(self._root / "imu0" / "data.csv"):
+            # Further columns, as of a temperature, are none of ours. A line with more or fewer of them than the first
+            # is not whole, or two in one: its numbers may be in other columns.
+            columns = columns or len(fields)
             if not _within(stamp, start_ns, end_ns):
                 continue
             try:
-                values = np.array(fields, dtype=float)
+                values = np.array(fields[:6], dtype=float)
             except ValueError:
                 values = np.empty(0)
-            if len(values) != 6 or not np.isfinite(values).all():
+            if len(values) != 6 or len(fields) != columns or not np.isfinite(values).all():
                 raise SequenceError(
-                    f"{where}: expected a stamp and 6 finite numbers (angular rate, specific force), got "
-                    f"{fields!s:.80}; correct or delete the line"
+                    f"{where}: expected a stamp and 6 finite numbers (angular rate, specific force), and as many "
+                    f"columns as in the first sample ({columns + 1}), got {len(fields) + 1}: {fields!s:.80}; correct "
+                    "or delete the line"
                 )
             yield ImuMeasurement(stamp, values[:3], values[3:])
 
@@ -171,12 +176,20 @@ def _camera(settings: Mapping[str, str]) -> CameraCalibration:
             "height": height,
             "rate_hz": _scalar(settings, "rate_hz", 20.0),
             "matrix": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]],
-            "distortion": _numbers(settings, "distortion_coefficients"),
+            "distortion": _coefficients(settings, lens),
             "T_base_cam": np.reshape(_numbers(settings, "data", 16), (4, 4)),
             "time_offset_s": 0.0 - _scalar(settings, "timeshift_cam_imu", 0.0),
             "distortion_model": LENSES[lens],
         }
     )
+
+
+def _coefficients(settings: Mapping[str, str], lens: str) -> list[float]:
+    """Distortion coefficients of a camera: zeros where it has no distortion and lists none."""
+    key = "distortion_coefficients"
+    if lens == "none" and not settings.get(key, "").strip("[] \n"):
+        return [0.0] * 4
+    return _numbers(settings, key)
 
 
 def _imu(settings: Mapping[str, str]) -> ImuCalibration:

@@ -197,6 +197,13 @@ def test_a_calibration_is_read_from_the_usual_files(tmp_path, text):
     assert lens.distortion[:4] == pytest.approx([-0.1, 0.02, 0.0, 0.001])
 
 
+@pytest.mark.parametrize("coefficients", ["distortion_coefficients: []", ""])
+def test_a_calibration_without_distortion_needs_no_coefficients(tmp_path, coefficients):
+    head = EUROC.replace("radial-tangential", "none").partition("distortion_coefficients")[0]
+    (tmp_path / "lens.yaml").write_text(head + coefficients)
+    assert read_lens(tmp_path / "lens.yaml").distortion.tolist() == [0.0, 0.0, 0.0, 0.0]
+
+
 def test_of_several_cameras_one_is_chosen_by_its_name(tmp_path):
     (tmp_path / "c.yaml").write_text(KALIBR)
     assert read_lens(tmp_path / "c.yaml", "cam1").model == "equidistant"

@@ -84,6 +84,21 @@ def test_a_comment_may_be_in_another_encoding(folder):
     assert len(folder.read()) == len(SAMPLES + FRAMES)
 
 
+@pytest.mark.parametrize("more", [",", ",25.0", ",25.0,,nan"])
+def test_columns_after_those_of_the_imu_are_none_of_ours(folder, more):
+    folder.change("imu0/data.csv", ".5\n", f".5{more}\n")
+    samples = list(oysterbench.open(folder.path).imu())
+    assert [(*sample.gyro, *sample.accel) for sample in samples[:2]] == [(0, 0, 0, 0, 0, 0.5), (0, 0, 0, 0, 0, 1.5)]
+    assert len(samples) == len(SAMPLES)
+
+
+@pytest.mark.parametrize("coefficients", ["distortion_coefficients: []", ""])
+def test_a_camera_without_distortion_needs_no_coefficients(folder, coefficients):
+    folder.change("cam0/sensor.yaml", "radial-tangential", "none")
+    folder.change("cam0/sensor.yaml", "distortion_coefficients: [0.1, 0.0, 0.0, 0.0]", coefficients)
+    assert oysterbench.open(folder.path).cameras["cam0"].distortion.tolist() == [0.0, 0.0, 0.0, 0.0]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -94,6 +109,8 @@ def test_a_comment_may_be_in_another_encoding(folder):
         ("[25.0, ", "[-25.0, ", "focal lengths above zero"),
         ("[25.0, ", "[nan, ", "intrinsics: expected 4 finite numbers"),
         ("[0.1, 0.0, ", "[0.1, ", "distortion: expected 4 or 5 coefficients for plumb_bob"),
+        ("[0.1, 0.0, ", "[0.1, 0.0, 0.0, 0.0, 0.0, 0.2, ", r"got an array \(8,\); calibrate with that model"),
+        ("[0.1, 0.0, 0.0, 0.0]", "[]", "distortion_coefficients: expected finite numbers"),
         (
             "radial-tangential\ndistortion_coefficients: [",
             "equidistant\ndistortion_coefficients: [0.0, ",
@@ -119,6 +136,7 @@ def test_a_calibration_that_is_not_supported_is_refused(folder, old, new, messag
         (f"{SAMPLES[1]},0", f"{SAMPLES[1]},nan", r"line 3: expected a stamp and 6 finite numbers .*\['nan'"),
         (f"{SAMPLES[1]},0", f"{SAMPLES[1]},x", "line 3: expected a stamp and 6 finite numbers"),
         (f"{SAMPLES[1]},0", f"{SAMPLES[1]},0,0", "line 3: expected a stamp and 6 finite numbers"),
+        (f"{SAMPLES[1]},0", f"{SAMPLES[1]},0,0", r"line 3: .* as many columns as in the first sample \(7\), got 8"),
         (f"{SAMPLES[-1]},", f"{str(SAMPLES[-1])[:9]},", f"line 21: expected a stamp in whole ns above {SAMPLES[-2]}"),
         (f"{SAMPLES[1]},", f"{SAMPLES[0]},", f"line 3: expected a stamp in whole ns above {SAMPLES[0]}"),
         (f"{SAMPLES[1]},", "1000000000.005,", "line 3: .* in whole ns .*, got '1000000000.005'"),
