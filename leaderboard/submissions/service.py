@@ -297,7 +297,7 @@ class Service:
                 log_event(connection, at, team, "withdrawn", id, reason)
                 found = replace(found, state="withdrawn", reason=reason, notice=notice, updated=at)
         if found.notice:  # also of an earlier withdrawal: writing to the board may have failed
-            self._announce(found)
+            self._announce([found])
             self.changed()
         return found
 
@@ -320,11 +320,16 @@ class Service:
             self.store.add_curves(self.scored.curves(record.curves))
         self.store.add(record)
 
-    def _announce(self, submission: Submission) -> None:
-        """Mark the records of a submission as withdrawn; idempotent. The published one comes last: where its mark is,
-        those of the others are."""
-        for digest in (*(record.digest for record in self._rescored([submission])), submission.published):
-            self.store.add_status_change(_mark(submission, digest))
+    def _announce(self, gone: Sequence[Submission]) -> None:
+        """Mark the records of withdrawn submissions, unless the operators have restored the published one since;
+        idempotent."""
+        latest = {change.record: change for change in self.store.read_status_changes()[0]}
+        for one in gone:
+            last = latest.get(one.published)
+            if last is not None and last.action == "restored" and last.created > one.notice:
+                continue
+            for digest in (one.published, *(record.digest for record in self._rescored([one]))):
+                self.store.add_status_change(StatusChange(digest, "withdrawn", one.reason, one.notice))
 
     def _settle(self) -> None:
         """Complete what a crash left undone: bring the board in line with what the database calls published or
@@ -332,11 +337,10 @@ class Service:
         c = submissions.c
         with self.database.reading() as connection:
             shown = find(connection, c.published != "")
-        marked = set(self.store.read_status_changes()[0])
         for submission in shown:
             self._show(self.scored.record(submission.published))
-            if submission.notice and _mark(submission, submission.published) not in marked:
-                self._announce(submission)
+        # Also those that have their marks: they may have been scored again since.
+        self._announce([submission for submission in shown if submission.notice])
         oldest = time.time() - self.settings.upload_s
         for path in self.incoming.iterdir():
             try:
@@ -368,11 +372,6 @@ class Service:
             return Record.from_dict(parse(record.data, "record"))
         except (OysterbenchError, UnicodeEncodeError, ValueError) as error:
             raise ResultError(f"the record cannot be read again: {error}") from None
-
-
-def _mark(submission: Submission, digest: str) -> StatusChange:
-    """Withdrawal of a record with that of its submission."""
-    return StatusChange(digest, "withdrawn", submission.reason, submission.notice)
 
 
 def _private_log(path: Path) -> logging.Logger:

@@ -12,7 +12,9 @@ from sqlalchemy import text
 
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.ranking import withdrawn
+from oysterbench_leaderboard.store import StatusChange
 from oysterbench_leaderboard.submissions import queue, sandbox, sandbox_worker
+from oysterbench_leaderboard.submissions.database import change
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.tokens import issue
 from tests.helpers.served import FAST, drain, make_service
@@ -194,3 +196,40 @@ def test_what_a_crash_left_between_database_and_board_is_done_at_the_next_start(
     assert again.store.record(one.published).curves
     assert [notice.record for notice in again.store.status_changes()] == [two.published]
     again.close()
+
+
+def test_what_was_scored_again_before_or_after_a_withdrawal_is_withdrawn_at_the_next_start(service, tmp_path):
+    one = service.publish("reef lab", done(service, tmp_path))
+    before = rescored(service, one.published)
+    with service.database.writing() as connection:  # as servers did that marked what was published alone
+        change(connection, one.id, service.now(), state="withdrawn", reason="a mistake", notice=service.now())
+    service.store.add_status_change(StatusChange(one.published, "withdrawn", "a mistake", service.now()))
+    two = service.publish("others", done(service, tmp_path, team="others"))
+    service.withdraw("others", two.id)
+    after = rescored(service, two.published)
+    assert withdrawn(service.store.status_changes()) == {one.published, two.published}
+    service.close()
+    for _ in range(2):
+        again = make_service(tmp_path)
+        assert withdrawn(again.store.status_changes()) == {one.published, before, two.published, after}
+        assert len(again.store.status_changes()) == 4
+        again.close()
+
+
+def test_what_was_restored_is_not_withdrawn_again_at_the_next_start(service, tmp_path):
+    one = service.publish("reef lab", done(service, tmp_path))
+    service.withdraw("reef lab", one.id)
+    service.store.change_status(one.published, "restored", "a misunderstanding")
+    rescored(service, one.published)
+    service.close()
+    again = make_service(tmp_path)
+    assert withdrawn(again.store.status_changes()) == set()
+    again.close()
+
+
+def test_what_was_restored_can_still_be_withdrawn(service, tmp_path):
+    one = service.publish("reef lab", done(service, tmp_path))
+    service.store.add_status_change(StatusChange(one.published, "restored", "a misunderstanding", service.now()))
+    service.clock.now += 60
+    service.withdraw("reef lab", one.id)
+    assert withdrawn(service.store.status_changes()) == {one.published}
