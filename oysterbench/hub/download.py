@@ -23,7 +23,7 @@ from oysterbench.hub.part import Part
 from oysterbench.hub.pieces import Pieced
 from oysterbench.hub.sources import Patience, Refusal, Setback, is_offline, open_source
 from oysterbench.hub.transfer import Mirror, Transfer, no_mirror_left, pause_s
-from oysterbench.hub.trusted import remember
+from oysterbench.hub.trusted import remember, remember_folder, was_filled_here
 from oysterbench.hub.verify import MANIFEST, RIGHT, check_file, kept_manifest
 
 T = TypeVar("T")
@@ -207,15 +207,22 @@ class Step:
 def plan(manifest: Manifest, entries: Sequence[FileEntry], folder: Path) -> list[Step]:
     """Determine which files are here and which have to be fetched.
 
-    In a folder that holds this manifest, a file of the right name and size is right: it appeared complete. Elsewhere,
-    each file with a name of the manifest is read, also those not chosen, since the manifest will stand for them too.
-    Raises HubError where one is different, and leaves it unchanged.
+    In a folder that was filled here by this manifest, a file of the right name and size is right: it appeared complete.
+    Elsewhere, each file with a name of the manifest is read, also those not chosen, since the manifest will stand for
+    them too. A chosen one that is damaged beside this manifest has to be fetched; raises HubError where another is
+    different, and leaves it unchanged.
     """
     kept = kept_manifest(folder)
     same = kept is not None and kept.sha256 == manifest.sha256
-    for entry in () if same else manifest.files:
+    filled = same and was_filled_here(folder, manifest)
+    wrong = set()
+    for entry in () if filled else manifest.files:
         path = folder / entry.name
-        if path.is_file() and not (found := check_file(path, entry)).good:
+        if not path.is_file() or (found := check_file(path, entry)).good:
+            continue
+        if same and entry in entries:
+            wrong.add(entry.name)
+        else:
             raise HubError(
                 f"{path}: a different file has this name ({found.detail}); it was left unchanged: delete it or "
                 "choose another folder with --out"
@@ -223,7 +230,7 @@ def plan(manifest: Manifest, entries: Sequence[FileEntry], folder: Path) -> list
     steps = []
     for entry in entries:
         path, part = folder / entry.name, part_path(folder, entry)
-        if path.is_file() and (not same or path.stat().st_size == entry.size):
+        if path.is_file() and entry.name not in wrong and (not filled or path.stat().st_size == entry.size):
             steps.append(Step(entry, path, "here", entry.size))
         else:
             there = min(part.stat().st_blocks * 512, entry.size) if part.is_file() else 0
@@ -284,6 +291,8 @@ def download(
     steps = plan(manifest, entries, folder)
     check_space(folder, sum(step.entry.size - step.there for step in steps if step.state != "here"))
     write_atomically(folder / MANIFEST, manifest.data)
+    if not any(step.path.is_file() for step in steps if step.state != "here"):
+        remember_folder(folder, manifest)  # at once, so that resuming need not read what is complete
     total, done = sum(entry.size for entry in entries), 0
 
     def count(n: int) -> None:
@@ -294,6 +303,7 @@ def download(
     count(0)
     for step in steps:
         _fetch(hub, step, verify, count)
+    remember_folder(folder, manifest)  # damaged files were replaced
     return {step.entry.sequence: step.path for step in steps}
 
 

@@ -19,6 +19,7 @@ from oysterbench.hub.draft import remove_drafts
 from oysterbench.hub.manifest import FileEntry
 from oysterbench.hub.part import Part
 from oysterbench.hub.transfer import Transfer
+from oysterbench.hub.trusted import was_filled_here
 from oysterbench.hub.verify import check_file, kept_manifest
 from oysterbench.sequence.cut import chunks_with, cut_to, match_topics, topics_folder
 from oysterbench.sequence.file import Reading, damaged
@@ -131,12 +132,14 @@ def _index(path: Path, entry: FileEntry, fetch: Fetch) -> tuple[Summary, list[Sp
 
 
 def _is_here(folder: Path, entry: FileEntry) -> bool:
-    """Whether a folder has the whole file. It is read unless the folder's manifest names it, as in `download.plan`."""
+    """Whether a folder has the whole file. It is read unless the folder was filled here by a manifest that names it, as
+    in `download.plan`."""
     path = folder / entry.name
     if not path.is_file() or path.stat().st_size != entry.size:
         return False
     kept = kept_manifest(folder)
-    return (kept is not None and kept.find(entry.name) == entry) or check_file(path, entry).good
+    filled = kept is not None and kept.find(entry.name) == entry and was_filled_here(folder, kept)
+    return filled or check_file(path, entry).good
 
 
 def _summary_start(path: Path, size: int) -> int:

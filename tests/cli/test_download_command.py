@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,17 @@ def test_a_manifest_from_elsewhere_is_held_against_the_hub(place, tmp_path):
     hub = ("--out", tmp_path / "usb", "--from", place.tree, "--key", place.public)
     failed = place.run("download", "tiny@1.0", *hub, home=tmp_path / "home", code=1)
     assert f"{forged}: a different file has this name" in failed.stderr
+
+
+def test_a_damaged_file_beside_the_right_manifest_is_repaired_where_nothing_was_downloaded_before(place, tmp_path):
+    hub, home = ("--from", place.tree, "--key", place.public), tmp_path / "home"
+    place.run("download", "tiny@1.0", *hub, "--out", tmp_path / "own", home=home)
+    shutil.copytree(tmp_path / "own", tmp_path / "usb")
+    path = tmp_path / "usb" / "tiny-01.mcap"
+    path.write_bytes(place.whole[:-9] + b"x" + place.whole[-8:])
+    done = place.run("download", "tiny@1.0", *hub, "--out", tmp_path / "usb", home=home)
+    assert f"{path}: damaged (1 of 1 pieces" in done.stderr
+    assert path.read_bytes() == place.whole
 
 
 def test_topics_and_out(place, tmp_path):

@@ -11,9 +11,10 @@ from oysterbench.core.errors import HubError, IntegrityError, NetworkError
 from oysterbench.hub import download as downloading
 from oysterbench.hub import verify as verifying
 from oysterbench.hub.canonical import canonical
-from oysterbench.hub.download import Hub, download, find_here
+from oysterbench.hub.download import Hub, choose, download, find_here
 from oysterbench.hub.index import read_index
 from oysterbench.hub.manifest import build_manifest
+from oysterbench.hub.topics import plan_topics
 from oysterbench.hub.verify import DAMAGED, OTHER, RIGHT, checks
 from tests.helpers.blobs import CALM
 from tests.helpers.trees import (
@@ -123,6 +124,47 @@ def test_a_manifest_beside_files_does_not_stand_in_for_the_released_one(publishe
     states = {check.path.name: check.state for check in checks(str(tmp_path))}
     assert states == {"manifest.json": DAMAGED, "dive-01.mcap": OTHER}
     assert [check.state for check in checks(str(forged))] == [OTHER]
+
+
+def test_a_good_manifest_does_not_vouch_for_files_that_were_not_downloaded_here(published, tmp_path):
+    """One byte of one file is changed, in a copy of a folder that was downloaded into."""
+    own, usb = tmp_path / "own", tmp_path / "usb"
+    hub = hub_at(published, published.tree)
+    download(hub, hub.manifest("fake-val"), own)
+    shutil.copytree(own, usb)
+    forged = bytearray((usb / "dive-01.mcap").read_bytes())
+    forged[1000] ^= 1
+    (usb / "dive-01.mcap").write_bytes(forged)
+    assert find_here("fake-val", "1.0", folder=usb) is None
+    assert plan_topics(hub, published.manifest.files, usb, ["/imu"])["dive-01"] > 0
+    with pytest.raises(HubError, match=r"dive-01\.mcap: a different file has this name"):  # else it would count as read
+        download(hub, published.manifest, usb, choose(published.manifest, ["dive-02"]))
+    assert_same(download(hub, published.manifest, usb), published)
+
+
+def test_damaged_files_are_not_taken_for_right_after_a_repair_that_broke_off(published, tmp_path):
+    for entry in published.manifest.files:
+        (tmp_path / entry.name).write_bytes(bytes(entry.size))
+    (tmp_path / "manifest.json").write_bytes(published.manifest.data)
+    with pytest.raises(NetworkError):
+        download(Hub([], None), published.manifest, tmp_path)
+    assert (tmp_path / "dive-02.mcap").is_file()  # it was not reached
+    assert find_here("fake-val", "1.0", ["dive-02"], tmp_path) is None
+    assert_same(download(hub_at(published, published.tree), published.manifest, tmp_path), published)
+
+
+def test_a_folder_that_was_downloaded_into_is_not_read_again(published, tmp_path, monkeypatch):
+    hub = hub_at(published, published.tree)
+    (tmp_path / "old").mkdir()
+    for entry in published.manifest.files:
+        shutil.copy(published.tree / "blobs" / entry.sha256, tmp_path / "old" / entry.name)
+    (tmp_path / "old" / "manifest.json").write_bytes(published.manifest.data)
+    read = []
+    monkeypatch.setattr(downloading, "check_file", lambda *of: read.append(of) or verifying.check_file(*of))
+    assert_same(download(hub, published.manifest, tmp_path / "old"), published)
+    assert len(read) == 2
+    assert_same(download(hub, published.manifest, tmp_path / "old"), published)
+    assert len(read) == 2
 
 
 def test_verify_says_where_no_key_vouches_for_a_manifest(published, tmp_path):
