@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,9 +77,10 @@ def download(
     hub_at = hub_places(places)
     # Local data needs no network: a released version never changes. But a manifest from elsewhere may be anybody's.
     here = None if check else find_here(split_name, version or None, patterns, out)
+    unvouched = None
     if here and hub_at and not is_offline() and not is_trusted(here[1]):
-        here = None
-    if here is None and split is None and (model := _model(name, version, hub_at, key, out, connections)):
+        here, unvouched = None, here[0]
+    if not (here or unvouched or split) and (model := _model(name, version, hub_at, key, out, connections)):
         if patterns or topics:
             raise click.UsageError(f"--sequence and --topics apply to splits; {name} is trained weights")
         download_model(*model, out, dry_run, again, as_json)
@@ -86,8 +88,9 @@ def download(
     if here is None and not hub_at:
         _render_instead(context, split, name, patterns, topics, out, dry_run, as_json)
         return
-    hub = Hub([], None) if here else Hub.at(hub_at, hub_key(key), message, connections=connections)
-    folder, manifest = here or (None, hub.manifest(split_name, version or None))
+    with _telling_of(unvouched):
+        hub = Hub([], None) if here else Hub.at(hub_at, hub_key(key), message, connections=connections)
+        folder, manifest = here or (None, hub.manifest(split_name, version or None))
     folder = folder or out or _folder(split, manifest)
     entries = choose(manifest, patterns)
     if dry_run:
@@ -103,6 +106,24 @@ def download(
         else:
             files = download(hub, manifest, folder, entries, check, progress)
     _print_files(files, manifest.split, as_json)
+
+
+@contextmanager
+def _telling_of(folder: Path | None) -> Iterator[None]:
+    """Where a hub gives no manifest, add to its error that the files are here, in a folder whose manifest no key
+    vouches for. Not to an IntegrityError: a hub that gives wrong bytes is no reason to believe such a folder instead.
+    """
+    try:
+        yield
+    except IntegrityError:
+        raise
+    except HubError as error:
+        if folder is None:
+            raise
+        raise type(error)(
+            f"{error}; the files are in {folder}, by a manifest that no key vouches for here: OYSTERBENCH_OFFLINE=1 "
+            "uses them"
+        ) from None
 
 
 def _model(

@@ -68,6 +68,25 @@ def test_a_damaged_file_beside_the_right_manifest_is_repaired_where_nothing_was_
     assert path.read_bytes() == place.whole
 
 
+def test_files_that_are_here_are_named_where_no_hub_vouches_for_their_manifest(place, tmp_path):
+    shutil.copytree(place.data, tmp_path / "usb")
+    manifest = build_manifest({**FACTS, "split": "tiny"}, {"tiny-01": tmp_path / "usb" / "tiny-01.mcap"})
+    (tmp_path / "usb" / "manifest.json").write_bytes(manifest.data)
+    command, key = ("download", "tiny@1.0", "--out", tmp_path / "usb", "--from"), ("--key", place.public)
+    for code, *hub in (
+        (1, tmp_path / "gone", *key),
+        (4, "http://127.0.0.1:9", *key),
+        (1, place.tree),
+    ):
+        line = place.run(*command, *hub, home=tmp_path, code=code).stderr
+        assert f"; the files are in {tmp_path / 'usb'}, by a manifest that no key vouches for here" in line
+        assert line.count("\n") == 1
+    forger = place.run(*command, place.tree, "--key", "ab" * 32, home=tmp_path, code=3).stderr
+    assert "OYSTERBENCH_OFFLINE" not in forger  # wrong bytes are no reason to check less
+    done = place.run(*command, "http://127.0.0.1:9", home=tmp_path, OYSTERBENCH_OFFLINE="1")
+    assert done.stdout.strip() == str(tmp_path / "usb" / "tiny-01.mcap")
+
+
 def test_topics_and_out(place, tmp_path):
     arguments = ("--from", place.tree, "--key", place.public, "--out", tmp_path / "small", "--topics", "/imu")
     done = place.run("download", place.recipe, *arguments, home=tmp_path / "home")
