@@ -76,10 +76,9 @@ def download(
     split_name = split.name if split else name
     hub_at = hub_places(places)
     # Local data needs no network: a released version never changes. But a manifest from elsewhere may be anybody's.
-    here = None if check else find_here(split_name, version or None, patterns, out)
-    unvouched = None
-    if here and hub_at and not is_offline() and not is_trusted(here[1]):
-        here, unvouched = None, here[0]
+    found = None if check else find_here(split_name, version or None, patterns, out)
+    vouched = found is None or not hub_at or is_offline() or is_trusted(found[1])
+    here, unvouched = (found, None) if vouched or found is None else (None, found[0])
     if not (here or unvouched or split) and (model := _model(name, version, hub_at, key, out, connections)):
         if patterns or topics:
             raise click.UsageError(f"--sequence and --topics apply to splits; {name} is trained weights")
