@@ -109,8 +109,7 @@ def sun_share(
     row: int,
     column: int,
 ):
-    """Share of the sun's light that arrives in a pixel; if the sun's fan is wide, averaged over 4 x 4 neighbours, which
-    together sample the whole fan."""
+    """Share of the sun's light that arrives in a pixel; 4 x 4 neighbours together sample a wide fan of the sun."""
     own = lit[row, column]
     share = wp.where(own == wp.uint8(SHADED), 0.0, 1.0)
     mixed = wp.bool(False)
@@ -178,8 +177,7 @@ def softened(cosine: float, spread: float):
 
 @wp.func
 def day_light(optics: Optics, p: wp.vec3, n: wp.vec3, lit: float, opening: float, way: Way):
-    """Irradiance (3,) of daylight on a surface with normal n that sees shares `lit` of the sun and `opening` of the
-    sky."""
+    """Irradiance (3,) of daylight on a surface with normal n that sees shares `lit` of sun and `opening` of sky."""
     towards = wp.dot(n, optics.sun_direction)
     facing = softened(towards, optics.spread) / softened(optics.sun_direction[2], optics.spread)
     beam = wp.cw_mul(beam_at(optics, p) * optics.sun, way.beam)

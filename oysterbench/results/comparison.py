@@ -83,8 +83,7 @@ class MethodRuns:
         return SequenceScores(values, None if weights is None else sequence_weights(sample, weights))
 
     def compare(self, other: MethodRuns, key: str, sequences: Iterable[str]) -> Comparison:
-        """Compute by how much it is better than another method in a metric, on those of the given sequences where both
-        have a value."""
+        """Compute by how much it is better than another in a metric, on those sequences where both have a value."""
         names = list(sequences)
         own, others = self.weights(key, names), other.weights(key, names)
         weights = None if own is None or others is None else (own, others)

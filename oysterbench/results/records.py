@@ -373,7 +373,6 @@ def labelled_results(names: Iterable[str], find: Finder | None = None) -> list[R
     A label replaces the method's name, or is prepended to it if the file holds several methods. Raises ResultError
     where two different records claim to be the same run of one method.
     """
-    records: list[ResultRecord] = []
     sources: dict[tuple[str, ...], tuple[str, ResultRecord]] = {}
     for name in names:
         label, _, rest = name.rpartition("=")
@@ -396,6 +395,4 @@ def labelled_results(names: Iterable[str], find: Finder | None = None) -> list[R
                     f"{other[0]} and {path}: both hold run {record.run} of {record.method} on {record.sequence}, with "
                     f"different numbers; tell them apart by labels, e.g. `oysterbench compare A={other[0]} B={path}`"
                 )
-            if other[1] is record:
-                records.append(record)
-    return records
+    return [record for _, record in sources.values()]
