@@ -14,27 +14,10 @@ from rosbags.rosbag2.enums import StoragePlugin
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import invert, transform
 from oysterbench.core.trajectory import Trajectory, read_times, read_trajectory, write_npz, write_tum
-from oysterbench.core.trajectory.columns import named_columns
 from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL, poses_of_body
 from oysterbench.evaluate.slam.diagnose import diagnose
 from tests.helpers import trajectory_files as files
-from tests.helpers.trajectory_files import Messages, dive
-
-
-def assert_same(read: Trajectory, expected: Trajectory, atol: float = 0.0) -> None:
-    np.testing.assert_array_equal(read.stamps_ns, expected.stamps_ns)
-    assert read.stamps_ns.dtype == np.int64
-    np.testing.assert_allclose(read.positions, expected.positions, rtol=0, atol=atol)
-    np.testing.assert_allclose(read.quaternions, expected.quaternions, rtol=0, atol=atol)
-    assert (read.covariances is None) == (expected.covariances is None)
-    if expected.covariances is not None:
-        np.testing.assert_array_equal(read.covariances, expected.covariances)
-
-
-def written(tmp_path, data: bytes, name: str = "poses.dat"):
-    path = tmp_path / name
-    path.write_bytes(data)
-    return path
+from tests.helpers.trajectory_files import Messages, assert_same, dive, written
 
 
 @pytest.mark.parametrize("form", ["tum", "euroc", "csv", "npz", "mcap"])
@@ -212,66 +195,6 @@ def test_a_kitti_matrix_that_is_no_rotation_is_refused_with_its_line(tmp_path):
         read_trajectory(path, times=dive().stamps_ns)
 
 
-@pytest.mark.parametrize(
-    "header",
-    [
-        "timestamp_ns,x,y,z,qx,qy,qz,qw",
-        "t [ns],p_x,p_y,p_z,q_x,q_y,q_z,q_w",
-        "Time (ns); pos_x; pos_y; pos_z; quat_x; quat_y; quat_z; quat_w",
-        "stamp_ns\ttx\tty\ttz\tqx\tqy\tqz\tqw",
-        "# nanoseconds_time x y z qx qy qz qw",
-        "%time,field.pose.position.x,field.pose.position.y,field.pose.position.z,"
-        "field.pose.orientation.x,field.pose.orientation.y,field.pose.orientation.z,field.pose.orientation.w",
-    ],
-)
-def test_a_header_may_spell_the_columns_in_many_ways(tmp_path, header):
-    text = files.tum(dive()).decode().replace(".", "", 0)
-    rows = [line.split() for line in text.splitlines()]
-    sign = next((sign for sign in (",", ";", "\t") if sign in header), " ")
-    lines = [header, *(sign.join([row[0].replace(".", ""), *row[1:]]) for row in rows)]
-    assert_same(read_trajectory(written(tmp_path, "\n".join(lines).encode())), dive())
-
-
-def test_a_number_that_no_cell_of_a_covariance_has_names_none():
-    columns = named_columns(["t", *"xyz", "qx", "qy", "qz", "qw", "cov_7", "cov_36", "cov_²", "cov_" + "9" * 5000])
-    assert columns is not None
-    assert columns.covariance == {(1, 1): 8}
-
-
-def test_velocities_and_biases_are_not_taken_for_positions(tmp_path):
-    header = "t,v_x,v_y,v_z,b_w_x,b_w_y,b_w_z,w_x,x,y,z,qx,qy,qz,qw"
-    trajectory = read_trajectory(written(tmp_path, f"{header}\n1.5,9,9,9,9,9,9,9,1,2,3,0,0,0,1\n".encode()))
-    np.testing.assert_array_equal(trajectory.positions, [[1, 2, 3]])
-
-
-def test_a_header_gives_the_unit_of_the_positions(tmp_path):
-    rows = "\n1.5,1000,2000,3000,0,0,0,1\n"
-    for header in ("t,x_mm,y_mm,z_mm,qx,qy,qz,qw", "t [s],x [mm],y [mm],z [mm],qx [],qy [],qz [],qw []"):
-        path = written(tmp_path, (header + rows).encode())
-        np.testing.assert_array_equal(read_trajectory(path).positions, [[1, 2, 3]])
-        np.testing.assert_array_equal(read_trajectory(path, unit="m").positions, [[1000, 2000, 3000]])
-    path = written(tmp_path, ("t,x_m,y_m,z_m,qx,qy,qz,qw" + rows).encode())
-    np.testing.assert_array_equal(read_trajectory(path).positions, [[1000, 2000, 3000]])
-    with pytest.raises(TrajectoryError, match="expected a header that names"):
-        read_trajectory(written(tmp_path, ("t,x [ft],y [ft],z [ft],qx,qy,qz,qw" + rows).encode()))
-
-
-def test_a_part_of_a_covariance_is_left_out_and_said(tmp_path):
-    path = written(tmp_path, b"t,x,y,z,qx,qy,qz,qw,cov_x_x,cov_y_y\n1.5,1,2,3,0,0,0,1,4,5\n")
-    trajectory = read_trajectory(path)
-    assert trajectory.covariances is None
-    assert trajectory.notes == ("poses.dat: its covariances are left out: 2 columns are not all of one",)
-
-
-def test_the_upper_half_of_a_covariance_is_enough(tmp_path):
-    axes = ("x", "y", "z", "rx", "ry", "rz")
-    names = [f"cov_{a}_{b}" for i, a in enumerate(axes) for b in axes[i:]]
-    values = ",".join(str(10 if a.split("_")[1] == a.split("_")[2] else 1) for a in names)
-    text = f"t,x,y,z,qx,qy,qz,qw,{','.join(names)}\n1.5,1,2,3,0,0,0,1,{values}\n"
-    covariances = read_trajectory(written(tmp_path, text.encode())).covariances
-    np.testing.assert_array_equal(covariances, [9 * np.eye(6) + 1])
-
-
 def test_a_pipe_is_read_whole(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
@@ -393,62 +316,3 @@ def test_a_covariance_marked_as_unknown_is_none_in_bags_and_in_text(tmp_path):
     read = read_trajectory(written(tmp_path, f"{','.join(names)}\n{line}\n{line.replace('0', '1', 1)}\n".encode()))
     assert len(read) == 2
     assert read.covariances is None
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        "Time,header.seq,header.stamp.secs,header.stamp.nsecs",
-        "index,n,header.stamp.sec,header.stamp.nanosec",
-        "wall_time,n,sec,nanosec",
-    ],
-)
-def test_a_timestamp_in_two_columns_is_read_from_both(tmp_path, names):
-    header = f"{names},x,y,z,qx,qy,qz,qw\n"
-    lines = [f"17.5,{k},1700000000,{k * 250_000_007},1,2,3,0,0,0,1" for k in range(4)]
-    read = read_trajectory(written(tmp_path, (header + "\n".join(lines)).encode()))
-    stamps = [1_700_000_000_000_000_000 + k * 250_000_007 for k in range(4)]
-    assert read.stamps_ns.tolist() == stamps
-    floats = [line.replace("1700000000", "1700000000.0") for line in lines]
-    assert read_trajectory(written(tmp_path, (header + "\n".join(floats)).encode())).stamps_ns.tolist() == stamps
-
-
-@pytest.mark.parametrize("order", [("timestamp_sec", "timestamp_nsec"), ("timestamp_nsec", "timestamp_sec")])
-def test_two_timestamps_that_are_whole_each_are_no_parts_of_one(tmp_path, order):
-    stamps = {"timestamp_sec": ["17.25", "17.5"], "timestamp_nsec": ["17250000000", "17500000000"]}
-    lines = [",".join([*(stamps[name][k] for name in order), "1,2,3,0,0,0,1"]) for k in range(2)]
-    text = "\n".join([",".join([*order, "x,y,z,qx,qy,qz,qw"]), *lines])
-    assert read_trajectory(written(tmp_path, text.encode())).stamps_ns.tolist() == [17_250_000_000, 17_500_000_000]
-
-
-@pytest.mark.parametrize(
-    ("header", "line"),
-    [
-        (",timestamp,x,y,z,qx,qy,qz,qw", "0,1.5,1,2,3,0,0,0,1"),
-        ("timestamp,x,y,z,qx,qy,qz,qw,", "1.5,1,2,3,0,0,0,1"),
-        ("timestamp,x,y,z,qx,qy,qz,qw,", "1.5,1,2,3,0,0,0,1,"),
-        ('"timestamp","x","y","z","qx","qy","qz","qw"', '"1.5","1","2","3","0","0","0","1"'),
-    ],
-)
-def test_tables_as_other_programs_write_them_are_read(tmp_path, header, line):
-    """An index without a name, a comma at the end, quotes."""
-    read = read_trajectory(written(tmp_path, f"{header}\n{line}\n".encode()))
-    assert (read.stamps_ns.tolist(), read.positions.tolist()) == ([1_500_000_000], [[1.0, 2.0, 3.0]])
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "t;x;y;z;qx;qy;qz;qw\n1,5;1,0;2,0;3,0;0,0;0,0;0,0;1,0\n",
-        "1,5 1,0 2,0 3,0 0 0 0 1\n",
-        "1,5;1,0;2,0;3,0;0;0;0;1\n",
-    ],
-)
-def test_decimal_commas_are_named_as_such(tmp_path, text):
-    with pytest.raises(TrajectoryError, match=r"expected numbers with decimal points, got decimal commas: '1,5"):
-        read_trajectory(written(tmp_path, text.encode()))
-
-
-def test_a_header_of_angles_is_refused_with_how_to_convert_them(tmp_path):
-    with pytest.raises(TrajectoryError, match="got t, x, y, z, roll, pitch, yaw; convert it"):
-        read_trajectory(written(tmp_path, b"t,x,y,z,roll,pitch,yaw\n1,0,0,0,0,0,1.2\n"))

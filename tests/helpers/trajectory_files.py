@@ -200,3 +200,19 @@ def write_bag2(folder: Path, t: Trajectory, storage: StoragePlugin = StoragePlug
         for i in range(len(t)):
             writer.write(connection, int(t.stamps_ns[i]), ROS2.serialize_cdr(messages.pose_stamped(i), kind))
     return folder
+
+
+def assert_same(read: Trajectory, expected: Trajectory, atol: float = 0.0) -> None:
+    np.testing.assert_array_equal(read.stamps_ns, expected.stamps_ns)
+    assert read.stamps_ns.dtype == np.int64
+    np.testing.assert_allclose(read.positions, expected.positions, rtol=0, atol=atol)
+    np.testing.assert_allclose(read.quaternions, expected.quaternions, rtol=0, atol=atol)
+    assert (read.covariances is None) == (expected.covariances is None)
+    if expected.covariances is not None:
+        np.testing.assert_array_equal(read.covariances, expected.covariances)
+
+
+def written(tmp_path, data: bytes, name: str = "poses.dat"):
+    path = tmp_path / name
+    path.write_bytes(data)
+    return path

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import pytest
 from sqlalchemy import text
 
 from oysterbench.core.errors import ResultError
-from oysterbench.core.geometry import Array
 from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.evaluate.statistics import summarise
 from oysterbench.hub.canonical import canonical, sha256
@@ -19,7 +17,6 @@ from oysterbench.results.standings import ScoreTable
 from oysterbench_leaderboard.board import BoardInfo, Query
 from oysterbench_leaderboard.database import open_engine
 from oysterbench_leaderboard.index import BoardIndex, open_index
-from oysterbench_leaderboard.memory import MemoryIndex
 from oysterbench_leaderboard.ranking import evaluator_order
 from oysterbench_leaderboard.store import StatusChange
 from oysterbench_leaderboard.tables import board_table
@@ -234,38 +231,6 @@ def test_damaged_notices_are_named_and_left_out(store):
     assert state_of(index, digests["fraud"]) == "withdrawn"
 
 
-@pytest.mark.parametrize("key", ["union_px", "truth_px"])
-def test_a_record_with_a_negative_weight_is_left_out(store, key):
-    whole = record_made(track="segmentation", split="seg-val")
-    first, *others = whole.results
-    odd = replace(first, metrics={**first.metrics, key: -1e5})
-    forged = store.add(replace(whole, team="somebody", tier="reported", results=(odd, *others)))
-    index = opened(store)
-    assert index.problems() == MemoryIndex(store).problems()
-    assert f"has {key} = -100000: expected 0 or more" in index.problems()[forged]
-
-
-def test_a_board_that_cannot_be_ranked_is_left_out_and_the_others_go_on(store, monkeypatch):
-    digests = fill(store)
-    whole = ScoreTable.means
-
-    def means(table: ScoreTable) -> Array:
-        return whole(table) if table.weights is None else math.fsum([1e308, 1e308])  # type: ignore[return-value]
-
-    with monkeypatch.context() as patched:
-        patched.setattr(ScoreTable, "means", means)
-        index, memory = opened(store), MemoryIndex(store)
-    assert index.problems() == memory.problems()
-    assert set(index.problems()) == {digests["unet"], digests["colour"]}
-    assert "its board could not be ranked: " in index.problems()[digests["unet"]]
-    assert state_of(index, digests["cod"]) == "current"
-    assert index.boards() == memory.boards()
-    store.add(record_made("another"))
-    index.refresh()
-    assert index.problems() == {}
-    assert pages(index) == pages(opened(store, "fresh.sqlite"))
-
-
 def test_a_record_that_is_taken_away_leaves_the_board(store):
     digests = fill(store)
     index = opened(store)
@@ -320,26 +285,6 @@ def test_what_is_self_reported_is_shown_and_not_ranked(store):
     assert (boast.method, boast.state, boast.place, boast.rank, boast.tied) == ("boast", "current", None, None, False)
     assert boast.score == pytest.approx(0.99 * 7 / 8, abs=0.02)
     assert any("is not ranked" in note for note in board_table(index.page(board_of(index).id, Query())).notes)
-
-
-@pytest.mark.parametrize("action", ["reported", "withdrawn", "superseded"])
-def test_a_record_that_is_not_ranked_gives_no_weights_to_those_that_are(store, action):
-    masks: dict[str, Any] = {"track": "segmentation", "split": "seg-val"}
-    store.add(record_made("whole", skill=0.7, **masks))
-    store.add(record_made("part", skill=0.9, without=("clip-01", "clip-02", "clip-03"), **masks))
-    index = opened(store)
-    before = {row.method: row for row in pages(index)[0].rows}
-    record = record_made("forged", skill=0.5, tier="reported" if action == "reported" else "scored", **masks)
-    tiny = [replace(one, metrics={**one.metrics, "union_px": 1e-9, "truth_px": 1e-9}) for one in record.results]
-    digest = store.add(replace(record, results=tuple(tiny)))
-    if action == "withdrawn":
-        store.change_status(digest, "withdrawn", "A mistake.")
-    elif action == "superseded":
-        store.add(replace(record, created="2026-11-02T12:00:00Z"))
-    index.refresh()
-    after = {row.method: row for row in pages(index)[0].rows}
-    for method, row in before.items():
-        assert (after[method].score, after[method].low, after[method].high) == (row.score, row.low, row.high)
 
 
 def test_the_newest_evaluator_has_the_board(store):
