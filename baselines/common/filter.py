@@ -88,47 +88,57 @@ class InvariantFilter:
         return slice(n, n + k)
 
     def propagate(self, dt: float, gyro: Array, accel: Array) -> None:
-        """Propagate by dt (s) at mean rate (3,) rad/s and specific force (3,) m/s^2: the force acts in the attitude
-        half-way, and the transition is exact to second order in dt."""
-        rate = gyro - self.gyro_bias
-        middle = self.rotation @ rotation_exp(0.5 * dt * rate)
-        acceleration = middle @ (accel - self.accel_bias) + self.down
-        self._propagate_covariance(dt, middle)
-        self.position = self.position + dt * (self.velocity + 0.5 * dt * acceleration)
-        self.velocity = self.velocity + dt * acceleration
-        self.rotation = self.rotation @ rotation_exp(dt * rate)
-        self.rate = rate
+        """Propagate by dt (s) at mean rate (3,) rad/s and specific force (3,) m/s^2, as `propagate_all` does."""
+        self.propagate_all(Segment(np.array([dt]), gyro[None], accel[None]))
 
     def propagate_all(self, segment: Segment) -> None:
-        """Propagate by a segment of inertial measurements."""
-        for dt, gyro, accel in zip(segment.dt, segment.gyro, segment.accel, strict=True):
-            self.propagate(dt, gyro, accel)
+        """Propagate by a segment of inertial measurements: each force acts in the attitude half-way through its
+        interval, and the transitions are exact to second order in dt."""
+        if len(segment.dt) == 0:
+            return
+        rates, forces = segment.gyro - self.gyro_bias, segment.accel - self.accel_bias
+        turns = rates * segment.dt[:, None]
+        steps, halves = rotation_exp(turns), rotation_exp(0.5 * turns)
+        middles, velocities, positions = np.empty_like(steps), np.empty_like(rates), np.empty_like(rates)
+        for k, dt in enumerate(segment.dt.tolist()):
+            middle = self.rotation @ halves[k]
+            middles[k], velocities[k], positions[k] = middle, self.velocity, self.position
+            acceleration = middle @ forces[k] + self.down
+            self.position = self.position + dt * (self.velocity + 0.5 * dt * acceleration)
+            self.velocity = self.velocity + dt * acceleration
+            self.rotation = self.rotation @ steps[k]
+        self.rate = rates[-1]
+        self._propagate_covariance(segment.dt[:, None, None], middles, cross(velocities), cross(positions))
 
-    def _propagate_covariance(self, dt: float, middle: Array) -> None:
-        noise, eye = self.noise, IDENTITY
-        g, v, p = cross(self.down), cross(self.velocity), cross(self.position)
-        step = np.eye(CORE)
-        turned = dt * middle
-        step[ATTITUDE, GYRO_BIAS] = -turned
-        step[VELOCITY, ATTITUDE] = dt * g
-        step[VELOCITY, GYRO_BIAS] = -(v + 0.5 * dt * g) @ turned
-        step[VELOCITY, ACCEL_BIAS] = -turned
-        step[POSITION, ATTITUDE] = 0.5 * dt**2 * g
-        step[POSITION, VELOCITY] = dt * eye
-        step[POSITION, GYRO_BIAS] = -(p + 0.5 * dt * v) @ turned
-        step[POSITION, ACCEL_BIAS] = -0.5 * dt * turned
+    def _propagate_covariance(self, dt: Array, middles: Array, v: Array, p: Array) -> None:
+        """Propagate the covariance by N intervals: dt (N, 1, 1) s, attitudes half-way (N, 3, 3), cross-product matrices
+        (N, 3, 3) of velocities and positions at their beginnings."""
+        noise, eye, g = self.noise, IDENTITY, cross(self.down)
+        steps = np.tile(np.eye(CORE), (len(dt), 1, 1))
+        turned = dt * middles
+        steps[:, ATTITUDE, GYRO_BIAS] = -turned
+        steps[:, VELOCITY, ATTITUDE] = dt * g
+        steps[:, VELOCITY, GYRO_BIAS] = -(v + 0.5 * dt * g) @ turned
+        steps[:, VELOCITY, ACCEL_BIAS] = -turned
+        steps[:, POSITION, ATTITUDE] = 0.5 * dt**2 * g
+        steps[:, POSITION, VELOCITY] = dt * eye
+        steps[:, POSITION, GYRO_BIAS] = -(p + 0.5 * dt * v) @ turned
+        steps[:, POSITION, ACCEL_BIAS] = -0.5 * dt * turned
         # White noise of the rate turns everything about odom's origin: the group's adjoint.
-        lever = np.concatenate([eye, v, p])
+        lever = np.concatenate([np.broadcast_to(eye, v.shape), v, p], axis=1)
+        added = np.zeros_like(steps)
+        added[:, :9, :9] = dt * noise.gyro**2 * (lever @ lever.transpose(0, 2, 1))
+        added[:, VELOCITY, VELOCITY] += dt * noise.accel**2 * eye
+        added[:, GYRO_BIAS, GYRO_BIAS] = dt * noise.gyro_walk**2 * eye
+        added[:, ACCEL_BIAS, ACCEL_BIAS] = dt * noise.accel_walk**2 * eye
         whole = self.covariance
-        core = step @ whole[:CORE, :CORE] @ step.T
-        core[:9, :9] += dt * noise.gyro**2 * (lever @ lever.T)
-        core[VELOCITY, VELOCITY] += dt * noise.accel**2 * eye
-        core[GYRO_BIAS, GYRO_BIAS] += dt * noise.gyro_walk**2 * eye
-        core[ACCEL_BIAS, ACCEL_BIAS] += dt * noise.accel_walk**2 * eye
-        whole[:CORE, :CORE] = 0.5 * (core + core.T)
-        if len(whole) > CORE:
-            shared = step @ whole[:CORE, CORE:]
-            whole[:CORE, CORE:], whole[CORE:, :CORE] = shared, shared.T
+        core, shared = whole[:CORE, :CORE].copy(), whole[:CORE, CORE:]
+        for step, more in zip(steps, added, strict=True):
+            core = step @ core @ step.T + more
+            core = 0.5 * (core + core.T)
+            shared = step @ shared
+        whole[:CORE, :CORE] = core
+        whole[:CORE, CORE:], whole[CORE:, :CORE] = shared, shared.T
 
     def update(self, residual: Array, slope: Array, noise: Array) -> None:
         """Correct by measured minus predicted (K,), with its derivative (K, 15 + M) by the error and its covariance
@@ -158,20 +168,27 @@ class InvariantFilter:
         return change @ self.covariance[:9, :9] @ change.T
 
 
-def cross(vector: Array) -> Array:
-    """Matrix (3, 3) of the cross product with a vector (3,) on its left."""
-    x, y, z = vector.tolist()  # an array is built twice as fast from Python's own numbers
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+def cross(vectors: Array) -> Array:
+    """Matrices (..., 3, 3) of the cross product with vectors (..., 3) on its left."""
+    if vectors.ndim == 1:
+        x, y, z = vectors.tolist()  # an array is built twice as fast from Python's own numbers
+        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    matrices = np.zeros((*vectors.shape, 3))
+    matrices[..., 0, 1], matrices[..., 0, 2], matrices[..., 1, 2] = -z, y, -x
+    matrices[..., 1, 0], matrices[..., 2, 0], matrices[..., 2, 1] = z, -y, x
+    return matrices
 
 
-def rotation_exp(turn: Array) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector (3,) rad (Rodrigues)."""
-    angle = math.sqrt(turn @ turn)
-    matrix = cross(turn)
-    if angle < 1e-4:  # the next terms are below 1e-9 of it
-        return IDENTITY + (1 - angle**2 / 6) * matrix + 0.5 * matrix @ matrix
-    sine, cosine = float(np.sin(angle)), float(np.cos(angle))
-    return IDENTITY + sine / angle * matrix + (1 - cosine) / angle**2 * (matrix @ matrix)
+def rotation_exp(turns: Array) -> Array:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) rad (Rodrigues)."""
+    angle = np.sqrt((turns * turns).sum(axis=-1))[..., None, None]
+    small = angle < 1e-4  # the next terms are below 1e-9 of it
+    safe = np.where(small, 1.0, angle)
+    matrices = cross(turns)
+    first = np.where(small, 1 - angle**2 / 6, np.sin(safe) / safe)
+    second = np.where(small, 0.5, (1 - np.cos(safe)) / safe**2)
+    return np.asarray(IDENTITY + first * matrices + second * (matrices @ matrices), dtype=float)
 
 
 def left_jacobian(turn: Array) -> Array:

@@ -9,9 +9,15 @@ estimated. GTSAM's `BatchFixedLagSmoother` intends to do so, but up to 4.3.0 nev
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import gtsam
 import numpy as np
 
+from oysterbench.core.geometry import Array
+
+LANDMARK = ord("l")
+"""Key letter of landmarks, which are eliminated first: each is seen by a few keyframes only."""
 HALVINGS = 4
 """Number of times that a step which does not reduce the error is halved before it is given up."""
 DAMPING = 3e-3
@@ -32,6 +38,7 @@ class FixedLagSmoother:
 
     def __init__(self, lag: float, iterations: int, tolerance: float = 1e-3, weak_gauge: bool = False) -> None:
         self._how = (gtsam.EliminateQR,) if weak_gauge else ()
+        self._eliminated: gtsam.GaussianBayesTree | None = None  # by the last step, unless it was damped
         self._lag, self._iterations, self._tolerance = lag, iterations, tolerance
         self.factors = gtsam.NonlinearFactorGraph()
         self.estimate, self.linearised_at = gtsam.Values(), gtsam.Values()
@@ -40,20 +47,55 @@ class FixedLagSmoother:
         self._slots: dict[int, set[int]] = {}  # slots of the factors on a variable
         self._free: list[int] = []  # empty slots
 
-    def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
+    def update(
+        self,
+        factors: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        stamps: dict[int, float],
+        last: Sequence[int] = (),
+    ) -> None:
         """Add factors, and variables with initial values; stamps: of these, and new ones of any others.
 
+        last: variables that are eliminated last, so that `joint` has their covariance without another elimination.
         Raises RuntimeError (GTSAM) where the equations cannot be solved.
         """
         self.estimate.insert(values)
         self.linearised_at.insert(values)
         self._stamps |= stamps
         self._insert(factors)
-        self._optimise()
+        self._optimise(self._ordering(last))
         oldest = max(self._stamps.values()) - self._lag
         old = [key for key, stamp in self._stamps.items() if stamp < oldest]
         if old:
             self._marginalise(old)
+
+    def joint(self, keys: Sequence[int]) -> Array | None:
+        """Joint covariance (N, N), in the order of `keys`, of the variables that the last update eliminated last.
+
+        It is that of its last linearisation. None if others were last, or if the equations could not be solved without
+        damping.
+        """
+        size = self.linearised_at.extract(list(keys)).dim()
+        for root in self._eliminated.roots() if self._eliminated is not None else ():
+            conditional = root.conditional()
+            if list(conditional.keys())[-len(keys) :] == list(keys):
+                # What is eliminated last depends on nothing else, so its part of R is the root of its information.
+                try:
+                    inverse = np.linalg.inv(conditional.R()[-size:, -size:])
+                except np.linalg.LinAlgError:
+                    return None
+                return np.asarray(inverse @ inverse.T, dtype=float)
+        return None
+
+    def _ordering(self, last: Sequence[int]) -> gtsam.Ordering:
+        """Elimination order: landmarks, states from the oldest to the newest, and those that are to be last."""
+        ordering = gtsam.Ordering()
+        keys = sorted(
+            set(self._stamps).difference(last), key=lambda key: (key >> 56 != LANDMARK, self._stamps[key], key)
+        )
+        for key in (*keys, *last):
+            ordering.push_back(key)
+        return ordering
 
     def _insert(self, factors: gtsam.NonlinearFactorGraph) -> None:
         for n in range(factors.size()):
@@ -67,17 +109,16 @@ class FixedLagSmoother:
             for key in factor.keys():  # noqa: SIM118 (no dictionary)
                 self._slots.setdefault(key, set()).add(slot)
 
-    def _optimise(self) -> None:
+    def _optimise(self, ordering: gtsam.Ordering) -> None:
         error = self.factors.error(self.estimate)
         for _ in range(self._iterations):
-            step = self._step()
-            before = self.linearised_at.localCoordinates(self.estimate)
+            step = self._step(ordering)
             for _ in range(HALVINGS):
                 estimate = self.linearised_at.retract(step)
                 found = self.factors.error(estimate)
                 if found < error:
                     break
-                step = before.add(step).scale(0.5)
+                step = self.linearised_at.localCoordinates(self.estimate).add(step).scale(0.5)
             else:
                 return
             self.estimate, self.linearised_at = estimate, gtsam.Values(estimate)
@@ -86,18 +127,20 @@ class FixedLagSmoother:
                 return
             error = found
 
-    def _step(self) -> gtsam.VectorValues:
+    def _step(self, ordering: gtsam.Ordering) -> gtsam.VectorValues:
         """Solve the linearised problem, slightly damped where something is poorly determined."""
-        linear = self.factors.linearize(self.linearised_at)
+        linear, self._eliminated = self.factors.linearize(self.linearised_at), None
         try:
-            return linear.optimize(*self._how)
+            eliminated = linear.eliminateMultifrontal(ordering, *self._how)
+            step, self._eliminated = eliminated.optimize(), eliminated
+            return step
         except RuntimeError:  # GTSAM: the system of equations cannot be solved
             zero = self.linearised_at.zeroVectors()
             for key in self.linearised_at.keys():  # noqa: SIM118 (no dictionary)
                 size = len(zero.at(key))
                 unit = gtsam.noiseModel.Unit.Create(size)
                 linear.push_back(gtsam.JacobianFactor(key, np.eye(size) * DAMPING, np.zeros(size), unit))
-            return linear.optimize(*self._how)
+            return linear.optimize(ordering, *self._how)
 
     def _marginalise(self, keys: list[int]) -> None:
         """Marginalise variables: what their factors say about the neighbours replaces these factors."""

@@ -54,7 +54,7 @@ class Window:
         for landmark in self._landmarks:
             stamps[L(landmark)] = float(self._observations[landmark][-1].keyframe)
         stamps |= dict.fromkeys(model.calibration_keys(), float(last))
-        self._smoother.update(bundle.graph, bundle.values, stamps)
+        self._smoother.update(bundle.graph, bundle.values, stamps, self._newest(last))
         self._read(keyframes, last)
 
     def add(self, keyframes: list[Keyframe], predicted: State) -> None:
@@ -77,7 +77,7 @@ class Window:
         self._triangulate_landmarks(keyframes, graph, values, stamps)
         if keyframe.blind:
             graph.push_back(self.model.drag(keyframe))
-        self._smoother.update(graph, values, stamps)
+        self._smoother.update(graph, values, stamps, self._newest(k))
         self._read(keyframes, k)
         self._landmarks = {i for i in self._landmarks if self._observations[i][-1].keyframe > k - self._lag}
         self._observations = {i: o for i, o in self._observations.items() if o[-1].keyframe > k - self._lag}
@@ -88,9 +88,20 @@ class Window:
         return sum(int(i) in self._landmarks for i in ids) >= self.model.settings.recovery.min_landmarks
 
     def joint(self, keys: list[int]) -> tuple[gtsam.Values, Array]:
-        """The estimate, and the joint covariance (N, N) of some of its variables, in the order of `keys`."""
+        """The estimate, and the joint covariance (N, N) of some of its variables, in the order of `keys`.
+
+        Next to nothing for the state of the last keyframe with what it shares with the filter, in the order of
+        `correct_filter`. Raises RuntimeError where the equations cannot be solved.
+        """
         smoother = self._smoother
-        return smoother.estimate, joint_covariance(smoother.factors, smoother.linearised_at, keys)
+        found = smoother.joint(keys)
+        if found is None:
+            found = joint_covariance(smoother.factors, smoother.linearised_at, keys)
+        return smoother.estimate, found
+
+    def _newest(self, keyframe: int) -> list[int]:
+        """Variables whose covariance is handed to the filter: those of its last keyframe, and shared ones."""
+        return [key(keyframe) for key in (X, V, B)] + list(self.model.aiding.shared_states())
 
     @property
     def _lag(self) -> int:

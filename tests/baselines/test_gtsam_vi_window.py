@@ -46,11 +46,14 @@ def test_what_is_left_knows_all_that_has_left():
                 graph.push_back(factor)
                 whole.push_back(factor)
         first.insert(X(k), values.atPoint3(X(k)))
-        smoother.update(graph, first, {X(k): float(k)})
+        smoother.update(graph, first, {X(k): float(k)}, [X(k - 1), X(k)] if k else [X(k)])
         assert smoother.estimate.size() <= 6
     best = gtsam.GaussNewtonOptimizer(whole, values).optimize()
     wanted = gtsam.Marginals(whole, best)
     found = gtsam.Marginals(compact(smoother.factors), smoother.linearised_at)
+    both = wanted.jointMarginalCovariance([X(28), X(29)]).fullMatrix()
+    assert np.allclose(smoother.joint([X(28), X(29)]), both, atol=1e-9)
+    assert smoother.joint([X(29), X(28)]) is None  # it has them in the order of their elimination
     for k in range(24, 30):
         assert np.allclose(smoother.estimate.atPoint3(X(k)), best.atPoint3(X(k)), atol=1e-6)
         assert np.allclose(found.marginalCovariance(X(k)), wanted.marginalCovariance(X(k)), atol=1e-9)
