@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import sys
 from collections import Counter
@@ -133,15 +134,18 @@ def coco_set(path: Path) -> LabelledSet:
     other categories are skipped. The keys clip and split of an image are used if present; without them, each image is
     a clip of its own. Raises LabelError naming the item that is wrong.
     """
-    coco = read_coco(path)
+    coco, folder = read_coco(path), path.parent.absolute()
     entries = []
     for key, image in coco.images.items():
-        if leads_out(image.file_name):
+        name = image.file_name
+        if os.path.isabs(name) and Path(name).is_relative_to(folder):
+            name = os.path.relpath(name, folder)
+        if leads_out(name):
             raise LabelError(
                 f"{path}: image {key}: expected a file_name relative to this folder or to images/ in it, got one that "
                 f"leads out of it: {image.file_name!r:.80}; put the image there and correct its name"
             )
-        places = (path.parent / image.file_name, path.parent / "images" / image.file_name)
+        places = (path.parent / name, path.parent / "images" / name)
         file = next((place for place in places if place.is_file()), None)
         if file is None:
             raise LabelError(f"{path}: image {key}: no file {image.file_name} beside it, nor in images/")

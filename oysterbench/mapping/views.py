@@ -112,13 +112,17 @@ class PoseInterpolator:
     def of_rows(self, camera: CameraCalibration, stamp_ns: int) -> Array | None:
         """T_odom_cam at the time when each row of a frame was taken: (H, 4, 4) for a rolling shutter, else (1, 4, 4).
 
-        None if the middle row has no pose, as in `at`. Rows beyond an end of the trajectory have the pose at that end.
+        None if the middle row has no pose, as in `at`. Rows beyond an end of the trajectory, or in a gap, have the pose
+        at that end.
         """
         middle = self.taking(camera, stamp_ns)
         if middle is None or camera.readout_s == 0:
             return None if middle is None else (middle @ camera.T_base_cam)[None]
         stamps = self.trajectory.stamps_ns
-        taken = np.clip(camera.rows_taken_ns(stamp_ns), stamps[0], stamps[-1])
+        gaps, time = np.flatnonzero(np.diff(stamps) > self._max_gap_ns), camera.taken_ns(stamp_ns)
+        first = max((stamps[gap + 1] for gap in gaps if stamps[gap] < time), default=stamps[0])
+        last = min((stamps[gap] for gap in gaps if stamps[gap] >= time), default=stamps[-1])
+        taken = np.clip(camera.rows_taken_ns(stamp_ns), first, last)
         around = slice(int(np.searchsorted(stamps, taken[0], "right")) - 1, int(np.searchsorted(stamps, taken[-1])) + 1)
         return np.asarray(self.trajectory.select(around).at(taken).matrices @ camera.T_base_cam)
 

@@ -238,6 +238,12 @@ def test_a_coco_file_cannot_name_an_image_outside_its_folder(tmp_path, name):
         open_labelled(place.parent)
 
 
+def test_a_coco_file_may_name_its_own_images_absolutely(tmp_path):
+    place = coco_file(tmp_path, [[8, 8, 24, 8, 24, 20, 8, 20]]) / "all.json"
+    place.write_text(place.read_text().replace("a.png", str(tmp_path / "a.png")))
+    assert open_labelled(place.parent)[0].oysters.sum() == 16 * 12
+
+
 def test_coco_polygons_crowds_and_other_categories(tmp_path):
     box = [8, 8, 24, 8, 24, 20, 8, 20]
     assert open_labelled(coco_file(tmp_path, [box]))[0].oysters.sum() == 16 * 12

@@ -165,6 +165,16 @@ def test_a_pose_between_two_is_interpolated():
     np.testing.assert_allclose(halfway[:3, 3], truth.positions[3:5].mean(axis=0), atol=1e-6)
 
 
+def test_rows_taken_in_a_gap_of_the_path_have_the_pose_before_it():
+    truth, rolling = Reef(MONO).truth(), replace(camera(0.0), readout_s=0.2)
+    stamp = int(truth.stamps_ns[10])
+    parted = PoseInterpolator(truth.select(abs(truth.stamps_ns - stamp - 5 * 10**8) >= 5 * 10**8), 0.3)
+    whole = PoseInterpolator(truth, 0.3).of_rows(rolling, stamp)
+    found, half = parted.of_rows(rolling, stamp), rolling.height // 2
+    np.testing.assert_allclose(found[:half], whole[:half], atol=1e-9)
+    np.testing.assert_allclose(found[half + 1 :], np.tile(parted.at(stamp) @ rolling.T_base_cam, (half - 1, 1, 1)))
+
+
 def test_cameras_that_look_elsewhere_make_no_pair():
     assert partner(Reef(STEREO), "cam_left", CloudSettings()) == "cam_right"
     away = replace(camera(-0.06), T_base_cam=transform(turn("z", 90) @ OPTICAL, [0.0, -0.06, 0.0]))
