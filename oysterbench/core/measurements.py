@@ -15,10 +15,10 @@ from oysterbench.core.geometry import Array
 class Image:
     """One camera frame.
 
-    pixels: (H, W, 3) uint8 RGB; or a layer: depth (H, W) float32 m along the optical axis, 0 = none; class (H, W)
-    uint8 (`recipe.CLASSES`); instance (H, W) uint16, 0 = none; normals (H, W, 3) float32, outward, in the optical
-    frame; visibility (H, W) float32, unoccluded fraction of the instance at a pixel, NaN = none; light (H, W, 3)
-    float32, 1 = a white matte surface in full daylight: clean (without water), and direct + forward_scatter +
+    pixels: (H, W, 3) uint8 RGB; or a layer: depth (H, W) float32 m along the optical axis from the true pupil, 0 =
+    none; class (H, W) uint8 (`recipe.CLASSES`); instance (H, W) uint16, 0 = none; normals (H, W, 3) float32, outward,
+    in the optical frame; visibility (H, W) float32, unoccluded fraction of the instance at a pixel, NaN = none; light
+    (H, W, 3) float32, 1 = a white matte surface in full daylight: clean (without water), and direct + forward_scatter +
     backscatter + snow, which add up to what reaches the lens; dynamic (H, W) uint8, 1 = moves by itself; flow (H, W, 2)
     float32 px to the right and down until the next frame, NaN = none; transmittance (H, W) float32, fraction of green
     light that arrives through the water, 0 = none.

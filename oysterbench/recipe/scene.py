@@ -158,5 +158,7 @@ class SequenceRecipe:
     site: SiteRecipe = field(default=SiteRecipe())  # waves, current, sound, magnetism
     life: LifeRecipe = field(default=LifeRecipe())  # what moves by itself
     rig: Table = field(default=Table())  # what differs from the split's rig
-    calibration: str = choice(CALIBRATIONS, "exact")  # how well the calibration given to methods matches the rig
+    calibration: str = choice(CALIBRATIONS, "exact")
+    """How well the calibration given to methods matches poses, lenses and noise of the rig; even if exact, it knows no
+    clock offsets, biases, scale errors or iron."""
     drawn: tuple[DrawnRecipe, ...] = ()  # values that are drawn at random

@@ -133,6 +133,18 @@ def _merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]
     return merged
 
 
+def rig_tables(source: str, rig_source: str, sequence: str) -> dict[str, Any]:
+    """Tables of the rig of a sequence, with what the sequence changes, by the texts of split and rig that its file
+    keeps. They are not checked, so files of older recipes can be read too; keys that are not stated are absent."""
+    table, rig = tomllib.loads(source), tomllib.loads(rig_source)
+    _merge_defaults(table, "split.toml")
+    changes = next((one.get("rig", {}) for one in table.get("sequence", []) if one["name"] == sequence), {})
+    for block, values in changes.items():
+        old = rig[block]
+        rig[block] = [{**one, **values} for one in old] if isinstance(old, list) else {**old, **values}
+    return rig
+
+
 def with_rig(split: SplitRecipe, rig_name: str, where: str) -> SplitRecipe:
     """Return the split with another rig, given by its name or by the path of its file relative to that of `where`."""
     source = _rig_text(rig_name, where)

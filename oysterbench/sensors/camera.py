@@ -59,8 +59,9 @@ class CameraCalibration:
     distortion_model and distortion as in sensor_msgs/CameraInfo: plumb_bob (Brown-Conrady k1, k2, p1, p2[, k3]) or
     equidistant (Kannala-Brandt k1 to k4). Behind a flat port, methods are given a lens in water that was fitted to it;
     the true calibration has the lens in air, port_m from the pupil to the port, and port_index, the refractive index of
-    water relative to air. Stamps are late by time_offset_s, with a jitter of time_jitter_s, 1 sigma. readout_s: time in
-    which a rolling shutter reads its rows, at an even rate; a stamp is mid-exposure of the middle row.
+    water relative to air. The centre of the fitted lens lies behind the pupil, from which depth layers are measured.
+    Stamps are late by time_offset_s, with a jitter of time_jitter_s, 1 sigma. readout_s: time in which a rolling
+    shutter reads its rows, at an even rate; a stamp is mid-exposure of the middle row.
     """
 
     width: int

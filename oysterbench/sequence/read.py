@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -16,13 +17,14 @@ from oysterbench.core.measurements import Cloud, Image
 from oysterbench.core.names import PLAIN, is_plain
 from oysterbench.core.ros import decode, stamp_of
 from oysterbench.core.trajectory import Trajectory
+from oysterbench.recipe.split import rig_tables
 from oysterbench.sensors.camera_messages import LAYERS, read_layer
 from oysterbench.sensors.clouds import read_cloud
 from oysterbench.sensors.faults import COLUMNS
 from oysterbench.sensors.kind import Row
 from oysterbench.sensors.kind import topic as topic_of
 from oysterbench.sensors.registry import read_calibrations, sensor_kinds
-from oysterbench.sensors.uncertainty import UNCERTAINTY, Uncertainty
+from oysterbench.sensors.uncertainty import DIGITS, UNCERTAINTY, Uncertainty
 from oysterbench.sequence.file import (
     DAMAGE,
     Attachments,
@@ -59,6 +61,7 @@ CALIBRATION = "calibration.json"
 OYSTERS = "truth/oysters.csv"
 STEERING = "truth/steering.csv"
 TRUE_CALIBRATION = "truth/calibration.json"
+SPLIT_SOURCE, RIG_SOURCE = "split.toml", "rig.toml"
 FAULTS = "truth/faults.csv"
 FRAMES = "truth/frames.csv"
 MOVING = "truth/moving.csv"
@@ -138,12 +141,25 @@ class McapSequence(Sequence):
         return any(topic == f"/{sensor}" or topic.startswith(f"/{sensor}/") for topic in self.types)
 
     def truly_calibrated(self) -> Sequence:
-        if TRUE_CALIBRATION not in self.attachments:
+        late_s = self._decoded(self._clock_offsets_s)
+        if TRUE_CALIBRATION not in self.attachments and not any(late_s.values()):
             return self
         twin = McapSequence(self.path)
-        twin._calibrate(self._decoded(lambda: read_json(self.attachments[TRUE_CALIBRATION])))
+        if TRUE_CALIBRATION in self.attachments:
+            twin._calibrate(self._decoded(lambda: read_json(self.attachments[TRUE_CALIBRATION])))
+        twin.cameras = {
+            name: replace(camera, time_offset_s=round(camera.time_offset_s + late_s.get(name, 0.0), DIGITS))
+            for name, camera in twin.cameras.items()
+        }
         twin.uncertainty = None
         return twin
+
+    def _clock_offsets_s(self) -> dict[str, float]:
+        """Camera -> offset of its clock by the recipe, s, which is in no calibration; empty without a recipe."""
+        if not {SPLIT_SOURCE, RIG_SOURCE} <= self.attachments.keys():
+            return {}
+        rig = rig_tables(self.attachments[SPLIT_SOURCE].decode(), self.attachments[RIG_SOURCE].decode(), self.name)
+        return {camera["name"]: 1e-3 * float(camera.get("clock_offset_ms", 0.0)) for camera in rig["camera"]}
 
     @property
     def duration_s(self) -> float:

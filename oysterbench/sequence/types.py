@@ -247,7 +247,11 @@ class Sequence(ABC):
 
     def truly_calibrated(self) -> Sequence:
         """The same sequence with the true calibrations, which fit the ground truth, in place of the given ones, for
-        evaluators; the sequence itself where they do not differ."""
+        evaluators; the sequence itself where they do not differ.
+
+        The time offset of a camera is then that of its stamps, `clock_offset_ms` of the recipe included; a file without
+        its recipe (split.toml and rig.toml) does not know it. Clocks of other sensors are in no calibration.
+        """
         return self
 
     def for_method(self) -> Sequence:

@@ -63,7 +63,7 @@ class FrameDataset(Dataset[Any]):
     ignore         (H, W) bool          pixels of oysters too small or too occluded to count, not evaluated
     class          (H, W) uint8         numbers of `oysterbench.recipe.CLASSES`
     instance       (H, W) int32         number of the oyster or other object, 0 is none
-    depth          (H, W) float32       m along the optical axis, 0 is none
+    depth          (H, W) float32       m along the optical axis from the true pupil, 0 is none
     visibility     (H, W) float32       unoccluded share of the instance at a pixel, NaN is none
     normals        (3, H, W) float32    outward, in the optical frame (x right, y down, z forward)
     dynamic        (H, W) uint8         1 where something moves by itself
@@ -76,7 +76,8 @@ class FrameDataset(Dataset[Any]):
     name, sequence, camera  str         name: SEQUENCE/CAMERA/STAMP, as in the evaluators
     ============== ==================== ==================================================================
 
-    Only those of `layers` are present, besides image, intrinsics, stamp_ns and names.
+    Only those of `layers` are present, besides image, intrinsics, stamp_ns and names. Intrinsics are those that methods
+    are given; behind a flat port, their centre lies behind the true pupil (`oysterbench/sensors/README.md`).
 
     Raises
     ------

@@ -8,11 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from oysterbench.recipe import CameraRecipe, SiteRecipe
+from oysterbench.core.geometry import invert
+from oysterbench.recipe import CameraRecipe, SiteRecipe, load_split
 from oysterbench.render import lens
 from oysterbench.render.lens import project
 from oysterbench.sensors.camera import KIND
 from oysterbench.sensors.port import fit_in_water
+from oysterbench.sequence.export.ply import pixel_rays, points_at
 
 PORT = CameraRecipe(name="cam", width=640, height=480, hfov_deg=69.0, rate_hz=10.0, port_mm=10.0, pitch_deg=40.0)
 SITE = SiteRecipe()
@@ -77,3 +79,18 @@ def test_the_last_bits_of_a_processor_do_not_show_in_the_fit(seed, monkeypatch):
     found = fit_in_water.__wrapped__(PORT)
     np.testing.assert_array_equal(found.matrix, expected.matrix)
     assert dataclasses.astuple(found)[1:] == dataclasses.astuple(expected)[1:]
+
+
+def test_depth_is_from_the_true_pupil_and_the_given_lens_needs_its_distance_added():
+    camera = load_split("slam-val").rig.camera[0]
+    entries = (KIND.calibrate(camera, SITE), KIND.true_calibration(camera, SITE))
+    given, true = map(KIND.read_calibration, entries)
+    ahead = (invert(given.T_base_cam) @ true.T_base_cam)[2, 3]
+    assert ahead == pytest.approx(0.00665, abs=5e-5)  # as the documentation says
+    inner = np.s_[24:-24:12, 24:-24:12]
+    depth = np.full((camera.height, camera.width), 1.0)[inner].ravel()
+    points = points_at(pixel_rays(true)[inner].reshape(-1, 3), depth)
+    rays = pixel_rays(given)[inner].reshape(-1, 3)
+    added = rays[:, :2] * (depth + ahead)[:, None]
+    assert np.hypot(*(added - points[:, :2]).T).max() < 1.2e-3  # residuals of the fit
+    assert np.hypot(*(rays[:, :2] * depth[:, None] - points[:, :2]).T).max() > 4e-3

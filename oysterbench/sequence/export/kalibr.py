@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.export.parts import number, numbers, port_notes, write_lines
+from oysterbench.sequence.export.readme import write_readme
 from oysterbench.sequence.export.steps import Steps
 from oysterbench.sequence.types import CameraCalibration, Sequence
 
@@ -17,26 +17,24 @@ DISTORTION_MODELS = {"plumb_bob": "radtan", "equidistant": "equidistant"}
 
 
 def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
-    """Write camchain-imucam.yaml and imu.yaml, for the topics of a sequence file."""
-    return write_calibration(sequence, folder, truth, [f"/{name}/image" for name in sequence.cameras], "/imu")
+    """Write camchain-imucam.yaml, imu.yaml and README.txt, for the topics of a sequence file."""
+    topics = {name: f"/{name}/image" for name in sequence.cameras}
+    notes = write_calibration(sequence, folder, topics.values(), "/imu")
+    own = "T_cam_imu in camchain-imucam.yaml is the inverse of T_imu_cam."
+    write_readme(sequence, folder, "Kalibr", {topic: name for name, topic in topics.items()}, truth, [own])
+    return notes
 
 
-def write_calibration(
-    sequence: Sequence, folder: Path, truth: bool, image_topics: Iterable[str], imu_topic: str
-) -> list[str]:
-    """Write Kalibr's files for any topics: of the cameras, in their order, and of the IMU.
-
-    truth: with clock offsets that are in the rig's recipe but in no calibration
-    """
+def write_calibration(sequence: Sequence, folder: Path, image_topics: Iterable[str], imu_topic: str) -> list[str]:
+    """Write Kalibr's files for any topics: of the cameras, in their order, and of the IMU."""
     notes = port_notes(sequence, sequence.cameras)
-    shifts = _time_shifts(sequence, truth)
     lines: list[str] = []
     previous: Array | None = None
     for index, ((name, camera), topic) in enumerate(zip(sequence.cameras.items(), image_topics, strict=True)):
         if camera.distortion_model == "plumb_bob" and np.any(camera.distortion[4:]):
             notes.append(f"{name}: Kalibr's radtan has no k3: its {camera.distortion[4]:g} was left out")
         lines += [f"cam{index}:", *(f"  {line}" for line in _camera(sequence, camera, previous))]
-        lines += [f"  rostopic: {topic}", f"  timeshift_cam_imu: {number(shifts[name])}"]
+        lines += [f"  rostopic: {topic}", f"  timeshift_cam_imu: {number(0.0 - camera.time_offset_s)}"]
         previous = camera.T_base_cam
     write_lines(folder / "camchain-imucam.yaml", lines)
     unit = sequence.imu_calibration
@@ -71,14 +69,3 @@ def _camera(sequence: Sequence, camera: CameraCalibration, previous: Array | Non
 
 def _rows(matrix: Array) -> list[str]:
     return [f"- {numbers(row)}" for row in matrix]
-
-
-def _time_shifts(sequence: Sequence, truth: bool) -> dict[str, float]:
-    """Camera -> shift in s with t_imu = t_cam + shift: that of the calibration; but with `truth`, where the calibration
-    was not measured, that of the clocks in the rig's recipe, if the file has it."""
-    source = getattr(sequence, "attachments", {}).get("rig.toml")
-    if not truth or source is None or sequence.uncertainty is not None:
-        return {name: 0.0 - camera.time_offset_s for name, camera in sequence.cameras.items()}
-    rig = tomllib.loads(source.decode())
-    inertial = rig["imu"].get("clock_offset_ms", 0.0)
-    return {camera["name"]: (inertial - camera.get("clock_offset_ms", 0.0)) / 1e3 for camera in rig["camera"]}

@@ -39,14 +39,20 @@ COEFFICIENTS = {"plumb_bob": "k1 k2 p1 p2 k3", "equidistant": "k1 k2 k3 k4"}
 
 
 def write_readme(
-    sequence: Sequence, folder: Path, layout: str, cameras: Mapping[str, str], further: Iterable[str]
+    sequence: Sequence, folder: Path, layout: str, cameras: Mapping[str, str], truth: bool, further: Iterable[str]
 ) -> None:
-    """Write README.txt. cameras: label of a camera in the layout -> its name; further: lines specific to the layout"""
+    """Write README.txt. cameras: label of a camera in the layout -> its name; truth: with what the given calibration
+    does not know; further: lines specific to the layout"""
+    true = sequence.truly_calibrated() if truth else sequence
     T_imu_base = invert(sequence.imu_calibration.T_base_imu)
     lines = [head(sequence, layout), ""]
     for label, name in cameras.items():
         camera = sequence.cameras[name]
-        lines += [*_camera(label, name, camera, T_imu_base @ camera.T_base_cam), ""]
+        lines += _camera(label, name, camera, T_imu_base @ camera.T_base_cam)
+        late_s = true.cameras[name].time_offset_s
+        if late_s != camera.time_offset_s:
+            lines.append(f"  in truth they are late by {number(late_s)} s, which methods are not told")
+        lines.append("")
     for model in dict.fromkeys(sequence.cameras[name].distortion_model for name in cameras.values()):
         lines.append(f"Names of this distortion ({COEFFICIENTS[model]} of OpenCV):")
         lines += [*(f"  {systems}: {name}" for systems, name in NAMES[model].items()), ""]
@@ -71,7 +77,7 @@ def _camera(label: str, name: str, camera: CameraCalibration, T_imu_cam: Array) 
         f"{label}: {name}, {camera.width} x {camera.height}, {camera.rate_hz:g} Hz",
         "  fx fy cx cy: " + " ".join(number(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))) + " px",
         f"  distortion: {coefficients if distorted else 'none'}",
-        f"  its stamps are late by {number(camera.time_offset_s)} s, as far as the calibration knows: Kalibr's",
+        f"  its stamps are late by {number(camera.time_offset_s)} s by the given calibration: Kalibr's",
         f"  timeshift_cam_imu is {number(0.0 - camera.time_offset_s)}, with t_imu = t_cam + timeshift",
         "  T_imu_cam, which takes points of the camera into the IMU (T_BS, where the body is the IMU):",
         *("    " + " ".join(f"{value: .9f}" for value in row) for row in T_imu_cam),

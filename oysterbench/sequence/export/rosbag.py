@@ -50,13 +50,13 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
             bag.write(connections[topic], item.stamp_ns, data)
             if isinstance(item, Image):
                 steps.done()
-    notes = write_calibration(sequence, folder, truth, topics.values(), IMU_TOPIC)
+    notes = write_calibration(sequence, folder, topics.values(), IMU_TOPIC)
     labels = {topic: name for name, topic in topics.items()}
     own = (
         f"{IMU_TOPIC} has no orientation. camchain-imucam.yaml and imu.yaml are Kalibr's.",
         truth_line(truth, TRUTH_TOPIC),
     )
-    write_readme(sequence, folder, "EuRoC's ROS 1 bags", labels, own)
+    write_readme(sequence, folder, "EuRoC's ROS 1 bags", labels, truth, own)
     return [*(f"{topic} is {name}, in grey" for name, topic in topics.items()), *notes]
 
 

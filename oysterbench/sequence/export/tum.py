@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
+from oysterbench.core.geometry import invert
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds, write_tum
 from oysterbench.sequence.export.parts import any_camera, port_notes, sensor_poses, write_lines, write_png
 from oysterbench.sequence.export.readme import truth_line, write_readme
@@ -40,7 +41,8 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
         folder / "accelerometer.txt", ["# accelerometer, in the frame of the IMU", "# timestamp ax ay az", *samples]
     )
     write_lines(folder / "calibration.txt", _calibration(sequence.cameras[name]))
-    write_readme(sequence, folder, "TUM RGB-D", {"rgb": name}, [*OWN, truth_line(truth, PLACE)])
+    own = [*OWN, *(_behind_port(sequence, name) if with_depth else ()), truth_line(truth, PLACE)]
+    write_readme(sequence, folder, "TUM RGB-D", {"rgb": name}, truth, own)
     notes = [f"images of {name}"]
     notes += port_notes(sequence, [name])
     if not truth:
@@ -67,6 +69,19 @@ def _write_depth(sequence: Sequence, name: str, folder: Path, steps: Steps) -> i
         rows.append(f"{ns_to_seconds(image.stamp_ns)} {file}")
     write_lines(folder / "depth.txt", rows)
     return far
+
+
+def _behind_port(sequence: Sequence, name: str) -> list[str]:
+    """Lines of README.txt on depth behind a flat port, where the centre of the given lens is not the true pupil."""
+    given, true = sequence.cameras[name], sequence.truly_calibrated().cameras[name]
+    if given.port_m is not None or true.port_m is None:
+        return []
+    ahead_m = float((invert(given.T_base_cam) @ true.T_base_cam)[2, 3])
+    return [
+        f"The camera is behind a flat port. Depth and poses are those of its pupil, {1e3 * ahead_m:.2f} mm in front of",
+        "the centre of the lens that calibration.txt gives: the point of a pixel is its ray (x, y, 1) there, times",
+        "depth plus that distance, less that distance along z.",
+    ]
 
 
 def _calibration(camera: CameraCalibration) -> list[str]:

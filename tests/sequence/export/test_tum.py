@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import cv2
 import numpy as np
 from evo.core import metrics, sync
@@ -74,3 +76,17 @@ def test_tum_without_truth_has_neither_poses_nor_depth(sequence, tmp_path):
         "rgb.txt",
     ]
     assert any("depth is truth" in note for note in notes)
+
+
+def test_behind_a_flat_port_the_folder_says_where_depth_is_measured_from(sequence, tmp_path, monkeypatch):
+    true = dive.calibration()
+    left = true["cameras"]["cam_left"]
+    shift = np.array(left["T_base_cam"])
+    shift[:3, 3] += 0.005 * shift[:3, 2]  # along the optical axis
+    true["cameras"]["cam_left"] = left | {"T_base_cam": shift.tolist(), "port": {"distance_m": 0.01, "index": 1.33}}
+    known = {**sequence.attachments, "truth/calibration.json": json.dumps(true).encode()}
+    monkeypatch.setattr(sequence, "attachments", known)
+    text = (export_sequence(sequence, "tum", tmp_path / "port")[0] / "README.txt").read_text()
+    assert "Depth and poses are those of its pupil, 5.00 mm in front of" in text
+    blind = export_sequence(sequence, "tum", tmp_path / "blind", truth=False)[0]
+    assert "flat port" not in (blind / "README.txt").read_text()
