@@ -60,9 +60,10 @@ def render(
       oysterbench render slam-val --scheduler tcp://10.0.0.1:8786
       oysterbench render slam-test --salt-file secret/slam-test.salt --out secret/slam-test
 
-    May be interrupted at any time, even killed; the same command resumes at the same frame. Any number of workers, here
-    or on a cluster, gives the same bytes. With --topics, cameras and sonars that make none of them are not rendered,
-    and the smaller files go to a folder of their own. A hidden split needs its salt, read from a file or from
+    May be interrupted at any time, even killed; the same command resumes at the same frame. Files that are there
+    already are kept and not read through: `oysterbench verify FILE` finds damage done later. Any number of workers,
+    here or on a cluster, gives the same bytes. With --topics, cameras and sonars that make none of them are not
+    rendered, and the smaller files go to a folder of their own. A hidden split needs its salt, read from a file or from
     OYSTERBENCH_SALT because others can see the command line; its preview shows the split without the salt.
     """
     from oysterbench.recipe import load_split, split_names

@@ -55,8 +55,8 @@ def render_files(
     if scheduler is None and device == "cpu" and not quiet:
         _announce(split, missing, workers, cpu_s(workers) / workers)
     with nullcontext() if quiet else frames_bar(f"rendering {split.name}") as progress:
-        waiting = None if quiet else partial(_wait, folder)
-        return generate_split(split, folder, workers, progress, salt, device, scheduler, names, waiting, topics)
+        waiting, tell = (None, None) if quiet else (partial(_wait, folder), say)
+        return generate_split(split, folder, workers, progress, salt, device, scheduler, names, waiting, topics, tell)
 
 
 def _wait(folder: Path) -> None:

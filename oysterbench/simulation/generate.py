@@ -22,6 +22,7 @@ from pathlib import Path
 from oysterbench.core.cluster import Results, run_on_cluster
 from oysterbench.core.errors import MachineError, OysterbenchError, RecipeError, SequenceError
 from oysterbench.core.files import free_bytes, home, locked, naming, write_atomically
+from oysterbench.core.names import listed
 from oysterbench.recipe import SequenceRecipe, SplitRecipe
 from oysterbench.sequence.read import (
     FAULTS,
@@ -31,6 +32,8 @@ from oysterbench.sequence.read import (
     OYSTERS,
     STEERING,
     McapSequence,
+    read_attachments,
+    read_messages,
 )
 from oysterbench.sequence.truth import rig_topics
 from oysterbench.sequence.write import pack
@@ -86,13 +89,15 @@ def generate_split(
     names: Collection[str] = (),
     before_waiting: Callable[[], None] | None = None,
     topics: Collection[str] = (),
+    tell: Callable[[str], None] | None = None,
 ) -> dict[str, Path]:
     """Make the missing sequence files of a split (or of these names), and return all of them, by name.
 
     topics: patterns such as `/imu` or `/cam_front/*`: the files then have no other topics, and only the sensors that
     make these are rendered; all files of a folder have the same topics. workers: processes on this machine, unless the
     address of a Dask `scheduler` is given. device: Warp device on the machines that render. before_waiting: called
-    before waiting for another process that renders into the folder.
+    before waiting for another process that renders into the folder. tell: called with a line for the user where parts
+    that an earlier call left are damaged; they are made again.
 
     Raises RecipeError where the recipe cannot be built or a hidden split has no sufficient salt, MachineError where the
     disk has too little room, and SequenceError where the folder holds a damaged file or one of another recipe; existing
@@ -131,8 +136,9 @@ def generate_split(
                 return run_here(task, jobs)
 
             with naming(folder, folder / PARTS):
-                tell = progress or (lambda done, total: None)
-                _render(split, missing, folder, made_by, salt, run, elsewhere, tell, topics)
+                _discard_damaged(split, missing, folder, made_by, topics, tell or (lambda line: None))
+                count = progress or (lambda done, total: None)
+                _render(split, missing, folder, made_by, salt, run, elsewhere, count, topics)
         with contextlib.suppress(OSError):  # absent, or holds parts of other recipes
             (folder / PARTS).rmdir()
     return files
@@ -177,6 +183,37 @@ def share_left(
 
 def _parts(folder: Path, sequence: str, made_by: str) -> Path:
     return folder / PARTS / f"{sequence}-{made_by[:12]}"
+
+
+def _discard_damaged(
+    split: SplitRecipe,
+    sequences: list[SequenceRecipe],
+    folder: Path,
+    made_by: str,
+    topics: Collection[str],
+    tell: Callable[[str], None],
+) -> None:
+    """Delete the parts that are truncated or damaged, so that they are made again."""
+    for sequence in sequences:
+        parts = _parts(folder, sequence.name, made_by)
+        found = [parts / job.part for job in plan(split, sequence, topics)]
+        bad = [part for part in found if part.is_file() and not _is_whole(part)]
+        for part in bad:
+            part.unlink()
+        if bad:
+            which = listed(part.name for part in bad)
+            tell(f"{parts}: truncated or damaged, rendered again: {which}")
+
+
+def _is_whole(part: Path) -> bool:
+    """Whether all that a part holds can be read, with the right checksums."""
+    try:
+        for _ in read_messages(part):
+            pass
+        dict(read_attachments(part))
+    except SequenceError:
+        return False
+    return True
 
 
 def _render(

@@ -69,6 +69,26 @@ def test_what_is_stopped_while_it_is_put_together_keeps_its_parts(tiny_split, ti
     assert sha256(generate_split(tiny_split, tmp_path)["tiny-01"]) == sha256(tiny_file)
 
 
+@pytest.mark.parametrize(
+    "damage", [lambda data: data[: len(data) // 2], lambda data: data.replace(b"cam_front", b"cam_fr0nt")]
+)
+def test_a_damaged_part_is_rendered_again_and_said(tiny_split, tiny_file, tmp_path, damage):
+    class Enough(Exception):
+        pass
+
+    def stop_after_two(done, total):
+        if done > 1:
+            raise Enough
+
+    with pytest.raises(Enough):
+        generate_split(tiny_split, tmp_path, progress=stop_after_two)
+    part, *_ = sorted(tmp_path.glob(".parts/*/cam_front-*.part"))
+    part.write_bytes(damage(part.read_bytes()))
+    said = []
+    assert sha256(generate_split(tiny_split, tmp_path, tell=said.append)["tiny-01"]) == sha256(tiny_file)
+    assert said == [f"{part.parent}: truncated or damaged, rendered again: {part.name}"]
+
+
 def test_what_is_there_is_not_rendered_again(tiny_split, tiny_file):
     before = tiny_file.stat().st_mtime_ns
     seen = []
