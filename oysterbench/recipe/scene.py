@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from oysterbench.core.errors import RecipeError
 from oysterbench.recipe.keys import Table, choice, number
 from oysterbench.recipe.life import LifeRecipe
 from oysterbench.recipe.path import PathRecipe
@@ -69,9 +70,11 @@ class WaterRecipe:
 
     type: str | None = choice(WATER_TYPES, None)
     """One of Jerlov's types, Chesapeake Bay, or pure water to which the keys below add; alternatively, give jerlov."""
-    jerlov: str | None = choice(JERLOV_TYPES, None)  # Jerlov's types only; `type` takes precedence
+    jerlov: str | None = choice(JERLOV_TYPES, None)  # Jerlov's types only; instead of `type`
     turbidity: float = number(0, 20, 1.0)  # factor on scattering and absorption by the particles of the type
-    secchi_m: float | None = number(0.2, 12, None)  # scales everything but the water itself to give this Secchi depth
+    secchi_m: float | None = number(0.2, 12, None)
+    """Scales everything but the water itself to give this Secchi depth, by 1.45 / Kd, which hardly depends on
+    scattering: far from the type's own Secchi depth, the visibility along a line of sight, 4.8 / c, is another."""
     cdom_440: float = number(0, 10, 0.0)  # absorption by dissolved matter, added
     nap_440: float = number(0, 20, 0.0)  # absorption by mineral and dead particles, added
     algae_440: float = number(0, 10, 0.0)  # absorption by algae, added
@@ -81,6 +84,22 @@ class WaterRecipe:
     layer: LayerRecipe = field(default=LayerRecipe())  # a turbid layer over the bottom
     patches: PatchesRecipe = field(default=PatchesRecipe())  # clouds of clearer and more turbid water
     plumes: PlumesRecipe = field(default=PlumesRecipe())  # silt stirred up from the bottom
+
+    def check(self, where: str) -> None:
+        """Check what no single key can express. Raises RecipeError, which starts with `where`."""
+        if self.type is None and self.jerlov is None:
+            raise RecipeError(f"{where}: missing key 'water.type' (one of {', '.join(WATER_TYPES)})")
+        if None not in (self.type, self.jerlov) and self.type != self.jerlov:
+            raise RecipeError(
+                f"{where}: keys 'water.type', 'water.jerlov': expected one of them, got {self.type!r} and "
+                f"{self.jerlov!r}"
+            )
+        added = self.cdom_440 + self.nap_440 + self.algae_440 + self.scattering_550
+        if self.secchi_m is not None and self.type == "pure" and not added:
+            raise RecipeError(
+                f"{where}: key 'water.secchi_m': pure water has nothing to scale; expected cdom_440, nap_440, "
+                f"algae_440 or scattering_550 beside it, or another type, got {self.secchi_m:g}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from oysterbench.recipe.keys import as_plain, build, choice, number, stated
 from oysterbench.recipe.life import check_life
 from oysterbench.recipe.path import check_path
 from oysterbench.recipe.rig import RigRecipe, read_rig, vary_rig
-from oysterbench.recipe.scene import WATER_TYPES, SequenceRecipe
+from oysterbench.recipe.scene import SequenceRecipe
 from oysterbench.recipe.steering import SteeringRecipe, check_steering
 from oysterbench.recipe.turbidity import check_plumes
 
@@ -160,6 +160,8 @@ def vary_split(split: SplitRecipe, changes: Mapping[str, Any], where: str) -> Sp
     or lamps (`camera.pitch_deg`).
     """
     sequence, rig = as_plain(split.sequence[0]), as_plain(split.rig)
+    if "water.type" in changes:  # stands in for the other key
+        sequence["water"].pop("jerlov", None)
     for key, value in changes.items():
         first, *rest = key.split(".")
         tables = rig[first] if first in ("camera", "lamp") else [sequence]
@@ -227,8 +229,7 @@ def _check_split(split: SplitRecipe, where: str) -> None:
 
 
 def _check_sequence(sequence: SequenceRecipe, where: str) -> None:
-    if sequence.water.type is None and sequence.water.jerlov is None:
-        raise RecipeError(f"{where}: missing key 'water.type' (one of {', '.join(WATER_TYPES)})")
+    sequence.water.check(where)
     given = [key for key in ("oysters", "density_per_m2") if getattr(sequence.reef, key) is not None]
     if len(given) != 1:
         raise RecipeError(

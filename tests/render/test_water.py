@@ -216,6 +216,11 @@ def test_camera_bands_are_shares() -> None:
         ('type = "4C"', r"mini\.toml: key 'sequence\.water\.type': expected one of I, .*turbid, pure, got '4C'"),
         ('type = "pure"\nsecchi_m = 0', r"mini\.toml: key 'sequence\.water\.secchi_m': expected 0\.2 to 12, got 0"),
         ("turbidity = 1", r"mini\.toml: sequence mini-01: missing key 'water\.type' \(one of I, "),
+        (
+            'type = "pure"\nsecchi_m = 3.0\nturbidity = 2.0',
+            r"'water\.secchi_m': pure water has nothing to scale.*got 3$",
+        ),
+        ('type = "pure"\njerlov = "9C"', r"'water\.type', 'water\.jerlov': expected one of them, got 'pure' and '9C'"),
         ('type = "pure"\nsalt = 1', r"mini\.toml: unknown key 'sequence\.water\.salt'; known keys here: type, jerlov"),
     ],
 )
