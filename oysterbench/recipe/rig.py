@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 
 from oysterbench.core.errors import RecipeError
 from oysterbench.recipe.keys import as_plain, build, choice, number
+from oysterbench.recipe.lens import check_fisheye
 from oysterbench.recipe.sensors import NamedSensorRecipe, SensorRecipe
 
 LENSES = {"pinhole": (0,), "brown-conrady": (4, 5), "fisheye": (4,)}
@@ -52,7 +53,8 @@ class CameraRecipe(NamedSensorRecipe):
     width: int = number(16, 8192)  # pixels
     height: int = number(16, 8192)  # pixels
     hfov_deg: float = number(10, 160)
-    """Horizontal field of view in water; for brown-conrady that of the pinhole, before distortion."""
+    """Horizontal field of view in water; for brown-conrady that of the pinhole, before distortion. At most 96 behind a
+    flat port; of a fisheye, as far as its corners look less than 90 degrees from the axis: 143 at 4:3 if undistorted."""
     rate_hz: float = number(0.1, 200)
     layer_rate_hz: float = number(0, 200, 0.0)  # rate of the ground-truth layers; a divisor of rate_hz
     layers: tuple[str, ...] = choice(LAYERS, ("depth", "class", "instance"))  # ground truth that is written to the file
@@ -118,6 +120,8 @@ class CameraRecipe(NamedSensorRecipe):
                 f"{where}: key 'camera.distortion': expected {wanted} coefficients for lens = {self.lens!r}, got "
                 f"{list(self.distortion)}"
             )
+        if self.lens == "fisheye":
+            check_fisheye(self, where)
         if self.layer_rate_hz and not (self.rate_hz / self.layer_rate_hz).is_integer():
             raise RecipeError(
                 f"{where}: key 'camera.layer_rate_hz': expected a divisor of rate_hz = {self.rate_hz}, got "

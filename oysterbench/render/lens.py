@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from oysterbench.core.errors import RecipeError
 from oysterbench.core.geometry import Array
 from oysterbench.recipe import CameraRecipe
-from oysterbench.scene.rig import PORT_INDEX, camera_matrix
+from oysterbench.recipe.lens import PORT_INDEX, unfolded
+from oysterbench.scene.rig import camera_matrix
 
 NEWTON_STEPS = 30
 RESIDUAL = 1e-9
@@ -60,7 +61,8 @@ def undistort(images: Array, camera: CameraRecipe) -> Array:
     points = images.copy()
     if camera.lens == "fisheye":
         r = np.sqrt((images**2).sum(axis=1))
-        points = images * (np.tan(np.minimum(r, 1.5)) / np.maximum(r, 1e-12))[:, None]
+        angles, radii = unfolded(camera.distortion)
+        points = images * (np.tan(np.interp(r, radii, angles)) / np.maximum(r, 1e-12))[:, None]
     steps = NEARBY * np.eye(2)
     for _ in range(NEWTON_STEPS):
         miss = distort(points, camera) - images

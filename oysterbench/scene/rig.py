@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.errors import RecipeError
 from oysterbench.core.geometry import Array, transform
 from oysterbench.recipe import CameraRecipe
+from oysterbench.recipe.lens import PORT_INDEX
 
 R_FORWARD_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from an optical frame (z forward, x right, y down) to x forward, y left, z up (REP 103)."""
@@ -17,10 +18,6 @@ def camera_pose(recipe: CameraRecipe) -> Array:
     """Pose T_base_cam (4, 4) of the camera's optical frame in base_link."""
     mount = Rotation.from_euler("ZY", [recipe.yaw_deg, recipe.pitch_deg], degrees=True).as_matrix()
     return transform(mount @ R_FORWARD_OPTICAL, recipe.position_m)
-
-
-PORT_INDEX = 1.33
-"""Refractive index of water relative to air at a flat port."""
 
 
 def camera_matrix(recipe: CameraRecipe) -> Array:

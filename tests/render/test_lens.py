@@ -102,6 +102,48 @@ def test_a_lens_that_folds_its_picture_is_refused():
         pixel_rays(dataclasses.replace(CAMERA, lens="brown-conrady", distortion=(-2.0, 0.0, 0.0, 0.0)))
 
 
+@pytest.mark.parametrize(
+    ("hfov_deg", "distortion", "message"),
+    [
+        (150.0, [-0.5, 0.0, 0.0, 0.0], r"'camera\.hfov_deg': distortion = \[-0\.5.*\] folds the picture over 47 deg"),
+        (150.0, [-0.3, 0.0, 0.0, 0.0], r"folds the picture over 60 degrees from the axis.*, got 150$"),
+        (
+            145.0,
+            [0.0] * 4,
+            r"the corners would look 89\.9 degrees or more.*expected at most 143\.[0-9] for 640 x 480 px",
+        ),
+    ],
+)
+def test_a_fisheye_whose_corners_see_nothing_is_refused_with_the_recipe(hfov_deg, distortion, message):
+    changes = {"camera.lens": "fisheye", "camera.hfov_deg": hfov_deg, "camera.distortion": distortion}
+    with pytest.raises(RecipeError, match=message) as caught:
+        vary_split(SPLIT, {**changes, "camera.width": 640, "camera.height": 480}, "mine.toml")
+    assert str(caught.value).startswith("mine.toml")
+
+
+@pytest.mark.parametrize("port_mm", [None, 10.0])
+def test_every_fisheye_that_is_accepted_has_the_field_of_view_that_was_asked_for(port_mm):
+    generator = np.random.default_rng(4)
+    accepted = 0
+    for _ in range(60):
+        distortion = tuple(generator.normal(0.0, [0.2, 0.05, 0.02, 0.005]).tolist())
+        hfov_deg = float(generator.uniform(40.0, 95.0 if port_mm else 160.0))
+        known = {"width": 32, "height": 24, "lens": "fisheye", "hfov_deg": hfov_deg, "port_mm": port_mm}
+        camera = dataclasses.replace(CAMERA, distortion=distortion, layer_rate_hz=0.0, **known)
+        try:
+            camera.check("here")
+        except RecipeError:
+            continue
+        accepted += 1
+        rays = pixel_rays(camera).astype(float)
+        assert np.isfinite(rays).all()
+        steps = np.hypot(*np.diff(rays[12, 17:, :2], axis=0).T)
+        assert (steps > 0).all()
+        before, after = np.rad2deg(np.arctan(np.hypot(rays[12, 32:34, 0], rays[12, 32:34, 1])))
+        assert before < hfov_deg / 2 < after  # the edge lies between the last pixel and the border
+    assert accepted > 15
+
+
 def test_a_view_too_wide_for_a_port_is_refused():
     with pytest.raises(RecipeError, match=r"key 'camera.hfov_deg'.*flat port"):
         rig_calibration(
