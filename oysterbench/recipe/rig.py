@@ -39,6 +39,9 @@ and how much of its light gets through the water."""
 
 IMAGE_FORMATS = ("jpeg", "png")
 
+LONGEST_DEPTH_M = 65.5
+"""Greatest depth that a depth image can hold: 16 bits, in mm."""
+
 VEHICLES = ("none", "bluerov2")
 
 R = TypeVar("R", bound=SensorRecipe)
@@ -54,7 +57,7 @@ class CameraRecipe(NamedSensorRecipe):
     height: int = number(16, 8192)  # pixels
     hfov_deg: float = number(10, 160)
     """Horizontal field of view in water; for brown-conrady that of the pinhole, before distortion. At most 96 behind a
-    flat port; of a fisheye, as far as its corners look less than 90 degrees from the axis: 143 at 4:3 if undistorted."""
+    flat port; of a fisheye, as far as its corners look less than 90 degrees from the axis: 143 at 4:3, undistorted."""
     rate_hz: float = number(0.1, 200)
     layer_rate_hz: float = number(0, 200, 0.0)  # rate of the ground-truth layers; a divisor of rate_hz
     layers: tuple[str, ...] = choice(LAYERS, ("depth", "class", "instance"))  # ground truth that is written to the file
@@ -63,7 +66,7 @@ class CameraRecipe(NamedSensorRecipe):
     # Bit rate of a video link that the frames pass through first, coded as by H.264; 0: none. Tethers carry 5 to 15
     # Mbit/s of 1080p at 30 Hz, 0.08 to 0.24 bit per pixel, equivalent to 0.25 to 0.75 Mbit/s of 640 x 480 at 10 Hz.
     video_mbit_s: float = number(0, 100, 0.0)
-    max_range_m: float = number(1, 100, 20.0)  # beyond this distance everything is water
+    max_range_m: float = number(1, 100, 20.0)  # beyond this distance everything is water; at most 65.5 with layer depth
     lens: str = choice(tuple(LENSES), "pinhole")
     """Distortion model; brown-conrady: k1 k2 p1 p2 [k3]; fisheye (Kannala-Brandt): k1 k2 k3 k4."""
     distortion: tuple[float, ...] = number(-10, 10, ())  # its coefficients, as in OpenCV
@@ -122,6 +125,13 @@ class CameraRecipe(NamedSensorRecipe):
             )
         if self.lens == "fisheye":
             check_fisheye(self, where)
+        if len(set(self.layers)) < len(self.layers):
+            raise RecipeError(f"{where}: key 'camera.layers': expected each layer once, got {list(self.layers)}")
+        if "depth" in self.sent_layers and self.max_range_m > LONGEST_DEPTH_M:
+            raise RecipeError(
+                f"{where}: key 'camera.max_range_m': expected at most {LONGEST_DEPTH_M:g} beside the layer 'depth', "
+                f"which has 16 bits of a millimetre; got {self.max_range_m:g}"
+            )
         if self.layer_rate_hz and not (self.rate_hz / self.layer_rate_hz).is_integer():
             raise RecipeError(
                 f"{where}: key 'camera.layer_rate_hz': expected a divisor of rate_hz = {self.rate_hz}, got "

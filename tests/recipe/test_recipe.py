@@ -93,6 +93,23 @@ def test_layers_come_at_a_divisor_of_the_camera_rate():
         parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG.replace("layer_rate_hz = 2.0", "layer_rate_hz = 3.0"))
 
 
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("max_range_m = 65.6", r"'camera\.max_range_m': expected at most 65\.5 beside the layer 'depth'.*got 65\.6"),
+        ('layers = ["depth", "class", "depth"]', r"'camera\.layers': expected each layer once, got \['depth', 'class'"),
+    ],
+)
+def test_layers_are_refused_that_a_file_cannot_hold(lines, message):
+    with pytest.raises(RecipeError, match=message):
+        parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG + lines)
+
+
+def test_without_its_depth_a_camera_may_see_farther():
+    rig = TINY_RIG + 'max_range_m = 100.0\nlayers = ["class"]'
+    assert parse_split(TINY_SPLIT, "tiny.toml", rig_source=rig).rig.camera[0].max_range_m == 100.0
+
+
 def test_an_unknown_split_and_rig_are_named_with_what_is_known():
     with pytest.raises(
         RecipeError, match=r"unknown split 'slam-maxi'; did you mean slam-mini or .*`oysterbench splits`"
