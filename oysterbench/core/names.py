@@ -8,17 +8,17 @@ from collections.abc import Iterable
 FEW = 10
 """Up to this many known names are all listed where an unknown one was asked for."""
 
-PLAIN = "letters, digits, '-' and '_'"
+PLAIN = "letters, digits, '-' and '_' (a to z, no accents)"
 """What plain names are made of, in words."""
 
 
 def is_plain(name: str) -> bool:
     """Whether a name is made of letters, digits, '-' and '_', so that as a file's it stays in the file's folder.
 
-    >>> is_plain("mini-01"), is_plain("../mini-01"), is_plain("")
-    (True, False, False)
+    >>> is_plain("mini-01"), is_plain("../mini-01"), is_plain("récif"), is_plain("")
+    (True, False, False, False)
     """
-    return name != "" and all(c.isalnum() or c in "-_" for c in name)
+    return name.isascii() and name.replace("-", "a").replace("_", "a").isalnum()
 
 
 def instead(name: str, known: Iterable[str], listed_by: str) -> str:

@@ -64,7 +64,7 @@ def build(kind: type[Kind], table: Any, where: str, prefix: str) -> Kind:
     Raises RecipeError, which starts with `where`, for unknown and missing keys and for bad values.
     """
     if not isinstance(table, Mapping):
-        raise RecipeError(f"{where}: key {prefix[:-1]!r}: expected a table, got {table!r}")
+        raise RecipeError(f"{where}: key {prefix[:-1]!r}: expected a table, got {_shown(table)}")
     hints = _hints(kind)
     fields = {f.name: f for f in dataclasses.fields(kind)}
     for key in table:
@@ -103,7 +103,8 @@ def _convert(value: Any, hint: Any, definition: dataclasses.Field[Any], where: s
     if typing.get_origin(hint) is tuple:
         inner = typing.get_args(hint)
         if not isinstance(value, list):
-            raise RecipeError(f"{where}: key {key!r}: expected a list, got {value!r}")
+            of_tables = f" of tables, [[{key}]]" if dataclasses.is_dataclass(inner[0]) else ""
+            raise RecipeError(f"{where}: key {key!r}: expected a list{of_tables}, got {_shown(value)}")
         if len(inner) == 2 and inner[1] is Ellipsis:
             return tuple(_convert(item, inner[0], definition, where, key) for item in value)
         if len(value) != len(inner):
@@ -125,6 +126,11 @@ def _convert(value: Any, hint: Any, definition: dataclasses.Field[Any], where: s
     if not low <= value <= high:
         raise RecipeError(f"{where}: key {key!r}: expected {low:g} to {high:g}, got {value!r}")
     return hint(value)
+
+
+def _shown(value: Any) -> str:
+    """A value in a message; of a table only that it is one, as it may be a whole file."""
+    return "one table" if isinstance(value, Mapping) else f"{value!r:.120}"
 
 
 def _documented(fields: Mapping[str, Any]) -> list[str]:

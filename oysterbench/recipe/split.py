@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,6 +25,9 @@ from oysterbench.recipe.scene import SequenceRecipe
 from oysterbench.recipe.steering import SteeringRecipe, check_steering
 from oysterbench.recipe.turbidity import check_plumes
 
+LONGEST_NAME = 100
+"""Characters of a name: with what files and folders add to it, they stay below the 255 that disks allow."""
+
 TRACKS = ("slam", "segmentation", "steering")
 """Purposes of a split; one with masks of every oyster serves both segmentation and detection."""
 
@@ -36,8 +40,8 @@ class SplitRecipe:
     differs, key by key, at any depth; lists are replaced as a whole.
     """
 
-    name: str  # letters, digits, '-' and '_'
-    version: str  # part of the name of the folder that the files go to
+    name: str  # letters, digits, '-' and '_'; part of the name of the folder that the files go to
+    version: str  # letters, digits, '.', '-' and '_', from a letter or digit on; part of that name, too
     track: str = choice(TRACKS)  # what the data is for, and so which ground truth is scored
     seed: int = number(0, 2**63 - 1)  # seed of everything random: the same seed gives the same bytes
     summary: str  # one line for `oysterbench splits`
@@ -204,19 +208,15 @@ def _check_split(split: SplitRecipe, where: str) -> None:
             raise RecipeError(f"{where}: key 'sequence.life': expected nothing that moves for track = 'steering'")
     if not split.sequence:
         raise RecipeError(f"{where}: expected at least one [[sequence]], got none")
-    names = [sequence.name for sequence in split.sequence]
-    if len(set(names)) != len(names):
-        raise RecipeError(f"{where}: key 'sequence.name': names must differ, got {names}")
-    for name in (split.name, *names):
-        if not is_plain(name):
-            raise RecipeError(f"{where}: key 'name': expected {PLAIN}, got {name!r}")
+    _check_names(split, where)
     for sequence in split.sequence:
         place = f"{where}: sequence {sequence.name}"
         bases = [other.name for other in split.sequence if not other.same_dive_as and other is not sequence]
         if sequence.same_dive_as and sequence.same_dive_as not in bases:
+            known = f"one of {', '.join(bases)}" if bases else "which this split does not have"
             raise RecipeError(
-                f"{place}: key 'same_dive_as': expected another sequence that is a dive of its own, one of "
-                f"{', '.join(bases) or 'none'}, got {sequence.same_dive_as!r}"
+                f"{place}: key 'same_dive_as': expected another sequence that is a dive of its own, {known}; got "
+                f"{sequence.same_dive_as!r}"
             )
         if bool(sequence.disturbance) != bool(sequence.strength):
             raise RecipeError(
@@ -226,6 +226,21 @@ def _check_split(split: SplitRecipe, where: str) -> None:
         vary_rig(split.rig, sequence.rig, place)
         for ends in (lambda key: 0.0), (lambda key: 1.0):
             _check_sequence(draw(sequence, ends, place), place)
+
+
+def _check_names(split: SplitRecipe, where: str) -> None:
+    """Check the names that files and folders get. Raises RecipeError, which starts with `where`."""
+    names = [sequence.name for sequence in split.sequence]
+    if len(set(names)) != len(names):
+        raise RecipeError(f"{where}: key 'sequence.name': names must differ, got {names}")
+    for key, name in (("name", split.name), *(("sequence.name", name) for name in names)):
+        if not is_plain(name) or len(name) > LONGEST_NAME:
+            raise RecipeError(f"{where}: key {key!r}: expected at most {LONGEST_NAME} of {PLAIN}, got {name!r:.120}")
+    if not re.fullmatch("[A-Za-z0-9][A-Za-z0-9._-]*", split.version) or len(split.version) > LONGEST_NAME:
+        raise RecipeError(
+            f"{where}: key 'version': expected a letter or digit, then at most {LONGEST_NAME} of letters, digits, '.', "
+            f"'-' and '_', such as 1.0, got {split.version!r:.120}"
+        )
 
 
 def _check_sequence(sequence: SequenceRecipe, where: str) -> None:
@@ -251,7 +266,7 @@ def _check_sequence(sequence: SequenceRecipe, where: str) -> None:
 
 def _read_text(path: Path, absent: str) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")  # with or without a byte order mark
     except FileNotFoundError:
         raise RecipeError(absent) from None
     except (OSError, UnicodeDecodeError) as error:

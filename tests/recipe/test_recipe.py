@@ -38,6 +38,13 @@ def test_a_recipe_can_be_read_from_a_path(tmp_path):
     assert load_split(str(path)).rig.name == "bluerov2"
 
 
+def test_recipes_and_rigs_may_begin_with_a_byte_order_mark(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "small.toml"'), encoding="utf-8-sig")
+    (tmp_path / "small.toml").write_text(TINY_RIG, encoding="utf-8-sig")
+    assert load_split(str(path)).source.startswith("\nname")
+
+
 def test_a_rig_may_lie_beside_its_recipe(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "small.toml"'))
@@ -74,7 +81,20 @@ def test_a_rig_may_lie_beside_its_recipe(tmp_path):
         ("seed = 5", 'seed = "five"', r"key 'seed': expected a whole number .*got 'five'"),
         ("seed = 5", "seed = nan", r"expected a whole number .*got nan"),
         ("depth_m = 3.0", "depth_m = nan", r"expected 0\.5 to 60, got nan"),
-        ('name = "tiny-01"', 'name = "../x"', r"key 'name': expected letters.*got '\.\./x'"),
+        ('name = "tiny-01"', 'name = "../x"', r"key 'sequence\.name': expected at most 100 of letters.*got '\.\./x'"),
+        ('name = "tiny"', 'name = "r\u00e9cif"', r"key 'name': expected .*\(a to z, no accents\), got 'r\u00e9cif'"),
+        (
+            'name = "tiny-01"',
+            f'name = "{"x" * 300}"',
+            r"key 'sequence\.name': expected at most 100 of letters.*got 'x+$",
+        ),
+        (
+            'version = "1.0"',
+            'version = "../../../x"',
+            r"key 'version': expected a letter or digit.*got '\.\./\.\./\.\./x'",
+        ),
+        ("[[sequence]]", "[sequence]", r"key 'sequence': expected a list of tables, \[\[sequence\]\], got one table$"),
+        ("duration_s = 2.5", 'duration_s = 2.5\nsame_dive_as = "zz"', r"which this split does not have; got 'zz'"),
         ("[sequence.water]", "[sequence.wine]", r"unknown key 'sequence\.wine'"),
         ('rig = "tiny"', "rig = 3", r"key 'rig': expected the name of a file in datasets/rigs.*got 3"),
         ("seed = 5", "seed = = 5", r"not valid TOML"),
@@ -306,7 +326,7 @@ def test_a_dive_can_be_had_again_with_one_thing_otherwise():
     [
         (
             'same_dive_as = "other"',
-            "key 'same_dive_as': expected another sequence that is a dive of its own, one of none",
+            "key 'same_dive_as': expected another sequence that is a dive of its own, which this split does not have",
         ),
         ("strength = 2", "keys 'disturbance', 'strength': expected both or neither, got '' of strength 2"),
         ('disturbance = "snow"\nstrength = 4', "key 'sequence.strength': expected 0 to 3, got 4"),
