@@ -142,7 +142,9 @@ def rig_tables(source: str, rig_source: str, sequence: str) -> dict[str, Any]:
     keeps. They are not checked, so files of older recipes can be read too; keys that are not stated are absent."""
     table, rig = tomllib.loads(source), tomllib.loads(rig_source)
     _merge_defaults(table, "split.toml")
-    changes = next((one.get("rig", {}) for one in table.get("sequence", []) if one["name"] == sequence), {})
+    changes: dict[str, Any] = next(
+        (one.get("rig", {}) for one in table.get("sequence", []) if one["name"] == sequence), {}
+    )
     for block, values in changes.items():
         old = rig[block]
         rig[block] = [{**one, **values} for one in old] if isinstance(old, list) else {**old, **values}

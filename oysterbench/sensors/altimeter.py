@@ -41,8 +41,8 @@ class AltimeterRecipe(AcousticRecipe):
     beam_deg: float = number(1, 60, 28.0)  # full width of the cone at half power
     min_range_m: float = number(0.05, 20, 0.3)  # closer echoes are missed
     max_range_m: float = number(0.5, 300, 100.0)  # farther echoes are missed
-    noise_m: float = number(0, 1, 0.005)  # 1 sigma of the range
-    noise_share: float = number(0, 0.2, 0.002)  # 1 sigma of the range, as a share of it
+    noise_m: float = number(0, 1, 0.005)  # 1 sigma of the range; its square is the variance that messages state
+    noise_share: float = number(0, 0.2, 0.002)  # 1 sigma of the range, as a share of it, in addition
     step_m: float = number(0, 1, 0.001)  # resolution of the reading
 
 
@@ -154,7 +154,8 @@ class Altimeter(SensorKind[AltimeterRecipe, AltimeterCalibration, RangeMeasureme
         return (RangeMeasurement(int(at.stamps_ns[k]), recipe.name, float(ranges[k])) for k in at.wanted)
 
     def encode(self, recipe: AltimeterRecipe, measurement: RangeMeasurement) -> list[Message]:
-        """Message with the range along the altimeter's axis, m, +inf without an echo (REP 117)."""
+        """Message with the range along the altimeter's axis, m, +inf without an echo (REP 117). Its variance is that of
+        noise_m alone: what grows with the range, noise_share, is not in it."""
         stamp, limits = measurement.stamp_ns, (recipe.min_range_m, recipe.max_range_m)
         beam, variance = float(np.radians(recipe.beam_deg)), recipe.noise_m**2
         data = range_bytes(stamp, link(measurement.sensor), measurement.range, limits, beam, variance)

@@ -214,7 +214,8 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
         }
 
     def true_calibration(self, recipe: CameraRecipe, site: SiteRecipe | None) -> dict[str, Any]:
-        from oysterbench.scene.rig import PORT_INDEX, camera_matrix, camera_pose
+        from oysterbench.recipe.lens import PORT_INDEX
+        from oysterbench.scene.rig import camera_matrix, camera_pose
 
         entry: dict[str, Any] = {
             "width": recipe.width,

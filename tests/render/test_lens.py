@@ -11,8 +11,8 @@ from scipy.ndimage import map_coordinates
 
 from oysterbench.core.errors import RecipeError
 from oysterbench.recipe import parse_split, vary_split
+from oysterbench.recipe.lens import PORT_INDEX
 from oysterbench.render.lens import pixel_rays, project
-from oysterbench.scene.rig import PORT_INDEX
 from oysterbench.sensors.camera import KIND
 from oysterbench.sensors.camera_messages import camera_info, coefficients
 from oysterbench.sensors.registry import rig_calibration

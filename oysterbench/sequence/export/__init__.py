@@ -22,7 +22,7 @@ SHARED_FORMATS = {
     "coco": "COCO instances: images and instances.json with polygons",
     "kalibr": "Kalibr calibration: camchain-imucam.yaml and imu.yaml",
     "rosbag": "ROS 1 bag with EuRoC's topics: /cam0/image_raw (mono8), /imu0; and Kalibr's files",
-    "mcap": "the sequence file itself, for ROS 2; with --no-truth, only the measurements",
+    "mcap": "the sequence file itself, for ROS 2 Jazzy and later; with --no-truth, only the measurements",
     "foxglove": "the same, plus a layout that opens it in Foxglove or Lichtblick: cameras, sonars, path, plots",
     "ply": "point clouds in map as binary PLY: from depth images through the poses, and sonar clouds",
 }
