@@ -28,6 +28,8 @@ cannot be inverted."""
 GYRO_WARMING, ACCEL_WARMING = 1e-4, 1e-3
 """Random walks, rad/s^2/sqrt(Hz) and m/s^3/sqrt(Hz), that keep up with the biases of an IMU that warms by 0.1 K/s: 1e-4
 to 9e-4 rad/s and 0.005 to 0.01 m/s^2 per K in MEMS without compensation. No data sheet counts this as noise."""
+UNKNOWN_RATE, UNKNOWN_ACCEL = 0.2, 0.5
+"""Rad/s and m/s^2, 1 sigma: motion of a vehicle while no inertial samples arrive."""
 CORE = 15
 """Rows of the error: attitude (rad), velocity (m/s), position (m), both biases (rad/s, m/s^2); then aiding states."""
 IDENTITY = np.eye(3)
@@ -93,7 +95,7 @@ class InvariantFilter:
 
     def propagate_all(self, segment: Segment) -> None:
         """Propagate by a segment of inertial measurements: each force acts in the attitude half-way through its
-        interval, and the transitions are exact to second order in dt."""
+        interval, and the transitions are exact to second order in dt. Where samples are missing, nothing is known."""
         if len(segment.dt) == 0:
             return
         rates, forces = segment.gyro - self.gyro_bias, segment.accel - self.accel_bias
@@ -108,6 +110,11 @@ class InvariantFilter:
             self.velocity = self.velocity + dt * acceleration
             self.rotation = self.rotation @ steps[k]
         self.rate = rates[-1]
+        if segment.has_gap:
+            since, before = segment.gap_s, max(segment.gap_s - segment.duration, 0.0)  # a gap has been cut at frames
+            rate, accel = UNKNOWN_RATE**2 * (since**2 - before**2), UNKNOWN_ACCEL**2 * (since**2 - before**2)
+            place = (0.5 * UNKNOWN_ACCEL) ** 2 * (since**4 - before**4)
+            self.covariance[:9, :9] += np.diag(np.repeat([rate, accel, place], 3))
         self._propagate_covariance(segment.dt[:, None, None], middles, cross(velocities), cross(positions))
 
     def _propagate_covariance(self, dt: Array, middles: Array, v: Array, p: Array) -> None:

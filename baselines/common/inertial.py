@@ -10,22 +10,41 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.geometry import Array
 from oysterbench.sequence.types import ImuMeasurement
 
+MOST_RATE, MOST_FORCE = 10.0, 50.0
+"""Rad/s and m/s^2 beyond which a sample is a fault of the unit or of its bus: no vehicle under water turns or is struck
+like this, and a single one would move the path by metres."""
+LONGEST_GAP_S = 0.1
+"""Time without samples beyond which nothing is known of the motion: twice the interval of a unit of 20 Hz."""
+
 
 @dataclass(frozen=True)
 class Segment:
-    """Inertial measurements between two stamps: dt (N,) s, and over each the mean gyro, accel (N, 3), SI, IMU frame."""
+    """Inertial measurements between two stamps: dt (N,) s, and over each the mean gyro, accel (N, 3), SI, IMU frame.
+
+    gap_s: the longest time without a sample in it, which may have begun before it.
+    """
 
     dt: Array
     gyro: Array
     accel: Array
+    gap_s: float = 0.0
 
     @property
     def duration(self) -> float:
         return float(self.dt.sum())
 
+    @property
+    def has_gap(self) -> bool:
+        """Whether samples are missing for so long that the motion is unknown."""
+        return self.gap_s > LONGEST_GAP_S
+
     def first(self, count: int) -> Segment:
         """Its first `count` measurements, as views that take no memory of their own."""
-        return Segment(self.dt[:count], self.gyro[:count], self.accel[:count])
+        return Segment(self.dt[:count], self.gyro[:count], self.accel[:count], self.gap_s)
+
+    def after(self, count: int) -> Segment:
+        """It without its first `count` measurements."""
+        return Segment(self.dt[count:], self.gyro[count:], self.accel[count:], self.gap_s)
 
     @staticmethod
     def join(segments: list[Segment]) -> Segment:
@@ -36,6 +55,7 @@ class Segment:
             np.concatenate([s.dt for s in segments]),
             np.concatenate([s.gyro for s in segments]),
             np.concatenate([s.accel for s in segments]),
+            max(s.gap_s for s in segments),
         )
 
 
@@ -43,15 +63,21 @@ class SampleBuffer:
     """Buffer of samples, which hands out what lies between consecutive cuts.
 
     Between samples the signal is taken to be linear, so that the mean over an interval is that of its ends: an error
-    of second order in the sampling interval. After the last sample the signal is held.
+    of second order in the sampling interval. After the last sample the signal is held. Samples that no motion explains
+    are left out; refused: how many.
     """
 
     def __init__(self) -> None:
+        self.refused = 0
         self._samples: list[ImuMeasurement] = []
         self._cut: ImuMeasurement | None = None
+        self._sampled_ns: int | None = None  # stamp of the last sample before the last cut
 
     def add(self, sample: ImuMeasurement) -> None:
-        self._samples.append(sample)
+        if sample.gyro @ sample.gyro < MOST_RATE**2 and sample.accel @ sample.accel < MOST_FORCE**2:
+            self._samples.append(sample)
+        else:
+            self.refused += 1
 
     def cut(self, stamp_ns: int) -> Segment:
         """The measurements from the last cut (or the first sample) to `stamp_ns`."""
@@ -60,6 +86,10 @@ class SampleBuffer:
         nodes = ([self._cut] if self._cut is not None else []) + inside
         if not nodes:
             return Segment.join([])
+        # Without a later sample, the gap reaches at least to the cut.
+        sampled = [sample.stamp_ns for sample in inside] + [after[0].stamp_ns if after else stamp_ns]
+        gap_ns = max(np.diff(sampled if self._sampled_ns is None else [self._sampled_ns, *sampled]), default=0)
+        self._sampled_ns = inside[-1].stamp_ns if inside else self._sampled_ns
         last = nodes[-1]
         if last.stamp_ns < stamp_ns:
             if after:
@@ -76,7 +106,8 @@ class SampleBuffer:
         gyro = np.array([node.gyro for node in nodes])
         accel = np.array([node.accel for node in nodes])
         real = dt > 0
-        return Segment(dt[real], (0.5 * (gyro[1:] + gyro[:-1]))[real], (0.5 * (accel[1:] + accel[:-1]))[real])
+        gyro, accel = (0.5 * (gyro[1:] + gyro[:-1]))[real], (0.5 * (accel[1:] + accel[:-1]))[real]
+        return Segment(dt[real], gyro, accel, float(gap_ns) * 1e-9)
 
 
 def relative_rotation(segment: Segment, gyro_bias: Array) -> Array:

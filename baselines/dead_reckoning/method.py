@@ -16,6 +16,7 @@ from oysterbench.methods import Estimate
 from oysterbench.sequence.types import ImuMeasurement, Sequence
 from oysterbench_baselines.common.aiding import Aiding, AidingSettings, aiding_sensors, sensors_of
 from oysterbench_baselines.common.alignment import StartSettings, start_filter
+from oysterbench_baselines.common.checks import check_inertial
 from oysterbench_baselines.common.filter import InertialNoise
 from oysterbench_baselines.common.inertial import SampleBuffer
 
@@ -55,6 +56,7 @@ class DeadReckoning:
 
         odom starts at the vehicle, yaw zero, z up. Only the initial levelling uses all of the first second.
         """
+        check_inertial(self.name, sequence)
         sensors = sensors_of(sequence)
         # A sensor must be named: with no name, a stream has the cameras.
         stream = sequence.stream(*(sensors or ["imu"]))
@@ -66,7 +68,8 @@ class DeadReckoning:
         inertial = [item for item in head if isinstance(item, ImuMeasurement)]
         if len(inertial) < 2:
             raise MethodError(
-                f"dead_reckoning: expected inertial samples in sequence {sequence.name}, got {len(inertial)}"
+                f"{self.name}: expected inertial samples in the first second of sequence {sequence.name}, got "
+                f"{len(inertial)}"
             )
         calibration, settings = sequence.imu_calibration, self.settings
         filter, at_rest = start_filter(

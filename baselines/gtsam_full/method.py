@@ -16,6 +16,7 @@ from oysterbench.sequence.types import CameraCalibration, Sequence
 from oysterbench_baselines.common.aiding import Aiding, aiding_sensors, imaging_sonar
 from oysterbench_baselines.common.aiding.dvl import Dvl
 from oysterbench_baselines.common.alignment import start_filter
+from oysterbench_baselines.common.checks import check_inertial
 from oysterbench_baselines.common.filter import InertialNoise
 from oysterbench_baselines.gtsam_full.ranges import Ranges
 from oysterbench_baselines.gtsam_full.settings import GtsamFullSettings
@@ -67,6 +68,7 @@ class GtsamFull:
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base with covariances at the stamps of frames, missing ones too, and at the end; and the map."""
+        check_inertial(self.name, sequence)
         camera = first_camera(self.name, sequence, self.camera)
         sonars = list(sequence.sonars)[:1] if self.settings.sonar else []
         sensors = [*self.settings.sensors(sequence), *sequence.altimeters, *sonars]
@@ -80,7 +82,8 @@ class GtsamFull:
         inertial = [item for item in head if isinstance(item, ImuMeasurement)]
         if len(inertial) < 2:
             raise MethodError(
-                f"{self.name}: expected inertial samples in sequence {sequence.name}, got {len(inertial)}"
+                f"{self.name}: expected inertial samples in the first second of sequence {sequence.name}, got "
+                f"{len(inertial)}"
             )
         stamps_ns = np.array([sample.stamp_ns for sample in inertial], dtype=np.int64)
         gyro, accel = (np.array([getattr(sample, name) for sample in inertial]) for name in ("gyro", "accel"))

@@ -58,7 +58,8 @@ class Optics:
     def of(cls, camera: CameraCalibration, T_imu_base: Array) -> Optics:
         """Build from a calibration."""
         matrix, distortion = camera.matrix, np.zeros(4)
-        distortion[: len(camera.distortion)] = camera.distortion
+        # GTSAM's models have no fifth coefficient, k3: such a lens is used as it is, and not calibrated online.
+        distortion[: len(camera.distortion)] = camera.distortion[:4]
         lens = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 1], matrix[0, 2], matrix[1, 2], *distortion])
         return cls(camera.distortion_model, gtsam.Pose3(T_imu_base @ camera.T_base_cam), lens)
 

@@ -26,11 +26,11 @@ from oysterbench_baselines.common.inertial import Segment, relative_rotation
 from oysterbench_baselines.common.memory import hand_back
 from oysterbench_baselines.gtsam_vi.bundle import Bundle
 from oysterbench_baselines.gtsam_vi.calibration import CameraUncertainty
-from oysterbench_baselines.gtsam_vi.closed_form import level_rotation
 from oysterbench_baselines.gtsam_vi.covariance import (
     between_keyframes,
     covariances_until,
 )
+from oysterbench_baselines.gtsam_vi.fallback import dead_reckon
 from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FeatureTracks, Observations, Translation
 from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.handover import correct_filter
@@ -39,7 +39,7 @@ from oysterbench_baselines.gtsam_vi.initialisation import FilterStartSettings, I
 from oysterbench_baselines.gtsam_vi.keyframes import DataAssociation, is_keyframe, is_stationary, is_under_way
 from oysterbench_baselines.gtsam_vi.loops import LoopCloser
 from oysterbench_baselines.gtsam_vi.mapping import Palette, landmark_map
-from oysterbench_baselines.gtsam_vi.recovery import Recovery
+from oysterbench_baselines.gtsam_vi.recovery import Recovery, grow_on
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.smoothing import smooth
 from oysterbench_baselines.gtsam_vi.states import (
@@ -47,7 +47,6 @@ from oysterbench_baselines.gtsam_vi.states import (
     Keyframe,
     backward,
     forward,
-    make_state,
     predict_stationary,
     state_of,
 )
@@ -142,7 +141,9 @@ class Estimator:
         if self._is_keyframe(observations):
             second = None if match_second is None else match_second()[order]
             self._add_keyframe(stamp_ns, replace(observations, right=second, inflation=self._association.inflation()))
-            if self.window is None:
+            if self.keyframes[-1].segment.has_gap:
+                self._pass_over()
+            elif self.window is None:
                 self._initialise()
             else:
                 self._smooth(self.window)
@@ -243,6 +244,14 @@ class Estimator:
         if diverged:
             self._restart()
 
+    def _pass_over(self) -> None:
+        """Begin anew at a keyframe before which inertial samples are missing: no factor knows of that time."""
+        self.info["imu_gaps"] = int(self.info.get("imu_gaps", 0)) + 1
+        if self._recovery.has_begun:
+            self._restart()
+        else:
+            self._initialiser.first = self.keyframes[-1].index
+
     def _restart(self) -> None:
         """Give up the window and search for a new start from this keyframe on: an aided filter keeps running, and the
         next window starts from it; otherwise the velocity is that of the last good keyframe."""
@@ -305,11 +314,9 @@ class Estimator:
                 frame.covariance = known[frame.keyframe]
 
     def _dead_reckon(self) -> None:
-        """Fill in states from the inertial measurements alone, from rest and level (or the last good state) on."""
+        """Fill in states from the inertial measurements alone, from level or the last good state on."""
         if self.keyframes and self.keyframes[0].state is None:
-            segment = Segment.join([k.segment for k in self.keyframes[1:6]])
-            up = segment.accel.mean(axis=0) if len(segment.dt) else np.array([0.0, 0.0, 1.0])
-            self.keyframes[0].state = make_state(level_rotation(up), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3))
+            return dead_reckon(self.keyframes, self.frames, self.imu, self.filter.noise, self.settings.zero_velocity)
         for before, keyframe in zip(self.keyframes[:-1], self.keyframes[1:], strict=True):
             if keyframe.state is None:
                 keyframe.state = (
@@ -318,6 +325,7 @@ class Estimator:
                     else forward(before.estimate, keyframe.segment, self.model.params)
                 )
         self._fill_back(0)
+        grow_on(self.frames, self.settings.recovery)
 
     # Results.
 

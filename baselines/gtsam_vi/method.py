@@ -16,6 +16,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Image
 from oysterbench.methods import Estimate
 from oysterbench.sequence.types import CameraCalibration, ImuMeasurement, Sequence
+from oysterbench_baselines.common.checks import check_inertial, on_imu_clock
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.calibration import CameraUncertainty
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
@@ -64,6 +65,7 @@ class GtsamVi:
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base at the camera's stamps, for some seconds also where frames are missing; and the map."""
+        check_inertial(self.name, sequence)
         cameras = [first_camera(self.name, sequence, self.camera)]
         if self.stereo:
             second = second_camera(sequence, cameras[0], self.settings.stereo)
@@ -143,13 +145,18 @@ def run_estimator(
     matcher = None if second is None else StereoMatcher(calibration, sequence.cameras[second], settings)
     R_imu_cam = estimator.model.rig.T_imu_cam[:3, :3]
     patience_ns = settings.frontend.missing_periods / calibration.rate_hz * 1e9
-    samples = SampleBuffer()
+    samples, first_imu_ns = SampleBuffer(), next(sequence.imu()).stamp_ns
+    together = False  # whether there were images while there were inertial samples
     since_image = list[Segment]()
     last_ns = latest_ns = start_ns or 0  # of the last frame, and of the last inertial sample
     seen_ns: int | None = None  # of the last image
+    stream = on_imu_clock(stream, {camera: sequence.cameras[camera] for camera in cameras})
     for item in pairs(stream, cameras[0], second, settings.stereo.sync_s):
         image, other = item if isinstance(item, tuple) else (None, None)
         stamp_ns: int = item.stamp_ns if image is None else image.stamp_ns
+        if stamp_ns < first_imu_ns - 1e9 / sequence.imu_calibration.rate_hz:
+            continue  # nothing is known of the motion from here to the first inertial sample
+        together |= image is not None and stamp_ns < latest_ns + patience_ns
         if isinstance(item, ImuMeasurement):
             samples.add(item)
             latest_ns = stamp_ns
@@ -183,6 +190,13 @@ def run_estimator(
     if start_ns is not None and latest_ns > last_ns:
         estimator.propagate(samples.cut(latest_ns))
         estimator.step(latest_ns)
+    if start_ns is None and not together:
+        raise MethodError(
+            f"expected images of {cameras[0]} in sequence {sequence.name} while inertial samples were taken, from "
+            f"{first_imu_ns * 1e-9:.3f} to {latest_ns * 1e-9:.3f} s, got none; are both stamped by the same clock?"
+        )
+    if samples.refused:
+        estimator.info["imu_refused"] = samples.refused
     estimator.finish()
 
 

@@ -30,6 +30,11 @@ class Recovery:
         self._bad_keyframes = 0
         self._good: tuple[int, State] | None = None  # a keyframe's index, and its state then
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether all has been well at a keyframe."""
+        return self._good is not None
+
     def accept(self, keyframe: Keyframe) -> None:
         """Note that all is well at a keyframe."""
         self._good = keyframe.index, keyframe.estimate
@@ -82,6 +87,17 @@ def grown_covariance(covariance: Array, time: float, settings: RecoverySettings)
     """Covariance (6, 6) of a pose after a time (s) about which nothing is known but how vehicles usually move."""
     grown = np.repeat([settings.unknown_speed, settings.unknown_rate], 3) * time
     return covariance + np.diag(grown**2)
+
+
+def grow_on(frames: list[Frame], settings: RecoverySettings) -> None:
+    """Give frames without a covariance that of the last one that has it, grown by the time since."""
+    known: Frame | None = None
+    for frame in frames:
+        if frame.covariance is not None:
+            known = frame
+        elif known is not None and known.covariance is not None:
+            time = (frame.stamp_ns - known.stamp_ns) * 1e-9
+            frame.covariance = grown_covariance(known.covariance, time, settings)
 
 
 def unlevelled(covariance: Array) -> tuple[Array, Array]:
