@@ -23,10 +23,12 @@ def even_contrast(detail: NDArray[np.float32], settings: FrontEndSettings) -> ND
     square = cv2.sqrBoxFilter(detail, cv2.CV_32F, (settings.contrast_px, settings.contrast_px))
     # In place, as images do not fit into the processor's cache. OpenCV's running sums may come out slightly negative
     # where all is black.
-    spread = cv2.sqrt(cv2.max(square, 0.0, square), square)
-    cv2.add(spread, settings.contrast_floor_grey, spread)
-    even = cv2.divide(detail, spread, scale=settings.contrast_grey)
-    return np.asarray(cv2.convertScaleAbs(cv2.max(cv2.add(even, 128.0, even), 0.0, even)), dtype=np.uint8)
+    spread = np.sqrt(np.maximum(square, 0.0, out=square), out=square)
+    spread += settings.contrast_floor_grey
+    even = settings.contrast_grey * detail
+    even /= spread
+    even += 128
+    return np.asarray(cv2.convertScaleAbs(np.maximum(even, 0.0, out=even)), dtype=np.uint8)
 
 
 class FixedPattern:
