@@ -49,7 +49,9 @@ def _section(context: click.Context) -> str:
     pieces += map(_paragraph, inspect.cleandoc(context.command.help or "").split("\n\n"))
     if rows := [_row(context, item) for item in context.command.get_params(context) if _told(item)]:
         pieces.append(table(("Option", "What"), rows))
-    if formats := _epilog(context):
+    if context.command.epilog:
+        pieces.append(_plain(context.command.epilog) + "\n")
+    elif formats := _epilog(context):
         pieces.append(fence(formats))
     return "\n".join(pieces)
 

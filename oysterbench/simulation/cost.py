@@ -24,6 +24,7 @@ LAMPS_S = 0.35  # added by lamps
 SNOW_S = 0.1  # added by marine snow
 SILT_S = 0.15  # added by plumes
 LIFE_S = 0.15  # added by what moves by itself
+EXPERT_S = 0.15  # for the values of an expert's commands, per labelled image of a steering split
 PING_S = 0.1  # for each ping of a sonar that renders them one by one
 FILE_BYTES = 0.35  # in a finished file, per pixel of its images, labels included
 PART_BYTES = 0.9  # in the parts that are kept until it is finished
@@ -46,6 +47,8 @@ def estimated(split: SplitRecipe, sequence: SequenceRecipe, workers: int = 1, to
     shaded += SNOW_S * (sequence.water.snow_per_m3 > 0)
     shaded += SILT_S * (sequence.water.plumes.attenuation > 0) + LIFE_S * sequence.life.moves
     total = workers * BUILDING_S * reef.oyster_count
+    if split.steering is not None:
+        total += EXPERT_S * sum(count(sequence.duration_s, camera.rate_hz) for camera in rig.camera)
     for recipe in wanted_sensors(split, sequence, topics).values():
         pictures = count(sequence.duration_s, recipe.rate_hz)
         if isinstance(recipe, CameraRecipe):

@@ -16,10 +16,12 @@ from docs.generate.fields import told_fields
 from docs.generate.recipes import recipe_tables
 from docs.generate.splits import split_facts
 from oysterbench.evaluate.metrics import TRACKS
+from oysterbench.hub.manifest import released_manifest
 from oysterbench.recipe import LampRecipe, RigRecipe, SplitRecipe, load_split, split_names
 from oysterbench.recipe.keys import number
 from oysterbench.sensors.registry import sensor_kinds
 from oysterbench.sequence.truth import rig_topics
+from oysterbench.simulation import cost
 from oysterbench.version import GENERATION, VERSION
 from tests.helpers.paths import ROOT
 
@@ -139,6 +141,43 @@ def test_the_readme_has_the_sizes_of_the_recipes():
         expected = facts.minutes if unit == "min" else facts.images
         assert float(number_) == pytest.approx(expected, rel=0.15)
         assert float(hours) == pytest.approx(facts.cpu_h, rel=0.4), facts.name
+
+
+UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0, "MB": 1e6, "GB": 1e9}
+
+
+def quantity(text):
+    """Value of a cell such as "2.4 min", in s or bytes."""
+    number_, unit = text.split()
+    return float(number_) * UNITS[unit]
+
+
+def test_the_page_of_the_splits_has_the_sizes_of_the_manifests_and_the_estimates_of_the_command():
+    lines = (ROOT / "datasets" / "README.md").read_text().splitlines()
+    rows = {line.split("|")[1].strip(): line.split("|")[2:-1] for line in lines if line.startswith(("| s", "|s"))}
+    for facts in split_facts():
+        *_, size, cpu, both = (cell.strip() for cell in rows[facts.name])
+        assert quantity(cpu) == pytest.approx(3600 * facts.cpu_h, rel=0.1), facts.name
+        assert quantity(both) == pytest.approx(1800 * facts.cpu_h, rel=0.15), facts.name
+        manifest = released_manifest(facts.name, facts.version)
+        if manifest is not None:
+            assert quantity(size) == pytest.approx(manifest.size, abs=0.5e6 if "MB" in size else 0.05e9), facts.name
+
+
+@pytest.mark.parametrize("name", [name for name in split_names() if name != "slam-stress"])
+def test_the_table_of_a_split_has_the_estimates_of_the_command(name):
+    split = load_split(name)
+    text = section((ROOT / "datasets" / "README.md").read_text(), f"### {name}")
+    unit = 60.0 if "CPU min |" in text else 1.0
+    found = {line.split("|")[1].strip(): line.split("|")[-2].strip() for line in text.splitlines() if "|" in line}
+    for sequence in split.sequence:
+        assert found[sequence.name] == f"{cost.estimated(split, sequence) / unit:.0f}", sequence.name
+
+
+def test_what_a_command_prints_below_its_options_is_text_or_a_listing(pages):
+    page = pages["reference/commands.md"]
+    assert "\n\nData is kept in the folder that OYSTERBENCH\\_HOME names" in page
+    assert "```\nFormats of a sequence:" in page.replace("```text", "```")
 
 
 def test_the_constants_of_image_formation_are_those_of_the_code():

@@ -57,3 +57,11 @@ def test_a_file_of_costs_that_is_absent_or_damaged_tells_nothing(tmp_path, conte
     if content is not None:
         (tmp_path / cost.COSTS).write_text(content)
     assert cost.measured(tmp_path) == {}
+
+
+def test_the_labels_of_an_expert_cost_more_than_the_images_of_a_steering_split():
+    split = load_split("steer-mini")
+    one = split.sequence[0]
+    views = dataclasses.replace(split, track="slam", steering=None)
+    assert cost.estimated(split, one) - cost.estimated(views, one) == pytest.approx(20 * cost.EXPERT_S)
+    assert 9.0 < sum(cost.estimated(split, each) for each in split.sequence) < 20.0, "rendered, it took 11 to 20 s"
