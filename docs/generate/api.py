@@ -14,7 +14,7 @@ MODULES = {
     "api/segmentation.md": ("oysterbench.evaluate.segmentation", "Evaluation of segmentation"),
     "api/detection.md": ("oysterbench.evaluate.detection", "Evaluation of detection"),
     "api/statistics.md": ("oysterbench.evaluate.statistics", "Statistics"),
-    "api/annotations.md": ("oysterbench.annotations", "Labelled pictures"),
+    "api/annotations.md": ("oysterbench.annotations", "Labelled images"),
     "api/recipe.md": ("oysterbench.recipe", "Recipes"),
     "api/errors.md": ("oysterbench.core.errors", "Errors"),
 }

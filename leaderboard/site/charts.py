@@ -13,7 +13,7 @@ from markupsafe import Markup
 from oysterbench.core.geometry import Array
 from oysterbench.report.plots import Curve, height_plot, map_plot, swatch, time_plot
 
-AXES = ("east x [m]", "north y [m]", "height z [m]")
+AXES = ("x (east) [m]", "y (north) [m]", "z (up) [m]")
 TIME = "time [s]"
 MOST_SEQUENCES = 40
 """Maximum number of sequences drawn on one page."""

@@ -153,4 +153,4 @@ def frames_command(splits: tuple[str, ...], out: Path | None) -> None:
             progress(k, len(wanted))
             write_atomically(target / f"{split}{SUFFIX}", render_picture(known[split]))
         progress(len(wanted), len(wanted))
-    message(f"{target}: {len(wanted)} pictures")
+    message(f"{target}: {len(wanted)} images")

@@ -20,7 +20,7 @@ class ExportCommand(click.Command):
 
         with formatter.section("Formats of a sequence"):
             formatter.write_dl(list(FORMATS.items()))
-        with formatter.section("Formats of labelled pictures"):
+        with formatter.section("Formats of labelled images"):
             formatter.write_dl(list(SET_FORMATS.items()))
 
 
@@ -90,7 +90,7 @@ def _export_one(what: tuple[str, ...], form: str, out: Path, truth: bool) -> tup
             f"`oysterbench download {what[0]}`; for whole splits, use {sets}"
         )
     opened = open_sequence(Path(what[0]))
-    with late_bar(f"exporting {opened.name}", "pictures") as progress:
+    with late_bar(f"exporting {opened.name}", "images") as progress:
         return export_sequence(opened, form, out, truth, progress)
 
 
@@ -102,5 +102,5 @@ def _export_sets(what: tuple[str, ...], form: str, out: Path, truth: bool) -> tu
     if not truth:
         raise OptionError(f"--no-truth: the format {form} needs labels, which are ground truth")
     sets = [open_data(name) for name in what]
-    with late_bar(f"exporting {', '.join(one.name for one in sets)}", "pictures") as progress:
+    with late_bar(f"exporting {', '.join(one.name for one in sets)}", "images") as progress:
         return export_set(sets, form, out, progress)

@@ -286,5 +286,5 @@ def _oysters(
     facts = {**summary(found), "files": [str(path) for path in written]}
     facts["cpu_s"] = round(time.process_time() - start, 1)
     lines = [f"{out}: {written[0].name} and {len(written) - 1} more files"]
-    lines += [line.replace("\N{SUPERSCRIPT TWO}", "2") for line in numbers(found.total, found.grid.shares())]
+    lines += numbers(found.total, found.grid.shares())
     return {**facts, "summary": "\n".join(lines)}

@@ -71,7 +71,7 @@ def render(
     if workers is not None and scheduler is not None:
         raise click.UsageError("--workers and --scheduler cannot be combined: a cluster has its own workers")
     if as_preview and topics:
-        raise click.UsageError("--preview shows pictures of each camera: it takes no --topics")
+        raise click.UsageError("--preview shows images of each camera: it takes no --topics")
     split = load_split(split_name)
     from oysterbench.simulation.generate import digest  # slow to load: only once the split is known to exist
     from oysterbench.simulation.salt import salt_for

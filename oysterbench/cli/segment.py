@@ -295,8 +295,7 @@ def _tell(found: Survey, page: Path, made: int, cpu_s: float) -> None:
         column = Column("", kind="interval", digits=one.digits)
         interval = one.ratio.interval
         span = f" [{column.text(interval)}]" if interval.known else ""
-        heading = one.heading.replace("\N{SUPERSCRIPT TWO}", "2")
-        echo(f"{heading}: {Column('', digits=one.digits).text(one.ratio.value)}{span} {one.unit}".rstrip())
+        echo(f"{one.heading}: {Column('', digits=one.digits).text(one.ratio.value)}{span} {one.unit}".rstrip())
 
 
 def _warn(found: Survey) -> None:

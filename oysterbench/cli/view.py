@@ -120,7 +120,7 @@ def _write_page(opened: Sequence, paths: list[EstimatedPath], begin_s: float, se
     from oysterbench.core.files import write_atomically
     from oysterbench.report.viewer import view_page
 
-    with late_bar(f"drawing {opened.name}", "pictures") as progress:
+    with late_bar(f"drawing {opened.name}", "images") as progress:
         page = view_page(opened, begin_s, seconds, paths, progress)
     write_atomically(out, page.encode())
     echo(out)

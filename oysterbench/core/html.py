@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Collection, Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -34,10 +35,11 @@ def render(template: str, context: Mapping[str, Any], *packages: str) -> str:
     return environment(*packages).get_template(template).render(**context)
 
 
-def capital(text: str) -> str:
-    """Capitalise the first letter of a sentence; the rest stays as it is.
+def capital(text: str, names: Collection[str] = ()) -> str:
+    """Capitalise the first letter of a sentence, unless it is that of one of `names`; the rest stays as it is.
 
-    >>> capital("one GPU")
-    'One GPU'
+    >>> capital("one GPU"), capital("slam-mini is small", names=["slam-mini"])
+    ('One GPU', 'slam-mini is small')
     """
-    return text[:1].upper() + text[1:]
+    named = any(re.match(rf"{re.escape(name)}(?![\w-])", text) for name in names if name)
+    return text if named else text[:1].upper() + text[1:]

@@ -59,7 +59,7 @@ def video_fault(path: Path) -> str:
         )
     if "moov" in kinds:
         return (
-            "an MP4 or MOV file without pictures, as of sound alone, or of a codec that OpenCV does not have: convert "
+            "an MP4 or MOV file without images, as of sound alone, or of a codec that OpenCV does not have: convert "
             "it to H.264"
         )
     return f"{size} bytes of no known video format, or of one that is damaged: {AGAIN}"

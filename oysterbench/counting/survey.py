@@ -160,7 +160,7 @@ def survey(
         return Measure(key, heading, unit, digits, about, ratio_of(pictures, labels, above, below, noun))
 
     measures = [
-        measure("oysters", "Oysters per image", "", 1, lambda one: one.oysters, about="that count in an image"),
+        measure("oysters", "Oysters per image", "", 1, lambda one: one.oysters, about="oysters counted in an image"),
         measure("cover", "Cover", "%", 1, _percent_covered, about="share of an image, or quadrat, that is oyster"),
         measure(
             "live",

@@ -108,7 +108,7 @@ def _fitting(raster: Raster) -> Raster:
     """Return the raster. Raises TrajectoryError where it would not fit into memory."""
     if raster.rows * raster.columns > MOST:
         raise TrajectoryError(
-            f"the pictures' poses lie within {raster.columns * raster.edge_m:.0f} x {raster.rows * raster.edge_m:.0f} "
+            f"the images' poses lie within {raster.columns * raster.edge_m:.0f} x {raster.rows * raster.edge_m:.0f} "
             f"m: expected an area of at most {MOST * raster.edge_m**2:.0f} m^2 at a raster of {raster.edge_m:g} m; has "
             "the trajectory diverged?"
         )

@@ -64,7 +64,7 @@ def depth_source(
 def _layer(sequence: Sequence, camera: str) -> DepthOf:
     if f"/{camera}/depth" not in {topic for topic, _, _ in sequence.contents()}:
         raise SequenceError(
-            f"{sequence.name}: {camera} has no layer depth: expected a depth from pictures or echoes, --depth stereo, "
+            f"{sequence.name}: {camera} has no layer depth: expected a depth from images or echoes, --depth stereo, "
             "motion or plane"
         )
 
@@ -196,7 +196,7 @@ class _Plane:
         if sequence.dvl_calibration is None and not sequence.altimeters:
             raise SequenceError(
                 f"{sequence.name} has neither DVL nor altimeter: expected one of them for --depth plane; --depth "
-                "stereo and motion take pictures"
+                "stereo and motion take images"
             )
         self.rays, self.poses, self.window_ns = lens.rays, poses, settings.plane_s * 1e9
         self.calibration = sequence.cameras[camera]

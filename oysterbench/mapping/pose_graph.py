@@ -28,7 +28,7 @@ from oysterbench.mapping.settings import MapSettings
 
 PARTNERS = 24
 """Maximum number of earlier images that an image is registered with, spread evenly over all that overlap with it."""
-ROUNDS = ("pictures registered", "pictures registered again")
+ROUNDS = ("images registered", "images registered again")
 """Rounds of registration, by what each reports as counted: a pair that is out of reach along the path may be within
 reach once the images are aligned."""
 OWN_STEP = 0.02  # minimum 1 sigma of the path's step from an image to the next, relative to its length

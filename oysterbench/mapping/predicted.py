@@ -72,7 +72,7 @@ def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str
         match = STAMP.fullmatch(name)
         if match is None:
             raise LabelError(
-                f"{place}: {name}: expected the name of a picture of {sequence.name}, e.g. "
+                f"{place}: {name}: expected the name of an image of {sequence.name}, e.g. "
                 f"{sequence.name}/{camera}/STAMP, {camera}_STAMP or STAMP, with the stamp in ns or s.nnnnnnnnn"
             )
         if several and match["sequence"] is None:

@@ -145,13 +145,13 @@ def build_map(
             shown = shown_at(sequence, camera, picture.stamp_ns)
             if shown is None:
                 raise LabelError(
-                    f"{sequence.name}: {camera} took no picture at {picture.stamp_ns} ns: are the masks of another "
+                    f"{sequence.name}: {camera} took no image at {picture.stamp_ns} ns: are the masks of another "
                     "sequence?"
                 )
             if picture.numbers.shape != lens.shape:
                 raise LabelError(
                     f"mask of {camera} at {picture.stamp_ns} ns: expected {lens.shape[1]} x {lens.shape[0]} px, as the "
-                    f"pictures of {sequence.name}, got {picture.numbers.shape[1]} x {picture.numbers.shape[0]}"
+                    f"images of {sequence.name}, got {picture.numbers.shape[1]} x {picture.numbers.shape[0]}"
                 )
             any_oyster |= bool(picture.numbers.any())
             image, first_ns = shown
@@ -180,11 +180,11 @@ def build_map(
         notes.append("depths are the truth's (layer depth): no real survey has them")
     for key, what in (("without_pose", "pose"), ("without_depth", "depth")):
         if counts[key]:
-            notes.append(f"{counts[key]} of {counts['pictures']} pictures have no {what} and are left out")
+            notes.append(f"{counts[key]} of {counts['pictures']} images have no {what} and are left out")
     tracks = OysterTracks(settings)
     for k, found in enumerate(pictures, start=1):
         tracks.add(found)
-        progress("pictures counted", k, len(pictures))
+        progress("images counted", k, len(pictures))
     joined = tracks.joined()
     return OysterMap(
         sequence.name, camera, depth, [_oyster(track) for track in joined], joined, cover, path[:, :2], settings,
@@ -250,7 +250,7 @@ def _pose_sigma(trajectory: Trajectory, stamp_ns: int, settings: MapSettings, ex
 
 def _check(sequence: Sequence, camera: str, depth: str, counts: dict[str, int], used: int, any_oyster: bool) -> None:
     if counts["pictures"] == 0:
-        raise LabelError(f"{sequence.name}: no mask of a picture of {camera}: expected some to map")
+        raise LabelError(f"{sequence.name}: no mask of an image of {camera}: expected some to map")
     if not any_oyster:
         raise LabelError(
             f"{sequence.name}: no oyster in any of {counts['pictures']} masks: all of them are empty; expected some, "
@@ -258,7 +258,7 @@ def _check(sequence: Sequence, camera: str, depth: str, counts: dict[str, int], 
         )
     if counts["without_pose"] == counts["pictures"]:
         raise TrajectoryError(
-            f"{sequence.name}: the trajectory has no pose at any of {counts['pictures']} pictures that have masks"
+            f"{sequence.name}: the trajectory has no pose at any of {counts['pictures']} images that have masks"
         )
     if used == 0:
         raise SequenceError(

@@ -14,8 +14,8 @@ from oysterbench.report.cards import Card
 from oysterbench.report.plots import Curve, broken, signed_plot, thin
 
 TIME = "time since start [s]"
-POSITION = ("east x", "north y", "up z")
-UNKNOWN = ("x", "y", "up z")
+POSITION = ("x (east)", "y (north)", "z (up)")
+UNKNOWN = ("x", "y", "z (up)")
 """Names of the axes if it is unknown where north is."""
 ATTITUDE = ("roll", "pitch", "yaw")
 
@@ -46,7 +46,7 @@ def component_cards(
             seconds = (result.stamps_ns - truth.stamps_ns[0]) * 1e-9
             drawn = broken(result.stamps_ns, seconds, errors[method][:, k])
             curves.append(thin(Curve(method, *drawn, styles[method])))
-        title = f"Error of {name}"
-        unit = "m" if k < len(POSITION) else "deg"
+        kind, unit = ("Position", "m") if k < len(POSITION) else ("Attitude", "deg")
+        title = f"{kind} error: {name}"
         cards.append(Card(title, signed_plot(curves, title, TIME, f"error [{unit}]", (0.0, end_s))))
     return tuple(cards[:3]), tuple(cards[3:])

@@ -55,8 +55,13 @@ PANEL = 7.0  # inches of the longer side of a panel in the figure
 LINE_SIZE = 12.5  # points, font size of the numbers below the headline
 LINE = 1.6 * LINE_SIZE / POINTS_PER_INCH  # inches, height of a line
 LETTERS = 10.5  # minimum number of letters of that size per inch
+NO_NORTH = (
+    "Up is +y of the path: north where the path is the ground truth of a rendered dive, any direction where it is an "
+    "estimate. No magnetometer shows where north is."
+)
 ARROW = 20.0  # points, half the length of the north arrow
 TEXT_CELL = 26.0  # points, minimum edge of a cell for its number to be written into it
+WIDTH, HEIGHT = 0.64, 0.8  # of a digit, as shares of the size of the font
 
 
 @figure_style()
@@ -107,12 +112,11 @@ def drawn(run: DensityRun) -> DensityRun:
 def notes(found: OysterMap) -> list[str]:
     """Notes on a map, in sentences."""
     return [
-        f"{len(found.path)} of {found.pictures} pictures of {found.camera}, {DEPTHS[found.depth]}",
+        f"{len(found.path)} of {found.pictures} images of {found.camera}, {DEPTHS[found.depth]}",
         "Oysters hidden under others in every image are not counted.",
         "An oyster that the edge always cuts counts as half.",
         "? the 95 % interval extends into another class. Grey: too little seen.",
-        "Up is +y of the path; "
-        + ("north is unknown." if found.magnetic_north_rad is None else "N is magnetic north."),
+        "N is magnetic north; up is +y of the path." if found.magnetic_north_rad is not None else NO_NORTH,
     ]
 
 
@@ -318,16 +322,28 @@ def _cells(axes: Axes, found: OysterMap, seen: NDArray[np.bool_], edge: float) -
     for row, column in zip(*np.nonzero(grid.known), strict=True):
         part = seen[row * per_cell : (row + 1) * per_cell, column * per_cell : (column + 1) * per_cell]
         down, right = (float(np.mean(at) + 0.5) * found.cover.raster.edge_m for at in np.nonzero(part))
-        x, y = grid.west_m + column * grid.cell_m + right, grid.north_m - row * grid.cell_m - down
         value = float(grid.density[row, column])
         level = int(np.searchsorted(EDGES, value, side="right"))
         text = f"{value:.0f}" if value >= 9.95 or value == 0 else f"{value:.1f}"
         text += "" if grid.sure[row, column] else "?"
+        size = min(12.6, 0.31 * edge)
+        x = grid.west_m + column * grid.cell_m + kept_within(right, grid.cell_m, WIDTH * size * len(text) / edge)
+        y = grid.north_m - row * grid.cell_m - kept_within(down, grid.cell_m, HEIGHT * size / edge)
         # If only fragments of a cell were seen, the text would overlap the background beside them.
         halo = [withStroke(linewidth=3.2, foreground=COLOURS[level])]
         look: dict[str, Any] = {
-            "size": min(12.6, 0.31 * edge),
+            "size": size,
             "color": "white" if level >= 4 else INK,
             "path_effects": halo,
         }
         axes.text(x, y, text, ha="center", va="center", **look)
+
+
+def kept_within(at: float, whole: float, share: float) -> float:
+    """Move the middle of a text so that it stays within a cell. share: of the cell's edge that the text takes.
+
+    >>> kept_within(0.1, 1.0, share=0.5), kept_within(0.6, 1.0, share=0.5), kept_within(0.1, 1.0, share=2.0)
+    (0.25, 0.6, 0.5)
+    """
+    half = 0.5 * whole * min(share, 1.0)
+    return min(max(at, half), whole - half)

@@ -188,6 +188,7 @@ def map_page(found: OysterMap, command: str, files: Sequence[str] = ()) -> str:
     context = {
         "title": f"Oysters of {found.name}",
         "warnings": found.notes,
+        "names": [found.name],
         "panels": list(zip(titles(found), map(svg_of, panels(found)), strict=True)),
         "facts": facts(found),
         "numbers": numbers(found.total, found.grid.shares()),
@@ -207,5 +208,5 @@ def facts(found: OysterMap) -> list[tuple[str, str, str]]:
         between = f"95 %: {total.low_per_m2:.1f} to {total.high_per_m2:.1f}"
         what = "Live per" if total.told else "Live or dead, per"
         rows.append((f"{what} m\N{SUPERSCRIPT TWO}", f"{total.live_per_m2:.1f}", between))
-    rows.append(("Seen ground", f"{total.area_m2:.1f} m\N{SUPERSCRIPT TWO}", f"in {len(found.path)} pictures"))
+    rows.append(("Seen ground", f"{total.area_m2:.1f} m\N{SUPERSCRIPT TWO}", f"in {len(found.path)} images"))
     return [(name, value.replace(",", " "), small.replace(",", " ")) for name, value, small in rows]

@@ -52,10 +52,10 @@ def pictures_table(wholes: Mapping[str, Whole]) -> Table:
     notes = []
     for whole in list(wholes.values())[:1]:
         n, pictures = whole.sequences, whole.score.metrics["pictures"]
-        notes.append(f"{pictures:.0f} pictures of {n} sequence{'' if n == 1 else 's'} together; these are resampled.")
-        if reason := whole.intervals[INTERVALS[0]].reason:
-            notes.append(f"{capital(reason)}.")
-    return Table("Over all pictures", tuple(columns), tuple(rows), tuple(notes))
+        about = f"{pictures:.0f} images of {n} sequence{'' if n == 1 else 's'} together"
+        reason = whole.intervals[INTERVALS[0]].reason
+        notes.append(f"{about}; {reason or 'sequences are resampled for the interval'}.")
+    return Table("Over all images", tuple(columns), tuple(rows), tuple(notes))
 
 
 def _interval(whole: Whole, column: Column) -> Interval:

@@ -132,6 +132,7 @@ def html_report(
         "scored": scored_when(records) if records else "",
         "sequence_names": sequences,
         "remarks": remarks(found),
+        "names": [*methods, *splits, *sequences],
         "first": [*first, *dataset_tables(data_set)],
         "curves": curves_group(data_set, styles),
         "standings": [standings_table(board) for board in found if len(board.sequences) > 1],

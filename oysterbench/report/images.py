@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from oysterbench.core.html import capital
 from oysterbench.evaluate.detection import DetectionClip
 from oysterbench.evaluate.detection.precision import RECALLS
 from oysterbench.evaluate.metrics import TRACKS
@@ -97,10 +96,8 @@ def _dataset_table(rows: Sequence[DatasetRow]) -> Table:
     ]
     clips = f"{rows[0].clips} sequence{'' if rows[0].clips == 1 else 's'}"
     unknown = next((row.intervals[first.key].reason for row in rows if first.key in row.intervals), "")
-    notes = (
-        f"All images of {clips} together; sequences are resampled.",
-        *([f"{capital(unknown)}."] if unknown else []),
-    )
+    about = f"All images of {clips} together"
+    notes = (f"{about}; {unknown}.",) if unknown else (f"{about}; sequences are resampled for the interval.",)
     columns = (*name_columns("method"), first, interval_column(first), *others)
     return Table("Over the data set", columns, tuple(table_rows), notes)
 
@@ -155,7 +152,8 @@ def _strata_table(rows: Sequence[DatasetRow]) -> Table:
         *(Column(r.method, r.method, "", "estimate", digits=3) for r in rows),
     )
     note = (
-        "False positives belong to no oyster, so only recall is given by size; calling everything oyster would win it."
+        "False positives belong to no oyster, so only recall is given by size: it is highest for a method that "
+        "calls everything oyster."
     )
     return Table("By class within images", columns, tuple(table_rows), (note,) if by_size else ())
 

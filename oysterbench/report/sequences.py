@@ -103,7 +103,7 @@ def _maps(truth: Trajectory, scored: Scored, styles: Mapping[str, int], north: b
     """The trajectories from above, from the side that shows more of them, and their height over time."""
     extent = np.ptp(truth.positions, axis=0)
     side = 0 if extent[0] >= extent[1] else 1
-    axes = (*(("east x [m]", "north y [m]") if north else ("x [m]", "y [m]")), "height z [m]")
+    axes = (*(("x (east) [m]", "y (north) [m]") if north else ("x [m]", "y [m]")), "z (up) [m]")
     shown = [("truth", truth, 0), *((method, result.estimate, styles[method]) for method, result in scored)]
 
     def seen(title: str, i: int, j: int, least_height: float) -> Card:

@@ -99,7 +99,7 @@ def samples_figure(samples: Sequence[Sample], task: SteeringRecipe, colours: Map
     """Draw images, at least one, with the values of all command pairs beside them."""
     columns = min(PER_ROW, len(samples))
     rows = math.ceil(len(samples) / columns)
-    figure = new_figure("Labelled pictures", 8.0 * columns, 4.0 * rows + 1.4)
+    figure = new_figure("Labelled images", 8.0 * columns, 4.0 * rows + 1.4)
     panels = figure.subplots(rows, 2 * columns, width_ratios=[4, 3] * columns, squeeze=False).ravel()
     for k, sample in enumerate(samples):
         _picture(panels[2 * k], sample, colours)

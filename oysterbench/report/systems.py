@@ -30,7 +30,7 @@ def systems_table(known: Iterable[tuple[System, Build | None]]) -> Table:
         state = "not built" if build is None else f"built, {build.commit[:8] or 'package'}"
         for name, method in described.methods.items():
             # A method that takes images has no further sensors, and is neither online nor offline.
-            sensors, mode = ", ".join(method.sensors) or "pictures", "online" if method.online else "offline"
+            sensors, mode = ", ".join(method.sensors) or "images", "online" if method.online else "offline"
             if method.online is None:
                 mode = ""
             values = (described.title, name, method.track, sensors, mode, described.licence, state)

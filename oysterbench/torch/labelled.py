@@ -42,7 +42,7 @@ class LabelledDataset(Dataset[Any]):
     >>> import oysterbench
     >>> pictures = oysterbench.torch.LabelledDataset("mini-01.mcap")         # or a folder of real ones
     >>> pictures
-    <LabelledDataset mini-01: 4 pictures of 1 clips>
+    <LabelledDataset mini-01: 4 images of 1 clips>
     >>> pictures[0]["oyster"].shape
     torch.Size([48, 64])
     """
@@ -51,7 +51,7 @@ class LabelledDataset(Dataset[Any]):
         self.pictures = source if isinstance(source, LabelledSet) else open_labelled(os.fspath(source))
         self.transform = transform
         if not len(self.pictures):
-            raise LabelError(f"{self.pictures.name}: expected labelled pictures, got none")
+            raise LabelError(f"{self.pictures.name}: expected labelled images, got none")
 
     def __len__(self) -> int:
         return len(self.pictures)
@@ -69,4 +69,4 @@ class LabelledDataset(Dataset[Any]):
         return item if self.transform is None else self.transform(item)
 
     def __repr__(self) -> str:
-        return f"<LabelledDataset {self.pictures.name}: {len(self)} pictures of {len(self.pictures.clips)} clips>"
+        return f"<LabelledDataset {self.pictures.name}: {len(self)} images of {len(self.pictures.clips)} clips>"

@@ -54,8 +54,8 @@ def test_pictures_are_scored_printed_and_drawn(recipe, tmp_path):
     result = run("--split", recipe, "--method", READER, "--method", "straight", "--out", out)
     assert result.exit_code == 0, result.output
     assert re.search(r"one +reader +1\.000 +0\.00 +100\.0 +1\.000 +0\.0", result.stdout)
-    assert "Over all pictures" in result.stdout
-    assert "12 pictures of 2 sequences" in result.stdout
+    assert "Over all images" in result.stdout
+    assert "12 images of 2 sequences" in result.stdout
     left = {path.name for path in out.iterdir()}
     assert left >= {"results.json", "results.csv", "results.tex", "results.md", "report.html"}
     assert left >= {"confusion-reader.png", "confusion-straight.png"}
@@ -66,8 +66,8 @@ def test_pictures_are_scored_printed_and_drawn(recipe, tmp_path):
     page = (out / "report.html").read_text()
     assert page.count("<svg xmlns") == 3
     assert "Confusions of reader" in page
-    assert "Over all pictures" in page
-    assert "Over all pictures" in (out / "results.md").read_text()
+    assert "Over all images" in page
+    assert "Over all images" in (out / "results.md").read_text()
 
 
 @pytest.mark.slow

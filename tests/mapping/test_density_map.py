@@ -228,7 +228,7 @@ def test_masks_of_none_of_several_sequences_are_missed_by_name(once, tmp_path):
 
 def test_masks_of_another_sequence_are_refused_by_their_stamps(once):
     foreign = [Seen(BEGIN + 5, "cam", np.ones((120, 160), int))]
-    with pytest.raises(LabelError, match="took no picture at"):
+    with pytest.raises(LabelError, match="took no image at"):
         map_of(once, seen=lambda: foreign)
 
 

@@ -12,7 +12,7 @@ from oysterbench.core.measurements import MagneticMeasurement
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.mapping.north import magnetic_north
 from oysterbench.mapping.views import PoseInterpolator
-from oysterbench.report.density_figure import figure
+from oysterbench.report.density_figure import figure, notes
 from oysterbench.sensors.magnetometer import MagnetometerCalibration
 from tests.helpers.flat_reef import LANE, FlatReef, scattered
 from tests.mapping.test_density_map import map_of
@@ -82,6 +82,12 @@ def test_the_arrow_is_drawn_where_north_is_known_and_only_there():
     (arrow,) = arrows(figure(replace(without, magnetic_north_rad=2.0)))
     to, at = np.array(arrow.xy), np.array(arrow.xyann)
     assert np.arctan2(*(to - at)) == pytest.approx(2.0)
+
+
+def test_where_no_magnetometer_shows_north_the_page_says_what_up_is():
+    without = map_of(FlatReef(LANE[:3], scattered(-0.6, 1.8)))
+    assert any("north where the path is the ground truth" in note for note in notes(without))
+    assert "N is magnetic north; up is +y of the path." in notes(replace(without, magnetic_north_rad=2.0))
 
 
 def arrows(drawn):

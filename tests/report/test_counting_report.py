@@ -165,7 +165,7 @@ def test_the_page_says_what_the_card_of_the_weights_says(folder, tmp_path):
 
 def test_the_page_of_a_method_that_does_not_know_the_strange_says_so(folder, tmp_path):
     counts(folder, tmp_path, Boxed())
-    assert "Boxed has no test of whether images are unlike" in words(tmp_path / "index.html")
+    assert "boxed has no test of whether images are unlike" in words(tmp_path / "index.html")
 
 
 def test_a_page_of_nothing_but_failures_is_a_page(tmp_path):

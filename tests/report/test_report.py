@@ -196,8 +196,8 @@ def test_report_is_well_formed_and_holds_everything():
         "Position error over time",
         "Rotation error over time",
         "alignposyaw",
-        "Error of east x",
-        "Error of yaw",
+        "Position error: x (east)",
+        "Attitude error: yaw",
         EVALUATOR,
         "mine on mini-01 failed: it <crashed> & burned",
         "1.00 s",
@@ -215,7 +215,7 @@ def test_where_nobody_says_where_north_is_no_axis_is_called_north():
     other = replace(known, record=replace(known.record, split="", split_digest=""))
     for shown, north in ((known, True), (other, False)):
         text = html_report([shown], "oysterbench eval")
-        assert ("north" in text, "east x" in text, "Error of x" in text) == (north, north, not north)
+        assert ("north" in text, "x (east)" in text, "Position error: x<" in text) == (north, north, not north)
 
 
 def test_names_are_escaped_and_nothing_is_fetched_or_run():

@@ -218,7 +218,7 @@ def test_layers_of_truth_can_be_laid_over_their_camera(page):
     titles = [re.findall(r'<img class="panel" alt="([^"]+)"', figure)[0].partition(",")[0] for figure in figures]
     assert titles == ["cam_left", "cam_right", "fls", "msis"]
     layers = [re.findall(r'data-layer="(\d*)"[^>]*>(\w+)</button>', figure) for figure in figures]
-    assert layers[0] == [("", "picture"), ("1", "depth"), ("2", "class"), ("3", "instance"), ("4", "visibility")]
+    assert layers[0] == [("", "image"), ("1", "depth"), ("2", "class"), ("3", "instance"), ("4", "visibility")]
     assert layers[1:] == [[], [], []]
     assert [('class="classes"' in figure) for figure in figures] == [True, False, False, False]
 

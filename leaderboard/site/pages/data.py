@@ -47,7 +47,7 @@ def data_page(site: Site) -> Page:
                     Cell(found.track),
                     len(found.sequences),
                     found.duration_s,
-                    Cell("kept back" if found.hidden else "public"),
+                    Cell("hidden" if found.hidden else "public"),
                     entries.get(name, 0),
                     Cell(found.rig, found.rig or ABSENT),
                     Cell(found.summary or "known only from records", kind="wrap"),

@@ -45,7 +45,7 @@ def submit_page(site: Site) -> Page:
                         (
                             Cell(track, numbers.track_name(track)),
                             Cell(name, path=data_path(name)),
-                            Cell("kept back" if found.hidden else "public"),
+                            Cell("hidden" if found.hidden else "public"),
                             Cell(FORMS[track], kind="wrap"),
                         )
                     )

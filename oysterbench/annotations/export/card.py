@@ -70,9 +70,9 @@ def write_card(folder: Path, name: str, parts: Parts, objects: Mapping[str, int]
     ]
     alone = all(len({entry.clip for entry in entries}) == len(entries) for entries in parts.values())
     made = (
-        "Rendered pictures of oyster reefs with exact labels"
+        "Rendered images of oyster reefs with exact labels"
         if ours
-        else "Labelled pictures of oysters; their licence is their owner's"
+        else "Labelled images of oysters; their licence is their owner's"
     )
     body = [
         f"# {name}",
@@ -89,7 +89,7 @@ def write_card(folder: Path, name: str, parts: Parts, objects: Mapping[str, int]
         "| field | what |",
         "| --- | --- |",
         "| `id`, `clip` | name of the image, and of what it was taken in one go with |",
-        "| `image` | the picture, as it was stored |",
+        "| `image` | the image, as it was stored |",
         "| `class` | 8 bits, a class for each pixel, see below |",
         "| `instance` | 16 bits, a number for each object, 0 for none |",
         "| `ignore` | 255 where nothing may be said: oysters too small or too hidden to be counted |",

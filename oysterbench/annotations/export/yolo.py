@@ -48,7 +48,7 @@ def write(name: str, parts: Parts, folder: Path, step: Callable[[], None]) -> li
     counts = ", ".join(f"{len(entries)} {part}" for part, entries in parts.items())
     if ignored:
         notes.append(
-            f"{ignored} pictures show oysters too small or too hidden to be counted, which have no label: YOLO has no "
+            f"{ignored} images show oysters too small or too hidden to be counted, which have no label: YOLO has no "
             "place for what is to be ignored"
         )
     return [f"{counts}; class 0 is oyster", *notes]

@@ -50,7 +50,7 @@ PICTURES: dict[str, Metric] = {
     **_axis("yaw", "ordered from left to right"),
     **_axis("pitch", "ordered from up to down"),
     "joint_accuracy": higher("Both right")("Share (0 to 1) of the images in which both classes are the expert's."),
-    "pictures": counted("Pictures")("Number of images with a command."),
+    "pictures": counted("Images")("Number of images with a command."),
     "pictures_per_s": higher("Speed", "per s")("Images processed per wall time of the policy."),
 }
 """Metrics of the steering track, over labelled images, by their key."""

@@ -64,7 +64,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     write_readme(sequence, folder, "EuRoC/ASL", labels, truth, own)
     if truth:
         _write_state(sequence, root / "state_groundtruth_estimate0")
-        notes.append("the biases of the state are not known to the file: they are nan")
+        notes.append("the sequence has no biases of the IMU: those columns of the ground truth are nan")
     return notes
 
 

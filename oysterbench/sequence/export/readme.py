@@ -48,7 +48,7 @@ def write_readme(
     lines = [head(sequence, layout), ""]
     for label, name in cameras.items():
         camera = sequence.cameras[name]
-        lines += _camera(label, name, camera, T_imu_base @ camera.T_base_cam)
+        lines += camera_lines(label, name, camera, T_imu_base @ camera.T_base_cam)
         late_s = true.cameras[name].time_offset_s
         if late_s != camera.time_offset_s:
             lines.append(f"  in truth they are late by {number(late_s)} s, which methods are not told")
@@ -69,7 +69,8 @@ def truth_line(truth: bool, place: str) -> str:
     return f"The truth is in {place}." if truth else "The truth was left out."
 
 
-def _camera(label: str, name: str, camera: CameraCalibration, T_imu_cam: Array) -> list[str]:
+def camera_lines(label: str, name: str, camera: CameraCalibration, T_imu_cam: Array) -> list[str]:
+    """Lines on a camera: its lens, its stamps, and where it is mounted. label: its name in the layout."""
     distorted = any(camera.distortion)
     coefficients = " ".join(number(value) for value in camera.distortion)
     matrix = camera.matrix
@@ -77,11 +78,18 @@ def _camera(label: str, name: str, camera: CameraCalibration, T_imu_cam: Array) 
         f"{label}: {name}, {camera.width} x {camera.height}, {camera.rate_hz:g} Hz",
         "  fx fy cx cy: " + " ".join(number(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))) + " px",
         f"  distortion: {coefficients if distorted else 'none'}",
-        f"  its stamps are late by {number(camera.time_offset_s)} s by the given calibration: Kalibr's",
+        f"  {_stamps(camera.time_offset_s)}, by the given calibration: Kalibr's",
         f"  timeshift_cam_imu is {number(0.0 - camera.time_offset_s)}, with t_imu = t_cam + timeshift",
         "  T_imu_cam, which takes points of the camera into the IMU (T_BS, where the body is the IMU):",
         *("    " + " ".join(f"{value: .9f}" for value in row) for row in T_imu_cam),
     ]
+
+
+def _stamps(late_s: float) -> str:
+    """How the stamps of a camera relate to the clock of the IMU."""
+    if late_s == 0:
+        return "its stamps have no time offset"
+    return f"its stamps are {number(abs(late_s))} s {'late' if late_s > 0 else 'early'}"
 
 
 def _imu(unit: ImuCalibration) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import oysterbench
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import invert
 from oysterbench.sequence.export import export_sequence
+from oysterbench.sequence.export.readme import camera_lines
 from oysterbench.sequence.types import imu_arrays
 from tests.helpers import hand_made_dive as dive
 
@@ -105,6 +107,19 @@ def test_a_folder_says_what_its_layout_has_no_place_for(form, said, sequence, fo
     assert "The truth is in " in text
     blind, _ = export_sequence(sequence, form, tmp_path / "blind", truth=False)
     assert "The truth was left out." in (blind / "README.txt").read_text()
+
+
+@pytest.mark.parametrize(
+    ("late_s", "said"),
+    [
+        (0.0, "its stamps have no time offset, according to the calibration: Kalibr's"),
+        (0.03, "its stamps are 0.03 s late, according"),
+        (-0.03, "its stamps are 0.03 s early, according"),
+    ],
+)
+def test_a_folder_says_how_late_the_stamps_of_a_camera_are(late_s, said, sequence):
+    late = replace(sequence.cameras["cam_left"], time_offset_s=late_s)
+    assert any(said in line for line in camera_lines("cam0", "cam_left", late, np.eye(4)))
 
 
 def test_euroc_has_kalibrs_files_for_its_cameras(sequence, folders):
