@@ -132,7 +132,7 @@ def main() -> None:
       oysterbench export mini-01.mcap --format euroc --out mini-01
       oysterbench map mini-01.mcap --trajectory poses.tum --out mini-01.ply
       oysterbench map val-01.mcap --trajectory poses.tum --masks masks --out map
-      oysterbench segment dive.mp4 --out counted     oysters in your own pictures
+      oysterbench segment dive.mp4 --out counted     oysters in your own images
       oysterbench gallery                        every recipe effect on one sheet
       oysterbench oyster --seed 7 --out oyster.glb
     """
