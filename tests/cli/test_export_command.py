@@ -60,7 +60,7 @@ def test_a_layout_for_foxglove_is_written_alone(dive_file, tmp_path):
 
 def test_progress_is_shown_of_what_takes_long_and_of_nothing_else(dive_file, tmp_path, monkeypatch):
     monkeypatch.setattr(progress, "LATE_S", 1e9)  # whatever else the machine does meanwhile
-    assert "pictures" not in run("view", dive_file, "--out", tmp_path / "a.html").stderr
+    assert "images" not in run("view", dive_file, "--out", tmp_path / "a.html").stderr
     monkeypatch.setattr(progress, "LATE_S", 0.0)
-    assert "of 160 pictures" in run("view", dive_file, "--out", tmp_path / "b.html").stderr
-    assert "of 40 pictures" in run("export", dive_file, "--format", "euroc", "--out", tmp_path / "c").stderr
+    assert "of 160 images" in run("view", dive_file, "--out", tmp_path / "b.html").stderr
+    assert "of 40 images" in run("export", dive_file, "--format", "euroc", "--out", tmp_path / "c").stderr

@@ -248,7 +248,7 @@ def test_a_video_of_sound_alone_says_so(tmp_path, monkeypatch):
     (tmp_path / "dive.mp4").write_bytes(whole.replace(b"vide", b"soun"))
     done = run("segment", "dive.mp4", *DISCS)
     assert "dive.mp4: " in done.stderr
-    assert "without pictures, as of sound alone" in done.stderr
+    assert "without images, as of sound alone" in done.stderr
 
 
 def test_quadrats_altitudes_and_checks_by_files(folder, tmp_path):
