@@ -112,9 +112,9 @@ def test_a_folder_says_what_its_layout_has_no_place_for(form, said, sequence, fo
 @pytest.mark.parametrize(
     ("late_s", "said"),
     [
-        (0.0, "its stamps have no time offset, according to the calibration: Kalibr's"),
-        (0.03, "its stamps are 0.03 s late, according"),
-        (-0.03, "its stamps are 0.03 s early, according"),
+        (0.0, "its stamps have no time offset, by the given calibration: Kalibr's"),
+        (0.03, "its stamps are 0.03 s late, by the given"),
+        (-0.03, "its stamps are 0.03 s early, by the given"),
     ],
 )
 def test_a_folder_says_how_late_the_stamps_of_a_camera_are(late_s, said, sequence):
