@@ -127,7 +127,7 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
             print_table(replace(table, notes=notes))
     for each in found.unscored:
         if each.failure is not None:
-            message(each.failure)
+            message(f"{each.failure}{_again(each.outcome.earlier)}")
         elif out is not None:
             place = each.job.folder(out)
             message(f"{each.job.sequence.name} has no ground truth to score against; the predictions: {place}")
@@ -142,9 +142,14 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
     for one in failures:
         kept_at = None if out is None else out / "runs" / one.method / one.sequence / f"{one.run + 1}"
         logs = f"; full output: {kept_at}" if kept_at is not None and kept_at.is_dir() else ""
-        message(f"{one.method} failed on {one.sequence}: {one.failure}{logs}")
+        message(f"{one.method} failed on {one.sequence}: {one.failure}{logs}{_again(one in found.earlier)}")
     if failures or any(each.failure is not None for each in found.unscored):
         sys.exit(OysterbenchError.exit_code)
+
+
+def _again(earlier: bool) -> str:
+    """What to add to a failure that an earlier command had."""
+    return "; this is the result of an earlier run: --retry repeats it" if earlier else ""
 
 
 def foreign_options(track: str, options: Mapping[str, Sequence[str]]) -> None:

@@ -54,6 +54,7 @@ class Outcome:
     contained:    whether the kernel hid the ground truth, rather than it only being left out of the method's input
     info, notes:  from the method, and from reading its predictions
     prediction:   what the method's interface needs to read the predictions
+    earlier:      whether it was read from the folder of an earlier run
     finished:     False if the machine failed rather than the method: the outcome is not kept, so the job is run again
     """
 
@@ -73,6 +74,7 @@ class Outcome:
     prediction: Mapping[str, Any] = field(default_factory=dict)
     contained: bool = False
     finished: bool = True
+    earlier: bool = False
 
     def write(self, folder: Path) -> None:
         """Write outcome.json atomically."""

@@ -52,7 +52,7 @@ def run_jobs(
     """Yield each job with its outcome as it finishes; jobs that were finished before come first and are not run.
 
     root: folder of the results, which only one runner at a time may use. again: rerun finished jobs too; retry: rerun
-    those of them that failed. workers: jobs at a time; None for one per core. exports: folder where inputs are kept for
+    those of them that failed; one that failed on files that have changed since is rerun in any case. workers: jobs at a time; None for one per core. exports: folder where inputs are kept for
     other runs. hardware: describes a machine; scheduler: address of a Dask cluster to run the jobs on. told: called
     with the latest output of jobs that run here. A job that fails has a `failure`; nothing that a method does raises
     here. Raises MethodError, before anything is run, where `root` holds outcomes of other jobs under the same names or
@@ -98,18 +98,33 @@ def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
         return None
     if outcome.identity != job.identity:
         changed = _changed_files(outcome.identity, job.identity)
+        same_method = {**outcome.identity, "origin": job.sequence.origin} == job.identity
+        if outcome.failure is not None and changed and same_method:
+            return None  # the files that it failed on were mended
         differs = f"{', '.join(changed)} changed" if changed else "method, command, topics or recipe differ"
         raise MethodError(
             f"{folder}: has run {job.number + 1} of another {job.adapter.name} ({differs}); "
             "it was left unchanged: rerun it with --again, or choose another folder with --out"
         )
-    return outcome
+    return replace(outcome, earlier=True)
 
 
 def _changed_files(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Names of the files that are in both identities of a program but differ."""
+    """Names of the files that are in both identities of a program but differ, and of those of the sequence that differ
+    or are in only one of them."""
     old, new = (identity["method"].get("files", {}) for identity in (before, now))
-    return [name for name in new if old.get(name, new[name]) != new[name]]
+    changed = [name for name in new if old.get(name, new[name]) != new[name]]
+    (place, *old), (same, *new) = (identity["origin"].splitlines() for identity in (before, now))
+    if place == same:
+        changed += sorted({line.partition(" ")[2] for line in {*old} ^ {*new}})
+    return changed
+
+
+def _by_lasting_names(failure: str, job: Job, given: Path | None, folder: Path, kept: Path) -> str:
+    """Replace the paths of a job's temporary input and output, which are deleted, by those of the files that last."""
+    failure = failure.replace(str(folder), str(kept))
+    own = job.adapter.form == job.adapter.interface.own_form
+    return failure.replace(str(given), str(job.sequence.source)) if own and given and job.sequence.source else failure
 
 
 def _run(
@@ -174,6 +189,7 @@ def run_job(
     who = f"method {job.adapter.name!r} on {job.sequence.name}"
     hidden = (*job.sequence.hidden, *secrets(), *inputs.hidden)
     command: list[str] = []
+    given: Path | None = None
     outcome = Outcome(
         identity=job.identity,
         failure=None,
@@ -212,6 +228,7 @@ def run_job(
     if outcome.failure is not None:
         for place in (*inputs.hidden, kept):
             raise_if_full(place, outcome.failure)
+        outcome = replace(outcome, failure=_by_lasting_names(outcome.failure, job, given, folder, kept))
     outcome = replace(outcome, ended=_now())
     if outcome.finished:
         outcome.write(kept)

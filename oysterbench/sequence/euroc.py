@@ -18,6 +18,7 @@ from oysterbench.core.pictures import decode_picture
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.sensors.camera import KIND as CAMERA
 from oysterbench.sensors.imu import KIND as IMU
+from oysterbench.sequence.state import sensor_folders
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
 C = TypeVar("C")
@@ -49,10 +50,8 @@ class EurocSequence(Sequence):
         self.metadata = {"sequence": self.name, "format": "euroc"}
         if not (root / "imu0" / "data.csv").is_file():
             raise SequenceError(f"{self.folder}: expected an EuRoC folder with mav0/imu0/data.csv, found none")
-        folders = [path for path in root.glob("cam[0-9]*") if path.name[3:].isdigit()]
         self.cameras = {
-            path.name: _read_sensor(path / "sensor.yaml", _camera)
-            for path in sorted(folders, key=lambda path: int(path.name[3:]))
+            path.name: _read_sensor(path / "sensor.yaml", _camera) for path in sensor_folders(self.folder)[1:]
         }
         self.imu_calibration = _read_sensor(root / "imu0" / "sensor.yaml", _imu)
 

@@ -87,7 +87,7 @@ class Evaluation:
     runs: scored runs; data_set: for image tracks, each method over all sequences together; first: tables that precede
     those common to all tracks in files; printed: tables for the terminal; figures: of the report, each with its file;
     files: contents of further files by name; unscored: jobs whose sequence has no ground truth, or where the machine
-    failed
+    failed; earlier: records of jobs that failed in an earlier call, and were not run in this one
     """
 
     runs: Sequence[Any]
@@ -97,6 +97,7 @@ class Evaluation:
     figures: Sequence[tuple[Path, Card]] = ()
     files: Mapping[str, str] = field(default_factory=dict)
     unscored: Sequence[Finished] = ()
+    earlier: Sequence[ResultRecord] = ()
 
     @property
     def records(self) -> list[ResultRecord]:
@@ -248,19 +249,21 @@ class Track(ABC):
         self.have_weights(adapters, request)
         sequences = self.run_sequences(request.split, self.rendered(request), request.options)
         runs: list[Any] = []
-        unscored = []
+        unscored, earlier = [], []
         for each in self.run(sequences, adapters, settings, request):
             if each.scored is None:
                 unscored.append(each)
             else:
                 runs.append(each.scored)
+                if each.outcome.earlier and each.outcome.failure is not None:
+                    earlier.append(each.scored.record)
                 request.finished(runs)
         places = {sequence.name: i for i, sequence in enumerate(sequences)}
         ranks = {adapter.name: i for i, adapter in enumerate(adapters)}
         # From the order in which they finished to the order in which they were requested.
         runs.sort(key=lambda run: (places[run.record.sequence], ranks[run.record.method], run.record.run))
         found = self.show(runs, sequences, request.out)
-        return Evaluation(**{**vars(found), "unscored": unscored})
+        return Evaluation(**{**vars(found), "unscored": unscored, "earlier": earlier})
 
     def rendered(self, request: Request) -> dict[str, Path]:
         """Files of the split by sequence name, rendered where missing; the user's own by their paths."""

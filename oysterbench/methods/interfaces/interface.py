@@ -40,7 +40,8 @@ class RunSequence(ABC):
 
     name: used in tables and for folders; origin: what the sequence was made from: results with another origin are not
     results on this sequence; hidden: files and folders with its ground truth, which no method may open; limit_s:
-    default time limit of a run; split: the split that it belongs to, None for a sequence of the user's own
+    default time limit of a run; split: the split that it belongs to, None for a sequence of the user's own; source: the
+    user's file or folder, if the input of Python methods has the same files under the same names
     """
 
     name: str
@@ -60,6 +61,11 @@ class RunSequence(ABC):
     @abstractmethod
     def limit_s(self) -> float:
         """Default time limit of a run, s."""
+
+    @property
+    def source(self) -> Path | None:
+        """The user's file or folder."""
+        return None
 
     @abstractmethod
     def write_input(self, form: str, out: Path, processes: Processes) -> None:

@@ -30,6 +30,7 @@ from oysterbench.methods.interfaces.interface import Interface, Predicted, RunSe
 from oysterbench.methods.method import Estimate
 from oysterbench.methods.processes import Processes
 from oysterbench.sequence import Sequence, open_sequence
+from oysterbench.sequence.state import file_digests, sensor_folders
 
 ESTIMATE = "estimate.npz"
 ONLINE = "trajectory.online.tum"
@@ -59,10 +60,22 @@ class SequencePath(RunSequence):
 
     @property
     def origin(self) -> str:
-        """Path, size and modification time of the sequence file, or of the IMU file of an EuRoC folder."""
-        file = self.path if self.path.is_file() else self.path / "mav0" / "imu0" / "data.csv"
-        state = file.stat()
-        return f"{file.resolve()} {state.st_size} {state.st_mtime_ns}"
+        """Path of the file or folder, and on further lines the digests and names of what it holds, which are looked at
+        once."""
+        return "\n".join((str(self.path.resolve()), *(f"{digest} {name}" for name, digest in self._digests.items())))
+
+    @cached_property
+    def _digests(self) -> dict[str, str]:
+        return file_digests(self.path)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Another process, perhaps on another machine, looks at the files that are there.
+        return {key: value for key, value in vars(self).items() if key != "_digests"}
+
+    @property
+    def source(self) -> Path | None:
+        """The file or folder itself, unless a split made it."""
+        return self.path if self.split is None else None
 
     @property
     def hidden(self) -> tuple[Path, ...]:
@@ -243,7 +256,7 @@ def _link_measurements(path: Path, out: Path) -> None:
     """Hard-link the cameras and the IMU of an EuRoC folder; files are copied only if `out` is on another disk."""
     temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
     try:
-        for sensor in [*sorted((path / "mav0").glob("cam[0-9]")), path / "mav0" / "imu0"]:
+        for sensor in sensor_folders(path):
             shutil.copytree(sensor, temporary / "mav0" / sensor.name, copy_function=link)
         temporary.chmod(0o755)
         os.replace(temporary, out)

@@ -1,0 +1,124 @@
+"""Runs on the user's own folders, whose files change between two calls."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from oysterbench.core.errors import MethodError
+from oysterbench.evaluate.slam.scoring import SlamSettings
+from oysterbench.methods.adapters import ExternalCommand
+from oysterbench.tracks.slam import TRACK, own_sequences
+from tests.helpers.command import run as run_here
+from tests.helpers.euroc import SAMPLES, Folder
+from tests.helpers.programs import PROGRAMS, command
+from tests.helpers.track_runs import finished_of
+
+pytestmark = pytest.mark.usefixtures("inputs_here", "home")
+
+READS = '''
+import numpy as np
+
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.methods import Estimate
+
+
+class Reads:
+    """Reads everything, and stays where it is."""
+
+    name, track = "reads", "slam"
+
+    def run(self, sequence):
+        stamps = np.array([item.stamp_ns for item in sequence.stream()])
+        return Estimate(Trajectory(stamps, np.zeros((len(stamps), 3)), np.tile([0.0, 0, 0, 1], (len(stamps), 1))))
+'''
+
+
+TRUTH = "".join(f"{stamp},{k},0,0,1,0,0,0\n" for k, stamp in enumerate(SAMPLES))
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder without ground truth, and a method `reading:Reads` that reads it."""
+    (tmp_path / "reading.py").write_text(READS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    return Folder(tmp_path / "dive")
+
+
+def run(folder, tmp_path, *methods, **options):
+    return finished_of(TRACK, own_sequences([folder.path]), methods, SlamSettings(), tmp_path / "out", **options)
+
+
+CHANGES = {
+    "cam0/sensor.yaml": lambda folder: folder.change("cam0/sensor.yaml", "[25.0, ", "[26.0, "),
+    "cam0/data.csv": lambda folder: folder.change("cam0/data.csv", "filename", "name"),
+    "cam0/data/": lambda folder: os.utime(next((folder.root / "cam0" / "data").iterdir()), (1, 1)),
+    "imu0/sensor.yaml": lambda folder: folder.change("imu0/sensor.yaml", "rate_hz: 200", "rate_hz: 201"),
+    "cam1/sensor.yaml": lambda folder: folder.add_camera("cam1"),
+}
+
+
+@pytest.mark.parametrize("file", CHANGES)
+def test_a_folder_is_known_by_every_file_that_methods_read(file, folder):
+    before = origin(folder)
+    folder.write("state_groundtruth_estimate0/data.csv", TRUTH)  # which no method reads
+    assert origin(folder) == before
+    CHANGES[file](folder)
+    differ = {line.partition(" ")[2] for line in origin(folder) ^ before}
+    assert file in differ
+    assert all(name.startswith(file[:5]) for name in differ)
+
+
+def origin(folder) -> set[str]:
+    (sequence,) = own_sequences([folder.path])
+    return set(sequence.origin.splitlines())
+
+
+def test_a_result_is_not_that_of_a_folder_whose_files_changed_since(folder, tmp_path):
+    write_answer(tmp_path)
+    mine = ExternalCommand(command(tmp_path, "copies", tmp_path / "answer.tum", "euroc"), "mine")
+    first, second = run(folder, tmp_path, mine) + run(folder, tmp_path, mine)
+    assert (first.failure, second.failure) == (None, None)
+    assert (first.outcome.earlier, second.outcome.earlier) == (False, True)
+    CHANGES["cam0/sensor.yaml"](folder)
+    with pytest.raises(MethodError, match=r"has run 1 of another mine \(cam0/sensor.yaml changed\); .* with --again"):
+        run(folder, tmp_path, mine)
+
+
+def write_answer(tmp_path: Path) -> None:
+    (tmp_path / "answer.tum").write_text("".join(f"{s * 1e-9:.9f} {k} 0 0 0 0 0 1\n" for k, s in enumerate(SAMPLES)))
+
+
+def test_a_program_is_given_the_files_as_they_are_now(folder, tmp_path, monkeypatch):
+    shows = "import pathlib, shutil; print(pathlib.Path(argv[1], 'mav0/cam0/sensor.yaml').read_text())\n"
+    monkeypatch.setitem(PROGRAMS, "shows", f"{shows}shutil.copy(argv[0], argv[2])")
+    write_answer(tmp_path)
+    shows = ExternalCommand(command(tmp_path, "shows", tmp_path / "answer.tum", "euroc"), "shows")
+    options = {"exports": tmp_path / "exports", "again": True}
+    run(folder, tmp_path, shows, **options)
+    folder.change("cam0/sensor.yaml", "[25.0, ", "[26.0, ")
+    (done,) = run(folder, tmp_path, shows, **options)
+    assert "intrinsics: [26" in (done.job.folder(tmp_path / "out") / "stdout.txt").read_text()
+
+
+def test_a_failure_names_the_users_own_file_and_is_gone_when_that_is_mended(folder, tmp_path):
+    picture = min((folder.root / "cam0" / "data").iterdir())
+    good = picture.read_bytes()
+    picture.write_bytes(b"no picture")
+    (done,) = run(folder, tmp_path, "reading:Reads")
+    assert str(picture) in done.failure
+    assert "oysterbench-run-" not in done.failure
+    picture.write_bytes(good)
+    (done,) = run(folder, tmp_path, "reading:Reads")
+    assert done.failure is None
+
+
+def test_a_failure_of_an_earlier_run_is_told_as_one(folder, tmp_path):
+    folder.change("imu0/data.csv", ",0,0,", ",x,0,")
+    words = ("run", "reading:Reads", "--on", folder.path, "--out", tmp_path / "out")
+    first, second = run_here(*words), run_here(*words)
+    assert "--retry" not in first.stderr
+    assert "; this is the result of an earlier run: --retry repeats it\n" in second.stderr
