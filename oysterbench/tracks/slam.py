@@ -14,6 +14,7 @@ import cv2
 
 from oysterbench.core.errors import MethodError, OysterbenchError, SequenceError, TrajectoryError
 from oysterbench.core.files import write_atomically
+from oysterbench.core.measurements import Image
 from oysterbench.core.ros import TF_STATIC
 from oysterbench.core.trajectory import ReadOptions, Trajectory, write_tum
 from oysterbench.core.trajectory.frames import with_scale
@@ -210,11 +211,14 @@ class SlamTrack(Track):
 
 
 def own_sequences(paths: Sequence[Path]) -> list[SlamSequence]:
-    """Open the user's own sequences: files, or folders in EuRoC layout. Raises MethodError where two share a name."""
+    """Open the user's own sequences: files, or folders in EuRoC layout. Raises MethodError where two share a name, and
+    TrajectoryError where a ground truth cannot be read."""
     found = [SlamSequence(open_sequence(path).name, path) for path in paths]
     names = [sequence.name for sequence in found]
     if twice := [name for name in names if names.count(name) > 1]:
         raise MethodError(f"two sequences are named {twice[0]!r}: their results would overwrite each other")
+    for sequence in found:
+        _ = sequence.truth  # read now, and kept: an error would come too late after all runs
     return found
 
 
@@ -309,27 +313,34 @@ def truth_digest(truth: Trajectory) -> str:
 
 
 def sample_frames(sequence: SensorSequence) -> list[tuple[int, bytes]]:
-    """A few frames of the first camera, evenly over the sequence: stamp in ns and a small JPEG."""
+    """A few frames of the first camera, evenly over the sequence: stamp in ns and a small JPEG.
+
+    Frames that cannot be read are left out: they concern the report alone, for which no result is given up.
+    """
     camera = next(iter(sequence.cameras), None)
     if camera is None:
         return []
-    stamps = [image.stamp_ns for image in sequence.images(camera)]
+    stamps = []
+    with suppress(SequenceError, OSError):
+        for image in sequence.images(camera):
+            stamps.append(image.stamp_ns)
     if not stamps:  # the camera lost all its frames
         return []
     wanted = {stamps[round(k * (len(stamps) - 1) / (FRAMES_IN_REPORT - 1))] for k in range(FRAMES_IN_REPORT)}
-    frames = []
-    for image in sequence.images(camera):
-        if image.stamp_ns not in wanted:
-            continue
-        height, width = image.pixels.shape[:2]
-        small = cv2.resize(
-            image.pixels, (FRAME_WIDTH, round(height * FRAME_WIDTH / width)), interpolation=cv2.INTER_AREA
-        )
-        done, jpeg = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 85])
-        if not done:
-            raise OysterbenchError(f"{sequence.name}: the frame at {image.stamp_ns} could not be encoded")
-        frames.append((image.stamp_ns, jpeg.tobytes()))
-    return frames
+    return [
+        (image.stamp_ns, _small_jpeg(image))
+        for stamp_ns in sorted(wanted)
+        for image in sequence.images(camera, stamp_ns, stamp_ns + 1)
+    ]
+
+
+def _small_jpeg(image: Image) -> bytes:
+    height, width = image.pixels.shape[:2]
+    small = cv2.resize(image.pixels, (FRAME_WIDTH, round(height * FRAME_WIDTH / width)), interpolation=cv2.INTER_AREA)
+    done, jpeg = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 85])
+    if not done:
+        raise OysterbenchError(f"{image.camera}: the frame at {image.stamp_ns} could not be encoded")
+    return jpeg.tobytes()
 
 
 TRACK = SlamTrack()

@@ -7,9 +7,19 @@ import numpy as np
 import pytest
 
 import oysterbench
+from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.trajectory import Trajectory, read_trajectory, write_npz, write_tum
 from oysterbench.evaluate.slam.scoring import SlamSettings
-from oysterbench.tracks.slam import FRAMES_IN_REPORT, TRACK, SlamSequence, sample_frames, score_files, truth_digest
+from oysterbench.tracks.slam import (
+    FRAMES_IN_REPORT,
+    TRACK,
+    SlamSequence,
+    own_sequences,
+    sample_frames,
+    score_files,
+    truth_digest,
+)
+from tests.helpers.euroc import FRAMES, Folder
 from tests.helpers.track_runs import runs_of
 
 METHODS = """
@@ -118,6 +128,21 @@ def test_frames_of_the_report_are_spread_over_the_sequence(tiny_file):
     assert stamps == sorted(stamps)
     assert stamps[-1] - stamps[0] == 2_400_000_000
     assert all(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) is not None for _, jpeg in frames)
+
+
+@pytest.mark.parametrize("broken", range(len(FRAMES)))
+def test_a_frame_that_cannot_be_read_costs_a_picture_of_the_report_and_no_result(broken, tmp_path):
+    folder = Folder(tmp_path / "dive")
+    (folder.root / "cam0" / "data" / f"{FRAMES[broken]}.png").write_bytes(b"cut short")
+    frames = sample_frames(oysterbench.open(folder.path))
+    assert [stamp for stamp, _ in frames] == FRAMES[:broken]
+
+
+def test_a_ground_truth_that_cannot_be_read_is_refused_before_anything_runs(tmp_path):
+    folder = Folder(tmp_path / "dive")
+    folder.write("state_groundtruth_estimate0/data.csv", "0,0\n")
+    with pytest.raises(TrajectoryError, match="state_groundtruth_estimate0/data.csv:1: expected 8 numbers"):
+        own_sequences([folder.path])
 
 
 def test_files_are_scored_under_their_names(truth, tmp_path):
