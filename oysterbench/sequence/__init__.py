@@ -34,9 +34,12 @@ def open_sequence(path: str | os.PathLike[str]) -> Sequence:
 
 
 def sequences_in(path: str | os.PathLike[str]) -> list[Path]:
-    """Sequence files in a folder; the path itself where there are none, as for a folder in EuRoC layout."""
+    """Sequence files and folders in EuRoC layout in a folder; the path itself where it is a sequence, or has none."""
     place = Path(path)
-    return sorted(place.glob("*.mcap")) or [place]
+    if (place / "mav0").is_dir():
+        return [place]
+    folders = [mav0.parent for mav0 in place.glob("[!.]*/mav0") if mav0.is_dir()]
+    return sorted([*place.glob("*.mcap"), *folders]) or [place]
 
 
 def describe(path: str | os.PathLike[str]) -> dict[str, Any]:

@@ -215,6 +215,7 @@ def test_a_folder_of_sequences_is_all_of_them_and_anything_else_is_itself(tmp_pa
     for name in ("b.mcap", "a.mcap", "notes.txt"):
         (tmp_path / name).touch()
     (tmp_path / "V1_01_easy" / "mav0").mkdir(parents=True)
-    assert sequences_in(tmp_path) == [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    (tmp_path / "notes").mkdir()
+    assert sequences_in(tmp_path) == [tmp_path / "V1_01_easy", tmp_path / "a.mcap", tmp_path / "b.mcap"]
     for path in (tmp_path / "V1_01_easy", tmp_path / "b.mcap", tmp_path / "absent"):
         assert sequences_in(path) == [path]
