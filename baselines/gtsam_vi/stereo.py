@@ -8,11 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import Image
 from oysterbench.sequence.types import CameraCalibration, Sequence
 from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, distort, follow, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, StereoSettings
+
+EARLY_FRAMES = 100
+"""Frames of both cameras after which there must have been a pair."""
+LEAST_SHARE = 0.1
+"""Share of the frames that must be in pairs, of the camera that has fewer of them."""
 
 
 def second_camera(sequence: Sequence, first: str, settings: StereoSettings) -> str | None:
@@ -28,7 +34,53 @@ def second_camera(sequence: Sequence, first: str, settings: StereoSettings) -> s
 
 
 def pairs(stream: Iterator[Any], first: str, second: str | None, tolerance_s: float) -> Iterator[Any]:
-    """Yield the stream, with each frame of the first camera paired with that of the second taken with it, or None."""
+    """Yield the stream, with each frame of the first camera paired with that of the second taken with it, or None.
+
+    Raises MethodError where hardly any frame has one: one camera would do the work of two unnoticed.
+    """
+    if second is None:
+        yield from _paired(stream, first, None, tolerance_s)
+        return
+    stamps_ns: dict[str, list[int]] = {first: [], second: []}
+    found = 0
+    for item in _paired(_noted(stream, stamps_ns), first, second, tolerance_s):
+        found += isinstance(item, tuple) and item[1] is not None
+        if not found and min(map(len, stamps_ns.values())) == EARLY_FRAMES:
+            raise MethodError(_apart(stamps_ns, 0, tolerance_s))
+        yield item
+    if stamps_ns[first] and found <= LEAST_SHARE * min(map(len, stamps_ns.values())):
+        raise MethodError(_apart(stamps_ns, found, tolerance_s))
+
+
+def _noted(stream: Iterator[Any], stamps_ns: dict[str, list[int]]) -> Iterator[Any]:
+    for item in stream:
+        if isinstance(item, Image):
+            stamps_ns[item.camera].append(item.stamp_ns)
+        yield item
+
+
+def _apart(stamps_ns: dict[str, list[int]], found: int, tolerance_s: float) -> str:
+    """Say how far apart in time the frames of two cameras are, of which only `found` make a pair."""
+    first, second = stamps_ns
+    if not stamps_ns[second]:
+        return f"camera {second!r} has no frames to pair with those of {first!r}: run gtsam_vi, with one camera"
+    rare, frequent = (np.array(stamps) for stamps in sorted(stamps_ns.values(), key=len))
+    apart_ms = np.abs(rare[:, None] - frequent[_neighbours(frequent, rare)]).min(axis=1) * 1e-6
+    return (
+        f"of {len(rare)} frames of {first!r} and {second!r}, {found} were taken within {1e3 * tolerance_s:g} ms of each "
+        f"other: the nearest stamps differ by {apart_ms.min():.3g} ms at least, {np.median(apart_ms):.3g} ms in the "
+        f"median; correct the stamps, give --set stereo.sync_s=SECONDS if the pictures are taken together all the same, or "
+        "run gtsam_vi, with one camera"
+    )
+
+
+def _neighbours(frequent: NDArray[np.int64], stamps: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Indices (N, 2) of the stamps before and after each of N stamps."""
+    after = np.searchsorted(frequent, stamps)
+    return np.clip(np.stack([after - 1, after], axis=1), 0, len(frequent) - 1)
+
+
+def _paired(stream: Iterator[Any], first: str, second: str | None, tolerance_s: float) -> Iterator[Any]:
     waiting: Image | None = None  # of the first camera
     other: Image | None = None  # the latest of the second
     tolerance = tolerance_s * 1e9
