@@ -67,10 +67,10 @@ def _apart(stamps_ns: dict[str, list[int]], found: int, tolerance_s: float) -> s
     rare, frequent = (np.array(stamps) for stamps in sorted(stamps_ns.values(), key=len))
     apart_ms = np.abs(rare[:, None] - frequent[_neighbours(frequent, rare)]).min(axis=1) * 1e-6
     return (
-        f"of {len(rare)} frames of {first!r} and {second!r}, {found} were taken within {1e3 * tolerance_s:g} ms of each "
-        f"other: the nearest stamps differ by {apart_ms.min():.3g} ms at least, {np.median(apart_ms):.3g} ms in the "
-        f"median; correct the stamps, give --set stereo.sync_s=SECONDS if the pictures are taken together all the same, or "
-        "run gtsam_vi, with one camera"
+        f"of {len(rare)} frames of {first!r} and {second!r}, {found} were taken within {1e3 * tolerance_s:g} ms of "
+        f"each other: the nearest stamps differ by {apart_ms.min():.3g} ms at least, {np.median(apart_ms):.3g} ms in "
+        "the median; correct the stamps, give --set stereo.sync_s=SECONDS if the pictures are taken together all the "
+        "same, or run gtsam_vi, with one camera"
     )
 
 

@@ -190,7 +190,8 @@ def info(sequence: Path, as_json: bool) -> None:
     for heading in ("topic", "type", "messages", "per second"):
         table.add_column(heading, justify="right" if heading in ("messages", "per second") else "left")
     for row in facts["topics"]:
-        table.add_row(row["topic"], row["type"], str(row["messages"]), f"{row['rate_hz']:g}")
+        rate = "-" if row["rate_hz"] is None else f"{row['rate_hz']:g}"
+        table.add_row(row["topic"], row["type"], str(row["messages"]), rate)
     print_rich(table)
 
 

@@ -60,7 +60,12 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
         "metadata": dict(sequence.metadata),
         "cameras": cameras,
         "topics": [
-            {"topic": topic, "type": kind, "messages": n, "rate_hz": round(n / max(sequence.duration_s, 1e-9), 1)}
+            {"topic": topic, "type": kind, "messages": n, "rate_hz": mean_rate(n, sequence.duration_s)}
             for topic, kind, n in sequence.contents()
         ],
     }
+
+
+def mean_rate(messages: int, duration_s: float) -> float | None:
+    """Messages per second, to a tenth; None where all were at one instant, or there are none."""
+    return round(messages / duration_s, 1) if duration_s > 0 else None

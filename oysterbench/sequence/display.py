@@ -28,7 +28,7 @@ def has_truth(sequence: Sequence) -> bool:
 def sequence_card(sequence: Sequence) -> str:
     """Card with facts, a frame of each camera (at most `CAMERAS_SHOWN`), and a row for each topic."""
     rows = [
-        (topic, kind, count, f"{count / max(sequence.duration_s, 1e-9):.1f}")
+        (topic, kind, count, f"{count / sequence.duration_s:.1f}" if sequence.duration_s > 0 else "")
         for topic, kind, count in sequence.contents()
     ]
     tables = [CardTable(("topic", "type", "messages", "per second"), rows)]

@@ -13,6 +13,7 @@ import numpy as np
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.files import leads_out
+from oysterbench.core.geometry import Array, is_rigid
 from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.core.pictures import decode_picture
 from oysterbench.core.trajectory import Trajectory, read_trajectory
@@ -26,6 +27,9 @@ C = TypeVar("C")
 STAMP = re.compile(r"-?[0-9]{1,18}|[1-8][0-9]{18}")
 """Stamp in ns, which fits an int64."""
 
+SEPARATORS = (",", ";", "\t")
+"""Marks between the fields of a row: a comma in the layout; semicolons and tabs as spreadsheets write them."""
+
 LENSES = {
     "radial-tangential": "plumb_bob",
     "radtan": "plumb_bob",
@@ -36,7 +40,11 @@ LENSES = {
 }
 """Distortion model in a sensor.yaml -> that of `CameraCalibration`."""
 
+POSE = re.compile(r"^\s*T_BS:(.*?)(?=^\s*(?!(?:rows|cols|dt|data)\b)[A-Za-z_]\w*:|\Z)", re.M | re.S)
+"""T_BS with all that is nested in it, up to the next key."""
+
 GRAVITY = 9.81  # m/s^2; used where the folder has no key for it, which is not part of the layout
+LEAST_GRAVITY, MOST_GRAVITY = 9.0, 11.0  # m/s^2: another sign, unit or planet is a mistake
 
 
 class EurocSequence(Sequence):
@@ -67,7 +75,10 @@ class EurocSequence(Sequence):
             path = self._root / camera / "data" / fields[0]
             pixels = decode_picture(path.read_bytes() if path.is_file() else b"", cv2.IMREAD_COLOR_RGB)
             if pixels is None:
-                raise SequenceError(f"{path}: expected an image, could not read one")
+                raise SequenceError(
+                    f"{path}: expected an image, could not read one: {_fault_of(path)}; restore it, or delete "
+                    f"{where.rpartition(', ')[2]} of {camera}/data.csv"
+                )
             height, width = pixels.shape[:2]
             if (width, height) != (calibration.width, calibration.height):
                 raise SequenceError(
@@ -98,12 +109,15 @@ class EurocSequence(Sequence):
 
     @property
     def duration_s(self) -> float:
-        stamps = [stamp for stamp, _, _ in _rows(self._root / "imu0" / "data.csv")]
-        return (stamps[-1] - stamps[0]) * 1e-9 if stamps else 0.0
+        for name in ("imu0", *self.cameras):  # of the cameras only where there are no inertial samples
+            stamps = [stamp for stamp, _, _ in _rows(self._root / name / "data.csv")]
+            if stamps:
+                return (stamps[-1] - stamps[0]) * 1e-9
+        return 0.0
 
     def contents(self) -> list[tuple[str, str, int]]:
         files = [(self._root / "imu0", "imu"), *((self._root / name, "camera") for name in self.cameras)]
-        return [(folder.name, kind, sum(1 for _ in _rows(folder / "data.csv"))) for folder, kind in files]
+        return [(folder.name, kind, _count(folder / "data.csv")) for folder, kind in files]
 
     def truth(self) -> Trajectory:
         path = self._root / "state_groundtruth_estimate0" / "data.csv"
@@ -116,36 +130,59 @@ def _within(stamp_ns: int, start_ns: int | None, end_ns: int | None) -> bool:
     return (start_ns is None or stamp_ns >= start_ns) and (end_ns is None or stamp_ns < end_ns)
 
 
+def _fault_of(picture: Path) -> str:
+    if not picture.is_file():
+        return "there is no such file"
+    return "the file is damaged, or no image" if picture.stat().st_size else "the file is empty"
+
+
+def _count(path: Path) -> int:
+    """Number of rows of a data.csv, valid or not; 0 where it is absent, as of a camera that nobody uses."""
+    return sum(1 for _ in _fields(path)) if path.exists() else 0
+
+
 def _rows(path: Path) -> Iterator[tuple[int, list[str], str]]:
     """Yield the stamp of each row of a data.csv, in ns, its other fields, and where it is.
 
     Raises SequenceError where there is no such file, or stamps are not whole numbers that increase.
     """
     before: int | None = None
-    for number, line in enumerate(_lines(path), start=1):
-        if not line.strip() or line.startswith("#"):
-            continue
-        first, *fields = (field.strip() for field in line.split(","))
-        if number == 1 and first[:1].isalpha():  # the names of the columns, without the layout's #
-            continue
+    for number, (first, *fields) in _fields(path):
         where = f"{path}, line {number}"
         stamp = int(first) if STAMP.fullmatch(first) else None
         if stamp is None or (before is not None and stamp <= before):
             after = "" if before is None else f" above {before}"
-            raise SequenceError(
-                f"{where}: expected a stamp in whole ns{after}, got {first!r:.40}; correct, delete or sort the lines"
+            mend = (
+                "separate the fields by commas" if re.search(r"[;\s]", first) else "correct, delete or sort the lines"
             )
+            raise SequenceError(f"{where}: expected a stamp in whole ns{after}, got {first!r:.40}; {mend}")
         yield stamp, fields, where
         before = stamp
 
 
+def _fields(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield the number of each row of a data.csv and its fields: between commas or, where the first row has none,
+    semicolons or tabs."""
+    separator = ""
+    for number, line in enumerate(_lines(path), start=1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        if number == 1 and line.lstrip()[:1].isalpha():  # the names of the columns, without the layout's #
+            continue
+        separator = separator or next((mark for mark in SEPARATORS if mark in line), ",")
+        yield number, [field.strip() for field in line.split(separator)]
+
+
 def _read_sensor(path: Path, read: Callable[[Mapping[str, str]], C]) -> C:
     """Read a calibration from an ASL sensor.yaml. Raises SequenceError naming the file and what is wrong in it."""
-    # Nested keys go by their own name; lists may span lines.
+    # Lists may span lines.
     text = re.sub(r"#.*", "", "".join(_lines(path)))
     found = re.findall(r"^\s*(\w+):[ \t]*(\[[^\]]*\]|[^\n\[]*)", text, re.M)
+    settings = {key: value.strip().strip("\"'") for key, value in found}
+    if (pose := POSE.search(text)) is not None:
+        settings["T_BS"] = pose[1]
     try:
-        return read({key: value.strip().strip("\"'") for key, value in found})
+        return read(settings)
     except ValueError as error:
         raise SequenceError(f"{path}: {error}") from None
 
@@ -173,14 +210,41 @@ def _camera(settings: Mapping[str, str]) -> CameraCalibration:
         {
             "width": width,
             "height": height,
-            "rate_hz": _scalar(settings, "rate_hz", 20.0),
+            "rate_hz": _above_zero(settings, "rate_hz", 20.0),
             "matrix": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]],
             "distortion": _coefficients(settings, lens),
-            "T_base_cam": np.reshape(_numbers(settings, "data", 16), (4, 4)),
+            "T_base_cam": _pose(settings),
             "time_offset_s": 0.0 - _scalar(settings, "timeshift_cam_imu", 0.0),
             "distortion_model": LENSES[lens],
         }
     )
+
+
+def _pose(settings: Mapping[str, str]) -> Array:
+    """T_BS (4, 4): by `rows`, `cols` and `data`, as a plain list, or by rows. Raises ValueError where it is no rigid
+    transform."""
+    if "T_BS" not in settings:
+        raise ValueError("missing key 'T_BS'")
+    text = re.sub(r"!!\S+|\b(rows|cols|dt)\s*:\s*\w+|\bdata\s*:", " ", settings["T_BS"])
+    words = [word for word in re.split(r"[\s,\[\]]+", text) if word.strip("-")]
+    try:
+        matrix = np.array(words, dtype=float).reshape(4, 4)
+    except ValueError:
+        matrix = np.full((4, 4), np.nan)
+    if not np.isfinite(matrix).all():
+        got = " ".join(words)
+        raise ValueError(f"T_BS, data: expected 16 finite numbers, got {len(words)}: {got:.60}")
+    if is_rigid(matrix):
+        return matrix
+    rotation = matrix[:3, :3]
+    if not np.allclose(matrix[3], [0, 0, 0, 1]):
+        found = f"the last row {' '.join(f'{value:g}' for value in matrix[3])} in place of 0 0 0 1"
+    elif np.linalg.det(rotation) < 0:
+        found = f"a reflection (determinant {np.linalg.det(rotation):.3g}); is the sign of an axis wrong?"
+    else:
+        off = np.abs(rotation.T @ rotation - np.eye(3)).max()
+        found = f"axes that are not at right angles or not of length 1 (off by {off:.2g})"
+    raise ValueError(f"T_BS: expected a rigid transform (4, 4), from the camera to the IMU, got {found}")
 
 
 def _coefficients(settings: Mapping[str, str], lens: str) -> list[float]:
@@ -192,17 +256,24 @@ def _coefficients(settings: Mapping[str, str], lens: str) -> list[float]:
 
 
 def _imu(settings: Mapping[str, str]) -> ImuCalibration:
-    """IMU from the keys of its sensor.yaml. Raises ValueError where one is missing or no number."""
+    """IMU from the keys of its sensor.yaml. Raises ValueError where one is missing or no number, or no IMU has it."""
+    walks = {key: _scalar(settings, key) for key in ("gyroscope_random_walk", "accelerometer_random_walk")}
+    for key, value in walks.items():
+        if value < 0:
+            raise ValueError(f"{key}: expected zero or more, got {value:g}")
+    gravity = _scalar(settings, "gravity", GRAVITY)
+    if not LEAST_GRAVITY < gravity < MOST_GRAVITY:
+        raise ValueError(f"gravity: expected its magnitude in m/s^2, about {GRAVITY}, got {gravity:g}")
     return IMU.read_calibration(
         {
-            "rate_hz": _scalar(settings, "rate_hz", 200.0),
-            "gyro_noise_density": _scalar(settings, "gyroscope_noise_density"),
-            "gyro_random_walk": _scalar(settings, "gyroscope_random_walk"),
+            "rate_hz": _above_zero(settings, "rate_hz", 200.0),
+            "gyro_noise_density": _above_zero(settings, "gyroscope_noise_density"),
+            "gyro_random_walk": walks["gyroscope_random_walk"],
             "gyro_turn_on": 0.1,
-            "accel_noise_density": _scalar(settings, "accelerometer_noise_density"),
-            "accel_random_walk": _scalar(settings, "accelerometer_random_walk"),
+            "accel_noise_density": _above_zero(settings, "accelerometer_noise_density"),
+            "accel_random_walk": walks["accelerometer_random_walk"],
             "accel_turn_on": 0.1,
-            "gravity": _scalar(settings, "gravity", GRAVITY),
+            "gravity": gravity,
             "T_base_imu": np.eye(4),
         }
     )
@@ -219,6 +290,13 @@ def _numbers(settings: Mapping[str, str], key: str, count: int | None = None) ->
     if not np.isfinite(found).all() or len(found) != (count or len(found)) or not found:
         raise ValueError(f"{key}: expected {f'{count} ' if count else ''}finite numbers, got {settings[key]:.60}")
     return found
+
+
+def _above_zero(settings: Mapping[str, str], key: str, default: float | None = None) -> float:
+    value = _scalar(settings, key, default)
+    if not value > 0:
+        raise ValueError(f"{key}: expected a number above zero, got {value:g}")
+    return value
 
 
 def _scalar(settings: Mapping[str, str], key: str, default: float | None = None) -> float:

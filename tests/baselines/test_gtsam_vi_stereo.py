@@ -159,8 +159,8 @@ def test_frames_of_which_hardly_any_are_taken_together_are_refused_with_what_is_
     with pytest.raises(MethodError) as caught:
         list(pairs((item(camera, ms) for ms, camera in sorted(taken)), "l", "r", 1e-3))
     assert str(caught.value).startswith(
-        f"of {min(frames, 100)} frames of 'l' and 'r', 0 were taken within 1 ms of each other: the nearest stamps differ "
-        "by 3 ms at least, 3.5 ms in the median; correct the stamps, give --set stereo.sync_s=SECONDS if the pictures are"
+        f"of {min(frames, 100)} frames of 'l' and 'r', 0 were taken within 1 ms of each other: the nearest stamps "
+        "differ by 3 ms at least, 3.5 ms in the median; correct the stamps, give --set stereo.sync_s=SECONDS if "
     )
 
 
@@ -169,7 +169,7 @@ def test_a_second_camera_may_take_a_frame_now_and_then_but_must_take_some():
     rare = [item("r", 400 * k) for k in range(10)]
     stream = sorted([*taken, *rare], key=lambda image: image.stamp_ns)
     assert sum(other is not None for _, other in pairs(iter(stream), "l", "r", 1e-3)) == 10
-    with pytest.raises(MethodError, match="camera 'r' has no frames .*run gtsam_vi, with one camera"):
+    with pytest.raises(MethodError, match=r"camera 'r' has no frames .*run gtsam_vi, with one camera"):
         list(pairs(iter(taken), "l", "r", 1e-3))
 
 

@@ -141,7 +141,7 @@ def test_a_frame_that_cannot_be_read_costs_a_picture_of_the_report_and_no_result
 def test_a_ground_truth_that_cannot_be_read_is_refused_before_anything_runs(tmp_path):
     folder = Folder(tmp_path / "dive")
     folder.write("state_groundtruth_estimate0/data.csv", "0,0\n")
-    with pytest.raises(TrajectoryError, match="state_groundtruth_estimate0/data.csv:1: expected 8 numbers"):
+    with pytest.raises(TrajectoryError, match=r"state_groundtruth_estimate0/data\.csv:1: expected 8 numbers"):
         own_sequences([folder.path])
 
 

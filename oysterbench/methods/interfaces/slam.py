@@ -257,7 +257,9 @@ def _link_measurements(path: Path, out: Path) -> None:
     temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
     try:
         for sensor in sensor_folders(path):
-            shutil.copytree(sensor, temporary / "mav0" / sensor.name, copy_function=link)
+            place = temporary / "mav0" / sensor.name
+            # Where a link leads nowhere, the file is missing, and whoever reads it is told so.
+            shutil.copytree(sensor, place, copy_function=link, ignore_dangling_symlinks=True)
         temporary.chmod(0o755)
         os.replace(temporary, out)
     except BaseException:
