@@ -235,7 +235,7 @@ def align_yaw(reference: Array, estimate: Array) -> Similarity:
     _check_matched(reference, estimate)
     mean_reference, mean_estimate = centroid(reference), centroid(estimate)
     level, flat = spread(reference[:, :2]), spread(estimate[:, :2])
-    _check_motion(level, flat, "horizontally ")
+    _check_motion(level, flat, " horizontally")
     if level < MIN_SPREAD_RATIO * spread(reference):
         raise ValueError(
             f"the reference moves straight up or down: it spreads {level:.3g} m horizontally against "
@@ -273,9 +273,9 @@ def _check_matched(reference: Array, estimate: Array) -> None:
 def _check_motion(reference_m: float, estimate_m: float, how: str = "") -> None:
     """Refuse points without motion, given the two spreads in m."""
     if reference_m < MIN_SPREAD_M:
-        raise ValueError(f"the reference does not move {how}(it spreads {reference_m:.3g} m): nothing to align to")
+        raise ValueError(f"the reference does not move{how} (it spreads {reference_m:.3g} m): nothing to align to")
     if estimate_m < MIN_MOTION_RATIO * reference_m:
         raise ValueError(
-            f"the estimate does not move {how}: it spreads {estimate_m:.3g} m where the reference spreads "
+            f"the estimate does not move{how}: it spreads {estimate_m:.3g} m where the reference spreads "
             f"{reference_m:.3g} m"
         )

@@ -212,9 +212,12 @@ def run_job(
         ended = processes.run(command, job.limit_s, folder, hidden, visible=[given], fixed=[root])
         process = {key: getattr(ended, key) for key in outcome.process}
         outcome = replace(outcome, wall_s=ended.wall_s, cpu_s=ended.cpu_s, process=process)
+        unfit = _unfit(folder / job.adapter.interface.out)
         _move(folder, kept)
         if ended.failure is not None:
             outcome = replace(outcome, failure=job.adapter.own_failure(kept) or f"{who}: {ended.failure}")
+        elif unfit:
+            raise MethodError(unfit)
         else:
             outcome = _with_predictions(outcome, job, job.adapter.take(job.sequence, given, kept))
     except (MethodError, SequenceError, LabelError) as error:
@@ -244,6 +247,15 @@ def _move(source: Path, target: Path) -> None:
         place = target / path.relative_to(source)
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.move(path, place)
+
+
+def _unfit(out: Path) -> str:
+    """What is wrong with an output that is not moved; empty if there is none, or nothing wrong."""
+    if out.is_symlink():
+        return f"{{out}} is a link, to {os.readlink(out)}: links are not followed; write the file itself to {{out}}"
+    if out.is_dir() and not any(path.is_file() for path in out.rglob("*")):
+        return "{out} is a folder without files; write to {out} itself"
+    return ""
 
 
 def _with_predictions(outcome: Outcome, job: Job, found: Predicted) -> Outcome:

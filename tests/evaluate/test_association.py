@@ -123,6 +123,17 @@ def test_no_common_time_is_refused_with_both_spans_and_the_offset():
     assert "1700000000.000000000 s before" in message
 
 
+def test_no_common_time_is_laid_to_neither_of_the_two():
+    message = refusal(survey(start_ns=0), survey())
+    assert "both need the timestamps of the sensor data: correct the one that has others" in message
+
+
+def test_two_poses_are_told_from_poses_that_are_too_rare():
+    message = refusal(survey(), survey().select([0, 1000]))
+    assert message.endswith("it has 2 poses and needs 5 at least: give one for each image")
+    assert "more often" in refusal(survey(), survey(rate_hz=0.7, start_ns=EPOCH_NS + 5_000_000))
+
+
 def test_common_time_without_a_match_is_refused_with_the_cause():
     sparse = survey(rate_hz=0.7, start_ns=EPOCH_NS + 5_000_000)
     assert "up to 0.3 s (--max-gap)" in refusal(survey(), sparse)

@@ -104,6 +104,29 @@ def test_quaternions_in_another_order_are_suspected():
     assert "w x y z" in note
 
 
+def test_quaternions_of_the_ground_truth_in_another_order_are_not_laid_to_the_estimate():
+    mixed = replace(walk(), quaternions=walk().quaternions[:, [3, 0, 1, 2]])
+    (both,) = score(mixed, walk(), SlamSettings(align="none")).notes
+    assert "when those of the ground truth are read as w x y z or by" in both  # in one frame, either explains the other
+    yaw = Rotation.from_euler("z", 70, degrees=True)
+    estimate = replace(
+        walk(),
+        positions=yaw.apply(walk().positions),
+        quaternions=(yaw * Rotation.from_quat(walk().quaternions)).as_quat(),
+    )
+    (note,) = score(mixed, estimate).notes
+    assert "when those of the ground truth are read as w x y z: were" in note
+    assert "estimate" not in note
+
+
+@pytest.mark.parametrize("of", ["estimate", "ground truth"])
+@pytest.mark.parametrize(("metres", "unit"), [(1e-3, "millimetres"), (1e-2, "centimetres")])
+def test_a_path_in_another_unit_is_suspected(of, metres, unit):
+    small, large = walk(), replace(walk(), positions=walk().positions / metres)
+    notes = score(small, large).notes if of == "estimate" else score(large, small).notes
+    assert any(note.endswith(f"is the {of} in {unit}? Metres are expected") for note in notes)
+
+
 def test_poses_of_a_camera_are_suspected():
     optical = Rotation.from_euler("ZYX", [-90, 0, -90], degrees=True)
     camera = replace(walk(), quaternions=(Rotation.from_quat(walk().quaternions) * optical).as_quat())

@@ -177,8 +177,8 @@ def check_overlap(truth: Trajectory, estimate: Trajectory, settings: SlamSetting
     raise TrajectoryError(
         f"truth and estimate do not overlap in time: the truth spans {ns_to_seconds(first)} to {ns_to_seconds(last)} "
         f"s, the estimate {ns_to_seconds(begin)} to {ns_to_seconds(end)} s and starts {offset} s "
-        f"{'after' if begin > first else 'before'} it; write the timestamps of the sensor data into the estimate, "
-        "or give the offset of its clock (--time-offset)"
+        f"{'after' if begin > first else 'before'} it; both need the timestamps of the sensor data: correct the one "
+        "that has others, or give the offset of the estimate's clock (--time-offset)"
     )
 
 
@@ -197,7 +197,10 @@ def _check_matched(matched: int, truth: Trajectory, estimate: Trajectory, settin
             f"the estimate has {len(estimate)} poses and the nearest one may be {settings.max_difference_s:g} s away "
             "(--max-difference)"
         )
+    todo = "give poses more often, or allow larger gaps"
+    if len(estimate) < MIN_MATCHED:
+        todo = f"it has {len(estimate)} poses and needs {MIN_MATCHED} at least: give one for each image"
     raise TrajectoryError(
         f"the estimate covers {matched} of {len(truth)} ground-truth timestamps, expected at least {MIN_MATCHED}: "
-        f"{why}; give poses more often, or allow larger gaps"
+        f"{why}; {todo}"
     )

@@ -22,6 +22,9 @@ SUSPICIOUS_RAD = np.deg2rad(20.0)
 """Attitudes with a smaller error than this are not suspicious."""
 SUSPICIOUS_GAIN = 4.0
 """Factor by which another interpretation of the poses must fit better before it is mentioned."""
+UNITS = {"millimetres": 1e-3, "centimetres": 1e-2}
+UNIT_TOLERANCE = 0.1
+"""Relative deviation of a scale, by its own drift, from that of a unit."""
 EXPLAINED = 0.1
 """Share of the truth's spread: a smaller error is a fit, a larger one a curve shrunk or rotated to do little harm."""
 
@@ -117,13 +120,20 @@ def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list
     error = _rms(rotation_angle(truth, aligned))
     if error < SUSPICIOUS_RAD:
         return []
+    # Where the world frames of both agree, a wrong order of the one is explained by that of the other as well.
+    fits = []
     for columns, order in (([1, 2, 3, 0], "w x y z"), ([3, 0, 1, 2], "x y z w, and not as w x y z")):
-        reordered = _rms(rotation_angle(truth, alignment.rotate(estimate[:, columns])))
-        if reordered * SUSPICIOUS_GAIN < error:
-            return [
-                f"the attitudes err by {np.rad2deg(error):.1f} deg as they are and by {np.rad2deg(reordered):.1f} deg "
-                f"when read as {order}: were they written in that order? x y z w is expected, in EuRoC files w x y z"
-            ]
+        for name, reordered in (
+            ("estimate", rotation_angle(truth, alignment.rotate(estimate[:, columns]))),
+            ("ground truth", rotation_angle(truth[:, columns], aligned)),
+        ):
+            if (left := _rms(reordered)) * SUSPICIOUS_GAIN < error:
+                fits.append(f"by {np.rad2deg(left):.1f} deg when those of the {name} are read as {order}")
+    if fits:
+        return [
+            f"the attitudes err by {np.rad2deg(error):.1f} deg as they are and {' or '.join(fits)}: were they written "
+            "in that order? x y z w is expected, in EuRoC files w x y z"
+        ]
     from_quat = scipy.spatial.transform.Rotation.from_quat
     turns = from_quat(truth).inv() * from_quat(aligned)
     turn = turns.mean()
@@ -162,9 +172,10 @@ def alignment_notes(truth: Array, estimate: Array, align: str, rmse_m: float) ->
         left_m = _rms(np.linalg.norm(fit.apply(estimate) - truth, axis=1))
         if left_m < min(rmse_m / SUSPICIOUS_GAIN, fit_m):
             scale = f" and scale {fit.scale:.3g}" if name == "sim3" else ""
+            why = _in_unit(fit.scale) or "is the estimate in another world frame (z up is expected) or without scale?"
             return [
                 f"with alignment {name}{scale} instead of {align} the ATE would be {left_m:.3g} m, not {rmse_m:.3g} m: "
-                "is the estimate in another world frame (z up is expected) or without scale?"
+                f"{why}"
             ]
     try:
         fit = align_umeyama(truth, estimate * [1.0, 1.0, -1.0], with_scale=align == "sim3")
@@ -177,6 +188,15 @@ def alignment_notes(truth: Array, estimate: Array, align: str, rmse_m: float) ->
             "two axes swapped or one of the wrong sign?"
         ]
     return []
+
+
+def _in_unit(scale: float) -> str:
+    """Question after the unit, if the scale of an estimate is that of another one; else empty."""
+    for unit, metres in UNITS.items():
+        for name, ratio in (("estimate", scale / metres), ("ground truth", scale * metres)):
+            if abs(ratio - 1.0) < UNIT_TOLERANCE:
+                return f"is the {name} in {unit}? Metres are expected"
+    return ""
 
 
 def _rms(values: Array) -> float:

@@ -9,6 +9,7 @@ alternative; map.ply and keyframes.tum if there is a map; health.csv if the meth
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -148,14 +149,14 @@ class SlamInterface(Interface):
         try:
             found = _read_path(folder / self.out, T_base_frame, times)
         except TrajectoryError as error:
-            raise MethodError(f"wrote no readable trajectory: {error}") from None
+            raise MethodError(f"wrote no readable trajectory: {_for_a_program(error)}") from None
         estimate = Estimate(found)
         if (folder / ONLINE).exists():
             try:
                 path = _read_path(folder / ONLINE, T_base_frame, times)
                 estimate = Estimate(found, scored="final", alternatives={"online": path})
             except (TrajectoryError, MethodError) as error:
-                note = f"its online path cannot be read and was left out: {error}"
+                note = f"its online path cannot be read and was left out: {_for_a_program(error)}"
                 estimate = Estimate(replace(found, notes=(*found.notes, note)))
         return keep(estimate, folder)
 
@@ -167,6 +168,12 @@ def _read_path(file: Path, T_base_frame: Array, times: NDArray[np.int64] | None)
         note = "its timestamps count from the first image, as in times.txt: that image's timestamp was added"
         found = replace(found, stamps_ns=found.stamps_ns + times[0], notes=(*found.notes, note))
     return found
+
+
+def _for_a_program(error: Exception) -> str:
+    """What is wrong with a file, without the options of `eval`, which runs of a program do not have."""
+    plain, options = re.subn(r" \([^()]*--[^()]*\)", "", str(error))
+    return f"{plain}; the program itself has to do so" if options else plain
 
 
 def keep(estimate: Estimate, folder: Path) -> Predicted:

@@ -1,0 +1,55 @@
+"""What programs leave at {out}: said to be what it is where it is no trajectory, and in words that are for them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+import oysterbench
+from oysterbench.core.trajectory import write_tum
+from oysterbench.methods.adapters import ExternalCommand
+from tests.helpers.programs import PROGRAMS, command
+
+OTHERS = {
+    "makes a folder": "os.mkdir(argv[2])",
+    "links": "os.symlink(argv[0], argv[2])",
+    "fills a folder": "os.mkdir(argv[2]); open(argv[2] + '/poses.txt', 'w').write('1 2 3')",
+    "goes back": "open(argv[2], 'w').writelines(reversed(open(argv[0]).readlines()))",
+}
+
+
+@pytest.fixture
+def answer(dive_file, tmp_path):
+    """The true poses of the vehicle as a TUM file."""
+    path = tmp_path / "work" / "answer.tum"
+    path.parent.mkdir()
+    write_tum(path, oysterbench.open(dive_file).truth())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("program", "failure"),
+    [
+        ("makes a folder", r"\{out\} is a folder without files; write to \{out\} itself"),
+        ("links", r"\{out\} is a link, to \S+answer.tum: links are not followed; write the file itself to \{out\}"),
+        ("fills a folder", r"wrote no readable trajectory: \S+ is a folder; expected a trajectory: TUM"),
+        (
+            "goes back",
+            r"wrote no .*:2: expected increasing .*; sort the poses by time; the program itself has to do so",
+        ),
+    ],
+)
+def test_what_is_no_trajectory_is_said_to_be_what_it_is(program, failure, run, answer, tmp_path, monkeypatch):
+    monkeypatch.setitem(PROGRAMS, "mine", OTHERS[program])
+    (done,) = run(ExternalCommand(command(tmp_path, "mine", answer), "mine"))
+    assert re.fullmatch(f"method 'mine' on hand-made: {failure}.*", done.failure), done.failure
+    assert "--" not in done.failure
+
+
+def test_poses_in_millimetres_are_said_to_be_in_them(run, dive_file, answer, tmp_path):
+    truth = oysterbench.open(dive_file).truth()
+    write_tum(answer, replace(truth, positions=1000 * truth.positions))
+    (done,) = run(ExternalCommand(command(tmp_path, "copies", answer), "copies"))
+    assert any("is the estimate in millimetres? Metres are expected" in note for note in done.scored.record.notes)
