@@ -131,6 +131,8 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
         elif out is not None:
             place = each.job.folder(out)
             message(f"{each.job.sequence.name} has no ground truth to score against; the predictions: {place}")
+            for note in each.outcome.notes:
+                message(f"{each.job.adapter.name} on {each.job.sequence.name}: {note}")
     if kept:
         methods = ", ".join(dict.fromkeys(one.method for one in kept))
         runs = "1 earlier run" if len(kept) == 1 else f"{len(kept)} earlier runs"

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from enum import IntEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +29,36 @@ class Health(IntEnum):
 
 
 NAMES = tuple(health.name.lower() for health in Health)
+
+
+LOST_S = 1.0
+"""Time without vision from which a note says that track was lost, s: by inertia alone it is centimetres off then."""
+
+
+def health_notes(info: Mapping[str, Any], stamps_ns: NDArray[np.int64], health: NDArray[np.uint8] | None) -> list[str]:
+    """Note that a method never initialised, or lost track, if so: a path without vision may look like any other.
+
+    info: of the method, whose `initialised` is 0 if it never did; stamps_ns (N,) and the `Health` (N,) of its poses
+    """
+    if info.get("initialised") == 0:
+        return [
+            "never initialised: nothing that it saw is in its path, which by inertia alone is metres off within "
+            "seconds; its page in the documentation says what it needs for a start"
+        ]
+    seen = np.flatnonzero(np.zeros(0) if health is None else health != Health.COASTING)
+    if health is None or not len(seen):
+        return []
+    steps_s = np.diff(stamps_ns[seen[0] :]) * 1e-9
+    blind = health[seen[0] + 1 :] == Health.COASTING
+    ends = np.flatnonzero(np.diff(blind, prepend=False, append=False))  # of the stretches: begin, end, begin, end, ...
+    stretches_s = [float(steps_s[begin:end].sum()) for begin, end in ends.reshape(-1, 2)]
+    lost_s = [stretch_s for stretch_s in stretches_s if stretch_s >= LOST_S]
+    if not lost_s:
+        return []
+    return [
+        f"lost track for {sum(lost_s):.1f} of {steps_s.sum():.1f} s, at most {max(lost_s):.1f} s at a time: there its "
+        f"path is by inertia and other sensors than cameras alone, as {HEALTH} says of each pose"
+    ]
 
 
 def check_health(health: NDArray[np.uint8], poses: int) -> None:

@@ -156,6 +156,8 @@ class SlamTrack(Track):
                 alternatives = read_alternatives(job.folder(out), outcome.prediction)
                 health = read_run_health(job.folder(out), outcome.prediction)
                 self._keep(job, outcome, out, estimate, alternatives)
+                if health is not None:
+                    write_health(out / f"{self._name(job)}.{HEALTH}", *health)
             except (MethodError, OSError) as error:
                 failure = f"method {job.adapter.name!r} on {sequence.name}: {error}"
         if sequence.truth is None:
@@ -167,7 +169,6 @@ class SlamTrack(Track):
                 write_tum(out / f"{self._name(job)}.tum", carried)
         states = None
         if result is not None and health is not None:
-            write_health(out / f"{self._name(job)}.{HEALTH}", *health)
             states = states_at(*health, result.stamps_ns)
             found = errors_by_state(result, states, NAMES)
             record = replace(record, info={**record.info, "health": found})
@@ -255,7 +256,7 @@ def record_outcome(
         # The notes are from reading the method's own file; the estimate scored here comes from our copy of it.
         result = score(truth, replace(estimate, notes=tuple(outcome.notes)), settings)
     except TrajectoryError as error:
-        return ResultRecord(**about, failure=str(error), metrics=cost), None
+        return ResultRecord(**about, failure=str(error), metrics=cost, notes=tuple(outcome.notes)), None
     metrics = {**result.metrics, **cost}
     return ResultRecord(**about, metrics=metrics, reasons=result.reasons, notes=result.notes), result
 

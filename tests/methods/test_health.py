@@ -10,7 +10,7 @@ from oysterbench.core.trajectory import Trajectory
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from oysterbench.evaluate.slam.stretches import errors_by_state, states_at
 from oysterbench.methods import Estimate, Health
-from oysterbench.methods.health import NAMES, read_health, write_health
+from oysterbench.methods.health import NAMES, health_notes, read_health, write_health
 from oysterbench.methods.interfaces.slam import keep, read_run_health
 from oysterbench.report.consistency import consistency_table
 from oysterbench.results.records import ResultRecord
@@ -54,6 +54,24 @@ def test_a_file_that_is_no_table_of_health_is_refused(tmp_path):
     file.write_text(file.read_text().replace("coasting", "asleep"))
     with pytest.raises(MethodError, match="expected a table of stamp_ns and health"):
         read_health(file)
+
+
+def test_a_method_that_never_initialised_is_said_not_to_have(tmp_path):
+    blind = np.zeros(len(STAMPS), dtype=np.uint8)
+    (note,) = keep(Estimate(path(), {"initialised": 0}, health=blind), tmp_path).notes
+    assert note.startswith(
+        "never initialised: nothing that it saw is in its path, which by inertia alone is metres off"
+    )
+    assert keep(Estimate(path(), {"initialised": 1}), tmp_path).notes == []
+
+
+def test_track_that_was_lost_for_a_second_or_more_after_the_start_is_told_of():
+    health = np.repeat([0, 1, 0, 2, 0, 1, 0], [20, 20, 15, 5, 5, 10, 25]).astype(np.uint8)
+    (note,) = health_notes({"initialised": 1}, STAMPS, health)
+    assert note.startswith("lost track for 4.0 of 7.9 s, at most 2.5 s at a time: there its path is by inertia")
+    assert health_notes({}, STAMPS, np.repeat([0, 1], 50).astype(np.uint8)) == []  # it coasts before its start alone
+    assert health_notes({}, STAMPS, np.ones(100, dtype=np.uint8)) == []
+    assert health_notes({}, STAMPS, np.zeros(100, dtype=np.uint8)) == []
 
 
 def test_a_stamp_has_the_state_of_the_nearest_pose():

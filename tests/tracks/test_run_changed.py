@@ -1,4 +1,4 @@
-"""Runs on the user's own folders, whose files change between two calls."""
+"""Runs on the user's own folders: files that change between two calls, and folders without ground truth."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from oysterbench.evaluate.slam.scoring import SlamSettings
 from oysterbench.methods.adapters import ExternalCommand
 from oysterbench.tracks.slam import TRACK, own_sequences
 from tests.helpers.command import run as run_here
-from tests.helpers.euroc import SAMPLES, Folder
+from tests.helpers.euroc import FRAMES, SAMPLES, Folder
 from tests.helpers.programs import PROGRAMS, command
 from tests.helpers.track_runs import finished_of
 
@@ -31,8 +31,9 @@ class Reads:
     name, track = "reads", "slam"
 
     def run(self, sequence):
-        stamps = np.array([item.stamp_ns for item in sequence.stream()])
-        return Estimate(Trajectory(stamps, np.zeros((len(stamps), 3)), np.tile([0.0, 0, 0, 1], (len(stamps), 1))))
+        stamps = np.unique([item.stamp_ns for item in sequence.stream()])
+        path = Trajectory(stamps, np.zeros((len(stamps), 3)), np.tile([0.0, 0, 0, 1], (len(stamps), 1)))
+        return Estimate(path, {"initialised": 0}, health=np.zeros(len(stamps), dtype=np.uint8))
 '''
 
 
@@ -122,3 +123,13 @@ def test_a_failure_of_an_earlier_run_is_told_as_one(folder, tmp_path):
     first, second = run_here(*words), run_here(*words)
     assert "--retry" not in first.stderr
     assert "; this is the result of an earlier run: --retry repeats it\n" in second.stderr
+
+
+def test_without_ground_truth_a_method_that_never_initialised_is_told_of_and_leaves_its_health(folder, tmp_path):
+    done = run_here("run", "reading:Reads", "--on", folder.path, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert "dive has no ground truth to score against; the predictions: " in done.stderr
+    assert "reads on dive: never initialised: nothing that it saw is in its path" in done.stderr
+    health = (tmp_path / "out" / "dive-reads.health.csv").read_text().splitlines()
+    assert len(health) == 1 + len({*SAMPLES, *FRAMES})
+    assert (tmp_path / "out" / "dive-reads.tum").is_file()

@@ -26,7 +26,7 @@ from oysterbench.core.errors import MethodError, OysterbenchError, TrajectoryErr
 from oysterbench.core.files import link
 from oysterbench.core.geometry import Array, transform
 from oysterbench.core.trajectory import Trajectory, read_times, read_trajectory, write_npz
-from oysterbench.methods.health import HEALTH, read_health, write_health
+from oysterbench.methods.health import HEALTH, health_notes, read_health, write_health
 from oysterbench.methods.interfaces.interface import Interface, Predicted, RunSequence, Stopwatch
 from oysterbench.methods.method import Estimate
 from oysterbench.methods.processes import Processes
@@ -188,7 +188,8 @@ def keep(estimate: Estimate, folder: Path) -> Predicted:
     if estimate.health is not None:
         write_health(folder / HEALTH, estimate.trajectory.stamps_ns, estimate.health)
     found = described(estimate.scored, estimate.alternatives, counts, estimate.health is not None)
-    return Predicted(estimate.info, found, notes=estimate.trajectory.notes)
+    notes = health_notes(estimate.info, estimate.trajectory.stamps_ns, estimate.health)
+    return Predicted(estimate.info, found, notes=[*estimate.trajectory.notes, *notes])
 
 
 def described(
