@@ -165,7 +165,7 @@ def _fields(path: Path) -> Iterator[tuple[int, list[str]]]:
     semicolons or tabs."""
     separator = ""
     for number, line in enumerate(_lines(path), start=1):
-        if not line.strip() or line.startswith("#"):
+        if not line.strip() or line.lstrip().startswith("#"):
             continue
         if number == 1 and line.lstrip()[:1].isalpha():  # the names of the columns, without the layout's #
             continue

@@ -115,6 +115,11 @@ def test_fields_may_be_between_semicolons_or_tabs(folder, mark):
     assert folder.read() == sorted(SAMPLES + FRAMES)
 
 
+def test_comments_may_be_indented(folder):
+    folder.change("imu0/data.csv", f"{SAMPLES[3]},", f"  # a comment\n{SAMPLES[3]},")
+    assert folder.read() == sorted(SAMPLES + FRAMES)
+
+
 def test_fields_between_blanks_are_refused_and_commas_asked_for(folder):
     folder.write("imu0/data.csv", f"{SAMPLES[0]} 0 0 0 0 0 9.81\n")
     with pytest.raises(SequenceError, match=r"imu0/data.csv, line 1: .*; separate the fields by commas"):
