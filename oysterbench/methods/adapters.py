@@ -65,6 +65,11 @@ class MethodAdapter(ABC):
         """Factor on a sequence's default time limit, used if the user gives no limit."""
         return 1.0
 
+    @property
+    def left_none(self) -> str:
+        """What to say of a run that left no predictions."""
+        return f"exited normally, but wrote no {self.interface.leaves.removeprefix('a ')} to {{out}}"
+
     @abstractmethod
     def versions(self) -> dict[str, str]:
         """Return the versions of the method and of what it runs on, by name."""
@@ -240,7 +245,7 @@ class ExternalCommand(MethodAdapter):
 
     def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
         if not (folder / self.interface.out).exists():
-            raise MethodError(f"exited normally, but wrote no {self.interface.leaves.removeprefix('a ')} to {{out}}")
+            raise MethodError(self.left_none)
         return self.interface.take(sequence, given, folder, self.form, self.options)
 
 

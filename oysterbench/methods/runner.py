@@ -217,7 +217,7 @@ def run_job(
         if ended.failure is not None:
             outcome = replace(outcome, failure=job.adapter.own_failure(kept) or f"{who}: {ended.failure}")
         elif unfit:
-            raise MethodError(unfit)
+            raise MethodError(f"{job.adapter.left_none}: {unfit}")
         else:
             outcome = _with_predictions(outcome, job, job.adapter.take(job.sequence, given, kept))
     except (MethodError, SequenceError, LabelError) as error:
@@ -252,9 +252,9 @@ def _move(source: Path, target: Path) -> None:
 def _unfit(out: Path) -> str:
     """What is wrong with an output that is not moved; empty if there is none, or nothing wrong."""
     if out.is_symlink():
-        return f"{{out}} is a link, to {os.readlink(out)}: links are not followed; write the file itself to {{out}}"
+        return f"it is a link, to {os.readlink(out)}, and links are not followed; write the file itself to {{out}}"
     if out.is_dir() and not any(path.is_file() for path in out.rglob("*")):
-        return "{out} is a folder without files; write to {out} itself"
+        return "it is a folder without files; write to {out} itself"
     return ""
 
 
