@@ -244,7 +244,7 @@ def _pose(settings: Mapping[str, str]) -> Array:
     else:
         off = np.abs(rotation.T @ rotation - np.eye(3)).max()
         found = f"axes that are not at right angles or not of length 1 (off by {off:.2g})"
-    raise ValueError(f"T_BS: expected a rigid transform (4, 4), from the camera to the IMU, got {found}")
+    raise ValueError(f"T_BS: expected a rigid transform (4, 4), from the sensor to the body, got {found}")
 
 
 def _coefficients(settings: Mapping[str, str], lens: str) -> list[float]:
@@ -257,24 +257,23 @@ def _coefficients(settings: Mapping[str, str], lens: str) -> list[float]:
 
 def _imu(settings: Mapping[str, str]) -> ImuCalibration:
     """IMU from the keys of its sensor.yaml. Raises ValueError where one is missing or no number, or no IMU has it."""
-    walks = {key: _scalar(settings, key) for key in ("gyroscope_random_walk", "accelerometer_random_walk")}
-    for key, value in walks.items():
-        if value < 0:
-            raise ValueError(f"{key}: expected zero or more, got {value:g}")
+    noises = {}
+    for name, unit in (("gyroscope", "gyro"), ("accelerometer", "accel")):
+        for key in ("noise_density", "random_walk"):
+            noises[f"{unit}_{key}"] = value = _scalar(settings, f"{name}_{key}")
+            if value < 0:
+                raise ValueError(f"{name}_{key}: expected zero or more, got {value:g}")
     gravity = _scalar(settings, "gravity", GRAVITY)
     if not LEAST_GRAVITY < gravity < MOST_GRAVITY:
         raise ValueError(f"gravity: expected its magnitude in m/s^2, about {GRAVITY}, got {gravity:g}")
     return IMU.read_calibration(
         {
             "rate_hz": _above_zero(settings, "rate_hz", 200.0),
-            "gyro_noise_density": _above_zero(settings, "gyroscope_noise_density"),
-            "gyro_random_walk": walks["gyroscope_random_walk"],
+            **noises,
             "gyro_turn_on": 0.1,
-            "accel_noise_density": _above_zero(settings, "accelerometer_noise_density"),
-            "accel_random_walk": walks["accelerometer_random_walk"],
             "accel_turn_on": 0.1,
             "gravity": gravity,
-            "T_base_imu": np.eye(4),
+            "T_base_imu": _pose(settings) if "T_BS" in settings else np.eye(4),
         }
     )
 

@@ -51,6 +51,13 @@ def test_a_pose_is_read_as_a_matrix_as_a_list_and_by_rows(folder, pose):
     np.testing.assert_array_equal(matrix, [[1, 0, 0, 0.1], [0, 1, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]])
 
 
+def test_an_inertial_unit_may_be_mounted_apart_from_the_body(folder):
+    np.testing.assert_array_equal(oysterbench.open(folder.path).imu_calibration.T_base_imu, np.eye(4))
+    folder.change("imu0/sensor.yaml", "rate_hz", f"{POSE}rate_hz")
+    matrix = oysterbench.open(folder.path).imu_calibration.T_base_imu
+    np.testing.assert_array_equal(matrix, [[1, 0, 0, 0.1], [0, 1, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]])
+
+
 @pytest.mark.parametrize(
     ("pose", "message"),
     [
@@ -81,8 +88,8 @@ def test_a_pose_that_is_no_rigid_transform_is_named_in_one_line_with_what_it_is(
     [
         ("cam0", "rate_hz: 20", "rate_hz: 0", "rate_hz: expected a number above zero, got 0"),
         ("imu0", "rate_hz: 200", "rate_hz: -200", "rate_hz: expected a number above zero, got -200"),
-        ("imu0", "noise_density: 1.0e-4", "noise_density: 0", "gyroscope_noise_density: expected a number above zero"),
-        ("imu0", "noise_density: 1.0e-3", "noise_density: -1", "accelerometer_noise_density: expected a number above"),
+        ("imu0", "noise_density: 1.0e-4", "noise_density: -1", "gyroscope_noise_density: expected zero or more, got -1"),
+        ("imu0", "noise_density: 1.0e-3", "noise_density: -1", "accelerometer_noise_density: expected zero or more"),
         (
             "imu0",
             "random_walk: 1.0e-5",
