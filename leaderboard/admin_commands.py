@@ -62,7 +62,8 @@ def add_command(
         --summary "Smooths a window of 4 s."
 
     Paths beside the results are drawn on the record's page, unless the split is hidden. The current record of the same
-    method, team and board is superseded, but kept. Identical results are stored once.
+    method, team and board is superseded, but kept; reported results never supersede scored ones or a baseline's.
+    Identical results are stored once.
     """
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.publishing import Attribution, keep_estimates, publish, records_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,8 @@ from oysterbench.results.records import ResultRecord, aggregate, comparable_key,
 from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.curves import curves_document, sequence_curve
 from oysterbench_leaderboard.hidden import discreet, is_hidden
-from oysterbench_leaderboard.record import Record, Tier
+from oysterbench_leaderboard.ranking import Claim, states, withdrawn
+from oysterbench_leaderboard.record import RANKED, Record, Tier
 from oysterbench_leaderboard.store import RecordStore
 
 SAME, SAME_SCALED = 1e-6, 5e-3
@@ -32,6 +33,9 @@ _FOLDERS = re.compile(r"(?<![^\s=,'\"])(?:~|\.{1,2})?/(?:[^/\s=:,'\"]+/)*")
 
 Notify = Callable[[str], None]
 """Called with a sentence for the user."""
+
+CLAIMED = [each.name for each in fields(Claim)][1:]
+"""Fields of a record that decide whether it is current."""
 
 Drawn = tuple[Record, dict[str, Any] | None]
 """A record, and the curves to be drawn on its page, if any."""
@@ -91,9 +95,17 @@ def records_of(path: Path, by: Attribution, notify: Notify = lambda text: None) 
 
 def publish(store: RecordStore, records: Iterable[Drawn]) -> list[tuple[Record, str, bool]]:
     """Store records, each superseding the current one of its method, team and board; return them with their digests,
-    and whether they are new: identical results are stored once."""
-    done = []
-    for given, curves in records:
+    and whether they are new: identical results are stored once. Raises ResultError, and stores nothing, where a
+    reported record would supersede a ranked one."""
+    done, given_records = [], list(records)
+    for record, _ in given_records:
+        if ranked := ranked_instead(store, record):
+            raise ResultError(
+                f"{record.method} by {record.team} on {record.split} has a {store.record(ranked).tier} record, "
+                f"{ranked[:8]}, which a reported one does not replace: give another --team, or take it off first: "
+                f'`oysterbench leaderboard withdraw {ranked[:8]} --reason "..."`'
+            )
+    for given, curves in given_records:
         record = given if curves is None else replace(given, curves=store.add_curves(curves))
         before = store.records_by(record.team, record.method)
         earlier = [(digest, one) for digest, one in before if one.board == record.board]
@@ -107,6 +119,18 @@ def publish(store: RecordStore, records: Iterable[Drawn]) -> list[tuple[Record, 
             record = replace(record, supersedes=last[0])
         done.append((record, store.add(record), True))
     return done
+
+
+def ranked_instead(store: RecordStore, record: Record) -> str:
+    """Digest of the current ranked record that a reported one would supersede; empty where there is none. Anybody can
+    write numbers down, so they must not take the place of scored ones."""
+    if record.tier in RANKED:
+        return ""
+    earlier = store.records_by(record.team, record.method)
+    claims = [Claim(digest, *(getattr(one, key) for key in CLAIMED)) for digest, one in earlier]
+    state = states(claims, withdrawn(store.read_status_changes()[0]))
+    current = (digest for digest, one in earlier if one.board == record.board and one.tier in RANKED)
+    return next((digest for digest in current if state[digest] == "current"), "")
 
 
 def _text(one: Record, other: Record) -> bool:

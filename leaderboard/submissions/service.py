@@ -20,6 +20,7 @@ from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.hub.addresses import network
 from oysterbench.hub.canonical import parse
 from oysterbench.results.records import ResultRecord
+from oysterbench_leaderboard.publishing import ranked_instead
 from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.store import RecordStore, StatusChange
 from oysterbench_leaderboard.submissions import namespaces, sandbox
@@ -275,8 +276,15 @@ class Service:
         return found
 
     def _in_place(self, connection: Connection, found: Submission) -> Record:
-        """Scored record of a submission, in place of the team's current record of the same method, if there is one."""
+        """Scored record of a submission, in place of the team's current record of the same method, if there is one.
+        Raises Refusal where it is a reported one in place of a ranked one."""
         c, record = submissions.c, self.scored.record(found.record)
+        if ranked := ranked_instead(self.store, record):
+            raise Refusal(
+                "state",
+                f"reported results do not replace your {self.store.record(ranked).tier} record {ranked[:8]} of "
+                f"{record.method}: withdraw that first, or send these under another method name",
+            )
         same = (c.team == found.team, c.track == found.track, c.split == found.split, c.method == found.method)
         before = [other for other in find(connection, *same, c.published != "") if other.state == "done"]
         shown = [*(self.scored.record(other.published) for other in before), *self._rescored(before)]

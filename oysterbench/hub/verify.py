@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from oysterbench.core.errors import HubError, IntegrityError, SequenceError
 from oysterbench.core.files import home, models
+from oysterbench.core.mcap import MAGIC
 from oysterbench.hub.canonical import decode, sha256
 from oysterbench.hub.index import IndexBody, SignedIndex
 from oysterbench.hub.manifest import NAME, VERSION_NAME, FileEntry, Manifest, read_manifest, released_manifest
@@ -202,7 +203,7 @@ def checks(name: str = "") -> Iterator[Check]:
     """Check a file, a hub's tree, the local splits of a name (NAME or NAME@VERSION), trained weights, a folder, or
     everything that is here.
 
-    Raises HubError where nothing has that name.
+    Raises HubError where nothing has that name, and IntegrityError where what has it holds nothing to check.
     """
     if name and (Path(name) / "index.json").is_file():
         yield from check_tree(Path(name))
@@ -210,11 +211,25 @@ def checks(name: str = "") -> Iterator[Check]:
     if name.endswith(".pt"):
         yield check_weights(Path(name))
         return
-    if name.endswith(".mcap") or Path(name).is_file():
+    if name.endswith(".mcap"):
+        yield _check_alone(Path(name))
+        return
+    if Path(name).is_file():
+        with open(name, "rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise IntegrityError(f"{name}: expected a sequence file (.mcap) or weights (.pt): it is neither")
         yield _check_alone(Path(name))
         return
     if Path(name).is_dir() and name and not (NAME.fullmatch(name) and (home() / "splits" / name).is_dir()):
-        yield from _check_folder(Path(name))
+        found = False
+        for check in _check_folder(Path(name)):
+            found = True
+            yield check
+        if not found:
+            raise IntegrityError(
+                f"{name}: expected sequence files (.mcap), or a published tree (index.json), found neither in this "
+                "folder; exports and images have no manifest to be checked against"
+            )
         return
     split, _, version = name.partition("@")
     if name and not (NAME.fullmatch(split) and VERSION_NAME.fullmatch(version or "0")):

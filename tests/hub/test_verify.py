@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oysterbench.core.errors import HubError
+from oysterbench.core.errors import HubError, IntegrityError
 from oysterbench.hub.download import plan
 from oysterbench.hub.manifest import describe_file
 from oysterbench.hub.pixels import NUMBERS, share_within
@@ -162,3 +162,13 @@ def test_pixels_that_cannot_be_compared_are_like_none():
 
 def test_a_share_of_a_thousandth_can_be_told():
     assert 1.0 - 2.0 / NUMBERS < 0.999 < 1.0 - 1.0 / NUMBERS
+
+
+def test_a_folder_or_a_file_with_nothing_to_check_is_said_to_be_that(tmp_path):
+    (tmp_path / "mine.tum").write_text("1.0 0 0 0 0 0 0 1\n")
+    with pytest.raises(IntegrityError, match=r"expected sequence files \(\.mcap\), or a published tree"):
+        list(checks(str(tmp_path)))
+    with pytest.raises(IntegrityError, match=r"mine\.tum: expected a sequence file \(\.mcap\) or weights"):
+        list(checks(str(tmp_path / "mine.tum")))
+    with pytest.raises(HubError, match=r"gone\.tum: expected a split, a sequence file or a folder"):
+        list(checks(str(tmp_path / "gone.tum")))

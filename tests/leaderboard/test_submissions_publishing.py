@@ -10,13 +10,15 @@ from dataclasses import replace
 import pytest
 from sqlalchemy import text
 
-from oysterbench.results.records import ResultRecord
+from oysterbench.results.records import ResultRecord, write_results
 from oysterbench_leaderboard.ranking import withdrawn
 from oysterbench_leaderboard.store import StatusChange
 from oysterbench_leaderboard.submissions import queue, sandbox, sandbox_worker
 from oysterbench_leaderboard.submissions.database import change
+from oysterbench_leaderboard.submissions.estimates import upload_of
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.tokens import issue
+from oysterbench_leaderboard.submissions.words import Form
 from tests.helpers.served import FAST, drain, make_service
 from tests.helpers.serving import done, events, send
 from tests.helpers.waiting import until
@@ -52,6 +54,18 @@ def test_a_later_submission_takes_the_place_of_the_one_before(service, tmp_path)
     other = service.publish("reef lab", done(service, tmp_path, 4, method="pike"))
     assert service.store.record(last.published).supersedes == digests[1]
     assert service.store.record(other.published).supersedes == ""
+
+
+def test_reported_results_take_no_place_of_scored_ones(service, tmp_path):
+    scored = service.publish("reef lab", done(service, tmp_path, split="pool-val")).published
+    file = service.incoming / "results.json"
+    results = service.store.record(scored).results
+    write_results(file, [replace(result, created="2025-01-01T00:00:00Z") for result in results])
+    made, _ = service.submit("reef lab", Form("carp", "pool-val"), upload_of(file))
+    drain(service)
+    with pytest.raises(Refusal, match=f"do not replace your scored record {scored[:8]} of carp: withdraw that first"):
+        service.publish("reef lab", made.id)
+    assert service.store.digests() == [scored]
 
 
 def test_paths_are_kept_with_records_of_public_splits_alone(service, tmp_path):

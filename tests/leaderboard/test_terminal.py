@@ -137,6 +137,21 @@ def test_results_are_added_once_and_in_place_of_earlier_ones(board, tmp_path):
     assert len(board.digests()) == 2
 
 
+def test_reported_results_take_no_place_of_scored_ones(board, tmp_path):
+    path = tmp_path / "results.json"
+    scored = board.add(record_made())
+    write_results(path, record_made(skill=0.9, created="2026-12-01T00:00:00Z").results)
+    words = ("add", path, "--team", "reef lab")
+    told = shown(*words, code=1).stderr
+    assert f"has a scored record, {scored[:8]}, which a reported one does not replace: give another --team" in told
+    assert f"`oysterbench leaderboard withdraw {scored[:8]} --reason" in told
+    assert board.digests() == [scored]
+    assert "kept: carp" in shown("add", path, "--team", "another lab").stdout
+    shown("withdraw", scored[:8], "--reason", "A mistake.")
+    assert "kept: carp" in shown(*words).stdout
+    assert "place 1 of" in shown(*words, "--tier", "scored").stdout
+
+
 def test_results_that_belong_on_no_board_are_refused(board, tmp_path):
     path = tmp_path / "results.json"
     results = list(record_made().results)
