@@ -10,7 +10,7 @@ import numpy as np
 
 from oysterbench.core.html import capital
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
-from oysterbench.evaluate.metrics import TRACKS, find_metric
+from oysterbench.evaluate.metrics import SPEEDS, TRACKS, find_metric
 from oysterbench.evaluate.statistics import LEAST_SEQUENCES, LEVEL, Interval
 from oysterbench.report.columns import (
     COSTS_OF_TRACK,
@@ -23,6 +23,7 @@ from oysterbench.report.columns import (
 )
 from oysterbench.report.table import Cell, Column, Estimate, Table, TableRow, Value, interval_column
 from oysterbench.results.comparison import Board, SequenceRuns, boards
+from oysterbench.results.machines import machines_of
 from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key
 from oysterbench.results.remarks import remarks
 
@@ -47,7 +48,9 @@ def results_table(records: Sequence[ResultRecord]) -> Table:
     costs = COSTS_OF_TRACK[records[0].track] if records else ()
     columns += tuple(column for column in costs if any(column.key in record.metrics for record in records))
     medians = [{column.key: median(group, column.key) for column in columns} for group in groups.values()]
-    best = _best([group[0].sequence for group in groups.values()], medians, columns)
+    several_machines = len(machines_of(records)) > 1
+    competing = [column for column in columns if not (several_machines and column.key in SPEEDS)]
+    best = _best([group[0].sequence for group in groups.values()], medians, competing)
     rows = []
     for group, of in zip(groups.values(), medians, strict=True):
         sequence, failures = group[0].sequence, sum(record.failure is not None for record in group)

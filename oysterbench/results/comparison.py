@@ -295,9 +295,8 @@ def _apart(board: Board, found: Sequence[Board]) -> str:
         parts.append(f"recipe {board.split_digest[:8]}")
     if any(other.evaluator_version != board.evaluator_version for other in others):
         parts.append(board.evaluator_version)
-    for key, value in board.settings.items():
-        if any(other.settings.get(key) != value for other in others):
-            parts.append(f"{key} = {value}")
+    alike = [other for other in others if other.track == board.track]  # settings of another track differ anyway
+    parts += [f"{k} = {v}" for k, v in board.settings.items() if any(other.settings.get(k) != v for other in alike)]
     return few(parts)
 
 

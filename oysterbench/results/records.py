@@ -7,7 +7,7 @@ import math
 import os
 import platform
 import sys
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -360,39 +360,3 @@ def _read(path: Path) -> tuple[list[ResultRecord], Sequence[Mapping[str, Any]]]:
     if not isinstance(rows, list) or not all(isinstance(row, Mapping) and "method" in row for row in rows):
         raise ResultError(f"{path}: key 'data_set': expected a list of rows with a method each")
     return records, rows
-
-
-Finder = Callable[[str], "list[ResultRecord] | None"]
-"""Returns the records for a name that is not a file; None if it knows no such name."""
-
-
-def labelled_results(names: Iterable[str], find: Finder | None = None) -> list[ResultRecord]:
-    """Read the records of files, or of folders that hold results.json, each given as PATH or LABEL=PATH, or of
-    anything else that `find` knows by name.
-
-    A label replaces the method's name, or is prepended to it if the file holds several methods. Raises ResultError
-    where two different records claim to be the same run of one method.
-    """
-    sources: dict[tuple[str, ...], tuple[str, ResultRecord]] = {}
-    for name in names:
-        label, _, rest = name.rpartition("=")
-        if label and Path(name).exists():  # the file name itself contains "="
-            label, rest = "", name
-        path = Path(rest)
-        found = find(rest) if find is not None and not path.exists() else None
-        if found is None:
-            found = read_results(path / "results.json" if path.is_dir() else path)
-        if not found:
-            raise ResultError(f"{path}: holds no result; expected what `oysterbench eval` writes")
-        methods = {record.method for record in found}
-        for record in found:
-            if label:
-                record = replace(record, method=label if len(methods) == 1 else f"{label} {record.method}")
-            key = (*comparable_key(record), *method_key(record), record.sequence, str(record.run))
-            other = sources.setdefault(key, (str(path), record))
-            if replace(other[1], created=record.created, hardware=record.hardware) != record:
-                raise ResultError(
-                    f"{other[0]} and {path}: both hold run {record.run} of {record.method} on {record.sequence}, with "
-                    f"different numbers; tell them apart by labels, e.g. `oysterbench compare A={other[0]} B={path}`"
-                )
-    return [record for _, record in sources.values()]

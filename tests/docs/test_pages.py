@@ -82,6 +82,15 @@ def test_a_path_has_few_commands_all_of_which_there_are(path):
     assert any(f'"docs/paths/{path.name}"' in page.read_text() for page in (DOCS / "paths").glob("*.md"))
 
 
+@pytest.mark.parametrize("page", sorted((DOCS / "paths").glob("*.md")), ids=lambda page: page.stem)
+def test_no_two_runs_of_a_path_leave_their_results_in_one_folder(page):
+    """The second one would be refused."""
+    text = re.sub(r'--8<-- "([\w./]+\.sh)"', lambda found: (ROOT / found[1]).read_text(), page.read_text())
+    runs = [shlex.split(line) for line in lines_of_commands(text) if line.startswith("oysterbench run ")]
+    folders = [words[words.index("--out") + 1] for words in runs if "--out" in words]
+    assert len(folders) == len(set(folders)), folders
+
+
 def test_what_a_page_shows_of_the_network_is_its_class():
     shown = re.search(r'"docs/paths/my_net\.py:(\d+):(\d+)"', (DOCS / "paths" / "segmentation.md").read_text())
     assert shown is not None

@@ -9,7 +9,8 @@ import pytest
 
 from oysterbench.core.errors import ResultError
 from oysterbench.results.comparison import as_plain, boards
-from oysterbench.results.records import labelled_results, write_results
+from oysterbench.results.labelled import labelled_results
+from oysterbench.results.records import write_results
 from oysterbench.results.remarks import remarks
 from tests.results.test_results import record
 
@@ -183,3 +184,18 @@ def test_boards_of_one_split_are_told_apart_by_name_and_records_by_label():
     assert [board.name for board in found] == ["slam-mini (align = posyaw)", "slam-mini (align = se3)"]
     (board,) = boards([*runs("a", [0.5], method_settings={"k": 1}), *runs("a", [0.6], method_settings={"k": 3})])
     assert [kept.method for kept in board.records] == ["a (k = 1)", "a (k = 3)"]
+
+
+def test_what_a_board_knows_is_cut_to_the_tracks_and_splits_of_the_files(tmp_path):
+    write_results(tmp_path / "mine.json", runs("mine", [0.5]))
+    of_slam, of_density = runs("theirs", [0.6]), runs("theirs", [0.7], track="density")
+    known = {"theirs": [*of_slam, *of_density, *runs("theirs", [0.8], split="slam-val")], "counter": of_density}
+    given = labelled_results([str(tmp_path / "mine.json"), "theirs"], known.get)
+    assert given[1:] == of_slam
+    assert labelled_results(["theirs"], known.get) == known["theirs"]
+    assert labelled_results([str(tmp_path / "mine.json"), "counter"], known.get)[1:] == of_density
+
+
+def test_boards_of_two_tracks_are_told_apart_by_their_evaluators_alone():
+    found = boards([*runs("a", [0.9]), *runs("a", [0.8], track="density", evaluator_version="density 2", settings={})])
+    assert [board.name for board in found] == ["slam-mini (slam 1)", "slam-mini (density 2)"]

@@ -7,6 +7,7 @@ import pytest
 from oysterbench.report.html import html_report
 from oysterbench.report.making import scored_when
 from oysterbench.report.sequences import SlamRun
+from oysterbench.report.tables import results_table
 from oysterbench.results.comparison import boards
 from oysterbench.results.machines import machines_note
 from oysterbench.results.records import ResultRecord
@@ -60,3 +61,12 @@ def test_each_method_of_a_report_has_its_own_date(days, told):
     records = [result(m, BIG, f"2026-11-{day}", s) for (m, s), day in zip(names, days, strict=True)]
     assert scored_when(records) == told
     assert told in html_report([SlamRun(record) for record in records], "x")
+
+
+def test_no_speed_is_the_best_of_several_machines():
+    def kinds(slow_on):
+        rows = results_table([result("fast", BIG), result("slow", slow_on, realtime_factor=0.5)]).rows
+        return {cell.kind for row in rows for cell in row.cells}
+
+    assert kinds(BIG) == {"", "best"}
+    assert kinds(SMALL) == {""}

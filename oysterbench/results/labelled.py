@@ -1,0 +1,51 @@
+"""Results that a user names: files, folders with a results.json, and what a leaderboard knows by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from oysterbench.core.errors import ResultError
+from oysterbench.results.records import ResultRecord, comparable_key, method_key, read_results
+
+Finder = Callable[[str], "list[ResultRecord] | None"]
+"""Returns the records for a name that is not a file; None if it knows no such name."""
+
+
+def labelled_results(names: Iterable[str], find: Finder | None = None) -> list[ResultRecord]:
+    """Read the records of files, or of folders that hold results.json, each given as PATH or LABEL=PATH, or of
+    anything else that `find` knows by name.
+
+    A label replaces the method's name, or is prepended to it if the file holds several methods. Of what `find` knows,
+    only records of the tracks and splits of the files are returned, if there are any. Raises ResultError where two
+    different records claim to be the same run of one method.
+    """
+    sources: dict[tuple[str, ...], tuple[str, ResultRecord]] = {}
+    given: list[tuple[str, Path, bool, list[ResultRecord]]] = []
+    for name in names:
+        label, _, rest = name.rpartition("=")
+        if label and Path(name).exists():  # the file name itself contains "="
+            label, rest = "", name
+        path = Path(rest)
+        known = find(rest) if find is not None and not path.exists() else None
+        found = read_results(path / "results.json" if path.is_dir() else path) if known is None else known
+        if not found:
+            raise ResultError(f"{path}: holds no result; expected what `oysterbench eval` writes")
+        given.append((label, path, known is None, found))
+    own = {(record.track, record.split) for _, _, is_file, found in given if is_file for record in found}
+    for label, path, is_file, found in given:
+        if not is_file:
+            found = [record for record in found if (record.track, record.split) in own] or found
+        methods = {record.method for record in found}
+        for record in found:
+            if label:
+                record = replace(record, method=label if len(methods) == 1 else f"{label} {record.method}")
+            key = (*comparable_key(record), *method_key(record), record.sequence, str(record.run))
+            other = sources.setdefault(key, (str(path), record))
+            if replace(other[1], created=record.created, hardware=record.hardware) != record:
+                raise ResultError(
+                    f"{other[0]} and {path}: both hold run {record.run} of {record.method} on {record.sequence}, with "
+                    f"different numbers; tell them apart by labels, e.g. `oysterbench compare A={other[0]} B={path}`"
+                )
+    return [record for _, record in sources.values()]
