@@ -22,12 +22,14 @@ OF_COUNTS = ("count_bias", "count_mae")
 @dataclass(frozen=True)
 class Accuracy:
     """Accuracy of counts. labelled, counted: oysters over all labelled images; where: names of their splits or
-    sequences; other_weights: whether they were counted with other weights than those here."""
+    sequences; other_weights: whether they were counted with other weights than those here; threshold: minimum score of
+    what was counted, None if unknown. Oysters of every size were counted."""
 
     labelled: float
     counted: float
     where: str
     other_weights: bool = False
+    threshold: float | None = None
 
     @property
     def percent(self) -> float:
@@ -52,7 +54,7 @@ def read_accuracy(path: Path, method: str, weights: Mapping[str, str] | None = N
     places = dict.fromkeys(one.split or one.sequence for one in own)
     labelled, counted = (math.fsum(one.metrics[key] for one in own) for key in (TRUTH, ESTIMATE))
     other = any(weights_in(one) != dict(weights) for one in own if weights_in(one)) if weights else False
-    return Accuracy(labelled, counted, ", ".join(places), other)
+    return Accuracy(labelled, counted, ", ".join(places), other, own[0].settings.get("threshold"))
 
 
 def figures_of_counts(weights: Mapping[str, Path], method: str) -> list[Figure]:

@@ -78,6 +78,11 @@ class Survey:
         return any(one.parts for one in self.pictures)
 
     @property
+    def tells_state(self) -> bool:
+        """Whether the method tells live from dead for any oyster."""
+        return any(one.live or one.dead for one in self.pictures)
+
+    @property
     def area_m2(self) -> float:
         """Area of the counted regions over all images, m^2; 0 without a scale."""
         return math.fsum(one.area_m2 or 0.0 for one in self.pictures)
@@ -115,8 +120,8 @@ class Survey:
                 "counted_as": PARTS if self.parts else "separate oysters",
                 "at_least": self.at_least or None,
                 "too_small": self.small,
-                "live": sum(one.live for one in self.pictures),
-                "dead": sum(one.dead for one in self.pictures),
+                "live": sum(one.live for one in self.pictures) if self.tells_state else None,
+                "dead": sum(one.dead for one in self.pictures) if self.tells_state else None,
                 "area_m2": self.area_m2 or None,
                 "measures": measures,
                 "resampled": self.block,

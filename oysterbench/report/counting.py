@@ -72,7 +72,7 @@ def _files(with_coco: bool) -> list[str]:
 
 def picture_rows(found: Survey) -> Iterator[dict[str, Any]]:
     """One row per image or frame, then one for each that could not be counted."""
-    told = any(one.live or one.dead for one in found.pictures)
+    told = found.tells_state
     for one in found.pictures:
         yield {
             "picture": one.name,

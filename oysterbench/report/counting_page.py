@@ -73,7 +73,7 @@ def counting_page(
         "films": [_film(found, store, name, path) for name, path in films.items()],
         "colours": _colours(found),
         "scale": _scale(settings),
-        "accuracy": _accuracy(found),
+        "accuracy": _accuracy(found, settings.get("threshold")),
         "figures": [f"{one.heading.lower()} on {one.split} {reached(one)} per image" for one in found.figures],
         "settings": settings,
         "coco": coco,
@@ -187,8 +187,8 @@ def _film(found: Survey, store: Store, name: str, path: Path) -> dict[str, str]:
 
 def _colours(found: Survey) -> list[tuple[str, str]]:
     """Legend: colours of the outlines, with their meaning."""
-    told = any(one.live or one.dead for one in found.pictures)
-    kinds = {"live": "live", "dead": "dead", "unknown": "not told"} if told else {"unknown": "oyster"}
+    states = {"live": "live", "dead": "dead", "unknown": "not told"}
+    kinds = states if found.tells_state else {"unknown": "oyster"}
     reasons = ["its centre is outside"] * any(one.area_m2 is not None for one in found.pictures)
     reasons += ["it is too small"] * bool(found.small)
     if reasons:
@@ -201,16 +201,21 @@ def _scale(settings: Mapping[str, Any]) -> str:
     return SCALES[scale["kind"]].format(**scale) if scale else ""
 
 
-def _accuracy(found: Survey) -> str:
-    """Counting error of the method on labelled images, in words; empty if it is not known."""
+def _accuracy(found: Survey, threshold: float | None) -> str:
+    """Counting error of the method on labelled images, in words, and how that count differs from the page's; empty if
+    it is not known. threshold: minimum score on the page."""
     one = found.accuracy
     if one is None or math.isnan(one.percent):
         return ""
     direction = "too many" if one.percent > 0 else "too few"
+    differing = [f"what is smaller than {found.at_least}, too"] if found.at_least else []
+    if one.threshold not in (None, threshold):
+        differing.append(f"from a score of {one.threshold:g}, not {threshold:g}")
+    unlike = f" Unlike this page, that check counts {', and '.join(differing)}." if differing else ""
     return (
         f"On labelled images ({one.where}), {found.method} counted {one.counted:.0f} oysters where "
         f"{one.labelled:.0f} are labelled: {abs(one.percent):.0f} % {direction}"
-        f"{', but with different weights' if one.other_weights else ''}."
+        f"{', but with different weights' if one.other_weights else ''}.{unlike}"
     )
 
 

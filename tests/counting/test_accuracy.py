@@ -25,6 +25,8 @@ def test_counts_of_all_sequences_are_added_up(tmp_path):
     assert (found.labelled, found.counted, found.where) == (100, 85, "mine, more")
     assert found.percent == pytest.approx(-15)
     assert read_accuracy(tmp_path / "results.json", "m") == found
+    write_results(tmp_path / "results.json", [record(settings={"threshold": 0.25})])
+    assert (found.threshold, read_accuracy(tmp_path, "m").threshold) == (None, 0.25)
 
 
 def test_results_with_other_weights_are_told_apart(tmp_path):

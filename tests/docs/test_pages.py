@@ -26,9 +26,9 @@ MOST_COMMANDS = 6
 
 def lines_of_commands(text):
     """Lines of blocks of code that begin with a command of ours, without prompts, comments and redirections."""
-    for block in re.findall(r"^```(?:bash|text)?\n(.*?)^```", text, re.M | re.S):
+    for language, block in re.findall(r"^```(\w*)[^\n]*\n(.*?)^```", text, re.M | re.S):
         for line in block.replace("\\\n", " ").splitlines():
-            if line.startswith("oysterbench "):
+            if line.startswith("oysterbench ") and language in ("", "bash", "text"):
                 yield line
 
 

@@ -13,6 +13,7 @@ from msgspec.structs import replace
 
 from oysterbench.annotations.coco import coco_set
 from oysterbench.counting.accuracy import Accuracy
+from oysterbench.counting.least import EVERY_SIZE, Least
 from oysterbench.counting.per_picture import plain
 from oysterbench.counting.reading import Sampling
 from oysterbench.counting.run import Counting, Settings
@@ -45,7 +46,8 @@ def counts(folder, out, method=None, accuracy=None, figures=(), **settings):
     counted = Counting(
         find_sources([folder]).sources, method, {"method": method.name}, store, Settings(**settings)
     ).run()
-    found = survey("in", method.name, counted.pictures, counted.failures, accuracy=accuracy, figures=figures)
+    further = {"accuracy": accuracy, "figures": figures, "least": settings.get("least", EVERY_SIZE)}
+    found = survey("in", method.name, counted.pictures, counted.failures, **further)
     said = {"threshold": 0.5, "scale": {"kind": "plain", "mm_per_px": 2.0} if "scale" in settings else None}
     making = Making("oysterbench segment in", {"method": method.name, "versions": {}, "files": {}}, said)
     write_counts(found, counted, store, making, with_coco=True)
@@ -154,6 +156,24 @@ def test_the_page_says_how_far_counts_are_off_where_that_was_measured(folder, tm
         in said
     )
     assert "how to measure it" not in said
+
+
+def test_the_page_says_how_the_check_counted_otherwise(folder, tmp_path):
+    counts(folder, tmp_path, accuracy=Accuracy(200.0, 230.0, "mine", threshold=0.5), least=Least(area_px=49.0))
+    told = "15 % too many. Unlike this page, that check counts what is smaller than 49 px, too."
+    assert told in words(tmp_path / "index.html")
+    counts(folder, tmp_path, accuracy=Accuracy(200.0, 230.0, "mine", threshold=0.25))
+    assert "that check counts from a score of 0.25, not 0.5." in words(tmp_path / "index.html")
+    counts(folder, tmp_path, accuracy=Accuracy(200.0, 230.0, "mine", threshold=0.5))
+    assert "Unlike this page" not in words(tmp_path / "index.html")
+
+
+def test_the_summary_leaves_open_what_a_method_cannot_tell(folder, tmp_path):
+    counts(folder, tmp_path / "told")
+    assert json.loads((tmp_path / "told" / "summary.json").read_text())["dead"] > 0
+    counts(folder, tmp_path / "boxed", Boxed())
+    summary = json.loads((tmp_path / "boxed" / "summary.json").read_text())
+    assert (summary["live"], summary["dead"]) == (None, None)
 
 
 def test_the_page_says_what_the_card_of_the_weights_says(folder, tmp_path):
