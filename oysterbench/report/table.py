@@ -9,8 +9,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, TypeAlias
 
@@ -23,6 +23,9 @@ ASTRAY = 10_000
 """Numbers from which on decimals are meaningless: most are errors of diverged estimates."""
 
 MINUS = "\N{MINUS SIGN}"
+
+MOST_MORE = 6
+"""Maximum number of decimals added to show that an interval excludes zero."""
 
 Direction: TypeAlias = Literal["lower", "higher", ""]
 
@@ -137,6 +140,19 @@ class Column:
             digits += any(0 < abs(number * self.factor) < self.small for number in map(number_of, values) if number)
         return [self._text(value, digits) for value in values]
 
+    def resolving(self, intervals: Iterable[Interval]) -> Column:
+        """The same column with as many decimals as show which of these intervals exclude zero.
+
+        >>> Column("difference", kind="interval", digits=2).resolving([Interval(0.0004, 0.07)]).digits
+        4
+        """
+        if self.digits is None:
+            return self
+        excluding = [one for one in intervals if one.known and one.low * one.high > 0]
+        ends = [self.factor * min(abs(one.low), abs(one.high)) for one in excluding]
+        needed = [math.ceil(-math.log10(2 * end)) for end in ends]
+        return replace(self, digits=min(max([self.digits, *needed]), self.digits + MOST_MORE))
+
     def text(self, value: Value) -> str:
         """One value as shown."""
         return self.texts([value])[0]
@@ -157,6 +173,8 @@ class Column:
             shown = math.floor(shown * 10**digits + 1e-9) / 10**digits
         if digits is not None and abs(shown) >= ASTRAY:
             digits = 0
+        if digits is not None and round(shown, digits) == 0:
+            shown, sign = abs(shown), ""
         text = f"{shown:{sign}}" if digits is None else f"{shown:{sign}.{digits}f}"
         return text.replace("-", MINUS)
 

@@ -228,6 +228,7 @@ def pairs_table(board: Board) -> Table:
     """Table of whether, where and by how much a is better than b; pairs with too few sequences to tell are only
     counted."""
     difference = difference_column(metric_column(board.metric))
+    difference = difference.resolving(pair.comparison.interval for pair in board.pairs)
     rows, untold = [], 0
     for pair in board.pairs:
         found = pair.comparison

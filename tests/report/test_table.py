@@ -248,3 +248,16 @@ def test_an_interval_may_stand_below_its_number_where_a_page_is_narrow():
     html = html_table(TABLE)
     assert '2.00 <span class="around">[1.00 to 3.00]</span>' in html
     assert html.count("around") == 1, "0.5 has no interval"
+
+
+def test_a_rounded_zero_has_no_sign():
+    column = Column("difference", kind="number", digits=1, signed=True)
+    assert column.texts([-0.04, 0.0, 0.04, -0.06]) == ["0.0", "0.0", "0.0", "\N{MINUS SIGN}0.1"]
+
+
+def test_an_interval_is_shown_with_the_decimals_that_tell_it_from_zero():
+    column = Column("difference", kind="interval", digits=1, factor=100.0, signed=True)
+    near, across = Interval(-0.004, -0.0002), Interval(-0.0002, 0.004)
+    assert column.resolving([near, across]).text(near) == "\N{MINUS SIGN}0.40 to \N{MINUS SIGN}0.02"
+    assert column.resolving([across, Interval(math.nan, math.nan, "too few")]) == column
+    assert column.resolving([Interval(1e-30, 1.0)]).digits == 7

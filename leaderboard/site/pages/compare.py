@@ -57,8 +57,8 @@ def compare_page(site: Site, a: str, b: str) -> Page:
     pairs = board.compare(sides[0].label, sides[1].label)
     of_a, of_b = (board.runs_of(side.label) for side in sides)
     metric = metric_column(info.metric)
-    signed = numbers.difference_column(info.metric)
     whole = next(pair.comparison for pair in pairs if not pair.condition)
+    signed = numbers.difference_column(info.metric).resolving([whole.interval])
     tables = (
         _sequences(board, info, sides),
         _metrics(board, sides),
@@ -169,7 +169,8 @@ def verdict(sides: Sequence[Side], whole: Comparison, metric: str) -> str:
 
 def _compared_cells(key: str, comparison: Comparison) -> tuple[Cell, ...]:
     """Cells of a comparison: difference of the means, interval, won / tied / lost, verdict."""
-    known, signed = comparison.interval.known, numbers.difference_column(key)
+    known = comparison.interval.known
+    signed = numbers.difference_column(key).resolving([comparison.interval])
     kind = {"better": "best", "worse": "warn"}.get(comparison.verdict, "") if known else ""
     return (
         Cell(numbers.finite(comparison.difference), signed.text(comparison.difference)),

@@ -125,8 +125,9 @@ def _pairs(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:
                 continue
             found = board.runs_of(a.label).compare(board.runs_of(b.label), board.metric, board.sequences)
             verdict = found.verdict if found.interval.known else "too few to tell"
-            text = difference.text(numbers.finite(found.difference))
-            about = f"{a.label} minus {b.label}; 95 %: {difference.text(found.interval)}"
+            signed = difference.resolving([found.interval])
+            text = signed.text(numbers.finite(found.difference))
+            about = f"{a.label} minus {b.label}; 95 %: {signed.text(found.interval)}"
             small = verdict if verdict in KINDS or not found.interval.known else "no difference shown"
             cells.append(Cell(found.difference, text, KINDS.get(verdict, "soft"), about, small))
         lines.append(TableRow(tuple(cells)))
