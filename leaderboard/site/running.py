@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -25,9 +25,9 @@ LOOK_S = 2.0
 LOG = logging.getLogger("uvicorn.error")
 
 
-def site_of(index: BoardIndex, form: str = "") -> Site:
-    """Site of an index: everything that pages are made from. form: path of the submission form."""
-    return Site(index, literature(), form)
+def site_of(index: BoardIndex, form: str = "", accepted: Sequence[Mapping[str, Any]] = ()) -> Site:
+    """Site of an index: everything that pages are made from. form, accepted: see `Site`."""
+    return Site(index, literature(), form, accepted)
 
 
 class Watch:
@@ -91,7 +91,8 @@ def whole(
             from oysterbench_leaderboard.submissions.metrics import serve_metrics
 
             closing.append(serve_metrics(service, metrics))
-    app = application(site_of(index, taken.form if taken else ""), taken.routes() if taken else (), root)
+    site = site_of(index, taken.form, taken.service.catalogue.public()) if taken else site_of(index)
+    app = application(site, taken.routes() if taken else (), root)
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:

@@ -21,11 +21,13 @@ Known = TypeVar("Known")
 @dataclass
 class Site:
     """Everything that pages are made from. index: of the records; literature: numbers reported by others; form: path of
-    the submission form, empty where this site accepts no submissions."""
+    the submission form, empty where this site accepts no submissions; accepted: splits to which it accepts them, as in
+    `Catalogue.public`."""
 
     index: BoardIndex
     literature: Sequence[Literature] = ()
     form: str = ""
+    accepted: Sequence[Mapping[str, Any]] = ()
     _known: dict[str, tuple[str, Any]] = field(default_factory=dict, repr=False)
     _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
 

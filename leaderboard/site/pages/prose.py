@@ -28,6 +28,13 @@ FORMS = {
 """Track of a board -> what to send."""
 
 
+RESULTS = "a results.json of oysterbench run, marked as reported: the truth is not on this server"
+"""What to send where estimates cannot be scored."""
+
+COMPARED = ("-val", "-test")
+"""Ends of the names of splits on which methods are compared, listed where no submissions are accepted."""
+
+
 def submit_page(site: Site) -> Page:
     """Page on what can be submitted, and how."""
     columns = (
@@ -36,26 +43,29 @@ def submit_page(site: Site) -> Page:
         Column("truth", "Truth"),
         Column("send", "What is sent"),
     )
-    lines = []
-    for name, found in sorted(datasets.known().items(), key=lambda item: (not item[1].hidden, item[0])):
-        for track in TRACKS_OF.get(found.track, ()):
-            if name.endswith(("-val", "-test")):
-                lines.append(
-                    TableRow(
-                        (
-                            Cell(track, numbers.track_name(track)),
-                            Cell(name, path=data_path(name)),
-                            Cell("hidden" if found.hidden else "public"),
-                            Cell(FORMS[track], kind="wrap"),
-                        )
-                    )
-                )
+    known = datasets.known()
+    splits = site.accepted or [
+        {"split": name, "tracks": TRACKS_OF[of.track], "hidden": of.hidden, "takes": ["estimates"]}
+        for name, of in known.items()
+        if of.track in TRACKS_OF and name.endswith(COMPARED)
+    ]
+    lines = [
+        TableRow(
+            (
+                Cell(track, numbers.track_name(track)),
+                Cell(split["split"], path=data_path(split["split"]) if split["split"] in known else ""),
+                Cell("hidden" if split["hidden"] else "public"),
+                Cell(FORMS[track] if "estimates" in split["takes"] else RESULTS, kind="wrap"),
+            )
+        )
+        for split in sorted(splits, key=lambda split: (not split["hidden"], split["split"]))
+        for track in split["tracks"]
+    ]
     notes = tuple(
         f"{numbers.track_name(track)} cannot be sent: {reason.replace('`', '')}." for track, reason in ELSEWHERE.items()
     )
-    table = Table("Conditions for comparison", columns, tuple(lines), notes, "submit")
-    splits = json_rows(table)
-    data = plain({"form": site.form or None, "splits": splits, "elsewhere": ELSEWHERE})
+    table = Table("What can be sent", columns, tuple(lines), notes, "submit")
+    data = plain({"form": site.form or None, "splits": json_rows(table), "elsewhere": ELSEWHERE})
     context = {"form": site.form, "tiers": TIERS}
     return Page("/submit", "How to submit", "submit.html", context, (table,), data)
 
