@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class SplitRow:
     """A version of a split. size_bytes: size of its complete files that are here; full_bytes: its total size, None if
-    neither a manifest nor a complete set of files tells; duration_s: None if only the hub knows the split."""
+    neither a manifest nor a complete set of files tells; duration_s: None if only the hub knows the split; hub_bytes:
+    size on the hub, None if it was not asked or does not have it."""
 
     name: str
     version: str
@@ -35,6 +36,7 @@ class SplitRow:
     hidden: bool
     folder: str | None
     summary: str
+    hub_bytes: int | None = None
 
     @property
     def state(self) -> str:
@@ -89,11 +91,11 @@ def splits(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | 
         return
     from oysterbench.cli.outputs import print_table
 
-    print_table(splits_table(rows))
+    print_table(splits_table(rows, bool(ask_hub or places)))
 
 
-def splits_table(rows: Iterable[SplitRow]) -> Table:
-    """Table with a row for each split."""
+def splits_table(rows: Iterable[SplitRow], with_hub: bool = False) -> Table:
+    """Table with a row for each split; with_hub: whether a hub was asked."""
     from oysterbench.report.table import Column, Table, TableRow
 
     columns = (
@@ -102,11 +104,14 @@ def splits_table(rows: Iterable[SplitRow]) -> Table:
         Column("sequences", "sequences", kind="number", wide=True),
         Column("duration_s", "seconds", kind="number", wide=True),
         Column("here", "here"),
+        *((Column("hub", "hub"),) if with_hub else ()),
         Column("summary", "what"),
     )
-    cells = (
-        (f"{row.name} {row.version}", row.track, row.sequences, row.duration_s, row.state, row.summary) for row in rows
-    )
+    cells = []
+    for row in rows:
+        of_hub = ("no" if row.hub_bytes is None else f"{row.hub_bytes / 1e6:.0f} MB",) if with_hub else ()
+        head = (f"{row.name} {row.version}", row.track, row.sequences, row.duration_s, row.state)
+        cells.append((*head, *of_hub, row.summary))
     return Table("", columns, tuple(map(TableRow, cells)))
 
 
@@ -191,7 +196,8 @@ def _with_hub(rows: list[SplitRow], places: tuple[str, ...], key: str | None) ->
     releases = {(name, version): release for name, known in index.splits.items() for version, release in known.items()}
     for row in rows:
         release = releases.pop((row.name, row.version), None)
-        yield replace(row, full_bytes=release.size) if release and row.full_bytes is None else row
+        size = release.size if release else None
+        yield replace(row, full_bytes=size if row.full_bytes is None else row.full_bytes, hub_bytes=size)
     for (name, version), release in releases.items():
         yield SplitRow(
             name=name,
@@ -206,6 +212,7 @@ def _with_hub(rows: list[SplitRow], places: tuple[str, ...], key: str | None) ->
             hidden=release.hidden,
             folder=None,
             summary=release.summary,
+            hub_bytes=release.size,
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
+from markupsafe import Markup
 
 from oysterbench.core.html import render
 from oysterbench.hub.index import Index
@@ -13,6 +14,12 @@ from oysterbench.sequence import open_sequence
 PICTURES = 3
 WIDTH = 640  # px
 QUALITY = 85
+
+SCRIPT = """if (location.protocol.startsWith("http"))
+  document.getElementById("address").textContent =
+    (location.origin + location.pathname.replace(/[^/]*$/, "")).replaceAll("'", "%27");"""
+"""Script of the page: puts its own address into the command. Servers allow it by its hash; without it, the command
+holds a placeholder."""
 
 
 def pictures_of(files: list[Path]) -> list[bytes]:
@@ -50,6 +57,7 @@ def index_page(index: Index, public: str) -> str:
         "total": human(sum(release.size for release in releases)),
         "human": human,
         "key": public,
+        "script": Markup(SCRIPT),
     }
     return render("hub.html", context, "oysterbench.hub")
 

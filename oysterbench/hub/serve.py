@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import os
 import re
 import stat
@@ -21,6 +23,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from oysterbench.core.errors import HubError
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.connections import LARGEST_HEADERS, MOST_HEADERS, address, listen, run
+from oysterbench.hub.pages import SCRIPT
 from oysterbench.version import VERSION
 
 FOREVER = "public, max-age=31536000, immutable"
@@ -38,7 +41,11 @@ KINDS = {
 """Folder -> suffix and media type of its files."""
 
 HEADERS = {"Accept-Ranges": "bytes", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
-PAGE_HEADERS = {"Content-Security-Policy": "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'"}
+SCRIPT_HASH = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
+PAGE_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'; "
+    f"script-src 'sha256-{SCRIPT_HASH}'"
+}
 
 ONE_RANGE = re.compile(rb"bytes=[ \t]*(?:(\d{1,19})-(\d{0,19})|-\d{1,19})[ \t]*", re.IGNORECASE)
 

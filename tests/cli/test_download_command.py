@@ -165,6 +165,9 @@ def test_splits_tells_what_is_here_and_what_the_hub_has(place, tmp_path, monkeyp
     assert ("tiny", "1.0") not in rows()
     row = rows(*hub)["tiny", "1.0"]
     assert (row["complete"], row["size_bytes"], row["full_bytes"]) == (False, 0, len(place.whole))
+    assert row["hub_bytes"] == len(place.whole)
+    heads = [place.run("splits", *words, home=tmp_path).stdout.split("what")[0].split() for words in ((), hub)]
+    assert [head[-1] for head in heads] == ["here", "hub"]
     place.run("download", "tiny", *hub, home=tmp_path)
     for arguments in ((), hub):
         row = rows(*arguments)["tiny", "1.0"]

@@ -17,6 +17,7 @@ import pytest
 from oysterbench.core.errors import HubError
 from oysterbench.hub import connections
 from oysterbench.hub.connections import CLIENTS_OF_ADDRESS, LARGEST_HEADERS
+from tests.helpers.browser import CHROMIUM
 from tests.helpers.command import run
 from tests.helpers.trees import a_key, oysterbench_serve, publish_split, write_split
 from tests.helpers.waiting import until
@@ -170,6 +171,17 @@ def test_a_script_on_another_site_may_read_ranges(site, blob):
     )
     assert status == 200
     assert "range" in headers["Access-Control-Allow-Headers"].lower()
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
+def test_the_command_on_the_page_has_its_own_address(site, browser):
+    url, tree, _ = site
+    command = "[...document.querySelectorAll('pre')].pop().innerText.split('\\n')[0]"
+    for page in (f"{url}/", f"{url}/index.html"):
+        browser.go(page)
+        assert browser.value(command) == f"export OYSTERBENCH_HUB='{url}/'"
+    browser.go((tree / "index.html").as_uri())
+    assert browser.value(command) == "export OYSTERBENCH_HUB='ADDRESS OF THIS PAGE'"
 
 
 def test_page_index_and_health(site):
