@@ -26,6 +26,9 @@ MOST_ANSWER = 64_000_000
 WAIT_S = (1.0, 10.0)
 """Pause between two requests for a submission that is not scored yet: the first, and the longest."""
 
+STARTING_S, STARTING_PAUSE_S = 60.0, 0.5
+"""Time for which a server that refuses connections may be starting, and the pause between two attempts."""
+
 CHECKED_S = 300.0
 """Time within which a server answers."""
 
@@ -47,10 +50,22 @@ class Refused(HubError):
         self.kind = kind
 
 
-class Client:
-    """Client of one server, with the token of a team."""
+class NobodyThereError(NetworkError):
+    """Nothing answers at the address."""
 
-    def __init__(self, url: str, token: str = "", patience: Patience | None = None) -> None:
+
+class Client:
+    """Client of one server, with the token of a team. starting_s: how long to wait for a server that is starting;
+    notify: called with a sentence for the user when it waits."""
+
+    def __init__(
+        self,
+        url: str,
+        token: str = "",
+        patience: Patience | None = None,
+        starting_s: float = STARTING_S,
+        notify: Callable[[str], None] = lambda text: None,
+    ) -> None:
         parts = urllib.parse.urlsplit(url)
         if parts.scheme not in ("http", "https") or not parts.hostname:
             meant = f"; did you mean http://{url}?" if HOST.fullmatch(url) else ""
@@ -58,6 +73,7 @@ class Client:
         self.url = url.rstrip("/")
         self.open = parts.scheme == "http" and parts.hostname not in ("localhost", "127.0.0.1", "::1")
         self._patience = patience or Patience()
+        self._starting_s, self._notify = starting_s, notify
         self._met = False  # once a server has answered, wait for it while it restarts
         # The server reads and checks an upload before it answers.
         self._pool = open_pool(self.url, 1, replace(self._patience, idle_s=CHECKED_S, window_s=CHECKED_S))
@@ -69,7 +85,7 @@ class Client:
         """Return the splits that the server accepts, and its limits. Raises Refused where it does not know the token,
         and HubError where it does not take submissions."""
         try:
-            found = self._ask("GET", "/api/submissions/splits")
+            found = self._when_started("GET", "/api/submissions/splits")
         except Refused as refused:
             if refused.kind not in STATUS:
                 raise HubError(f"{self.url}: {NO_BOARD} ({str(refused).rpartition('refused: ')[2]})") from None
@@ -108,6 +124,20 @@ class Client:
             time.sleep(pause)
             pause = min(1.5 * pause, WAIT_S[1])
 
+    def _when_started(self, method: str, path: str) -> dict[str, Any]:
+        """Ask a server that may have been started a moment ago."""
+        end, told = time.monotonic() + self._starting_s, False
+        while True:
+            try:
+                return self._ask(method, path)
+            except NobodyThereError:
+                if time.monotonic() >= end:
+                    raise
+            if not told:
+                self._notify(f"{self.url}: nothing answers yet; trying for {self._starting_s:.0f} s")
+                told = True
+            time.sleep(STARTING_PAUSE_S)
+
     def _ask(
         self,
         method: str,
@@ -133,7 +163,8 @@ class Client:
             except (urllib3.exceptions.HTTPError, OSError) as error:
                 cause = getattr(error, "reason", error)
                 if isinstance(cause, urllib3.exceptions.NewConnectionError) and not self._met:
-                    raise NetworkError(
+                    kind = NobodyThereError if _is_refused(cause) else NetworkError
+                    raise kind(
                         f"{self.url}: nothing answers at this address: is it right, and is the leaderboard running?"
                     ) from None
                 failure = in_one_line(error)
@@ -167,6 +198,11 @@ class Client:
             answer = {"reason": f"status {response.status}, and no answer in JSON: {data[:60]!r}"}
         asked_s = retry_after_s(response.headers.get("Retry-After"))
         return response.status, answer if isinstance(answer, dict) else {}, asked_s
+
+
+def _is_refused(error: urllib3.exceptions.NewConnectionError) -> bool:
+    """Whether a machine is there on which nobody listens, and not, for example, an unknown name."""
+    return isinstance(error.__cause__ or error.__context__, ConnectionRefusedError)
 
 
 def _counted(file: IO[bytes], total: int, progress: Progress) -> Iterator[bytes]:

@@ -79,7 +79,7 @@ def command(
     from oysterbench_leaderboard.submissions.package import find_package, packed, split_in, wanted_of
     from oysterbench_leaderboard.submissions.words import Form
 
-    client = Client(url, _token(team_token_file))
+    client = Client(url, _token(team_token_file), notify=message)
     Form(method, split or "", track or "", about, summary).check()
     if client.open:
         message(f"{url}: without https, others can read the token and the upload")

@@ -276,10 +276,10 @@ class Server(ThreadingHTTPServer):
 
 
 @contextlib.contextmanager
-def serving(handler: type[Honest], files: dict[str, bytes], **settings: object) -> Iterator[Site]:
-    """A server on this machine while the block runs."""
+def serving(handler: type[Honest], files: dict[str, bytes], port: int = 0, **settings: object) -> Iterator[Site]:
+    """A server on this machine while the block runs. port: 0 for a free one."""
     site = Site(files)
-    server = Server(("127.0.0.1", 0), type("Handler", (handler,), {"site": site, **settings}))
+    server = Server(("127.0.0.1", port), type("Handler", (handler,), {"site": site, **settings}))
     site.url = f"http://127.0.0.1:{server.server_address[1]}"
     thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
     thread.start()

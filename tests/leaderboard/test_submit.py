@@ -6,6 +6,7 @@ import hashlib
 import http.client
 import json
 import re
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from urllib.parse import urlencode
@@ -20,6 +21,7 @@ from oysterbench.hub.sources import Patience
 from oysterbench_leaderboard.submissions.client import Client, Refused
 from tests.helpers.pool import NAMES, answers, estimate, image_names, steered, tum, zipped
 from tests.helpers.served import Site, lay, running
+from tests.helpers.waiting import until
 from tests.helpers.web import Honest, serving
 
 
@@ -242,7 +244,9 @@ def test_a_token_is_read_from_a_file_and_shown_nowhere(site, estimates, tmp_path
 def test_a_server_that_is_not_there_is_a_network_failure(tmp_path):
     quick = Patience(attempts=2, first_wait_s=0.01)
     with pytest.raises(NetworkError, match="nothing answers at this address"):
-        Client("http://127.0.0.1:9", "x", quick).splits()
+        Client("http://127.0.0.1:9", "x", quick, starting_s=0).splits()
+    with pytest.raises(NetworkError, match="nothing answers at this address"):
+        Client("http://no-such-board.invalid", "x", quick).splits()  # at once: it is not starting
     with pytest.raises(HubError, match="expected the address of a leaderboard"):
         Client("board.example")
 
@@ -268,6 +272,20 @@ def test_a_server_that_has_answered_is_waited_for(site):
     client.url = "http://127.0.0.1:9"
     with pytest.raises(NetworkError, match="no answer after 2 attempts"):
         client.splits()
+
+
+def test_a_server_that_is_starting_is_waited_for():
+    told = []
+    found = {"api/submissions/splits": b'{"splits": [], "limits": {}}'}
+    with serving(Honest, found) as there:
+        port = int(there.url.rsplit(":", 1)[1])
+    client = Client(f"http://127.0.0.1:{port}", "x", Patience(attempts=1), notify=told.append)
+    with ThreadPoolExecutor() as pool:
+        asked = pool.submit(client.splits)
+        until(lambda: bool(told))
+        with serving(Honest, found, port):
+            assert asked.result(30) == {"splits": [], "limits": {}}
+    assert told == [f"http://127.0.0.1:{port}: nothing answers yet; trying for 60 s"]
 
 
 def test_nothing_is_asked_of_a_server_where_there_is_nothing_to_send(tmp_path, monkeypatch):
