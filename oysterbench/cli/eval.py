@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from oysterbench.cli.evaluate import FOLDER, click_option, evaluate, finish, foreign_options, given_options
+from oysterbench.cli.evaluate import FOLDER, check_settings, click_option, evaluate, finish, foreign_options, given_options
 from oysterbench.cli.outputs import Outputs, output_options
 
 if TYPE_CHECKING:
@@ -144,6 +144,7 @@ def _evaluate(
     **values: Any,
 ) -> None:
     options = given_options(track.options, values)
+    check_settings(track, options)
     reading = [option.name for option in track.options if option.files and option.key in options]
     if (truth is None) != (estimate is None):
         raise click.UsageError("--truth and --estimate belong together: expected both or none")

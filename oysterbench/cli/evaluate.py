@@ -13,7 +13,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.outputs import Outputs, print_table
-from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.core.errors import OptionError, OysterbenchError, ResultError
 
 if TYPE_CHECKING:
     from oysterbench.results.records import ResultRecord
@@ -61,6 +61,17 @@ def given_options(options: Iterable[Option], values: dict[str, Any]) -> dict[str
     """Remove track options from a command's arguments. Returns those that were given, key -> value."""
     found = {option.key: values.pop(argument(option), None) for option in options}
     return {key: value for key, value in found.items() if value not in (None, ())}
+
+
+def check_settings(track: Track, options: dict[str, Any]) -> None:
+    """Refuse options that the evaluator's settings do not allow, by their names. Raises OptionError."""
+    try:
+        track.settings(options)
+    except OysterbenchError as error:
+        text = str(error)
+        for option in track.options:
+            text = text.replace(f"evaluator setting {option.key!r}", option.name)
+        raise OptionError(text) from None
 
 
 def evaluate(track: Track, request: Request, outputs: Outputs) -> None:

@@ -23,6 +23,7 @@ from oysterbench.cli.interrupts import TERMINATED, Terminated, interruption
 from oysterbench.cli.learn import Installed, experiment, train, translate
 from oysterbench.cli.map import map_command
 from oysterbench.cli.models import COMMANDS as MODEL_COMMANDS
+from oysterbench.cli.numbers import Number
 from oysterbench.cli.outputs import print_rich
 from oysterbench.cli.publish import COMMANDS as PUBLISH_COMMANDS
 from oysterbench.cli.release import release
@@ -36,6 +37,9 @@ from oysterbench.cli.tune import tune_command
 from oysterbench.cli.view import view
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.version import VERSION
+
+STATES = ("live", "box", "left valve", "right valve")
+"""Copy of `scene.oyster.STATES`, which is slow to load for a page of help."""
 
 COMMANDS = Installed("oysterbench", "oysterbench.commands")
 
@@ -222,8 +226,8 @@ def gallery(real: Path | None, out: Path) -> None:
 
 @main.command(short_help="Export one oyster as a mesh.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the oyster.")
-@click.option("--size", "size_mm", type=float, help="Height of the shell in mm, 25 to 172.  [default: from the seed]")
-@click.option("--state", default="live", show_default=True, help="live, box, left valve or right valve.")
+@click.option("--size", "size_mm", type=Number(25, 172), help="Height of the shell in mm.  [default: from the seed]")
+@click.option("--state", type=click.Choice(STATES), default="live", show_default=True)
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default="oyster.glb", show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print its measurements as JSON.")
 def oyster(seed: int, size_mm: float | None, state: str, out: Path, as_json: bool) -> None:

@@ -10,14 +10,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.evaluate import click_option, given_options
 from oysterbench.cli.numbers import Number
-from oysterbench.core.errors import OysterbenchError
+from oysterbench.core.errors import OptionError, OysterbenchError
 
 if TYPE_CHECKING:
     from oysterbench.core.trajectory import ReadOptions, Trajectory
@@ -29,7 +29,12 @@ DEPTHS = ("stereo", "motion", "plane", "layer")
 KINDS = ("auto", "instances", "mask", "probability", "classes")
 """Copy of `annotations.masks.FORMS`, which is slow to load for a page of help."""
 TRUTH = "truth"
+SETTING_OPTIONS = {"far_m": "--far", "cell_m": "--cell", "voxel_m": "--voxel", "threshold": "--threshold"}
+"""Key of a setting -> option that sets it."""
 
+Made = TypeVar("Made")
+
+POSITIVE, SHARE = Number(min=0, min_open=True), Number(0, 1, min_open=True, max_open=True)
 
 CLOUD_OPTIONS = {"source": "--from", "voxel_m": "--voxel"}
 MAP_OPTIONS = {"depth": "--depth", "kind": "--masks-kind", "cell_m": "--cell", "threshold": "--threshold"}
@@ -44,7 +49,7 @@ class MapCommand(click.Command):
         from oysterbench.tracks.slam_options import READING
 
         return [
-            replace(option, help=option.help.replace("Estimate:", "Trajectory:"))
+            replace(option, help=option.help.replace("Estimate:", "Trajectory:").replace(" (of --truth)", ""))
             for option in READING
             if not option.name.startswith("--truth-") and option.name != "--times"
         ]
@@ -73,16 +78,16 @@ class MapCommand(click.Command):
 )
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="With --masks a folder, else a .ply file.")
 @click.option("--camera", "cameras", multiple=True, metavar="NAME", help="Camera to use.  [default: the first]")
-@click.option("--far", "far_m", type=Number(), help="Maximum range, in m.  [default: map 2.5, cloud 6]")
+@click.option("--far", "far_m", type=POSITIVE, help="Maximum range, in m.  [default: map 2.5, cloud 6]")
 @click.option("--depth", type=click.Choice(DEPTHS), help="Map: source of depths.  [default: stereo, or motion]")
 @click.option(
     "--masks-kind", "kind", type=click.Choice(KINDS), help="Map: meaning of the masks' values.  [default: auto]"
 )
-@click.option("--cell", "cell_m", type=Number(), help="Map: size of the grid cells, in m.  [default: 1]")
-@click.option("--threshold", type=Number(), help="Map: minimum score of an oyster.  [default: 0.5]")
+@click.option("--cell", "cell_m", type=POSITIVE, help="Map: size of the grid cells, in m.  [default: 1]")
+@click.option("--threshold", type=SHARE, help="Map: minimum score of an oyster.  [default: 0.5]")
 @click.option("--from", "source", type=click.Choice(SOURCES), help="Cloud: source of points.  [default: pictures]")
 @click.option(
-    "--voxel", "voxel_m", type=Number(), help="Cloud: voxel size, in m; one point per voxel.  [default: 0.01]"
+    "--voxel", "voxel_m", type=POSITIVE, help="Cloud: voxel size, in m; one point per voxel.  [default: 0.01]"
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 def map_command(
@@ -133,7 +138,7 @@ def map_command(
     from oysterbench.tracks.slam_options import read_options
 
     assert isinstance(map_command, MapCommand)
-    options = read_options(given_options(map_command.reading, given))[1]
+    options = read_options(given_options(map_command.reading, given), sequence)[1]
     apart, what = (MAP_OPTIONS, "a map: give --masks") if masks is None else (CLOUD_OPTIONS, "a cloud")
     if names := [option for key, option in apart.items() if given[key] is not None]:
         raise click.UsageError(
@@ -156,6 +161,15 @@ def map_command(
         )
         summary = facts.pop("summary")
     echo(json.dumps(facts, indent=2) if as_json else summary)
+
+
+def _settings(kind: Callable[..., Made], chosen: dict[str, Any]) -> Made:
+    """Make settings. Raises OptionError with the name of the option whose value is refused."""
+    try:
+        return kind(**chosen)
+    except OysterbenchError as error:
+        key, _, rest = str(error).partition(":")
+        raise OptionError(f"{SETTING_OPTIONS.get(key, key)}:{rest}") from None
 
 
 def _poses(opened: Sequence, trajectory: Path, options: ReadOptions) -> Trajectory:
@@ -191,11 +205,8 @@ def _cloud(
     opened = open_sequence(sequence)  # before the slow imports, to refuse it early
     from oysterbench.mapping import CloudSettings, build_cloud
 
-    settings = CloudSettings()
-    if voxel_m is not None:
-        settings = replace(settings, voxel_m=voxel_m)
-    if far_m is not None:
-        settings = replace(settings, far_m=far_m)
+    chosen = {"voxel_m": voxel_m, "far_m": far_m}
+    settings = _settings(CloudSettings, {key: value for key, value in chosen.items() if value is not None})
     poses = _poses(opened, trajectory, options)
     start = time.process_time()
     looks = max(len(cameras), 1)
@@ -249,6 +260,8 @@ def _oysters(
     from oysterbench.cli.progress import LATE_S, late_bars
     from oysterbench.sequence import open_sequence
 
+    if out.suffix.lower() == ".ply":
+        raise OysterbenchError(f"{out}: expected the name of a folder for a map, or no --masks for a cloud")
     if out.exists() and not out.is_dir():
         raise OysterbenchError(f"{out}: expected the name of a folder, got a file")
     opened = open_sequence(sequence)  # before the slow imports, to refuse it early
@@ -256,7 +269,7 @@ def _oysters(
     from oysterbench.report.density_figure import numbers
     from oysterbench.report.density_files import summary, write_map
 
-    settings = MapSettings(**chosen)
+    settings = _settings(MapSettings, chosen)
     poses = _poses(opened, trajectory, options)
     first = camera or next(iter(opened.cameras), None)
     if first is None or first not in opened.cameras:

@@ -12,7 +12,6 @@ class Number(click.FloatRange):
     """A finite number in a range; a range alone would let nan and inf pass."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        found = float(super().convert(value, param, ctx))
-        if not math.isfinite(found):
+        if not math.isfinite(click.FLOAT.convert(value, param, ctx)):
             self.fail(f"{value!r} is not a finite number", param, ctx)
-        return found
+        return float(super().convert(value, param, ctx))

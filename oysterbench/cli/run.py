@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from oysterbench.cli.evaluate import FOLDER, argument, click_option, evaluate, foreign_options, given_options
+from oysterbench.cli.evaluate import (
+    FOLDER,
+    argument,
+    check_settings,
+    click_option,
+    evaluate,
+    foreign_options,
+    given_options,
+)
 from oysterbench.cli.numbers import Number
 from oysterbench.cli.outputs import Outputs, output_options
 
@@ -168,6 +176,7 @@ def run_command(
     options = given_options(track.options, dict(values)) | ({"again": True} if again else {})
     given = {n for n, o in track_options().items() if values.get(argument(o)) not in (None, ())}
     foreign_options(name, {n: owners[n] for n in given if name not in owners[n]})
+    check_settings(track, options)
     split = None if split_name is None else load_split(split_name)
     if topics:
         topics = track.with_truth(topics)

@@ -117,6 +117,7 @@ class SlamTrack(Track):
       oysterbench eval slam --method dead_reckoning --json
       oysterbench eval slam --runs 5 --out five-runs
       oysterbench eval slam --truth truth.tum --estimate mine.tum --align se3 --associate nearest
+      oysterbench eval slam --truth dive.mcap --estimate mine.tum --poses-of cam_left
       oysterbench eval slam --truth truth.tum --estimate mine.tum --report mine.html --tex -"""
 
     def folder(self, kind: str, options: Mapping[str, Any]) -> str:
@@ -203,7 +204,7 @@ class SlamTrack(Track):
 
     def score_files(self, truth: Path, estimate: Path, options: Mapping[str, Any]) -> Evaluation:
         """Score one trajectory file against another; the options say what the files leave open."""
-        run = score_files(truth, estimate, self.settings(options), *read_options(options))
+        run = score_files(truth, estimate, self.settings(options), *read_options(options, truth))
         return self.show([run], (), None)
 
     def show(self, runs: Sequence[SlamRun], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:
@@ -299,7 +300,7 @@ def score_files(
 
 def _true_poses(place: Path, options: ReadOptions | None) -> Path | Trajectory:
     """Ground truth of an oysterbench sequence, if the file is one and no topic is requested; else the file itself."""
-    if place.suffix == ".mcap" and (options is None or options.topic is None):
+    if (place.suffix == ".mcap" or place.is_dir()) and (options is None or options.topic is None):
         with suppress(SequenceError):
             return open_sequence(place).truth()
     return place

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oysterbench.core.errors import OptionError
+from oysterbench.core.errors import OptionError, SequenceError
 from oysterbench.tracks.track import Option
 
 if TYPE_CHECKING:
@@ -88,20 +88,27 @@ READING = (
         files=True,
         metavar="NUMBERS|FILE",
     ),
+    Option(
+        "poses_of",
+        "--poses-of",
+        "Estimate: Frame of its poses in the sequence (of --truth): base, imu, camera, or a camera's name.",
+        files=True,
+        metavar="FRAME",
+    ),
     Option("sort", "--sort", "Estimate: Sort the poses by timestamp.", bool, files=True),
 )
 
 OPTIONS = (*SETTINGS, *READING)
 
 
-def read_options(given: Mapping[str, Any]) -> tuple[ReadOptions, ReadOptions]:
-    """Options for reading the ground truth, and those for reading the estimate."""
+def read_options(given: Mapping[str, Any], truth_file: Path) -> tuple[ReadOptions, ReadOptions]:
+    """Options for reading the ground truth, and those for reading the estimate. truth_file: the ground truth, which
+    has to be a sequence if the frame of the estimated poses is given by its name."""
     from oysterbench.core.trajectory import ReadOptions, read_times
 
     times = read_times(given["times"]) if "times" in given else None
     truth: dict[str, Any] = {key.replace("-", "_"): given.get(f"truth-{key}") for key in OF_BOTH}
     estimate: dict[str, Any] = {key.replace("-", "_"): given.get(key) for key in OF_BOTH}
-    place = given.get("T_body_estimate")
     return (
         ReadOptions(**truth, times=times),
         ReadOptions(
@@ -109,10 +116,30 @@ def read_options(given: Mapping[str, Any]) -> tuple[ReadOptions, ReadOptions]:
             times=times,
             direction=given.get("direction"),
             frame=given.get("frame"),
-            T_body_estimate=None if place is None else _matrix(place),
+            T_body_estimate=_place(given, truth_file),
             sort=given.get("sort", False),
         ),
     )
+
+
+def _place(given: Mapping[str, Any], truth_file: Path) -> Any:
+    """Transform (4, 4) that takes points of the estimate's frame into the body; None for the body's own frame."""
+    if "poses_of" not in given:
+        return _matrix(given["T_body_estimate"]) if "T_body_estimate" in given else None
+    for key, name in (("T_body_estimate", "--T-body-estimate"), ("frame", "--frame")):
+        if key in given:
+            raise OptionError(f"--poses-of, {name}: both set the frame of the poses: expected only one")
+    from oysterbench.methods.interfaces.slam import frame_pose
+    from oysterbench.sequence import open_sequence
+
+    try:
+        sequence = open_sequence(truth_file)
+    except SequenceError:
+        raise OptionError(
+            f"--poses-of {given['poses_of']}: expected a sequence with that frame (.mcap, or a folder in EuRoC layout), "
+            f"got {truth_file}; give that, or --T-body-estimate"
+        ) from None
+    return frame_pose(sequence, given["poses_of"], given.get("format") or "tum")
 
 
 def _matrix(text: str) -> Any:

@@ -12,8 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.cli.main import main
 from oysterbench.core.geometry import transform
-from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL, poses_of_body
+from oysterbench.core.trajectory import write_tum
+from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL, poses_of_body, poses_of_frame
+from oysterbench.core.trajectory.options import EXPECTED
+from oysterbench.sequence import open_sequence
 from tests.helpers.trajectory_files import dive, kitti, mcap, seconds, tum
+from tests.helpers.trees import write_sequence
 
 TRUTH = dive(100)
 
@@ -134,3 +138,42 @@ def test_a_file_to_score_is_given_once(option, tmp_path):
     done = CliRunner().invoke(main, ["eval", "slam", "--truth", "a", "--estimate", "b", option, "c"])
     assert done.exit_code == 2
     assert f"'{option}': expected one path, got 2: score them one by one" in done.output
+
+
+def test_the_frame_of_the_poses_is_named_as_in_the_sequence(tmp_path):
+    dive = write_sequence(tmp_path / "dive.mcap", "dive")
+    opened = open_sequence(dive)
+    places = {"cam_left": opened.cameras["cam_left"].T_base_cam, "imu": opened.imu_calibration.T_base_imu}
+
+    def call(truth, frame, *more):
+        words = ["eval", "slam", "--truth", str(truth), "--estimate", str(tmp_path / "mine.tum"), "--align", "none"]
+        result = CliRunner().invoke(main, [*words, "--poses-of", frame, *more])
+        return result.exit_code, result.stdout, result.stderr
+
+    for frame, place in places.items():
+        write_tum(tmp_path / "mine.tum", poses_of_frame(opened.truth(), place))
+        assert scored(call(dive, frame, "--json"))[0] < 1e-6
+    told = call(dive, "cam_x")[2]
+    assert "sequence dive has no such frame; expected base, imu, camera or one of its cameras: cam_left" in told
+    assert "--poses-of, --frame: both set the frame of the poses" in call(dive, "imu", "--frame", "optical")[2]
+    assert "--poses-of imu: expected a sequence with that frame" in call(tmp_path / "mine.tum", "imu")[2]
+
+
+def test_a_file_that_is_no_trajectory_is_called_what_it_is(run):
+    assert "estimate: it is JSON; expected a trajectory: TUM" in refused(run(b'{"results": []}'))
+    assert "estimate: it is HTML or XML; expected a trajectory" in refused(run(b"<!doctype html>\n"))
+
+
+def test_a_folder_in_euroc_layout_is_a_ground_truth_and_as_an_estimate_named_by_its_file(tmp_path):
+    dive, folder, mine = write_sequence(tmp_path / "dive.mcap", "dive"), tmp_path / "euroc", tmp_path / "mine.tum"
+    assert CliRunner().invoke(main, ["export", str(dive), "--format", "euroc", "--out", str(folder)]).exit_code == 0
+    write_tum(mine, open_sequence(folder).truth())
+
+    def call(truth, estimate):
+        words = ["eval", "slam", "--truth", str(truth), "--estimate", str(estimate), "--align", "none", "--json"]
+        return CliRunner().invoke(main, words)
+
+    done = call(folder, mine)
+    assert done.exit_code == 0, done.stderr
+    file = folder / "mav0" / "state_groundtruth_estimate0" / "data.csv"
+    assert call(mine, folder).stderr.strip().endswith(f"is a folder; {EXPECTED}; its poses are in {file}")

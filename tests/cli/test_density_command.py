@@ -6,8 +6,11 @@ import pytest
 from click.testing import CliRunner
 
 from oysterbench.annotations.masks import FORMS
-from oysterbench.cli.main import main
-from oysterbench.cli.map import KINDS
+from oysterbench.cli.main import STATES, main
+from oysterbench.cli.map import KINDS, _settings
+from oysterbench.core.errors import OptionError
+from oysterbench.mapping import MapSettings
+from oysterbench.scene.oyster import STATES as scene_states
 
 
 def error_of(*arguments: str) -> str:
@@ -30,6 +33,28 @@ def test_a_map_and_a_cloud_have_options_of_their_own(tmp_path):
 def test_a_length_is_a_finite_number(option, value):
     said = error_of("map", "x.mcap", "--trajectory", "p.tum", "--out", "m", option, value)
     assert f"'{option}': '{value}' is not a finite number" in said
+
+
+@pytest.mark.parametrize("option", ["--far", "--cell", "--voxel", "--threshold"])
+def test_what_a_map_refuses_is_told_by_the_name_of_its_option(option):
+    common = ("map", "x.mcap", "--trajectory", "p.tum", "--out", "m")
+    assert f"'{option}': -1.0 is not in the range" in error_of(*common, option, "-1").replace("-1 ", "-1.0 ")
+    with pytest.raises(OptionError, match=r"^--far: expected more than near_m"):
+        _settings(MapSettings, {"far_m": 0.01})
+    assert "<=None" not in CliRunner().invoke(main, ["map", "--help"]).output
+
+
+def test_a_map_is_a_folder_and_not_named_as_a_cloud(tmp_path):
+    out = tmp_path / "true.ply"
+    said = error_of("map", "x.mcap", "--trajectory", "p.tum", "--masks", "truth", "--out", str(out))
+    assert "true.ply: expected the name of a folder for a map, or no --masks for a cloud" in said
+    assert not out.exists()
+
+
+def test_an_oyster_is_refused_by_the_names_of_its_options():
+    assert STATES == scene_states
+    assert "'--state': 'dead' is not one of" in error_of("oyster", "--state", "dead")
+    assert "'--size': " in error_of("oyster", "--size", "5")
 
 
 def test_a_map_reads_every_kind_of_masks():

@@ -211,7 +211,7 @@ def test_folders_are_scored_from_the_command_line(folders):
     [
         (["--align", "se3"], "--align: of the tracks slam and density, not of segmentation"),
         (["--max-detections", "9"], "--max-detections: of the track detection"),
-        (["--threshold", "2"], "evaluator setting 'threshold'"),
+        (["--threshold", "2"], "--threshold: expected"),
         (["--estimate-kind", "classes"], "unknown class 255"),
     ],
 )

@@ -19,6 +19,9 @@ Frame = Literal["body", "optical"]
 Direction = Literal["body-to-world", "world-to-body"]
 Duplicates = Literal["first", "last", "mean", "refuse"]
 
+EXPECTED = "expected a trajectory: TUM, EuRoC, KITTI, CSV, .npz, MCAP or a ROS bag"
+"""What is said where a file is none."""
+
 
 @dataclass(frozen=True)
 class ReadOptions:

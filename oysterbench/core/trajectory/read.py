@@ -10,7 +10,7 @@ from typing import Any
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.trajectory.bags import BAG_MAGIC, MCAP_MAGIC, SQLITE_MAGIC, read_bag
 from oysterbench.core.trajectory.frames import METRES, T_BODY_OPTICAL, inverted, poses_of_body, scaled
-from oysterbench.core.trajectory.options import Format, ReadOptions
+from oysterbench.core.trajectory.options import EXPECTED, Format, ReadOptions
 from oysterbench.core.trajectory.poses import Trajectory
 from oysterbench.core.trajectory.text import read_text
 
@@ -18,7 +18,8 @@ ZIP_MAGIC = b"PK\x03\x04"
 MAGIC = 16
 """Number of leading bytes that tell the formats apart."""
 
-EXPECTED = "expected a trajectory: TUM, EuRoC, KITTI, CSV, .npz, MCAP or a ROS bag"
+EUROC_TRUTH = Path("mav0", "state_groundtruth_estimate0", "data.csv")
+"""File of the poses in a folder in EuRoC layout."""
 
 
 def read_trajectory(path: str | os.PathLike[str], options: ReadOptions | None = None, **changes: Any) -> Trajectory:
@@ -81,7 +82,8 @@ def _read(path: Path, options: ReadOptions) -> Trajectory:
         if options.topic is not None:
             raise TrajectoryError(f"{path}: --topic applies to an MCAP file or a bag, got neither")
         if folder:
-            raise TrajectoryError(f"{path} is a folder; {EXPECTED}")
+            inside = f"; its poses are in {path / EUROC_TRUTH}" if (path / EUROC_TRUTH).is_file() else ""
+            raise TrajectoryError(f"{path} is a folder; {EXPECTED}{inside}")
         data = data if once else path.read_bytes()
     except FileNotFoundError:
         raise TrajectoryError(f"{path}: no such file; {EXPECTED}") from None

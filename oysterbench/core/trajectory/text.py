@@ -15,7 +15,7 @@ from oysterbench.core.geometry import RIGID_TOLERANCE, Array
 from oysterbench.core.trajectory.checks import checked_poses, others
 from oysterbench.core.trajectory.columns import EUROC, KITTI, KITTI_MATRIX, TUM, Columns, named_columns
 from oysterbench.core.trajectory.frames import METRES, scaled
-from oysterbench.core.trajectory.options import ReadOptions
+from oysterbench.core.trajectory.options import EXPECTED, ReadOptions
 from oysterbench.core.trajectory.poses import Trajectory
 from oysterbench.core.trajectory.stamps import SHIFTS, scaled_integer, scaled_integers
 from oysterbench.core.trajectory.table import NUMBER, NumberTable, is_comment, read_table, split
@@ -24,6 +24,8 @@ MAX_SECONDS = 9e9
 """A stamp above this is not in seconds: it would be 285 years after the epoch, and overflow an int64 in nanoseconds."""
 DECIMAL_COMMAS = re.compile(r"(?=.*,)([+-]?\d+(,\d+)?[;\s]+){5,}[+-]?\d+(,\d+)?;?")
 """Line of numbers separated by blanks or semicolons, as spreadsheets write it where the comma is the decimal sign."""
+MARKUP = {"{": "JSON", "[": "JSON", "<": "HTML or XML"}
+"""First character of a file -> what it is instead of a trajectory."""
 MIN_NANOSECONDS = 1e17
 """A stamp above this is in nanoseconds: as microseconds it would be 3000 years after the epoch."""
 
@@ -95,10 +97,12 @@ def decoded(path: Path, data: bytes) -> str:
     if b"\0" not in data:
         try:
             text = data.decode("utf-8-sig")
+            if markup := MARKUP.get(text.lstrip()[:1]):
+                raise TrajectoryError(f"{path}: it is {markup}; {EXPECTED}")
             return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
         except UnicodeDecodeError:
             pass
-    raise TrajectoryError(f"{path} is not text; expected a trajectory: TUM, EuRoC, KITTI, CSV, .npz, MCAP or a bag")
+    raise TrajectoryError(f"{path} is not text; {EXPECTED}")
 
 
 @dataclass(frozen=True)
