@@ -188,6 +188,15 @@ def read_plane(path: Path) -> NDArray[Any]:
     return values
 
 
+def is_colour(path: Path) -> bool:
+    """Whether an image file is a colour image: several channels that are not equal. False for a file that cannot be read."""
+    try:
+        pixels = decode_picture(path.read_bytes(), cv2.IMREAD_UNCHANGED)
+    except OSError:
+        return False
+    return pixels is not None and pixels.ndim == 3 and bool((pixels[..., :3] != pixels[..., :1]).any())
+
+
 def _decoded(path: Path, flags: int) -> NDArray[Any]:
     try:
         data = path.read_bytes()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.coco import CocoFile, read_coco
-from oysterbench.annotations.image import Entry
+from oysterbench.annotations.image import Entry, is_colour
 from oysterbench.annotations.manifest import FILE, read_manifest
 from oysterbench.annotations.masks import as_mask, read_png
 from oysterbench.annotations.opening import open_labelled
@@ -224,6 +224,12 @@ def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Lab
         raise LabelError(
             f"{place}: expected ground truth: masks as .png, a folder with images/ and labels/ or masks/, COCO "
             f"annotations (.json) or sequences (.mcap), got {got}"
+        )
+    first = next(iter(files.values()))
+    if is_colour(first):
+        raise LabelError(
+            f"{place}: expected ground truth, masks of one channel, got the colour image {first.name}: of images without "
+            "labels nothing can be scored; `oysterbench segment` counts oysters in them"
         )
     listed = read_manifest(place)
     for name in files:

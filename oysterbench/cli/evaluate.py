@@ -112,7 +112,7 @@ def _check_folder(out: Path) -> None:
 def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
     """Write all files, print tables, and report failures; exits with an error if anything failed."""
     from oysterbench.core.files import write_atomically
-    from oysterbench.results.records import add_results, document, dump
+    from oysterbench.results.records import add_results, document, dump, output_place
     from oysterbench.tracks.track import Kept
 
     records, data_set = found.records, [row.as_plain() for row in found.data_set]
@@ -153,7 +153,7 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
     for path in written:
         message(f"written: {path}")
     for one in failures:
-        kept_at = None if out is None else out / "runs" / one.method / one.sequence / f"{one.run + 1}"
+        kept_at = None if out is None else out / output_place(one)
         logs = f"; full output: {kept_at}" if kept_at is not None and kept_at.is_dir() else ""
         message(f"{one.method} failed on {one.sequence}: {one.failure}{logs}{_again(one in found.earlier)}")
     if failures or any(each.failure is not None for each in found.unscored):

@@ -43,13 +43,16 @@ def read_accuracy(path: Path, method: str, weights: Mapping[str, str] | None = N
     weights: SHA-256 of the weights that are here, by name. Raises ResultError if it has no results of the method.
     """
     path = path / "results.json" if path.is_dir() else path
+    remedy = f"`oysterbench run {method} --track {TRACK} --on LABELLED --out DIR` makes them"
+    if not path.exists():
+        raise ResultError(f"{path}: no such file; expected results of {method}: {remedy}")
     records = [one for one in read_results(path) if one.track == TRACK and one.failure is None]
     own = [one for one in records if one.method == method and {TRUTH, ESTIMATE} <= one.metrics.keys()]
     if not own:
         methods = ", ".join(dict.fromkeys(one.method for one in records))
         raise ResultError(
             f"{path}: expected results of {method} on the track detection, got {methods or 'none of that track'}; "
-            f"`oysterbench run {method} --on LABELLED --out DIR` makes them"
+            f"{remedy}"
         )
     places = dict.fromkeys(one.split or one.sequence for one in own)
     labelled, counted = (math.fsum(one.metrics[key] for one in own) for key in (TRUTH, ESTIMATE))

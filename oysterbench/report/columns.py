@@ -12,10 +12,14 @@ from oysterbench.report.table import Column
 UNITS = {"x": "\N{MULTIPLICATION SIGN} real time"}
 """Second line of a narrow heading -> the unit that it stands for, if that is not the metric's own."""
 
+IN_FILES = " (0 to 1)"
+"""Range of a share in files, left out of the definition where it is shown in percent."""
+
 
 def metric_column(key: str, sort: bool = False, track: str = "") -> Column:
     """Column of a metric of a track; sort: whether a URL may ask to sort by it."""
     metric = find_metric(key, track) or Metric("This version has no definition of it.", key)
+    about = metric.definition.replace(IN_FILES, "") if metric.factor == 100.0 else metric.definition
     unit = metric.unit or ("%" if metric.factor == 100.0 else UNITS.get(metric.narrow[1], ""))
     return Column(
         key,
@@ -28,7 +32,7 @@ def metric_column(key: str, sort: bool = False, track: str = "") -> Column:
         metric.factor,
         cut=key == "coverage",
         better=metric.better,
-        about=metric.definition,
+        about=about,
         sort=key if sort else "",
         wide=track in TRACKS and key in TRACKS[track].wide,
     )

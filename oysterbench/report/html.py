@@ -9,6 +9,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -40,7 +41,7 @@ from oysterbench.report.tables import (
     strata_table,
 )
 from oysterbench.results.comparison import Board, boards
-from oysterbench.results.records import ResultRecord
+from oysterbench.results.records import ResultRecord, output_place
 from oysterbench.results.remarks import remarks
 
 SHOWN_CONDITIONS = 6  # plots of the score over a condition, per board
@@ -97,7 +98,8 @@ def write_html_report(
     figures: Sequence[Card] = (),
 ) -> None:
     """Write `html_report` to a file, atomically."""
-    write_atomically(path, html_report(runs, command, title, data_set, first, figures).encode())
+    text = html_report(runs, command, title, data_set, first, figures, Path(path).parent)
+    write_atomically(path, text.encode())
 
 
 def html_report(
@@ -107,11 +109,12 @@ def html_report(
     data_set: Sequence[DatasetRow] = (),
     first: Sequence[Table] = (),
     figures: Sequence[Card] = (),
+    folder: Path | None = None,
 ) -> str:
     """Make the report: results, standings, trajectories, errors and recall, frames, definitions, and provenance.
 
     For image tracks: the data set as a whole, curves and sample images instead of trajectories. first, figures: what a
-    track shows before and after the tables common to all tracks.
+    track shows before and after the tables common to all tracks; folder: in which failed runs may have left their output.
     """
     records = [run.record for run in runs]
     splits = list(dict.fromkeys(record.split for record in records if record.split))
@@ -140,20 +143,26 @@ def html_report(
         "covered": "coverage" in track.table,
         "shaded": any(cell.kind == "best" for table in results for row in table.rows for cell in row.cells),
         "several": any(record.run for record in records),
-        "warnings": failures_and_notes(records),
+        "warnings": [*failures_and_notes(records), *([] if folder is None else _outputs(records, folder))],
         "boards": [_board(board, styles, compared=len(board.sequences) > 1 or not drawn) for board in found],
         "samples": sample_pictures([run for run in runs if isinstance(run, ImageRun)]),
         "maps": map_cards([run for run in runs if isinstance(run, DensityRun)]),
         "figures": figures,
         "trust": consistency_table(records),
         "sequences": _sequences(slam, sequences, styles),
-        "not_drawn": slam and not drawn,
+        "not_drawn": not drawn and any(one.track == "slam" and one.failure is None for one in records),
         "command": command,
         "making": making(records),
         "conditions": {record.sequence: dict(flattened(record.conditions)) for record in records if record.conditions},
         **_definitions(records, track),
     }
     return environment(FOLDER).get_template("report.html").render(**context)
+
+
+def _outputs(records: Sequence[ResultRecord], folder: Path) -> list[str]:
+    """A sentence for each failed run of which the folder has the full output, on where that is."""
+    failed = {f"{one.method} on {one.sequence}": output_place(one) for one in records if one.failure is not None}
+    return [f"full output of {run}: {place}" for run, place in failed.items() if (folder / place).is_dir()]
 
 
 def _sequences(runs: Sequence[SlamRun], names: Sequence[str], styles: Mapping[str, int]) -> list[SequencePlots]:

@@ -337,6 +337,11 @@ def _place(record: ResultRecord) -> tuple[str, ...]:
     return record.track, record.split, record.sequence, record.method
 
 
+def output_place(record: ResultRecord) -> Path:
+    """Folder of a run's full output, relative to that of its results."""
+    return Path("runs", record.method, record.sequence, f"{record.run + 1}")
+
+
 def read_results(path: str | os.PathLike[str]) -> list[ResultRecord]:
     """Read the records of a file written by `write_results`. Raises ResultError naming file and key."""
     return _read(Path(path))[0]

@@ -50,9 +50,9 @@ class Reading:
         self._file = open(self.path, "rb")
         try:
             if self._file.read(len(MAGIC)) != MAGIC:
+                remedy = "; delete it and render or download it again" if self.path.suffix == ".mcap" else ""
                 raise SequenceError(
-                    f"{self.path}: not an MCAP file; expected a sequence (.mcap) or an EuRoC folder; if it was one, "
-                    "delete it and render or download it again"
+                    f"{self.path}: not an MCAP file; expected a sequence (.mcap) or an EuRoC folder{remedy}"
                 )
             summary = read_summary(self._file)
             if summary is None or summary.statistics is None:

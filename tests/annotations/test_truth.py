@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,6 +10,7 @@ from scipy.spatial.transform import Rotation
 import oysterbench
 from oysterbench.annotations import open_labelled, open_truth
 from oysterbench.annotations.truth import footprint_m2, footprint_rays
+from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import transform
 from oysterbench.sequence import CameraCalibration
 
@@ -18,6 +20,16 @@ HEIGHT, WIDTH, FOCAL = 240, 320, 200.0
 def camera(**options):
     matrix = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
     return CameraCalibration(WIDTH, HEIGHT, 1.0, matrix, np.zeros(5), np.eye(4), **options)
+
+
+def test_photos_without_labels_are_not_taken_for_masks(tmp_path):
+    (tmp_path / "a.jpg").write_bytes(b"")
+    pixels = np.random.default_rng(0).integers(0, 255, (6, 8, 3), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "reef.png"), pixels)
+    with pytest.raises(LabelError, match=r"masks of one channel, got the colour image reef\.png: .*oysterbench segment"):
+        open_truth(tmp_path)
+    cv2.imwrite(str(tmp_path / "reef.png"), np.repeat(pixels[..., :1] // 128, 3, axis=2))
+    assert [one.names for one in open_truth(tmp_path)] == [("reef",)]
 
 
 def test_the_seabed_in_view_is_that_of_a_plane_below():

@@ -335,7 +335,7 @@ def test_options_of_a_scale_that_do_not_belong_together_are_refused(folder, opti
         (("--method", "tests.helpers.image_methods:Small"), 1, "expected an answer of the image's size"),
         (("--method", "straight"), 1, "expected a method of detection or segmentation, got one of steering"),
         (("--method", "nonsense"), 1, "unknown method 'nonsense'"),
-        (("--checked", "gone.json"), 1, "gone.json: no such file"),
+        (("--checked", "gone.json"), 1, "gone.json: no such file; expected results of discs: `oysterbench run"),
     ],
 )
 def test_what_cannot_be_done_is_one_line(folder, options, code, said):

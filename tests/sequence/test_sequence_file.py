@@ -202,6 +202,14 @@ def test_a_file_of_another_kind_is_refused(tmp_path, content):
         oysterbench.open(path)
 
 
+def test_a_file_of_ones_own_is_not_to_be_deleted(tmp_path):
+    for name, told in (("dive.mp4", False), ("dive.mcap", True)):
+        (tmp_path / name).write_bytes(b"not a sequence")
+        with pytest.raises(SequenceError, match=r"not an MCAP file; expected a sequence \(\.mcap\)") as caught:
+            oysterbench.open(tmp_path / name)
+        assert ("delete it" in str(caught.value)) == told
+
+
 def test_an_absent_file_and_camera_are_named(tmp_path, sequence):
     with pytest.raises(SequenceError, match="no such file"):
         oysterbench.open(tmp_path / "absent.mcap")

@@ -95,7 +95,7 @@ def about_page(site: Site) -> Page:
                         Cell(heading.heading, mark="ranks" if key == PRIMARY[track] else ""),
                         Cell(heading.unit, heading.unit or ABSENT),
                         Cell(metric.better, metric.better or "describes"),
-                        Cell(metric.definition, kind="wrap"),
+                        Cell(heading.about, kind="wrap"),
                         Cell(key),
                     )
                 )
@@ -107,8 +107,8 @@ def about_page(site: Site) -> Page:
         "level": numbers.LEVEL,
         "resamples": f"{RESAMPLES:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
         "least": LEAST_SEQUENCES,
-        "ranking": [(numbers.track_name(track), find_metric(key)) for track, key in PRIMARY.items()],
-        "coverage": find_metric("coverage"),
+        "ranking": [(numbers.track_name(track), metric_column(key, track=track)) for track, key in PRIMARY.items()],
+        "coverage": metric_column("coverage"),
         "losing": [
             (numbers.track_name(name), of.lost_below) for name, of in TRACKS.items() if of.lost_below is not None
         ],
