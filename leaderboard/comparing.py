@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from oysterbench.core.errors import ResultError
-from oysterbench.core.names import did_you_mean, nearest
+from oysterbench.core.names import did_you_mean, listed, nearest
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.board import LEAST_DIGITS, BoardReader, Query, Row
 from oysterbench_leaderboard.options import Place
@@ -46,7 +46,7 @@ def _methods(index: BoardReader, split: str | None) -> str:
     """Text for a message that lists the methods there are, on a split if given."""
     boards = [board for board in index.boards() if board.newest and split in (None, board.split)]
     there = sorted({row.method for board in boards for row in index.page(board.id, Query(size=MOST_NAMED)).rows})
-    return f"the methods{f' on {split}' if split else ''} are: {', '.join(there[:MOST_NAMED]) or 'none yet'}"
+    return f"the methods{f' on {split}' if split else ''} are: {listed(there, MOST_NAMED) if there else 'none yet'}"
 
 
 def _one_of_each_board(text: str, rows: Sequence[Row], index: BoardReader, split: str | None) -> list[Row]:
@@ -57,6 +57,6 @@ def _one_of_each_board(text: str, rows: Sequence[Row], index: BoardReader, split
         raise ResultError(f"{text} is on no board of {split or 'the present evaluators'}; the splits are: {there}")
     teams = {row.team for row in chosen}
     if len(teams) > 1:
-        named = ", ".join(f"{row.digest[:SHORT]} ({row.team})" for row in chosen)
-        raise ResultError(f"several teams have a method named {text}: give the record, one of {named:.300}")
+        named = listed(f"{row.digest[:SHORT]} ({row.team})" for row in chosen)
+        raise ResultError(f"several teams have a method named {text}: give the record, one of {named}")
     return chosen

@@ -13,6 +13,7 @@ import numpy as np
 
 from oysterbench.core.errors import RecipeError, ResultError, TrajectoryError
 from oysterbench.core.files import write_atomically
+from oysterbench.core.names import listed
 from oysterbench.evaluate.metrics import FAILED
 from oysterbench.hub.canonical import sha256
 from oysterbench.results.plausible import check_plausible
@@ -192,7 +193,7 @@ def _check_sequences(path: Path, method: str, group: Sequence[ResultRecord], rec
     names = [sequence.name for sequence in recipe.sequence]
     answered = {result.sequence for result in group}
     if odd := sorted(answered - set(names)):
-        raise ResultError(f"{path}: {method} has results on {', '.join(odd):.80}, which {recipe.name} does not have")
+        raise ResultError(f"{path}: {method} has results on {listed(odd)}, which {recipe.name} does not have")
     if lacking := [name for name in names if name not in answered]:
         notify(f"{method} has no result on {', '.join(lacking)} of {recipe.name}: these count as failed")
 

@@ -11,6 +11,7 @@ import click
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.outputs import print_table
 from oysterbench.core.errors import ResultError
+from oysterbench.core.names import did_you_mean, listed, nearest
 from oysterbench_leaderboard.options import Place, find_place
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def show_boards(
     from oysterbench.report.renderers import latex_text, markdown_table
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.board import Query
-    from oysterbench_leaderboard.tables import board_table, boards_csv, page_plain
+    from oysterbench_leaderboard.tables import board_name, board_table, boards_csv, page_plain
 
     files = {"csv": csv_file, "tex": tex_file, "md": md_file}
     if as_json + list(files.values()).count(Path("-")) > 1:
@@ -63,8 +64,12 @@ def show_boards(
     elif Path("-") not in files.values():
         if not tables:
             message(f"no board is in {place.path} yet; `oysterbench leaderboard add` puts results on one")
-        for table in tables:
-            print_table(table)
+        for page, table in zip(pages, tables, strict=True):
+            if page.rows:
+                print_table(table)
+            else:
+                found = f"no row with {words!r}" if words else "no current record: those that it had are withdrawn"
+                message(f"{board_name(page.board)}: {found}")
         if board is None and (history := len(_chosen(index, track, split, None, True)) - len(chosen)):
             boards = "one board is" if history == 1 else f"{history} boards are"
             message(f"{boards} of an older evaluator or a former recipe, and left out: --all shows all")
@@ -86,11 +91,19 @@ def _chosen(
     ]
     if not found and (track or split or board):
         there = ", ".join(dict.fromkeys(f"{each.track} on {each.split}" for each in known)) or "none yet"
+        meant = did_you_mean(
+            [*_meant(track, {each.track for each in known}), *_meant(split, {each.split for each in known})]
+        )
         asked = " on ".join(filter(None, (track, split))) or board
         if any(track in (None, each.track) and split in (None, each.split) for each in known) and board is None:
             raise ResultError(f"no board {asked} of today's evaluator and recipe; --all shows those of former ones")
-        raise ResultError(f"no board {asked}; there are: {there}")
+        raise ResultError(f"no board {asked}; {meant}there are: {there}")
     return found
+
+
+def _meant(name: str | None, known: set[str]) -> list[str]:
+    """Known names that an unknown one may have been meant to be."""
+    return [] if name is None or name in known else nearest(name, sorted(known))
 
 
 def _write(path: Path, text: str) -> None:
@@ -190,8 +203,11 @@ def history_command(context: click.Context, method: str, team: str | None, as_js
     index = find_place(context).reader()
     rows = index.method(method, team)
     if not rows:
-        known = ", ".join(dict.fromkeys(name for name, _, _ in index.methods())) or "none yet"
-        raise ResultError(f"no record of {method!r:.80}{f' by {team}' if team else ''}; the methods are: {known:.300}")
+        known = dict.fromkeys(name for name, _, _ in index.methods())
+        meant = did_you_mean(nearest(method, known))
+        raise ResultError(
+            f"no record of {method!r:.80}{f' by {team}' if team else ''}; {meant}the methods are: {listed(known)}"
+        )
     if as_json:
         echo(dump([asdict(row) for row in rows]))
         return

@@ -31,7 +31,7 @@ def compare_command(results: tuple[str, ...], track: str | None, split: str | No
       oysterbench compare ours/results.json theirs/results.json
       oysterbench compare monday=run1 tuesday=run2     the methods of a file, with a label
       oysterbench compare gtsam_vi gtsam_full --split slam-val     methods on the leaderboard
-      oysterbench compare unet threshold --track segmentation      one track of several
+      oysterbench compare unet colour --track segmentation         one track of several
       oysterbench compare ours/results.json 3f9c21ab   with a record, by the start of its digest
       oysterbench compare run1 run2 --json
       oysterbench compare run1 run2 --report compare.html --tex table.tex

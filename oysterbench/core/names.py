@@ -44,15 +44,15 @@ def nearest(name: str, known: Iterable[str]) -> list[str]:
     return difflib.get_close_matches(name, list(known), n=4, cutoff=0.6)
 
 
-def listed(names: Iterable[str]) -> str:
-    """Join names for a sentence: the first few, and how many more there are.
+def listed(names: Iterable[str], most: int = FEW) -> str:
+    """Join names for a sentence: the first few, at most `most`, and how many more there are.
 
     >>> listed(["calm", "rough"]), listed(map(str, range(12)))
     ('calm, rough', '0, 1, 2, 3, 4, 5, 6, 7, 8, 9 and 2 more')
     """
     each = list(names)
-    more = len(each) - FEW
-    return (", ".join(each[:FEW]) + (f" and {more} more" if more > 0 else "")) or "none"
+    more = len(each) - most
+    return (", ".join(each[:most]) + (f" and {more} more" if more > 0 else "")) or "none"
 
 
 def did_you_mean(names: Iterable[str]) -> str:

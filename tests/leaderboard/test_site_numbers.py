@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 from oysterbench.evaluate.statistics import Comparison, Interval
+from oysterbench_leaderboard.index import open_index
+from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.pages.compare import _compared_cells
+from oysterbench_leaderboard.site.pages.record import metrics_table, record_page
+from oysterbench_leaderboard.site.site import Site
+from oysterbench_leaderboard.store import RecordStore
+from tests.helpers.records_made import record_made
+from tests.helpers.site_made import Reading
 
 
 def test_a_verdict_stands_beside_an_interval_that_shows_it():
@@ -13,3 +20,22 @@ def test_a_verdict_stands_beside_an_interval_that_shows_it():
 
     assert texts(0.00012, 0.066) == ["+0.0310", "+0.0001 to +0.0660"]
     assert texts(-0.00012, 0.066) == ["+0.031", "0.000 to +0.066"]
+
+
+def test_a_record_without_paths_says_why_there_are_none(tmp_path):
+    store = RecordStore(tmp_path)
+    digests = {split: store.add(record_made(split=split)) for split in ("slam-val", "slam-test")}
+    site = Site(open_index(store, str(tmp_path / "index.sqlite")))
+    said = {
+        split: Reading(render.page_html(record_page(site, digest), render.server_links())).text
+        for split, digest in digests.items()
+    }
+    assert "None to show: the record has no paths." in said["slam-val"]
+    assert "None to show: the split is hidden." in said["slam-test"]
+
+
+def test_no_two_columns_of_a_records_metrics_have_one_name(tmp_path):
+    table = metrics_table(list(record_made().results), "x")
+    heads = [column.heading for _, column in table.shown]
+    assert len(heads) == len(set(heads))
+    assert heads[2] == "Median of errors, else mean"

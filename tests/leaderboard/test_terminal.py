@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -96,6 +97,30 @@ def test_what_is_asked_wrongly_is_refused_in_one_line(board):
     assert "nothing is listed" in refused("leaderboard", "literature", "--track", "golf")
     shown("--json", "--csv", "-", code=2)
     shown("--track", "slam", "verify", code=2)
+
+
+def test_names_that_were_nearly_right_are_suggested_and_lists_end_in_whole_names(board):
+    fill(board)
+    assert "did you mean slam-val or seg-val? there are: " in refused("leaderboard", "--track", "slam", "--split", "slam-vall")
+    assert "did you mean detection? " in refused("leaderboard", "--track", "detect")
+    for k in range(30):
+        board.add(record_made(f"a-method-with-a-long-name-{k:02d}"))
+    told = refused("leaderboard", "history", "carpp")
+    assert "did you mean carp? the methods are: " in told
+    assert re.search(r"a-method-with-a-long-name-\d\d and \d+ more$", told.strip())
+    told = refused("compare", "carpp", "cod")
+    assert "did you mean carp? the methods are: " in told
+    assert told.strip().endswith(" more")
+
+
+def test_a_board_without_current_records_says_so(board):
+    digest = board.add(record_made())
+    shown("withdraw", digest[:8], "--reason", "A mistake.")
+    result = shown()
+    assert result.stdout == ""
+    assert "slam on slam-val (slam 3): no current record: those that it had are withdrawn" in result.stderr
+    shown("restore", digest[:8], "--reason", "None.")
+    assert "no row with 'x'" in shown("--search", "x").stderr
 
 
 def test_a_folder_that_is_not_there_is_named(board, tmp_path):

@@ -227,7 +227,7 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
     keys = dict.fromkeys(column.key for column in (*OF_TRACK[board.track], *STANDING_OF_TRACK[board.track]))
     columns = (
         Column("metric", "Metric"),
-        Column("unit", "Unit"),
+        Column("unit", "Unit", "arrow to better"),
         Column("a", sides[0].label, mean, "number"),
         Column("b", sides[1].label, mean, "number"),
         *_compared_columns(sides),

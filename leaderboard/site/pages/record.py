@@ -10,7 +10,7 @@ from typing import Any
 
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import TRACKS, find_metric
-from oysterbench.evaluate.statistics import Interval, Summary
+from oysterbench.evaluate.statistics import LEAST_SEQUENCES, Interval, Summary
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, lost_note, metric_column
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow, Value, interval_column
 from oysterbench.report.tables import failures_and_notes
@@ -18,6 +18,7 @@ from oysterbench.results.comparison import MethodRuns
 from oysterbench.results.records import ResultRecord, lost_of, plain
 from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.board import BoardInfo, Query, Row
+from oysterbench_leaderboard.hidden import is_hidden
 from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.site import numbers, standing
 from oysterbench_leaderboard.site.charts import drawings
@@ -79,6 +80,7 @@ def record_page(site: Site, digest: str) -> Page:
         "bar": numbers.bar(row.low, row.score, row.high),
         "data_set": metric.text(row.data_set) if has_data_set(info, [row]) else "",
         "coverage": numbers.text("coverage", row.coverage),
+        "hidden": not record.curves and is_hidden(info.split),
         "lost_below": TRACKS[info.track].lost_below,
         "tier_about": TIERS.get(row.tier, ""),
         "notes": notes,
@@ -178,10 +180,10 @@ def metrics_table(results: Sequence[ResultRecord], title: str, data_set: Mapping
     whole = known.get("metrics")
     columns = (
         Column("metric", "Metric"),
-        Column("unit", "Unit"),
-        Column("mean", "Mean", kind="number"),
+        Column("unit", "Unit", "arrow to better"),
+        Column("mean", "Median of errors, else mean" if TRACKS[track].errors else "Mean", kind="number"),
         Column("interval", "Interval", numbers.LEVEL, "interval"),
-        Column("spread", "Sequences", "from, to", "interval"),
+        Column("spread", "Spread", "over sequences", "interval"),
         Column("sequences", "Sequences", "with a value", "number"),
         Column("data_set", "Data set", "all at once", "number", hidden=not whole),
         Column("data_set_interval", "Interval", numbers.LEVEL, "interval", hidden=not whole),
@@ -270,7 +272,8 @@ def strata_table(results: Sequence[ResultRecord], title: str) -> Table:
             bar = numbers.bar(summary.interval.low, summary.mean, summary.interval.high) if known else None
             cells = (CONDITIONS[condition].name, value, summary.of_sequences, summary.mean)
             lines.append(TableRow((*cells, Cell(summary.interval, kind="soft", bar=bar))))
-    notes = ("An interval needs several sequences per class; a dash marks classes with too few.",) if lines else ()
+    rule = f"An interval needs {LEAST_SEQUENCES} sequences or more in a class; a dash marks classes with fewer."
+    notes = (rule,) if lines else ()
     return Table(title, columns, tuple(lines), notes, "conditions")
 
 
