@@ -33,7 +33,8 @@ def lacks(split: str, track: str) -> str:
     """Note on a board whose vehicle lacks sensors that methods may use: they ran without. Empty where it has all, where
     that is not known, and for image tracks."""
     there = carried(split)
-    lacking = [word for word in SENSORS.values() if word not in there]
+    lacking = [] if "stereo" in there else ["second camera"]
+    lacking += [word for word in SENSORS.values() if word not in there]
     if track not in ("slam", "density") or not there or not lacking:
         return ""
     *others, last = (word.upper() if word in ("imu", "dvl") else word for word in lacking)

@@ -12,7 +12,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import OysterbenchError, ResultError
-from oysterbench.core.names import did_you_mean, listed, nearest
+from oysterbench.core.names import counted, did_you_mean, listed, nearest
 
 TOKEN = "OYSTERBENCH_TOKEN"
 
@@ -151,8 +151,8 @@ def _choose(splits: list[dict[str, Any]], name: str, place: Path) -> dict[str, A
 
 
 def _described(facts: dict[str, Any]) -> str:
-    counts = [f"{facts[key]} {key}" for key in ("poses", "images") if facts[key]]
-    return ", ".join([f"{facts['kind']} of {len(facts['sequences'])} sequences", *counts])
+    counts = [counted(facts[key], key.removesuffix("s")) for key in ("poses", "images") if facts[key]]
+    return ", ".join([f"{facts['kind']} of {counted(len(facts['sequences']), 'sequence')}", *counts])
 
 
 def _before(found: dict[str, Any]) -> str:

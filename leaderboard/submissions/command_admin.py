@@ -11,6 +11,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import ResultError
+from oysterbench.core.names import counted
 from oysterbench_leaderboard.options import find_place
 
 FOLDER = click.option(
@@ -235,8 +236,8 @@ def restore_command(context: click.Context, file: Path, folder: Path, as_json: b
 
 
 def _show_backup(file: Path, made: Any, as_json: bool) -> None:
-    rows = ", ".join(f"{count} {name}" for name, count in made.rows.items())
-    echo(json.dumps(asdict(made)) if as_json else f"{file}: {rows}; {made.files} files")
+    rows = ", ".join(counted(count, name.removesuffix("s")) for name, count in made.rows.items())
+    echo(json.dumps(asdict(made)) if as_json else f"{file}: {rows}; {counted(made.files, 'file')}")
 
 
 def _database(folder: Path, must_exist: bool = False) -> Any:

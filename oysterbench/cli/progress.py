@@ -97,7 +97,8 @@ def bytes_bar(title: str) -> Iterator[Progress]:
             nonlocal told
             if (tenth := 10 * done // max(total, 1)) > told:
                 told = tenth
-                message(f"{title}: {done / 1e6:.1f} of {total / 1e6:.1f} MB")
+                unit, size = ("MB", 1e6) if total >= 1e6 else ("kB", 1e3)
+                message(f"{title}: {done / size:.1f} of {total / size:.1f} {unit}")
 
         yield tell
         return

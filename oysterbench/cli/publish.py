@@ -9,6 +9,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import HubError
+from oysterbench.core.names import counted
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 FILE = click.Path(path_type=Path, dir_okay=False)
@@ -99,7 +100,7 @@ def publish(
     if as_json:
         echo(json.dumps({**manifest.facts, "key": public_hex(key), "folder": str(tree)}, indent=2))
         return
-    message(f"{manifest.split} {manifest.version}: {len(manifest.files)} files, {manifest.size / 1e6:.1f} MB in {tree}")
+    message(f"{manifest.split} {manifest.version}: {counted(len(manifest.files), 'file')}, {manifest.size / 1e6:.1f} MB in {tree}")
     if manifest.commitment:
         message(f"commitment: {manifest.commitment}")
     message(f"public key: {public_hex(key)}")

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from oysterbench.cli.echo import echo, message
+from oysterbench.core.names import counted
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
@@ -65,5 +66,5 @@ def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Pat
     facts = {"split": split.name, "version": split.version, "track": split.track, "summary": split.summary}
     manifest = put_together(kept, {**facts, "rig": split.rig.name}, known, made_by)
     folder = out or Path(str(resources.files("oysterbench_datasets"))) / "manifests"
-    message(f"{split.name} {split.version}: {len(manifest.files)} files, {manifest.size / 1e6:.1f} MB")
+    message(f"{split.name} {split.version}: {counted(len(manifest.files), 'file')}, {manifest.size / 1e6:.1f} MB")
     echo(write_release(manifest, folder))

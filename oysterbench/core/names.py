@@ -55,6 +55,15 @@ def listed(names: Iterable[str], most: int = FEW) -> str:
     return (", ".join(each[:most]) + (f" and {more} more" if more > 0 else "")) or "none"
 
 
+def counted(number: int, noun: str) -> str:
+    """A number of things, whose noun is given in the singular.
+
+    >>> counted(1, "file"), counted(2, "file")
+    ('1 file', '2 files')
+    """
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def did_you_mean(names: Iterable[str]) -> str:
     """Question that suggests names, to precede further advice; empty without names.
 

@@ -10,6 +10,7 @@ from oysterbench.simulation.conditions import conditions
 from oysterbench.simulation.generate import split_folder
 
 SHOWN = ("difficulty", "disturbance", "strength", "water_type", "secchi_m", "light", "motion", "duration_s")
+HOUR_S = 3600.0
 NUMBERS = ("difficulty", "strength", "secchi_m", "duration_s")
 
 
@@ -34,8 +35,9 @@ def sequences_table(split: SplitRecipe) -> Table:
         total += estimate
         values = (like[sequence.name].get(key) for key in shown)
         rows.append(TableRow((sequence.name, *values, estimate, measured.get(sequence.name))))
+    time = f"{total / HOUR_S:.1f} hours" if total >= HOUR_S else f"{total / 60:.1f} minutes"
     note = (
-        f"Rendering all takes about {total / 3600:.1f} hours on one core like ours, shared by the workers; measured "
+        f"Rendering all takes about {time} on one core like ours, shared by the workers; measured "
         "values are from this machine."
     )
     return Table(f"{split.name} {split.version}", tuple(columns), tuple(rows), (note,))

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from oysterbench.cli import progress
-from oysterbench.cli.progress import late_bars, plain_runs, runs_shown
+from oysterbench.cli.progress import bytes_bar, late_bars, plain_runs, runs_shown
 from oysterbench.methods import runner
 from oysterbench.methods.hearing import Heard
 from tests.helpers.command import run
@@ -78,3 +78,11 @@ def test_what_a_program_says_is_shown_but_where_stdout_is_for_machines(option, d
     words = ("run", "mine", "--command", template, "--on", dive_file, "--out", tmp_path / "out")
     done = run(*words, *([option] if option else []), home=tmp_path / "home")
     assert ("mine on hand-made, run 1: 3 of 10\n" in done.stderr) == (not option)
+
+
+def test_few_bytes_are_told_in_kilobytes(capsys):
+    with bytes_bar("sending") as tell:
+        tell(2_000, 20_000)
+    with bytes_bar("sending") as tell:
+        tell(2_000_000, 20_000_000)
+    assert capsys.readouterr().err == "sending: 2.0 of 20.0 kB\nsending: 2.0 of 20.0 MB\n"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 
 import pytest
 from click.testing import CliRunner
@@ -12,6 +13,7 @@ from oysterbench.cli.main import main
 from oysterbench.core.errors import RecipeError
 from oysterbench.core.streams import stream
 from oysterbench.recipe import as_plain, count, load_split, parse_split, split_names
+from oysterbench.report.recipes import sequences_table
 from oysterbench.simulation.conditions import conditions
 from tests.helpers.paths import DATASETS
 
@@ -282,3 +284,8 @@ def test_an_unknown_split_to_list_is_named():
     found = CliRunner().invoke(main, ["splits", "slam-maxi"])
     assert found.exit_code != 0
     assert "slam-maxi" in str(found.exception) + found.output
+
+
+@pytest.mark.parametrize(("name", "told"), [("slam-mini", r"about \d+\.\d minutes on"), ("slam-val", r"\d+\.\d hours on")])
+def test_the_time_of_rendering_is_told_in_a_unit_that_suits_it(name, told):
+    assert re.search(told, sequences_table(load_split(name)).notes[0])

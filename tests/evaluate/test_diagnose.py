@@ -170,7 +170,7 @@ def test_poses_that_take_the_world_into_the_body_are_refused_with_the_option(tmp
     estimate = inverted(seen if camera else upright)
     message = refusal(tmp_path, truth, estimate)
     assert message.startswith("estimate.npz: its positions have the shape of the true path when")
-    assert message.endswith("; decide by --direction world-to-body, or --direction body-to-world to keep them")
+    assert message.endswith("? Decide by --direction world-to-body, or --direction body-to-world to keep them")
     frame = {"frame": "optical"} if camera else {}
     _, read = pair(tmp_path, truth, estimate, direction="world-to-body", **frame)
     np.testing.assert_allclose(read.matrices, upright.matrices, rtol=0, atol=1e-9)
@@ -188,7 +188,7 @@ def test_millimetres_are_refused_with_the_option(tmp_path):
     millimetres = replace(ESTIMATE, positions=1010 * ESTIMATE.positions)
     message = refusal(tmp_path, TRUTH, millimetres)
     assert message.startswith("estimate.npz: the estimate's path is 10")
-    assert "is it in millimetres?; decide by --unit mm, or --unit m to keep it" in message
+    assert "is it in millimetres? Decide by --unit mm, or --unit m to keep it" in message
     _, read = pair(tmp_path, TRUTH, millimetres, unit="mm")
     np.testing.assert_allclose(read.positions, 1.01 * ESTIMATE.positions, rtol=1e-12)
     np.testing.assert_array_equal(pair(tmp_path, TRUTH, millimetres, unit="m")[1].positions, millimetres.positions)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from oysterbench.evaluate.statistics import Comparison, Interval
 from oysterbench_leaderboard.index import open_index
 from oysterbench_leaderboard.site import render
+from oysterbench_leaderboard.site.pages.board import board_page
 from oysterbench_leaderboard.site.pages.compare import _compared_cells
 from oysterbench_leaderboard.site.pages.record import metrics_table, record_page
 from oysterbench_leaderboard.site.site import Site
@@ -39,3 +40,17 @@ def test_no_two_columns_of_a_records_metrics_have_one_name(tmp_path):
     heads = [column.heading for _, column in table.shown]
     assert len(heads) == len(set(heads))
     assert heads[2] == "Median of errors, else mean"
+
+
+def test_a_board_without_ranks_is_not_said_to_be_ranked(tmp_path):
+    store = RecordStore(tmp_path)
+    few = ("val-03", "val-04", "val-05", "val-06", "val-07", "val-08")
+    store.add(record_made(without=few, split="slam-mini"))
+    store.add(record_made())
+    site = Site(open_index(store, str(tmp_path / "index.sqlite")))
+    said = {
+        split: Reading(render.page_html(board_page(site, "slam", split), render.server_links())).text
+        for split in ("slam-mini", "slam-val")
+    }
+    assert "1 current record, in order of Score." in said["slam-mini"]
+    assert "1 current record, ranked by Score." in said["slam-val"]

@@ -199,7 +199,7 @@ def test_masks_in_a_folder_are_sent_as_they_lie(site, tmp_path):
         site, tmp_path / "masks", "--method", "net", "--split", "pool-masks", "--track", "detection", "--json"
     )
     assert sent.exit_code == 0, sent.output
-    assert "predictions of 1 sequences, 3 images" in sent.stderr
+    assert "predictions of 1 sequence, 3 images" in sent.stderr
     assert "no estimate is sent for pool-02: counted as failed there" in sent.stderr
     found = json.loads(sent.stdout)
     assert (found["state"], found["track"]) == ("done", "detection")

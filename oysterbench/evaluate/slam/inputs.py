@@ -81,7 +81,8 @@ def read_pair(
         if finding.severity == "refuse":
             of_truth = finding.cause == "truth-length-unit"
             name = estimate_path if not of_truth else "truth" if isinstance(truth_path, Trajectory) else truth_path
-            raise TrajectoryError(f"{name}: {finding.sentence}; decide by {finding.decide}")
+            decide = " Decide by" if finding.sentence.endswith("?") else "; decide by"
+            raise TrajectoryError(f"{name}: {finding.sentence}{decide} {finding.decide}")
         if finding.severity == "certain":
             options = replace(options, **finding.changes)
             notes = estimate.notes

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.core.files import MODELS, free_bytes, home, models
-from oysterbench.core.names import did_you_mean, nearest
+from oysterbench.core.names import counted, did_you_mean, nearest
 from oysterbench.notebook.doctor.finding import Finding, broken_by, in_bytes
 
 HOME, HUB, HUB_KEY, EXPORTS = "OYSTERBENCH_HOME", "OYSTERBENCH_HUB", "OYSTERBENCH_HUB_KEY", "OYSTERBENCH_EXPORTS_GB"
@@ -73,7 +73,7 @@ def _split(name: str, known: bool) -> Iterator[Finding]:
     folder = home() / "splits" / name
     size = {path: path.stat().st_size for path in folder.glob("*/*.mcap")}
     own: list[Path] = []
-    detail, advice = f"{len(size)} files, {in_bytes(sum(size.values()))}", ""
+    detail, advice = f"{counted(len(size), 'file')}, {in_bytes(sum(size.values()))}", ""
     if known:
         from oysterbench.notebook.sources import RecipeSource
         from oysterbench.recipe import load_split
