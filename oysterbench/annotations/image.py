@@ -189,7 +189,7 @@ def read_plane(path: Path) -> NDArray[Any]:
 
 
 def is_colour(path: Path) -> bool:
-    """Whether an image file is a colour image: several channels that are not equal. False for a file that cannot be read."""
+    """Whether an image file has several channels that are not equal. False for a file that cannot be read."""
     try:
         pixels = decode_picture(path.read_bytes(), cv2.IMREAD_UNCHANGED)
     except OSError:

@@ -228,8 +228,8 @@ def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Lab
     first = next(iter(files.values()))
     if is_colour(first):
         raise LabelError(
-            f"{place}: expected ground truth, masks of one channel, got the colour image {first.name}: of images without "
-            "labels nothing can be scored; `oysterbench segment` counts oysters in them"
+            f"{place}: expected ground truth, masks of one channel, got the colour image {first.name}: of images "
+            "without labels nothing can be scored; `oysterbench segment` counts oysters in them"
         )
     listed = read_manifest(place)
     for name in files:

@@ -37,8 +37,8 @@ def compare_command(results: tuple[str, ...], track: str | None, split: str | No
       oysterbench compare run1 run2 --report compare.html --tex table.tex
 
     RESULT is a file that `oysterbench eval` or `run` wrote, a folder that holds results.json, a method on the
-    leaderboard, or a record's digest (8 digits or more). Beside files, a method's results are those of the files' tracks
-    and splits.
+    leaderboard, or a record's digest (8 digits or more). Beside files, a method's results are those of the files'
+    tracks and splits.
 
     Methods are ranked by their score over the sequences that all of them were run on. A rank is 1 + the number of
     methods that are significantly better (95 %), or better than one placed above. Results of different splits,

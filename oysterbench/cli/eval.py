@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from oysterbench.cli.evaluate import FOLDER, check_settings, click_option, evaluate, finish, foreign_options, given_options
+from oysterbench.cli.evaluate import (
+    FOLDER,
+    check_settings,
+    click_option,
+    evaluate,
+    finish,
+    foreign_options,
+    given_options,
+)
 from oysterbench.cli.outputs import Outputs, output_options
 
 if TYPE_CHECKING:

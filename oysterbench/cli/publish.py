@@ -100,7 +100,8 @@ def publish(
     if as_json:
         echo(json.dumps({**manifest.facts, "key": public_hex(key), "folder": str(tree)}, indent=2))
         return
-    message(f"{manifest.split} {manifest.version}: {counted(len(manifest.files), 'file')}, {manifest.size / 1e6:.1f} MB in {tree}")
+    count = counted(len(manifest.files), "file")
+    message(f"{manifest.split} {manifest.version}: {count}, {manifest.size / 1e6:.1f} MB in {tree}")
     if manifest.commitment:
         message(f"commitment: {manifest.commitment}")
     message(f"public key: {public_hex(key)}")

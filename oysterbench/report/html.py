@@ -114,7 +114,7 @@ def html_report(
     """Make the report: results, standings, trajectories, errors and recall, frames, definitions, and provenance.
 
     For image tracks: the data set as a whole, curves and sample images instead of trajectories. first, figures: what a
-    track shows before and after the tables common to all tracks; folder: in which failed runs may have left their output.
+    track shows before and after the tables common to all tracks; folder: in which failed runs may have left output.
     """
     records = [run.record for run in runs]
     splits = list(dict.fromkeys(record.split for record in records if record.split))

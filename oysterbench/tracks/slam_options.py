@@ -136,7 +136,7 @@ def _place(given: Mapping[str, Any], truth_file: Path) -> Any:
         sequence = open_sequence(truth_file)
     except SequenceError:
         raise OptionError(
-            f"--poses-of {given['poses_of']}: expected a sequence with that frame (.mcap, or a folder in EuRoC layout), "
+            f"--poses-of {given['poses_of']}: expected a sequence with that frame (.mcap or a folder in EuRoC layout), "
             f"got {truth_file}; give that, or --T-body-estimate"
         ) from None
     return frame_pose(sequence, given["poses_of"], given.get("format") or "tum")

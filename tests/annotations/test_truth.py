@@ -26,7 +26,9 @@ def test_photos_without_labels_are_not_taken_for_masks(tmp_path):
     (tmp_path / "a.jpg").write_bytes(b"")
     pixels = np.random.default_rng(0).integers(0, 255, (6, 8, 3), dtype=np.uint8)
     cv2.imwrite(str(tmp_path / "reef.png"), pixels)
-    with pytest.raises(LabelError, match=r"masks of one channel, got the colour image reef\.png: .*oysterbench segment"):
+    with pytest.raises(
+        LabelError, match=r"masks of one channel, got the colour image reef\.png: .*oysterbench segment"
+    ):
         open_truth(tmp_path)
     cv2.imwrite(str(tmp_path / "reef.png"), np.repeat(pixels[..., :1] // 128, 3, axis=2))
     assert [one.names for one in open_truth(tmp_path)] == [("reef",)]

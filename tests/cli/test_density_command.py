@@ -52,7 +52,7 @@ def test_a_map_is_a_folder_and_not_named_as_a_cloud(tmp_path):
 
 
 def test_an_oyster_is_refused_by_the_names_of_its_options():
-    assert STATES == scene_states
+    assert scene_states == STATES
     assert "'--state': 'dead' is not one of" in error_of("oyster", "--state", "dead")
     assert "'--size': " in error_of("oyster", "--size", "5")
 

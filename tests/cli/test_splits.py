@@ -286,6 +286,8 @@ def test_an_unknown_split_to_list_is_named():
     assert "slam-maxi" in str(found.exception) + found.output
 
 
-@pytest.mark.parametrize(("name", "told"), [("slam-mini", r"about \d+\.\d minutes on"), ("slam-val", r"\d+\.\d hours on")])
+@pytest.mark.parametrize(
+    ("name", "told"), [("slam-mini", r"about \d+\.\d minutes on"), ("slam-val", r"\d+\.\d hours on")]
+)
 def test_the_time_of_rendering_is_told_in_a_unit_that_suits_it(name, told):
     assert re.search(told, sequences_table(load_split(name)).notes[0])

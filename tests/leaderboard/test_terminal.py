@@ -101,7 +101,9 @@ def test_what_is_asked_wrongly_is_refused_in_one_line(board):
 
 def test_names_that_were_nearly_right_are_suggested_and_lists_end_in_whole_names(board):
     fill(board)
-    assert "did you mean slam-val or seg-val? there are: " in refused("leaderboard", "--track", "slam", "--split", "slam-vall")
+    assert "did you mean slam-val or seg-val? there are: " in refused(
+        "leaderboard", "--track", "slam", "--split", "slam-vall"
+    )
     assert "did you mean detection? " in refused("leaderboard", "--track", "detect")
     for k in range(30):
         board.add(record_made(f"a-method-with-a-long-name-{k:02d}"))

@@ -15,7 +15,7 @@ from rich.console import Console
 from oysterbench.core import page
 from oysterbench.core.streams import stream
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.evaluate.metrics import TRACKS, find_metric
+from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.evaluate.slam.scoring import EVALUATOR, SlamSettings, score
 from oysterbench.report import (
     SlamRun,
@@ -237,7 +237,6 @@ def test_every_measured_metric_is_defined_with_its_unit_and_direction():
     measured = run("gtsam_vi").record.metrics
     assert len(measured) > 30
     for key in measured:
-        metric = find_metric(key)
         assert metric_column(key, track="slam").about in text, key
         assert key in text, key
     assert "Score ↑" in text
