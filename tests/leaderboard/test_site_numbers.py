@@ -39,7 +39,7 @@ def test_no_two_columns_of_a_records_metrics_have_one_name(tmp_path):
     table = metrics_table(list(record_made().results), "x")
     heads = [column.heading for _, column in table.shown]
     assert len(heads) == len(set(heads))
-    assert heads[2] == "Median of errors, else mean"
+    assert (heads[2], table.columns[2].unit) == ("Value", "median of errors, else mean")
 
 
 def test_a_board_without_ranks_is_not_said_to_be_ranked(tmp_path):

@@ -181,7 +181,7 @@ def metrics_table(results: Sequence[ResultRecord], title: str, data_set: Mapping
     columns = (
         Column("metric", "Metric"),
         Column("unit", "Unit", "arrow to better"),
-        Column("mean", "Median of errors, else mean" if TRACKS[track].errors else "Mean", kind="number"),
+        Column("mean", "Value", "median of errors, else mean" if TRACKS[track].errors else "mean", "number"),
         Column("interval", "Interval", numbers.LEVEL, "interval"),
         Column("spread", "Spread", "over sequences", "interval"),
         Column("sequences", "Sequences", "with a value", "number"),
