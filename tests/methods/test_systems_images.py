@@ -59,7 +59,7 @@ def test_it_runs_by_name_on_the_track_of_its_manifest(toy, pictures, tmp_path):
     assert list(record.info["configuration_sha256"]) == ["channel.txt"]
     listed = json.loads(run("systems", "--json").stdout)
     row = next(row for row in listed if row["method"] == "toy_masks")
-    assert (row["track"], row["sensors"], row["state"]) == ("segmentation", "pictures", "built, package")
+    assert (row["track"], row["sensors"], row["state"]) == ("segmentation", "images", "built, package")
 
 
 def test_one_of_detection_leaves_coco_annotations(toy, pictures, tmp_path):
