@@ -37,6 +37,7 @@ class Claim:
     board: str
     method: str
     team: str
+    tier: str
     created: str
     supersedes: str
 
@@ -65,16 +66,21 @@ def states(claims: Iterable[Claim], gone: set[str]) -> dict[str, State]:
 
     A record is superseded by any of the same team that names it, on its own board or another (a new evaluator has its
     own board), or by the latest one of its method, team and board; of two created in the same second, the one with the
-    greater digest is later. A withdrawn record supersedes nothing: the one that it had replaced comes back.
+    greater digest is later. A reported record supersedes no ranked one: anybody can write numbers down. A withdrawn
+    record supersedes nothing: the one that it had replaced comes back.
     """
     every = list(claims)
     there = [one for one in every if one.digest not in gone]
-    named = {(one.supersedes, one.team) for one in there if one.supersedes}
+    ranked = {one.digest for one in there if one.tier in RANKED}
+    named = {
+        (one.supersedes, one.team)
+        for one in there
+        if one.supersedes and (one.digest in ranked or one.supersedes not in ranked)
+    }
     latest: dict[tuple[str, str, str], Claim] = {}
-    for one in there:
+    for one in sorted(there, key=lambda claim: (claim.digest in ranked, claim.created, claim.digest)):
         if (one.digest, one.team) not in named:
-            key = (one.board, one.method, one.team)
-            latest[key] = max(latest.get(key, one), one, key=lambda claim: (claim.created, claim.digest))
+            latest[one.board, one.method, one.team] = one
     current = {one.digest for one in latest.values()}
     return {
         one.digest: "withdrawn" if one.digest in gone else "current" if one.digest in current else "superseded"

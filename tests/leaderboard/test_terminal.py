@@ -176,6 +176,11 @@ def test_reported_results_take_no_place_of_scored_ones(board, tmp_path):
     assert "kept: carp" in shown("add", path, "--team", "another lab").stdout
     shown("withdraw", scored[:8], "--reason", "A mistake.")
     assert "kept: carp" in shown(*words).stdout
+    shown("restore", scored[:8], "--reason", "It was none.")
+    states = {
+        row["tier"]: row["state"] for row in json.loads(shown("history", "carp", "--team", "reef lab", "--json").stdout)
+    }
+    assert states == {"scored": "current", "reported": "superseded"}
     assert "place 1 of" in shown(*words, "--tier", "scored").stdout
 
 
