@@ -75,11 +75,12 @@ def policies_table(runs: Sequence[RolloutRun]) -> Table:
     names = list(policies)
     rows = []
     for key in OF_PAIRS:
-        column = difference_column(metric_column(key))
+        usual = difference_column(metric_column(key))
         better: Literal["lower", "higher"] = "lower" if metric_column(key).better == "lower" else "higher"
         for i, a in enumerate(names):
             for b in names[i + 1 :]:
                 found = compare(samples(policies[a], key), samples(policies[b], key), better)
+                column = usual.resolving([found.interval])
                 values = (
                     f"{a} {MINUS} {b}",
                     f"{metric_column(key).heading} [{column.unit}]",

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from oysterbench.core.errors import LabelError, MethodError, RecipeError, ResultError
+from oysterbench.evaluate.statistics import Comparison, Interval
 from oysterbench.exploration.labelled_views import labelled_views
 from oysterbench.exploration.rollout_store import packed, unpacked
 from oysterbench.methods.interfaces import Stopwatch
 from oysterbench.methods.interfaces.steering import COMMANDS, read_classes
+from oysterbench.report import exploring
 from oysterbench.report.exploring import places, places_table, policies_table, whole_of
 from oysterbench.report.steering_samples import bow_pixels, samples_of
 from oysterbench.results.records import ResultRecord
@@ -346,7 +348,7 @@ def test_a_split_of_another_track_has_no_rollouts(tiny_split):
         plan_rollouts(tiny_split)
 
 
-def test_policies_are_compared_on_the_same_reefs_and_have_a_place(tmp_path):
+def test_policies_are_compared_on_the_same_reefs_and_have_a_place(tmp_path, monkeypatch):
     split = made_split(tuple(f"r{k}" for k in range(7)))
     reefs = [sequence.name for sequence in split.sequence]
     plan = plan_rollouts(split, explore=made_explore)
@@ -361,6 +363,9 @@ def test_policies_are_compared_on_the_same_reefs_and_have_a_place(tmp_path):
     assert len(lines) == 6
     assert lines["expert \N{MINUS SIGN} random"][2:] == ("+130.0", "+130.0 to +130.0", "7 / 0 / 0", "better")
     assert lines["expert \N{MINUS SIGN} lawnmower"][2] == "+65.0"
+    near = Comparison(7, 0.06, Interval(0.003, 0.1), 6, 0, 1, "better")
+    monkeypatch.setattr(exploring, "compare", lambda *_: near)
+    assert policies_table(runs).texts[0][3] == "+0.003 to +0.100"
     assert places([run for run in runs if run.record.method != "random"]) == {}
 
 
