@@ -32,6 +32,8 @@ def test_a_board_lists_the_splits_that_it_accepts(site, served):
     assert sent["pool-val"].startswith("a TUM file for each sequence")
     assert sent["slam-mini"].startswith("a results.json of oysterbench run, marked as reported")
     assert "They are scored here" in text(page)
+    assert page.table.rows[-1].cells[1].value == "slam-mini"  # after those whose estimates are scored
+    assert "oysterbench download pool-val" in text(page)
 
 
 def test_a_site_that_accepts_none_says_so(site):
@@ -39,3 +41,4 @@ def test_a_site_that_accepts_none_says_so(site):
     assert "This site accepts none" in shown
     assert "They are scored here" not in shown
     assert "slam-test" in shown
+    assert "oysterbench download slam-val" in shown

@@ -31,6 +31,9 @@ FORMS = {
 RESULTS = "a results.json of oysterbench run, marked as reported: the truth is not on this server"
 """What to send where estimates cannot be scored."""
 
+SHOWN = "slam-val"
+"""Split in the commands of a site that scores no paths on a public split."""
+
 COMPARED = ("-val", "-test")
 """Ends of the names of splits on which methods are compared, listed where no submissions are accepted."""
 
@@ -49,6 +52,9 @@ def submit_page(site: Site) -> Page:
         for name, of in known.items()
         if of.track in TRACKS_OF and name.endswith(COMPARED)
     ]
+    splits = sorted(splits, key=lambda split: ("estimates" not in split["takes"], not split["hidden"], split["split"]))
+    public = (split for split in splits if not split["hidden"] and "slam" in split["tracks"])
+    scored = (split["split"] for split in public if "estimates" in split["takes"])
     lines = [
         TableRow(
             (
@@ -58,7 +64,7 @@ def submit_page(site: Site) -> Page:
                 Cell(FORMS[track] if "estimates" in split["takes"] else RESULTS, kind="wrap"),
             )
         )
-        for split in sorted(splits, key=lambda split: (not split["hidden"], split["split"]))
+        for split in splits
         for track in split["tracks"]
     ]
     notes = tuple(
@@ -66,7 +72,7 @@ def submit_page(site: Site) -> Page:
     )
     table = Table("What can be sent", columns, tuple(lines), notes, "submit")
     data = plain({"form": site.form or None, "splits": json_rows(table), "elsewhere": ELSEWHERE})
-    context = {"form": site.form, "tiers": TIERS}
+    context = {"form": site.form, "tiers": TIERS, "split": next(scored, SHOWN)}
     return Page("/submit", "How to submit", "submit.html", context, (table,), data)
 
 
