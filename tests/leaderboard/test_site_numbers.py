@@ -52,5 +52,5 @@ def test_a_board_without_ranks_is_not_said_to_be_ranked(tmp_path):
         split: Reading(render.page_html(board_page(site, "slam", split), render.server_links())).text
         for split in ("slam-mini", "slam-val")
     }
-    assert "1 current record, in order of Score." in said["slam-mini"]
+    assert "1 current record, placed by Score." in said["slam-mini"]
     assert "1 current record, ranked by Score." in said["slam-val"]
