@@ -253,7 +253,10 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
         lines.append(TableRow(cells))
     notes = "Errors are compared on the sequences where both have a value: read them together with coverage."
     if track.errors:
-        notes = f"{lost_note(board.track)} They are compared on the sequences that neither has lost."
+        notes = (
+            f"{lost_note(board.track)} Their differences are means over the sequences that neither has lost, and so "
+            "need not be the differences of these medians."
+        )
     return Table(f"{sides[0].label} against {sides[1].label}", columns, tuple(lines), (notes,), "metrics")
 
 
