@@ -23,9 +23,10 @@ def test_a_verdict_stands_beside_an_interval_that_shows_it():
     assert texts(-0.00012, 0.066) == ["+0.031", "0.000 to +0.066"]
 
 
-def test_a_record_without_paths_says_why_there_are_none(tmp_path):
+def test_a_record_without_paths_says_why_there_are_none_where_there_could_be_some(tmp_path):
     store = RecordStore(tmp_path)
     digests = {split: store.add(record_made(split=split)) for split in ("slam-val", "slam-test")}
+    digests["seg-val"] = store.add(record_made(track="segmentation", split="seg-val"))
     site = Site(open_index(store, str(tmp_path / "index.sqlite")))
     said = {
         split: Reading(render.page_html(record_page(site, digest), render.server_links())).text
@@ -33,6 +34,7 @@ def test_a_record_without_paths_says_why_there_are_none(tmp_path):
     }
     assert "None to show: the record has no paths." in said["slam-val"]
     assert "None to show: the split is hidden." in said["slam-test"]
+    assert "Paths and errors" not in said["seg-val"]
 
 
 def test_no_two_columns_of_a_records_metrics_have_one_name(tmp_path):
