@@ -7,6 +7,8 @@ from oysterbench_leaderboard.index import open_index
 from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.pages.board import board_page
 from oysterbench_leaderboard.site.pages.compare import _compared_cells
+from oysterbench_leaderboard.site.pages.compare_several import several_page
+from oysterbench_leaderboard.site.pages.home import home_page
 from oysterbench_leaderboard.site.pages.record import metrics_table, record_page
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.store import RecordStore
@@ -45,14 +47,19 @@ def test_no_two_columns_of_a_records_metrics_have_one_name(tmp_path):
 
 
 def test_a_board_without_ranks_is_not_said_to_be_ranked(tmp_path):
-    store = RecordStore(tmp_path)
     few = ("val-03", "val-04", "val-05", "val-06", "val-07", "val-08")
-    store.add(record_made(without=few, split="slam-mini"))
-    store.add(record_made())
-    site = Site(open_index(store, str(tmp_path / "index.sqlite")))
-    said = {
-        split: Reading(render.page_html(board_page(site, "slam", split), render.server_links())).text
-        for split in ("slam-mini", "slam-val")
-    }
-    assert "1 current record, placed by Score." in said["slam-mini"]
-    assert "1 current record, ranked by Score." in said["slam-val"]
+    said = {}
+    for split, without in (("slam-mini", few), ("slam-val", ())):
+        store = RecordStore(tmp_path / split)
+        digests = [store.add(record_made(name, without=without, split=split)) for name in ("carp", "cod", "dab")]
+        site = Site(open_index(store, str(tmp_path / f"{split}.sqlite")))
+        pages = (board_page(site, "slam", split), several_page(site, digests), home_page(site))
+        said[split] = [Reading(render.page_html(page, render.server_links())).text for page in pages]
+    of_board, of_several, of_home = said["slam-mini"]
+    assert "3 current records, placed by Score." in of_board
+    assert "Placed by Score, as on their board." in of_several
+    assert "with 95 % intervals" not in of_home
+    of_board, of_several, of_home = said["slam-val"]
+    assert "3 current records, ranked by Score." in of_board
+    assert "Ranked by Score, as on their board." in of_several
+    assert "Score, with 95 % intervals" in of_home

@@ -57,6 +57,7 @@ def several_page(site: Site, names: Sequence[str]) -> Page:
         "info": info,
         "board": board_path(info),
         "metric": metric_column(info.metric),
+        "has_ranks": any(row.rank is not None for row in rows),
         "count": len(sides),
         "machines": machines_note(rows),
         "unshown": len(sides) - len(drawn),
