@@ -146,7 +146,7 @@ def rig_tables(source: str, rig_source: str, sequence: str) -> dict[str, Any]:
         (one.get("rig", {}) for one in table.get("sequence", []) if one["name"] == sequence), {}
     )
     for block, values in changes.items():
-        old = rig[block]
+        old = rig.get(block, [])  # a rig without lamps has nothing to change
         rig[block] = [{**one, **values} for one in old] if isinstance(old, list) else {**old, **values}
     return rig
 

@@ -67,3 +67,9 @@ def test_every_format_has_the_given_offset_and_with_truth_says_the_true_one(late
     if form != "tum":
         chain = yaml.safe_load((folder / "camchain-imucam.yaml").read_text())
         assert {camera["timeshift_cam_imu"] for camera in chain.values()} == {0.0}
+
+
+def test_changes_of_what_a_rig_does_not_have_change_nothing():
+    split = "[[sequence]]\nname = 'one'\nrig = { lamp = { power = 2.0 }, camera = { rate_hz = 5 } }"
+    tables = rig_tables(split, "[[camera]]\nname = 'cam'", "one")
+    assert tables == {"camera": [{"name": "cam", "rate_hz": 5}], "lamp": []}
