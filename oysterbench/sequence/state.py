@@ -31,9 +31,9 @@ def file_digests(path: Path) -> dict[str, str]:
     for sensor in sensor_folders(path):
         for folder, entries in _folders(sensor):
             name = folder.relative_to(path / "mav0").as_posix()
-            texts = [entry for entry in entries if entry.name.endswith(TEXTS)]
+            texts = [entry for entry in entries if entry.name.endswith(TEXTS) and entry.is_file()]
             found |= {f"{name}/{entry.name}": _digest(Path(entry.path).read_bytes()) for entry in texts}
-            if states := [_state(entry) for entry in entries if not entry.name.endswith(TEXTS)]:
+            if states := [_state(entry) for entry in entries if entry not in texts]:
                 found[f"{name}/"] = _digest("\n".join(states).encode())
     return found
 

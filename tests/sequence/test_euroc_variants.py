@@ -43,6 +43,11 @@ def folder(tmp_path):
         "T_BS: [[1, 0, 0, 0.1], [0, 1, 0, 0.2],\n  [0, 0, 1, 0.3], [0, 0, 0, 1]]",
         f"T_BS: !!opencv-matrix\n  rows: 4\n  cols: 4\n  dt: d\n  data: [{NUMBERS}]",
         "T_BS:\n  data:\n    - [1, 0, 0, 0.1]\n    - [0, 1, 0, 0.2]\n    - [0, 0, 1, 0.3]\n    - [0, 0, 0, 1]",
+        f"T_BS: {{rows: 4, cols: 4, data: [{NUMBERS}]}}",
+        f"T_BS:\n  type: double\n  size: [4, 4]\n  data: [{NUMBERS}]",
+        f"T_BS:\nrows: 4\ncols: 4\ndata: [{NUMBERS}]\ncamera.model: pinhole",
+        f"T_BS: [{NUMBERS}]\n\"comment\": the front camera",
+        f'T_BS: "{NUMBERS}"\n...',
     ],
 )
 def test_a_pose_is_read_as_a_matrix_as_a_list_and_by_rows(folder, pose):
@@ -174,6 +179,18 @@ def test_a_method_is_told_of_an_image_whose_link_leads_nowhere(folder, tmp_path)
     write_input(folder.path, "sensors", tmp_path / "given")
     with pytest.raises(SequenceError, match=f"{FRAMES[1]}.png: .*there is no such file"):
         list(oysterbench.open(tmp_path / "given").images("cam0"))
+
+
+def test_a_list_of_images_whose_link_leads_nowhere_is_one_of_the_files_that_are_told_apart(folder, tmp_path):
+    folder.add_camera("cam1")
+    whole = file_digests(folder.path)
+    (folder.root / "cam1" / "data.csv").unlink()
+    (folder.root / "cam1" / "data.csv").symlink_to(tmp_path / "gone.csv")
+    found = file_digests(folder.path)
+    assert {name for name in found.keys() | whole.keys() if found.get(name) != whole.get(name)} == {
+        "cam1/",
+        "cam1/data.csv",
+    }
 
 
 def test_without_inertial_samples_the_images_give_the_duration_and_rates(folder):
