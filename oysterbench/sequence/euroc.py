@@ -40,8 +40,11 @@ LENSES = {
 }
 """Distortion model in a sensor.yaml -> that of `CameraCalibration`."""
 
-POSE = re.compile(r"^\s*T_BS:(.*?)(?=^\s*(?!(?:rows|cols|dt|data)\b)[A-Za-z_]\w*:|\Z)", re.M | re.S)
-"""T_BS with all that is nested in it, up to the next key."""
+POSE = re.compile(
+    r"^([ \t]*)T_BS:(.*?)(?=^(?!\1[ \t]+\S)[ \t]*(?!(?:rows|cols|dt|data)\b)(?:[^\s\d.+\-\[\],]|\.{3}|-{3})|\Z)",
+    re.M | re.S,
+)
+"""T_BS with all that is nested in it: up to the next key that is not indented further, or the document's end."""
 
 GRAVITY = 9.81  # m/s^2; used where the folder has no key for it, which is not part of the layout
 LEAST_GRAVITY, MOST_GRAVITY = 9.0, 11.0  # m/s^2: another sign, unit or planet is a mistake
@@ -180,7 +183,7 @@ def _read_sensor(path: Path, read: Callable[[Mapping[str, str]], C]) -> C:
     found = re.findall(r"^\s*(\w+):[ \t]*(\[[^\]]*\]|[^\n\[]*)", text, re.M)
     settings = {key: value.strip().strip("\"'") for key, value in found}
     if (pose := POSE.search(text)) is not None:
-        settings["T_BS"] = pose[1]
+        settings["T_BS"] = pose[2]
     try:
         return read(settings)
     except ValueError as error:
@@ -225,8 +228,8 @@ def _pose(settings: Mapping[str, str]) -> Array:
     transform."""
     if "T_BS" not in settings:
         raise ValueError("missing key 'T_BS'")
-    text = re.sub(r"!!\S+|\b(rows|cols|dt)\s*:\s*\w+|\bdata\s*:", " ", settings["T_BS"])
-    words = [word for word in re.split(r"[\s,\[\]]+", text) if word.strip("-")]
+    text = re.sub(r"!!\S+|\b(?!data\b)\w+\s*:\s*(\[[^\]]*\]|\w+)|\bdata\s*:", " ", settings["T_BS"])
+    words = [word for word in re.split(r"[\s,\[\]{}\"']+", text) if word.strip("-")]
     try:
         matrix = np.array(words, dtype=float).reshape(4, 4)
     except ValueError:
