@@ -110,12 +110,16 @@ class InvariantFilter:
             self.velocity = self.velocity + dt * acceleration
             self.rotation = self.rotation @ steps[k]
         self.rate = rates[-1]
+        self.forget(segment)
+        self._propagate_covariance(segment.dt[:, None, None], middles, cross(velocities), cross(positions))
+
+    def forget(self, segment: Segment) -> None:
+        """Grow the covariance by what vehicles do in the part of a segment in which samples are missing, if so."""
         if segment.has_gap:
             since, before = segment.gap_s, max(segment.gap_s - segment.duration, 0.0)  # a gap has been cut at frames
             rate, accel = UNKNOWN_RATE**2 * (since**2 - before**2), UNKNOWN_ACCEL**2 * (since**2 - before**2)
             place = (0.5 * UNKNOWN_ACCEL) ** 2 * (since**4 - before**4)
             self.covariance[:9, :9] += np.diag(np.repeat([rate, accel, place], 3))
-        self._propagate_covariance(segment.dt[:, None, None], middles, cross(velocities), cross(positions))
 
     def _propagate_covariance(self, dt: Array, middles: Array, v: Array, p: Array) -> None:
         """Propagate the covariance by N intervals: dt (N, 1, 1) s, attitudes half-way (N, 3, 3), cross-product matrices

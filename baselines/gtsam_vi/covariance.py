@@ -104,6 +104,7 @@ def propagate_back(filter: InvariantFilter, segment: Segment) -> None:
     grown[VELOCITY] = noise.accel**2 * time
     grown[POSITION] = noise.accel**2 * time**3 / 3
     filter.covariance[:CORE, :CORE] += np.diag(grown)
+    filter.forget(segment)
 
 
 def discounted(graph: gtsam.NonlinearFactorGraph, times: float, huber: float) -> gtsam.NonlinearFactorGraph:

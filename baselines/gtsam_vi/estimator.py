@@ -247,10 +247,10 @@ class Estimator:
     def _pass_over(self) -> None:
         """Begin anew at a keyframe before which inertial samples are missing: no factor knows of that time."""
         self.info["imu_gaps"] = int(self.info.get("imu_gaps", 0)) + 1
+        self.keyframes[-1].trusted = False
+        self._initialiser.first = self.keyframes[-1].index
         if self._recovery.has_begun:
             self._restart()
-        else:
-            self._initialiser.first = self.keyframes[-1].index
 
     def _restart(self) -> None:
         """Give up the window and search for a new start from this keyframe on: an aided filter keeps running, and the
@@ -334,7 +334,7 @@ class Estimator:
         if self.window is None and len(self.keyframes) > 1 and not self.aiding.knows_velocity:
             self._initialise(final=True)
         self.info["keyframes"] = len(self.keyframes)
-        self.info["initialised"] = int(self.window is not None)
+        self.info["initialised"] = int(self._recovery.has_begun)
         if self.loops is not None:
             self.info["places"], self.info["loops"] = len(self.loops.places), len(self.loops.loops)
             self.loops.rest()

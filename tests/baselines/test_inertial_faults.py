@@ -58,6 +58,19 @@ def test_samples_that_no_vehicle_can_have_measured_are_refused(change, words):
         check_inertial("mine", dive_with(change))
 
 
+@pytest.mark.parametrize(
+    "stamp_ns",
+    [
+        lambda n: n // 8 * 40_000_000 + n % 8,  # in bursts of eight, stamped on arrival
+        lambda n: n * 5_000_000 + (n > 0) * 10**12,  # a single one long before all others
+        lambda n: n * 200_000,  # 5 kHz, where 200 Hz are assumed
+        lambda n: n * 100_000_000,
+    ],
+)
+def test_stamps_of_other_units_are_told_from_bursts_gaps_and_other_rates(stamp_ns):
+    check_inertial("mine", dive_with(lambda s: replace(s, stamp_ns=stamp_ns(s.stamp_ns // 5_000_000))))
+
+
 def test_a_sequence_without_samples_is_refused():
     with pytest.raises(MethodError, match=r"^mine: expected inertial samples in sequence theirs, got 0$"):
         check_inertial("mine", dive_with(lambda s: s, count=0))
@@ -195,9 +208,22 @@ def test_it_says_what_it_does_not_know_after_a_gap_and_finds_its_place_again():
     assert (estimator.health()[(seconds > 6.5) & (seconds < 6.8)] == Health.COASTING).all()
 
 
+def test_what_was_before_a_gap_before_the_start_is_tied_to_the_rest_as_loosely_as_it_is_known():
+    measured = dive.make_dive(3, duration_s=6.0)
+    estimator = estimated(measured, lambda seconds: 0.6 < seconds < 1.4)
+    assert estimator.info["imu_gaps"] > 0
+    assert estimator.window is not None
+    assert sigmas_off(measured.truth, estimator.smoothed()).max() < 3.0
+    covariances = estimator.online().covariances
+    assert covariances is not None
+    assert np.sqrt(covariances[0, 0, 0]) > 0.1 > np.sqrt(covariances[-1, 0, 0])  # odom is that of the start
+
+
 def test_samples_that_end_early_leave_a_path_that_says_so():
     measured = dive.make_dive(3, duration_s=9.0)
-    online = estimated(measured, lambda seconds: seconds > 6.0).online()
+    estimator = estimated(measured, lambda seconds: seconds > 6.0)
+    assert estimator.info["initialised"] == 1  # whatever happened afterwards
+    online = estimator.online()
     assert len(online) == len(measured.stamps_ns)
     assert sigmas_off(measured.truth, online).max() < 3.0
     assert online.covariances is not None
