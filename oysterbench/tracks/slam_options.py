@@ -134,10 +134,10 @@ def _place(given: Mapping[str, Any], truth_file: Path) -> Any:
 
     try:
         sequence = open_sequence(truth_file)
-    except SequenceError:
+    except SequenceError as error:
         raise OptionError(
             f"--poses-of {given['poses_of']}: expected a sequence with that frame (.mcap or a folder in EuRoC layout), "
-            f"got {truth_file}; give that, or --T-body-estimate"
+            f"got {truth_file}; give that, or --T-body-estimate ({error})"
         ) from None
     return frame_pose(sequence, given["poses_of"], given.get("format") or "tum")
 

@@ -177,3 +177,11 @@ def test_a_folder_in_euroc_layout_is_a_ground_truth_and_as_an_estimate_named_by_
     assert done.exit_code == 0, done.stderr
     file = folder / "mav0" / "state_groundtruth_estimate0" / "data.csv"
     assert call(mine, folder).stderr.strip().endswith(f"is a folder; {EXPECTED}; its poses are in {file}")
+    file.unlink()
+    assert call(folder, mine).stderr.strip().endswith(f"is a folder; {EXPECTED}; it has no poses, in {file}")
+    sensor = folder / "mav0" / "cam0" / "sensor.yaml"
+    sensor.write_text(sensor.read_text().replace("T_BS", "T_SB"))
+    words = ["eval", "slam", "--truth", str(folder), "--estimate", str(mine), "--poses-of", "cam0"]
+    told = CliRunner().invoke(main, words).stderr
+    assert f"expected a sequence with that frame (.mcap or a folder in EuRoC layout), got {folder}; " in told
+    assert f"({sensor}: missing key 'T_BS')" in told

@@ -82,7 +82,10 @@ def _read(path: Path, options: ReadOptions) -> Trajectory:
         if options.topic is not None:
             raise TrajectoryError(f"{path}: --topic applies to an MCAP file or a bag, got neither")
         if folder:
-            inside = f"; its poses are in {path / EUROC_TRUTH}" if (path / EUROC_TRUTH).is_file() else ""
+            inside = ""
+            if (path / "mav0").is_dir():
+                place, there = path / EUROC_TRUTH, (path / EUROC_TRUTH).is_file()
+                inside = f"; its poses are in {place}" if there else f"; it has no poses, in {place}"
             raise TrajectoryError(f"{path} is a folder; {EXPECTED}{inside}")
         data = data if once else path.read_bytes()
     except FileNotFoundError:
