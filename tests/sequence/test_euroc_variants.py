@@ -46,7 +46,7 @@ def folder(tmp_path):
         f"T_BS: {{rows: 4, cols: 4, data: [{NUMBERS}]}}",
         f"T_BS:\n  type: double\n  size: [4, 4]\n  data: [{NUMBERS}]",
         f"T_BS:\nrows: 4\ncols: 4\ndata: [{NUMBERS}]\ncamera.model: pinhole",
-        f"T_BS: [{NUMBERS}]\n\"comment\": the front camera",
+        f'T_BS: [{NUMBERS}]\n"comment": the front camera',
         f'T_BS: "{NUMBERS}"\n...',
     ],
 )
