@@ -334,7 +334,7 @@ class Estimator:
         if self.window is None and len(self.keyframes) > 1 and not self.aiding.knows_velocity:
             self._initialise(final=True)
         self.info["keyframes"] = len(self.keyframes)
-        self.info["initialised"] = int(self._recovery.has_begun)
+        self.info["initialised"] = int(self._recovery.has_begun or self.aiding.knows_velocity)
         if self.loops is not None:
             self.info["places"], self.info["loops"] = len(self.loops.places), len(self.loops.loops)
             self.loops.rest()
