@@ -53,12 +53,12 @@ def test_with_a_dvl_the_path_drifts_by_less_than_a_hundredth_in_two_minutes(rest
 
 @pytest.mark.slow
 def test_errors_are_as_large_as_the_covariances_say():
-    """NEES over dives that differ in noise, biases, misalignment and sway, in a gauge of its own: where the vehicle
-    starts and points. At one instant the sum over independent dives is chi-square with 6 degrees each."""
+    """NEES over dives that differ in noise, biases, misalignment and sway, with a unit that warms as the filter expects,
+    in a gauge of its own: where the vehicle starts and points. At one instant the sum over independent dives is chi-square with 6 degrees each."""
     runs = 10
     instants: dict[int, list[float]] = {500: [], 1000: [], 1999: []}
     for seed in range(runs):
-        sequence = make(seed, ALL, 20.0, resting=seed % 2 == 0)
+        sequence = make(seed, ALL, 20.0, resting=seed % 2 == 0, unit=dive.WARMING)
         trajectory = reckon(sequence)
         error = errors(sequence, trajectory)
         for k, values in instants.items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -73,9 +73,13 @@ def survey_path(duration_s: float, resting: bool = True, phase: float = 0.0) -> 
     return Path(make_interp_spline(times, position, k=5), make_interp_spline(times, attitude, k=5), duration_s)
 
 
-def rig(*sensors: str, **dvl_keys: Any) -> RigRecipe:
-    """A vehicle with a MEMS unit and some of dvl, pressure, magnetometer."""
-    grade: dict[str, Any] = {**COMMON, **IMU_GRADES["mems"], "accel_range": None, "gyro_range": None}
+WARMING = {"warming_k": 30.0, "gyro_bias_per_k": 5e-4, "accel_bias_per_k": 7e-3}
+"""A MEMS unit without compensation that has just been switched on: 0.1 K/s."""
+
+
+def rig(*sensors: str, unit: Mapping[str, float] | None = None, **dvl_keys: Any) -> RigRecipe:
+    """A vehicle with a MEMS unit and some of dvl, pressure, magnetometer. unit: further keys of the MEMS unit."""
+    grade: dict[str, Any] = {**COMMON, **IMU_GRADES["mems"], "accel_range": None, "gyro_range": None, **(unit or {})}
     known: dict[str, SensorRecipe] = {
         "imu": ImuRecipe(rate_hz=100.0, position_m=(-0.05, 0.02, 0.03), **grade),
         "dvl": DvlRecipe(position_m=(-0.08, 0.0, -0.12), misalignment_deg=0.3, **dvl_keys),
