@@ -53,8 +53,11 @@ def test_with_a_dvl_the_path_drifts_by_less_than_a_hundredth_in_two_minutes(rest
 
 @pytest.mark.slow
 def test_errors_are_as_large_as_the_covariances_say():
-    """NEES over dives that differ in noise, biases, misalignment and sway, with a unit that warms as the filter expects,
-    in a gauge of its own: where the vehicle starts and points. At one instant the sum over independent dives is chi-square with 6 degrees each."""
+    """NEES over dives that differ in noise, biases, misalignment and sway, of a unit that warms as the filter assumes.
+
+    In a gauge of its own: where the vehicle starts and points. At one instant the sum over independent dives is
+    chi-square with 6 degrees each.
+    """
     runs = 10
     instants: dict[int, list[float]] = {500: [], 1000: [], 1999: []}
     for seed in range(runs):
