@@ -120,7 +120,8 @@ def test_a_lens_of_five_coefficients_is_used_as_it_is():
     camera = replace(dive.camera_calibration(), distortion=np.array([0.1, 0.02, 0.001, 0.002, -0.03]))
     rig = CameraRig([camera], dive.imu_calibration())
     assert rig.keys() == []
-    np.testing.assert_allclose(rig.errors_px(np.eye(4), np.array([[9.0, 0.0, 1.0]]), np.zeros((1, 2))).shape, (1,))
+    ahead = rig.T_imu_cam @ [0.0, 0.0, 2.0, 1.0]
+    np.testing.assert_allclose(rig.errors_px(np.eye(4), ahead[None, :3], np.zeros((1, 2))), [0.0], atol=1e-9)
 
 
 # Samples.
