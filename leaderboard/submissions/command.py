@@ -31,9 +31,10 @@ TOKEN = "OYSTERBENCH_TOKEN"
 @click.option("--team-token-file", type=click.Path(path_type=Path), help=f"File with the token.  [default: {TOKEN}]")
 @click.option("--url", "about", default="", help="Address of the method's description.")
 @click.option("--summary", default="", help="The method in one sentence.")
+@click.option("--check", "only_check", is_flag=True, help="Check the files, and send nothing.")
 @click.option("--publish", is_flag=True, help="Publish on the board once it is scored.")
 @click.option("--wait/--no-wait", default=True, show_default=True, help="Wait until it is scored.")
-@click.option("--json", "as_json", is_flag=True, help="Print the submission as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the submission, or what --check found, as JSON.")
 def command(
     place: Path,
     url: str,
@@ -46,6 +47,7 @@ def command(
     team_token_file: Path | None,
     about: str,
     summary: str,
+    only_check: bool,
     publish: bool,
     wait: bool,
     as_json: bool,
@@ -55,6 +57,7 @@ def command(
     \b
     Examples:
       oysterbench submit estimates/ --to https://board.example --method carp --split slam-test
+      oysterbench submit estimates/ --to https://board.example --method carp --split slam-test --check
       oysterbench submit results/ --to https://board.example --method carp --of my_slam --publish
       oysterbench submit results.json --to https://board.example --method carp
       oysterbench submit masks.npz --to https://board.example --method net --split seg-test --track detection
@@ -67,8 +70,11 @@ def command(
       commands: SEQUENCE.csv with columns stamp_ns,yaw,pitch, or with the probabilities of all classes
       a zip archive of any of these
 
-    The files are first checked locally, with the server's own checks. Sending them twice makes one submission.
+    The files are first checked locally, with the server's own checks; with --check, that is all, and it costs no
+    attempt. Sending them twice makes one submission.
     """
+    if only_check and publish:
+        raise click.UsageError("--check sends nothing: it cannot be combined with --publish")
     if publish and not wait:
         raise click.UsageError("--publish waits until the submission is scored: it cannot be combined with --no-wait")
     if not place.exists():
@@ -102,6 +108,11 @@ def command(
             message(f"no estimate is sent for {', '.join(absent)}: counted as failed there")
         if found.others:
             message(f"not sent, as named for no sequence of {chosen['split']}: {listed(found.others)}")
+        if only_check:
+            message("nothing was sent: the same command without --check sends it")
+            if as_json:
+                echo(json.dumps(package.facts, indent=2))
+            return
         with bytes_bar("sending") as progress:
             sent = client.send(package, method, about, summary, progress)
     message(f"submission {sent['id']}: {url.rstrip('/')}{sent['page']}")

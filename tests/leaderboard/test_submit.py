@@ -73,6 +73,21 @@ def test_what_is_wrong_is_found_before_anything_is_sent(site, estimates):
     assert site.server.ask("GET", "/api/submissions", token=site.token)[2] == before
 
 
+def test_only_checking_sends_nothing(site, estimates):
+    (estimates / "pool-02.tum").unlink()
+    before = posts(site)
+    checked = submit(site, estimates, "--method", "tench", "--split", "pool-test", "--check", "--json")
+    assert checked.exit_code == 0, checked.output
+    found = json.loads(checked.stdout)
+    assert found == {"kind": "poses", "sequences": ["pool-01"], "poses": 200, "images": 0, "notes": []}
+    assert "no estimate is sent for pool-02" in checked.stderr
+    assert checked.stderr.endswith("nothing was sent: the same command without --check sends it\n")
+    assert posts(site) == before
+    both = submit(site, estimates, "--method", "tench", "--split", "pool-test", "--check", "--publish")
+    assert both.exit_code == 2
+    assert "--check sends nothing: it cannot be combined with --publish" in both.stderr
+
+
 def posts(site) -> int:
     """Submissions that the server has been sent, taken or refused."""
     return sum(event["what"] in ("queued", "refused") for event in site.events())
