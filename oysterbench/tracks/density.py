@@ -68,6 +68,23 @@ class DensityTrack(Track):
 
         return MapSettings(**{key: options[key] for key in ("cell_m",) if key in options})
 
+    def with_truth(self, topics: Sequence[str]) -> tuple[str, ...]:
+        """Add the topics of the ground truth; the layers of the camera that is mapped must be among those given."""
+        return SLAM.with_truth(topics)
+
+    def check(self, request: Request) -> None:
+        """Also refuse topics that lack the layers of which the true map is made."""
+        from oysterbench.simulation.jobs import wanted_topics
+        from oysterbench.tracks.mapping_evaluation import camera_with_layers
+
+        super().check(request)
+        split = request.split
+        for sequence in () if split is None or not request.topics else split.sequence:
+            if not request.sequences or sequence.name in request.sequences:
+                assert split is not None
+                cameras = [camera.name for camera in split.rig_of(sequence).camera]
+                camera_with_layers(sequence.name, cameras, wanted_topics(split, sequence, request.topics))
+
     def run_sequences(
         self, split: SplitRecipe | None, files: Mapping[str, Path], options: Mapping[str, Any]
     ) -> Sequence[SlamSequence]:
@@ -81,7 +98,7 @@ class DensityTrack(Track):
         """Build maps and score them. SLAM methods provide paths, image methods provide masks."""
         from oysterbench.mapping import read_seen
         from oysterbench.report.density_figure import drawn
-        from oysterbench.tracks.mapping_evaluation import MappedSequence, evaluate_maps, labelled_camera
+        from oysterbench.tracks.mapping_evaluation import MappedSequence, camera_with_layers, evaluate_maps
 
         self.check(request)
         options, settings = request.options, self.settings(request.options)
@@ -98,7 +115,8 @@ class DensityTrack(Track):
         sequences = self.run_sequences(request.split, self.rendered(request), options)
         for sequence in sequences:
             opened = open_sequence(sequence.path)
-            camera = labelled_camera(opened)
+            topics = {topic for topic, _, _ in opened.contents()}
+            camera = camera_with_layers(opened.name, opened.cameras, topics)
             paths = self._paths(sequence, [one for one in methods if one.track == "slam"], again)
             if (place := options.get("masks")) is None:
                 masks = self._masks(sequence, camera, images, again, settings)
@@ -106,7 +124,7 @@ class DensityTrack(Track):
                 kind, several = options.get("kind", "auto"), len(sequences) > 1
                 seen = partial(read_seen, place, opened, camera, kind, settings.threshold, several)
                 masks = {place.name: seen}
-            mapped = MappedSequence(opened, camera, paths, masks)
+            mapped = MappedSequence(opened, camera, paths, masks, sequence.topics)
             depth, align = options.get("depth", "layer"), options.get("align", "posyaw")
             for run in evaluate_maps(mapped, sequence.split, settings, depth, align, request.announce):
                 runs.append(drawn(run))

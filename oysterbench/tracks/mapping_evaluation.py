@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -47,23 +47,24 @@ class TrueMap:
 @dataclass(frozen=True)
 class MappedSequence:
     """A sequence to map: with its paths by name (an exception where there is none) and its masks by name (by default
-    those of the ground truth)."""
+    those of the ground truth). topics: of a file with only some of its split's, which records then name."""
 
     sequence: Sequence
     camera: str
     paths: Mapping[str, Trajectory | Exception]
     masks: Mapping[str, SeenOf] = field(default_factory=dict)
+    topics: tuple[str, ...] = ()
 
 
-def labelled_camera(sequence: Sequence) -> str:
-    """Name of the first camera with the layers depth, class and instance. Raises LabelError where there is none."""
-    topics = {topic for topic, _, _ in sequence.contents()}
-    for name in sequence.cameras:
-        if {f"/{name}/depth", f"/{name}/class", f"/{name}/instance"} <= topics:
-            return name
+def camera_with_layers(name: str, cameras: Iterable[str], topics: Collection[str]) -> str:
+    """Name of the first camera whose layers depth, class and instance are among the topics of a sequence. Raises
+    LabelError where there is none."""
+    for camera in cameras:
+        if all(f"/{camera}/{layer}" in topics for layer in ("depth", "class", "instance")):
+            return camera
     raise LabelError(
-        f"{sequence.name}: no camera has the layers depth, class and instance, of which the true map is made; "
-        "`oysterbench info` lists what there is"
+        f"{name}: no camera has the layers depth, class and instance, of which the true map is made; its topics: "
+        f"{', '.join(sorted(topics))}"
     )
 
 
@@ -156,6 +157,8 @@ def evaluate_maps(
         {**settings.as_dict(), "depth": depth, "align": align},
         EVALUATOR,
     )
+    if mapped.topics:
+        about["info"] = {"topics": list(mapped.topics)}
     masks = mapped.masks or {"": lambda: true_seen(sequence, camera)}
     for path_name, path in {TRUE_POSES: poses, **mapped.paths}.items():
         for mask_name, seen in masks.items():

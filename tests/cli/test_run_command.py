@@ -96,6 +96,30 @@ def test_of_a_split_only_the_topics_that_are_wanted_are_rendered(home, tmp_path)
         assert why in refused.stderr
 
 
+def test_maps_need_of_a_split_one_camera_with_its_layers(home, tmp_path):
+    (tmp_path / "rig.toml").write_text(TINY_RIG)
+    recipe = tmp_path / "tiny.toml"
+    recipe.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "rig.toml"'))
+    wanted = ("run", "dead_reckoning", "--track", "density", "--split", recipe, "--sequence", "tiny-01", "--topics")
+    refused = run_here(*wanted, "/cam_front/image", "--topics", "/imu")
+    assert refused.returncode == 1
+    assert "tiny-01: no camera has the layers depth, class and instance" in refused.stderr
+    assert not list(home.rglob("*.mcap")), "refused before anything is rendered"
+    done = run_here(*wanted, "/cam_front/*", "--topics", "/imu")
+    assert done.returncode == 0, done.stderr
+    (kept,) = home.rglob("results.json")
+    assert kept.parent.name == "runs-density"
+    found = {record.method: record for record in read_results(kept)}
+    assert found["true poses"].info["topics"][:2] == ["/cam_front/camera_info", "/cam_front/class"]
+    split = load_split(str(recipe))
+    generate_split(split, split_folder(split), names=["tiny-01"])
+    whole = run_here(*wanted[:-1])
+    assert whole.returncode == 0, whole.stderr
+    for record in read_results(split_folder(split) / "runs-density" / "results.json"):
+        assert "topics" not in record.info
+        assert record.metrics == found[record.method].metrics, "the map is of the same camera"
+
+
 def test_a_failed_run_is_one_line_and_exit_code_1(dive_file, answer, tmp_path):
     template = command(tmp_path, "refuses", answer)
     done = run_here("run", "--command", template, "--on", dive_file, "--out", tmp_path / "out", "--json")
