@@ -9,12 +9,17 @@ estimated. GTSAM's `BatchFixedLagSmoother` intends to do so, but up to 4.3.0 nev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Any, TypeVar
 
 import gtsam
 import numpy as np
 
 from oysterbench.core.geometry import Array
+
+T = TypeVar("T")
 
 LANDMARK = ord("l")
 """Key letter of landmarks, which are eliminated first: each is seen by a few keyframes only."""
@@ -30,14 +35,15 @@ class FixedLagSmoother:
     lag: variables whose stamp is older than the newest by more than this leave. iterations, tolerance: of an update,
     which ends when the error falls by less than this share. weak_gauge: next to nothing holds the window as a whole. A
     heading known to a radian would then be lost in the rounding of squares beside what is known to a micrometre, so
-    square roots are eliminated (QR) instead of squares (Cholesky).
+    square roots are eliminated (QR) instead of squares (Cholesky). Otherwise they are where squares fail, as they may
+    after half a minute by inertia alone.
 
     estimate: of all variables in the window. linearised_at: the points at which their factors are linearised; for a
     variable that no marginalised factor touches, its estimate. factors: all of them, with empty slots.
     """
 
     def __init__(self, lag: float, iterations: int, tolerance: float = 1e-3, weak_gauge: bool = False) -> None:
-        self._how = (gtsam.EliminateQR,) if weak_gauge else ()
+        self._roots_only = weak_gauge
         self._eliminated: gtsam.GaussianBayesTree | None = None  # by the last step, unless it was damped
         self._lag, self._iterations, self._tolerance = lag, iterations, tolerance
         self.factors = gtsam.NonlinearFactorGraph()
@@ -130,17 +136,29 @@ class FixedLagSmoother:
     def _step(self, ordering: gtsam.Ordering) -> gtsam.VectorValues:
         """Solve the linearised problem, slightly damped where something is poorly determined."""
         linear, self._eliminated = self.factors.linearize(self.linearised_at), None
+
+        def solve(*way: Any) -> tuple[gtsam.VectorValues, gtsam.GaussianBayesTree]:
+            tree = linear.eliminateMultifrontal(ordering, *way)
+            return tree.optimize(), tree
+
         try:
-            eliminated = linear.eliminateMultifrontal(ordering, *self._how)
-            step, self._eliminated = eliminated.optimize(), eliminated
+            step, self._eliminated = self._eliminate(solve)
             return step
-        except RuntimeError:  # GTSAM: the system of equations cannot be solved
+        except RuntimeError:
             zero = self.linearised_at.zeroVectors()
             for key in self.linearised_at.keys():  # noqa: SIM118 (no dictionary)
                 size = len(zero.at(key))
                 unit = gtsam.noiseModel.Unit.Create(size)
                 linear.push_back(gtsam.JacobianFactor(key, np.eye(size) * DAMPING, np.zeros(size), unit))
-            return linear.optimize(ordering, *self._how)
+            return linear.optimize(ordering, gtsam.EliminateQR)
+
+    def _eliminate(self, call: Callable[..., T]) -> T:
+        """Eliminate squares and, where that fails, square roots. call: takes the function that eliminates, by default
+        GTSAM's for squares. Raises RuntimeError (GTSAM) where the equations cannot be solved."""
+        if not self._roots_only:
+            with suppress(RuntimeError):
+                return call()
+        return call(gtsam.EliminateQR)
 
     def _marginalise(self, keys: list[int]) -> None:
         """Marginalise variables: what their factors say about the neighbours replaces these factors."""
@@ -153,7 +171,8 @@ class FixedLagSmoother:
                 self._slots[key].discard(slot)
             self.factors.remove(slot)
         self._free += slots
-        left = leaving.linearize(self.linearised_at).eliminatePartialMultifrontal(keys, *self._how)[1]
+        linear = leaving.linearize(self.linearised_at)
+        left = self._eliminate(partial(linear.eliminatePartialMultifrontal, keys))[1]
         touched = [key for key in left.keyVector() if not self._held.exists(key)]
         self._held.insert(self.linearised_at.extract(touched))
         self._insert(gtsam.LinearContainerFactor.ConvertLinearGraph(left, self.linearised_at))

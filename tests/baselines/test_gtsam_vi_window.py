@@ -158,3 +158,20 @@ def test_what_hardly_anything_determines_does_not_end_the_smoothing():
     smoother.update(graph, values, {X(0): 0.0, X(1): 1.0})
     apart = smoother.estimate.atPoint3(X(1)) - smoother.estimate.atPoint3(X(0))
     assert np.allclose(apart, [1.0, 0.0, 0.0], atol=1e-3)
+
+
+def test_what_is_lost_among_squares_is_found_by_square_roots():
+    """A step known to 1 um from a place known to 100 km: the squares of both do not fit into one number."""
+    loose, tight = gtsam.noiseModel.Isotropic.Sigma(3, 1e5), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
+    place, step = np.array([3.0, -2.0, 1.0]), np.array([1.0, 0.0, 0.0])
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.push_back(gtsam.PriorFactorPoint3(X(0), place, loose))
+    graph.push_back(gtsam.BetweenFactorPoint3(X(0), X(1), step, tight))
+    for k in range(2):
+        values.insert(X(k), np.zeros(3))
+    with pytest.raises(RuntimeError, match="Indeterminate"):
+        graph.linearize(values).optimize()
+    smoother = FixedLagSmoother(5, 3)
+    smoother.update(graph, values, {X(0): 0.0, X(1): 1.0}, [X(1)])
+    np.testing.assert_allclose(smoother.estimate.atPoint3(X(1)), place + step, atol=1e-3)
+    np.testing.assert_allclose(smoother.joint([X(1)]), 1e10 * np.eye(3), rtol=1e-3)
