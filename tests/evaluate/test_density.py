@@ -39,13 +39,37 @@ def test_errors_are_those_of_cells_and_of_the_whole():
     assert metrics["coverage"] == 0.75
     assert metrics["cell_mae_per_m2"] == pytest.approx((6 + 3 + 0) / 3)
     assert metrics["cell_bias_per_m2"] == pytest.approx((6 - 3 + 0) / 3)
-    assert metrics["map_score"] == pytest.approx((15 / 21 + 15 / 18 + 1 + 0) / 4)
+    assert metrics["map_score"] == pytest.approx((10 + 0.5 * 17 + 60) / (16 + 0.5 * 20 + 60))
     assert metrics["right_class"] == 0.5  # the first is above 15 on the map, the last has no number
     assert metrics["count_error_percent"] == pytest.approx(10.0)
     assert metrics["live_error_percent"] == pytest.approx(-5.0)
     assert metrics["count_within"] == 0
     assert metrics["twice_percent"] == pytest.approx(1.0)
     assert metrics["lost_percent"] == pytest.approx(1.0)
+
+
+def test_the_score_is_what_the_maps_have_in_common():
+    """On a patchy reef an empty map is right in most cells, and shows nothing of what there is."""
+    patchy = TrueCount({(k, 0): Cell(1.0, 60.0 if k < 4 else 0.0) for k in range(20)}, 240, 240, 0, 20.0)
+
+    def scored(per_m2_of):
+        cells = {at: Cell(0.5, 0.5 * per_m2_of(at[0], cell.per_m2)) for at, cell in patchy.cells.items()}
+        return score_density(patchy, mapped(cells)).metrics["map_score"]
+
+    assert scored(lambda k, true: 0.0) == 0.0
+    assert scored(lambda k, true: 0.5 * true) == scored(lambda k, true: 2.0 * true) == 0.5
+    assert scored(lambda k, true: true if k % 2 else 0.0) == 0.5
+    assert scored(lambda k, true: 12.0) == pytest.approx(4 * 12 / (4 * 60 + 16 * 12))
+    half = {at: cell for at, cell in patchy.cells.items() if at[0] in (0, 1)}
+    assert score_density(patchy, mapped(half)).metrics["map_score"] == 0.5
+
+
+def test_on_bare_ground_a_map_is_as_good_as_what_it_covers():
+    bare = TrueCount({(k, 0): Cell(1.0, 0.0) for k in range(4)}, 0, 0, 0, 4.0)
+    whole, part = bare.cells, {(0, 0): Cell(1.0, 0.0)}
+    scores = [score_density(bare, mapped(cells, 0.0, 0.0, (), ())).metrics["map_score"] for cells in (whole, part, {})]
+    assert scores == [1.0, 0.25, 0.0]
+    assert score_density(bare, mapped({(0, 0): Cell(1.0, 1.0)})).metrics["map_score"] == 0.0
 
 
 def test_nothing_to_score_by_is_said():

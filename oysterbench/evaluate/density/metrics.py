@@ -9,8 +9,10 @@ _SHOWN = "the oysters on the seen ground that some image shows, by the true pose
 
 DENSITY: dict[str, Metric] = {
     "map_score": higher("Score", column=Column("score"))(
-        "Mean of 1 / (1 + e / 15) over the truly seen cells, with e the error of live oysters per square metre: an "
-        "error as large as the restoration threshold counts half, and a cell without a number counts 0."
+        "Live oysters that the map and the true one have in common, relative to those that either has: with their "
+        "densities in each truly seen cell, the sum of the lower ones over that of the higher ones, by seen area "
+        "(Ruzicka similarity, or weighted Jaccard index). A cell without a number has none. 1 for the true map, 0 for "
+        "an empty one, a half for one of half the ground, or with twice the oysters."
     ),
     "cell_mae_per_m2": lower("MAE", PER_M2, Column("MAE", "per m²", 1))(
         "Mean absolute error of live oysters per square metre over the truly seen cells that have a number."

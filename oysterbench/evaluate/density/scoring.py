@@ -11,12 +11,11 @@ from oysterbench.evaluate.measures import Measures, Score
 
 __all__ = ["EVALUATOR", "METRICS", "Cell", "MapCount", "TrueCount", "score_density"]
 
-EVALUATOR = "density 2"
+EVALUATOR = "density 3"
 """Name and version of this evaluator; the version rises whenever a number may change."""
 
 CLASS_EDGES_PER_M2 = (15.0, 50.0)
 """Live oysters per m^2 of a restored reef, minimum and target (Oyster Metrics Workgroup, 2011)."""
-HALF_PER_M2 = 15.0  # error that counts half in the score
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ def score_density(truth: TrueCount, estimate: MapCount) -> Score:
     asked = len(truth.cells)
     errors = {at: estimate.cells[at].per_m2 - cell.per_m2 for at, cell in truth.cells.items() if at in estimate.cells}
     none_seen, none_met = "no cell was seen enough to have a number", "no cell that was truly seen has a number"
-    measures.ratio("map_score", sum(1.0 / (1.0 + abs(e) / HALF_PER_M2) for e in errors.values()), asked, none_seen)
+    measures.ratio("map_score", *_in_common(truth.cells, estimate.cells), none_seen)
     measures.ratio("cell_mae_per_m2", sum(map(abs, errors.values())), len(errors), none_met)
     measures.ratio("cell_bias_per_m2", sum(errors.values()), len(errors), none_met)
     right = sum(_class(estimate.cells[at].per_m2) == _class(truth.cells[at].per_m2) for at in errors)
@@ -94,6 +93,21 @@ def score_density(truth: TrueCount, estimate: MapCount) -> Score:
     measures["area_m2"] = truth.area_m2
     measures.ratio("density_truth_live_per_m2", truth.live, truth.area_m2, "nothing was seen")
     return Score(measures.values, measures.reasons)
+
+
+def _in_common(truth: Cells, estimate: Cells) -> tuple[float, float]:
+    """Live oysters that two maps have in common, and those that either has, on the truly seen cells; on bare ground,
+    the cells to which the estimate gives a number, and all of them.
+
+    Their ratio is the similarity of Ruzicka (1958), also called weighted Jaccard index: 1 for equal maps, 0 for an
+    empty one, 1/2 for one with twice or half of the oysters everywhere. Where most cells are bare, a mean over cells
+    would take an empty map for a good one.
+    """
+    pairs = [(c.area_m2, c.per_m2, estimate[at].per_m2 if at in estimate else 0.0) for at, c in truth.items()]
+    either = sum(area * max(true, found) for area, true, found in pairs)
+    if either == 0:
+        return float(len(truth.keys() & estimate.keys())), float(len(truth))
+    return sum(area * min(true, found) for area, true, found in pairs), either
 
 
 def _class(per_m2: float) -> int:
