@@ -174,12 +174,20 @@ class CameraRig:
         local = np.einsum("mji,mj->mi", cameras[:, :3, :3], points[row] - centres)
         depth = local[:, 2]
         error = np.linalg.norm(local[:, :2] / np.maximum(depth, 1e-6)[:, None] - rays, axis=1) * self.focal
-        angle = np.degrees(np.arccos(np.clip(np.einsum("mi,mi->m", directions, directions[starts][row]), -1, 1)))
-        good = np.maximum.reduceat(angle, starts) >= settings.min_ray_angle_deg
+        good = _spread_deg(directions, starts, row) >= settings.min_ray_angle_deg
         good &= np.minimum.reduceat(depth, starts) > settings.min_depth_m
         good &= np.maximum.reduceat(depth, starts) < settings.max_depth_m
         good &= np.maximum.reduceat(error, starts) < max_error_px
         return ids[good], np.asarray(points[good], dtype=float)
+
+    def spread_deg(self, track: NDArray[np.int64], rays: Array, R_odom_imu: Array, camera: NDArray[np.intp]) -> Array:
+        """Largest angle (L,), degrees, between the first ray of each track and its others, without the camera's own
+        rotation. track (M,), rays (M, 2), R_odom_imu (M, 3, 3) and camera (M,): one row per view, by track."""
+        directions = homogeneous(self._now(rays, camera))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        directions = np.einsum("mij,mj->mi", R_odom_imu @ self.T_imu_cams[camera][:, :3, :3], directions)
+        _, starts, row = np.unique(track, return_index=True, return_inverse=True)
+        return _spread_deg(directions, starts, row)
 
     def errors_px(self, T_odom_imu: Array, points: Array, rays: Array, camera: int | NDArray[np.intp] = 0) -> Array:
         """Reprojection errors (N,) px of points (N, 3) seen along rays (N, 2) from poses (4, 4) or (N, 4, 4) by one
@@ -189,3 +197,10 @@ class CameraRig:
         seen = self._now(rays, camera)
         error = np.linalg.norm(local[:, :2] / np.maximum(local[:, 2:], 1e-6) - seen, axis=1) * self.focal
         return np.where(local[:, 2] > 0, error, np.inf)
+
+
+def _spread_deg(directions: Array, starts: NDArray[np.intp], row: NDArray[np.intp]) -> Array:
+    """Largest angle (L,), degrees, between the first direction of each track and its others (M, 3); starts (L,): its
+    first row; row (M,): the track of each."""
+    cosine = np.einsum("mi,mi->m", directions, directions[starts][row])
+    return np.asarray(np.degrees(np.arccos(np.clip(np.minimum.reduceat(cosine, starts), -1, 1))), dtype=float)

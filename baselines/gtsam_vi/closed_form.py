@@ -12,8 +12,9 @@ The scale is metric from the start. A bundle adjustment with all of these free f
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
@@ -46,11 +47,16 @@ def closed_form_start(
     gyro_turn_on: float,
     accel_turn_on: float,
     ray_sigma: float,
+    bias: gtsam.imuBias.ConstantBias,
 ) -> ClosedForm:
     """Compute initial states from K views and the K - 1 inertial segments between them.
 
-    T_imu_cams (C, 4, 4): of one camera or two. ray_sigma: noise at depth 1.
+    T_imu_cams (C, 4, 4): of one camera or two. ray_sigma: noise at depth 1. gyro_turn_on, accel_turn_on: 1 sigma of
+    the biases about `bias`.
     """
+    segments = [
+        replace(part, gyro=part.gyro - bias.gyroscope(), accel=part.accel - bias.accelerometer()) for part in segments
+    ]
     gyro_bias = estimate_gyro_bias(views, segments, T_imu_cams[0, :3, :3], gyro_turn_on, ray_sigma)
     integral = integrate(segments, gyro_bias)
     velocity, down, accel_bias = align(views, integral, T_imu_cams, gravity, accel_turn_on, ray_sigma)
@@ -58,7 +64,8 @@ def closed_form_start(
     positions = velocity * time + 0.5 * down * time**2 + integral.position - integral.position_rate @ accel_bias
     velocities = velocity + down * time + integral.velocity - integral.velocity_rate @ accel_bias
     level = level_rotation(-down)
-    return ClosedForm(level @ integral.rotation, positions @ level.T, velocities @ level.T, gyro_bias, accel_bias)
+    biases = bias.gyroscope() + gyro_bias, bias.accelerometer() + accel_bias
+    return ClosedForm(level @ integral.rotation, positions @ level.T, velocities @ level.T, *biases)
 
 
 def level_rotation(up: Array) -> Array:

@@ -32,7 +32,7 @@ from oysterbench_baselines.gtsam_vi.covariance import (
 )
 from oysterbench_baselines.gtsam_vi.fallback import dead_reckon
 from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FeatureTracks, Observations, Translation
-from oysterbench_baselines.gtsam_vi.graph import Model
+from oysterbench_baselines.gtsam_vi.graph import Model, StartPrior
 from oysterbench_baselines.gtsam_vi.handover import correct_filter
 from oysterbench_baselines.gtsam_vi.health import HealthWatch
 from oysterbench_baselines.gtsam_vi.initialisation import FilterStartSettings, Initialiser, Start
@@ -273,7 +273,7 @@ class Estimator:
         """Make a window that starts now know its first state as well as the filter does."""
         f = self.filter
         velocity = f.covariance[VELOCITY, VELOCITY] + np.eye(3) * 1e-6
-        self.model.initial_covariances[self._initialiser.first] = f.pose_covariance(f.position), velocity
+        self.model.start_prior[self._initialiser.first] = StartPrior(f.pose_covariance(f.position), velocity)
 
     def _add_frame(self, stamp_ns: int, landmarks: NDArray[np.int64]) -> None:
         frame = Frame(stamp_ns, self.keyframes[-1].index, Segment.join(self._since_keyframe))
@@ -325,7 +325,7 @@ class Estimator:
                     else forward(before.estimate, keyframe.segment, self.model.params)
                 )
         self._fill_back(0)
-        grow_on(self.frames, self.settings.recovery)
+        grow_on(self.frames, self.settings.recovery, self.model.gyro_turn_on)
 
     # Results.
 

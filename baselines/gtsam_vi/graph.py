@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -16,18 +17,37 @@ from oysterbench_baselines.gtsam_vi.cameras import CameraRig
 from oysterbench_baselines.gtsam_vi.clock import clocked, moved_on
 from oysterbench_baselines.gtsam_vi.preintegration import inertial_factor, preintegration_params
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
-from oysterbench_baselines.gtsam_vi.states import Keyframe, State
+from oysterbench_baselines.gtsam_vi.states import Keyframe, State, time_missing
 
 LEAST = np.array([1e-4] * 3 + [1e-4] * 3)
 """1 sigma, rad and m, with which the start is held where it is exact by definition."""
+
+
+FEWEST_SPEEDS = 20
+"""Number of measured speeds from which a vehicle's usual speed is known."""
+LEAST_SPEED = 0.05
+"""Usual speed, m/s, of a vehicle that has hardly moved so far."""
+
+
+@dataclass(frozen=True)
+class StartPrior:
+    """What is known of the state at which a graph starts: covariances of its pose (6, 6) and velocity (3, 3), in odom's
+    axes; bias: known from before a loss, to `known_bias` of the turn-on bias."""
+
+    pose: Array
+    velocity: Array
+    bias: gtsam.imuBias.ConstantBias | None = None
+
+
+NOTHING_BUT_THE_GAUGE = StartPrior(np.diag([0.0] * 3 + [0.5**2] * 2 + [0.0]), np.eye(3) * 2.0**2)
+"""Position and heading are what the start says, and nothing is known of the rest."""
 
 
 class Model:
     """Calibrations, noise models and the factors built from them. aiding: the sensors besides cameras and IMU.
 
     uncertainty: of the cameras, which are then calibrated online.
-    initial_covariances: by the keyframe at which a graph starts, of its pose (6, 6) and velocity (3, 3) in odom's axes;
-    where there are none, nothing is known but the gauge.
+    start_prior: by the keyframe at which a graph starts; where there is none, nothing is known but the gauge.
     """
 
     def __init__(
@@ -43,7 +63,8 @@ class Model:
         self.rig = CameraRig(cameras, imu, uncertainty)
         self.aiding = aiding or Aiding()
         self.params = preintegration_params(imu, settings.noise)
-        self.initial_covariances: dict[int, tuple[Array, Array]] = {}
+        self.start_prior: dict[int, StartPrior] = {}
+        self._speeds, self._squares = 0, 0.0  # number of measured speeds, and the sum of their squares
         # A file may state that the IMU has no turn-on bias; a little is assumed, for what its model leaves out.
         self.gyro_turn_on = max(imu.gyro_turn_on, 1e-4)
         self.accel_turn_on = max(imu.accel_turn_on, 1e-3)
@@ -83,7 +104,8 @@ class Model:
             drag = [self.drag(keyframe)] if keyframe.blind else []
             return [self.inertial(previous, keyframe, bias), *drag, *keyframe.aiding]
         time = max(keyframe.segment.duration, settings.keyframes.min_s)
-        moved = np.repeat([settings.recovery.unknown_rate, settings.recovery.unknown_speed], 3) * time
+        turn = np.hypot(self.gyro_turn_on * time, settings.recovery.unknown_rate * time_missing([keyframe.segment]))
+        moved = np.repeat([turn, settings.recovery.unknown_speed * time], 3)
         turn_on = np.array([self.accel_turn_on] * 3 + [self.gyro_turn_on] * 3)
         diagonal = gtsam.noiseModel.Diagonal.Sigmas
         return [
@@ -98,11 +120,23 @@ class Model:
             V(keyframe), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, self.settings.zero_velocity.sigma)
         )
 
+    def note_speed(self, speed: float) -> None:
+        """Note a measured speed of the vehicle, m/s."""
+        self._speeds, self._squares = self._speeds + 1, self._squares + speed**2
+
+    @property
+    def usual_speed(self) -> float:
+        """Root mean square of the speeds measured so far, m/s; `unknown_speed` before there are enough."""
+        if self._speeds < FEWEST_SPEEDS:
+            return self.settings.recovery.unknown_speed
+        return max(float(np.sqrt(self._squares / self._speeds)), LEAST_SPEED)
+
     def drag(self, keyframe: Keyframe) -> gtsam.NonlinearFactor:
-        """Velocity prior of a keyframe that sees next to nothing: no vehicle stays fast for long in water, whatever the
-        IMU says. Those within `memory_s` together weigh as much as one measurement of zero speed."""
+        """Velocity prior of a keyframe that sees next to nothing: no vehicle goes much faster then than it did before,
+        whatever the IMU says. Those within `memory_s` together weigh as much as one measurement of zero speed, with the
+        usual speed as its sigma."""
         limits, time = self.settings.recovery, max(keyframe.segment.duration, self.settings.keyframes.min_s)
-        sigma = limits.unknown_speed * float(np.sqrt(max(limits.memory_s / time, 1.0)))
+        sigma = limits.blind_speed * self.usual_speed * float(np.sqrt(max(limits.memory_s / time, 1.0)))
         return gtsam.PriorFactorVector(V(keyframe.index), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, sigma))
 
     def calibration_priors(self) -> list[gtsam.NonlinearFactor]:
@@ -118,21 +152,22 @@ class Model:
     def start_priors(self, keyframe: int, state: State) -> list[gtsam.NonlinearFactor]:
         """Prior factors of the state at which a graph starts; by default, of its position and heading as the gauge."""
         rotation = state.nav.attitude().matrix()
-        of_pose, of_velocity = self.initial_covariances.get(
-            keyframe, (np.diag([0.0] * 3 + [0.5**2] * 2 + [0.0]), np.eye(3) * 2.0**2)
-        )
+        known = self.start_prior.get(keyframe, NOTHING_BUT_THE_GAUGE)
         # GTSAM puts rotation before translation, both in the axes of the pose itself.
         turn = np.zeros((6, 6))
         turn[:3, 3:] = turn[3:, :3] = rotation.T
-        pose = turn @ of_pose @ turn.T + np.diag(LEAST**2)
+        pose = turn @ known.pose @ turn.T + np.diag(LEAST**2)
         turn_on = np.array([self.accel_turn_on] * 3 + [self.gyro_turn_on] * 3)
+        share = 1.0 if known.bias is None else self.settings.recovery.known_bias
         return [
             gtsam.PriorFactorPose3(X(keyframe), state.nav.pose(), gtsam.noiseModel.Gaussian.Covariance(pose)),
             gtsam.PriorFactorVector(
-                V(keyframe), state.nav.velocity(), gtsam.noiseModel.Gaussian.Covariance(of_velocity)
+                V(keyframe), state.nav.velocity(), gtsam.noiseModel.Gaussian.Covariance(known.velocity)
             ),
             gtsam.PriorFactorConstantBias(
-                B(keyframe), gtsam.imuBias.ConstantBias(), gtsam.noiseModel.Diagonal.Sigmas(turn_on)
+                B(keyframe),
+                known.bias or gtsam.imuBias.ConstantBias(),
+                gtsam.noiseModel.Diagonal.Sigmas(share * turn_on),
             ),
         ]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
@@ -19,10 +20,11 @@ from oysterbench_baselines.gtsam_vi.states import (
     Keyframe,
     State,
     backward,
-    coast,
+    coast_through,
     read_state,
     state_of,
     states_of,
+    time_missing,
 )
 from oysterbench_baselines.gtsam_vi.window import Window
 
@@ -73,7 +75,7 @@ class Initialiser:
         if self.anchor is not None:
             if stretch[0].index > self.first:
                 self._move_anchor(keyframes, stretch[0])
-            self.model.initial_covariances[stretch[0].index] = unlevelled(self.anchor.covariance)
+            self.model.start_prior[stretch[0].index] = unlevelled(self.anchor)
         at = None if self.anchor is None else self.anchor.state
         most = limits.relaxed_scale_sigma if final else limits.scale_sigma
         whole = stretch[0].index
@@ -147,14 +149,15 @@ class Initialiser:
     def _move_anchor(self, keyframes: list[Keyframe], to: Keyframe) -> None:
         """Coast the anchor on to a later keyframe: the search has outlasted the stretch that it looks at."""
         assert self.anchor is not None
-        start_ns, before = keyframes[self.first].stamp_ns, self.anchor
-        memory_s = self.model.settings.recovery.memory_s
-        for passed in keyframes[self.first + 1 : to.index + 1]:
-            passed.state = coast(before.state, (passed.stamp_ns - start_ns) * 1e-9, memory_s)
-            passed.trusted = False
-        covariance = grown_covariance(before.covariance, (to.stamp_ns - start_ns) * 1e-9, self.model.settings.recovery)
-        self.model.initial_covariances.pop(self.first, None)
-        self.first, self.anchor = to.index, Anchor(to.estimate, covariance)
+        limits, passed = self.model.settings.recovery, keyframes[self.first + 1 : to.index + 1]
+        state = coast_through(self.anchor.state, passed, limits.memory_s)
+        for keyframe in passed:
+            keyframe.trusted = False
+        time = (to.stamp_ns - keyframes[self.first].stamp_ns) * 1e-9
+        turn_on, gap_s = self.model.gyro_turn_on, time_missing(keyframe.segment for keyframe in passed)
+        covariance = grown_covariance(self.anchor.covariance, time, limits, turn_on, gap_s)
+        self.model.start_prior.pop(self.first, None)
+        self.first, self.anchor = to.index, Anchor(state, covariance)
 
 
 def is_metric(stretch: list[Keyframe], settings: GtsamViSettings) -> bool:
@@ -179,14 +182,16 @@ def is_worth_a_try(stretch: list[Keyframe], settings: GtsamViSettings) -> bool:
 def find_start(model: Model, stretch: list[Keyframe], anchor: State | None, max_scale_sigma: float) -> Bundle | None:
     """Adjust a stretch, its first keyframe at the anchor; None if it does not fit or its scale is uncertain."""
     settings = model.settings
+    share = 1.0 if anchor is None else settings.recovery.known_bias
     start = closed_form_start(
         [k.observations for k in stretch],
         [k.segment for k in stretch[1:]],
         model.rig.T_imu_cams,
         model.imu.gravity,
-        model.gyro_turn_on,
-        model.accel_turn_on,
+        share * model.gyro_turn_on,
+        share * model.accel_turn_on,
         settings.noise.pixel_sigma_px / model.rig.focal,
+        gtsam.imuBias.ConstantBias() if anchor is None else anchor.bias,
     )
     try:
         bundle = adjust(model, stretch, states_of(start, anchor), settings.initialisation.gates_px)

@@ -8,9 +8,9 @@ import numpy as np
 
 from oysterbench.core.geometry import Array
 from oysterbench.methods import Health
-from oysterbench_baselines.gtsam_vi.graph import Model
+from oysterbench_baselines.gtsam_vi.graph import Model, StartPrior
 from oysterbench_baselines.gtsam_vi.settings import RecoverySettings
-from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, coast
+from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, coast, coast_through, time_missing
 from oysterbench_baselines.gtsam_vi.window import Window
 
 
@@ -38,15 +38,19 @@ class Recovery:
     def accept(self, keyframe: Keyframe) -> None:
         """Note that all is well at a keyframe."""
         self._good = keyframe.index, keyframe.estimate
+        if not keyframe.blind:
+            self._model.note_speed(float(np.linalg.norm(keyframe.estimate.nav.velocity())))
 
     def has_diverged(self, window: Window, keyframe: Keyframe) -> bool:
-        """Whether speed or biases are implausible, or most landmarks are repeatedly far from their prediction."""
+        """Whether speed or biases are implausible, or what is seen repeatedly fits neither landmarks nor, after a time
+        by inertia alone, any point at all."""
         limits, model, state = self._model.settings.recovery, self._model, keyframe.estimate
         if not np.isfinite(state.matrix).all() or np.linalg.norm(state.nav.velocity()) > limits.max_speed:
             return True
         gyro = np.abs(state.bias.gyroscope()).max() / model.gyro_turn_on
         accel = np.abs(state.bias.accelerometer()).max() / model.accel_turn_on
-        self._bad_keyframes = self._bad_keyframes + 1 if window.lost_share > limits.max_lost_share else 0
+        bad = window.lost_share > limits.max_lost_share or window.misfits >= limits.max_misfits
+        self._bad_keyframes = self._bad_keyframes + 1 if bad else 0
         if max(gyro, accel) > limits.max_bias_sigmas or self._bad_keyframes >= limits.max_bad_keyframes:
             return True
         if self._bad_keyframes == 0:
@@ -72,24 +76,30 @@ class Recovery:
         stamp_ns, limits = keyframes[index].stamp_ns, self._model.settings.recovery
         covariance = next(frame.covariance for frame in frames if frame.stamp_ns == stamp_ns)
         assert covariance is not None
-        for keyframe in keyframes[index:]:
-            keyframe.state = coast(state, (keyframe.stamp_ns - stamp_ns) * 1e-9, limits.memory_s)
+        keyframes[index].state = state
+        passed, turn_on = keyframes[index + 1 :], self._model.gyro_turn_on
+        last = coast_through(state, passed, limits.memory_s)
         for frame in frames:
             if frame.stamp_ns > stamp_ns:
+                frame.online = coast(keyframes[frame.keyframe].estimate, frame.since, limits.memory_s).matrix
                 time = (frame.stamp_ns - stamp_ns) * 1e-9
-                frame.online = coast(state, time, limits.memory_s).matrix
-                frame.covariance = grown_covariance(covariance, time, limits)
+                gap_s = time_missing([*(k.segment for k in passed if k.index <= frame.keyframe), frame.since])
+                frame.covariance = grown_covariance(covariance, time, limits, turn_on, gap_s)
         time = (keyframes[-1].stamp_ns - stamp_ns) * 1e-9
-        return Anchor(keyframes[-1].estimate, grown_covariance(covariance, time, limits))
+        gap_s = time_missing(keyframe.segment for keyframe in passed)
+        return Anchor(last, grown_covariance(covariance, time, limits, turn_on, gap_s))
 
 
-def grown_covariance(covariance: Array, time: float, settings: RecoverySettings) -> Array:
-    """Covariance (6, 6) of a pose after a time (s) about which nothing is known but how vehicles usually move."""
-    grown = np.repeat([settings.unknown_speed, settings.unknown_rate], 3) * time
-    return covariance + np.diag(grown**2)
+def grown_covariance(
+    covariance: Array, time: float, settings: RecoverySettings, gyro_sigma: float, gap_s: float = 0.0
+) -> Array:
+    """Covariance (6, 6) of a pose after a time (s) about which nothing is known but its turns, to gyro_sigma (rad/s),
+    and how vehicles usually move; gap_s: the part of it whose turns are not known either."""
+    turn = np.hypot(gyro_sigma * time, settings.unknown_rate * gap_s)
+    return covariance + np.diag(np.repeat([settings.unknown_speed * time, turn], 3) ** 2)
 
 
-def grow_on(frames: list[Frame], settings: RecoverySettings) -> None:
+def grow_on(frames: list[Frame], settings: RecoverySettings, gyro_sigma: float) -> None:
     """Give frames without a covariance that of the last one that has it, grown by the time since."""
     known: Frame | None = None
     for frame in frames:
@@ -97,13 +107,12 @@ def grow_on(frames: list[Frame], settings: RecoverySettings) -> None:
             known = frame
         elif known is not None and known.covariance is not None:
             time = (frame.stamp_ns - known.stamp_ns) * 1e-9
-            frame.covariance = grown_covariance(known.covariance, time, settings)
+            frame.covariance = grown_covariance(known.covariance, time, settings, gyro_sigma)
 
 
-def unlevelled(covariance: Array) -> tuple[Array, Array]:
-    """Covariances of pose (6, 6) and velocity (3, 3) for a start after a failure: position and heading are known, roll
-    and pitch are not."""
-    pose = covariance.copy()
+def unlevelled(anchor: Anchor) -> StartPrior:
+    """What is known at a start after a failure: position, heading and biases, but neither roll and pitch nor speed."""
+    pose = anchor.covariance.copy()
     pose[3:5, :], pose[:, 3:5] = 0.0, 0.0
     pose[3, 3] = pose[4, 4] = 0.5**2
-    return pose, np.eye(3) * 2.0**2
+    return StartPrior(pose, np.eye(3) * 2.0**2, anchor.state.bias)

@@ -204,11 +204,14 @@ class RecoverySettings:
     max_speed: float = 3.0  # m/s; beyond any vehicle meant here
     max_bias_sigmas: float = 8.0  # of the turn-on bias
     max_lost_share: float = 0.7  # of the landmarks seen, farther than max_innovation_px from their prediction
-    max_bad_keyframes: int = 3  # with so many lost, one after the other, before the estimator restarts
+    max_misfits: int = 10  # tracks with parallax that no point explains, in a keyframe that sees hardly any landmark
+    max_bad_keyframes: int = 3  # with so many of either, one after the other, before the estimator restarts
     memory_s: float = 2.0  # for which the last velocity is a guess at the next one
     min_landmarks: int = 8  # in a keyframe; with fewer it knows its velocity by the IMU alone
+    blind_speed: float = 1.0  # times the usual speed: 1 sigma of a velocity that nothing measures
     unknown_speed: float = 0.5  # m/s, 1 sigma of the error in velocity while the measurements are not trusted
-    unknown_rate: float = 0.2  # rad/s
+    unknown_rate: float = 0.2  # rad/s, while there are none
+    known_bias: float = 0.25  # of the turn-on bias: by how much a bias may be off that was known before a loss
 
 
 FLAT_NAMES = """

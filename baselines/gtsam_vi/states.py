@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -13,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.geometry import Array, transform
 from oysterbench.methods import Health
 from oysterbench_baselines.common.filter import InvariantFilter
-from oysterbench_baselines.common.inertial import Segment, integrate
+from oysterbench_baselines.common.inertial import Segment, integrate, relative_rotation
 from oysterbench_baselines.gtsam_vi.closed_form import ClosedForm
 from oysterbench_baselines.gtsam_vi.frontend import Observations
 from oysterbench_baselines.gtsam_vi.preintegration import preintegrate
@@ -142,16 +143,29 @@ def predict_stationary(state: State) -> State:
     return State(gtsam.NavState(state.nav.pose(), np.zeros(3)), state.bias)
 
 
-def coast(state: State, time: float, memory_s: float) -> State:
-    """State after a time (s) about which nothing is known: at the same attitude, moving on ever more slowly.
+def coast(state: State, segment: Segment, memory_s: float) -> State:
+    """State after inertial measurements of which only the turns are believed: it moves on ever more slowly.
 
     memory_s: in which the velocity falls by 1 - 1/e: the last known velocity is a good guess for some seconds, and none
     after that; kept up, its error would grow with time without bound.
     """
-    left = float(np.exp(-time / memory_s))
+    left = float(np.exp(-segment.duration / memory_s))
     position = state.nav.position() + state.nav.velocity() * memory_s * (1.0 - left)
-    pose = gtsam.Pose3(state.nav.attitude(), position)
+    rotation = state.nav.attitude().matrix() @ relative_rotation(segment, state.bias.gyroscope())
+    pose = gtsam.Pose3(transform(rotation, position))
     return State(gtsam.NavState(pose, state.nav.velocity() * left), state.bias)
+
+
+def coast_through(state: State, keyframes: list[Keyframe], memory_s: float) -> State:
+    """Coast from the state before the first keyframe through all of them; return the state of the last."""
+    for keyframe in keyframes:
+        state = keyframe.state = coast(state, keyframe.segment, memory_s)
+    return state
+
+
+def time_missing(segments: Iterable[Segment]) -> float:
+    """Time, s, for which inertial measurements are missing from segments."""
+    return sum(segment.gap_s for segment in segments if segment.has_gap)
 
 
 def forward(state: State, segment: Segment, params: gtsam.PreintegrationCombinedParams) -> State:

@@ -45,7 +45,7 @@ class Window:
         self._rejected: set[int] = set()
         for keyframe in keyframes:
             self._remember(keyframe)
-        self.lost_share = 0.0
+        self.lost_share, self.misfits = 0.0, 0
         last = keyframes[-1].index
         stamps = {}
         for keyframe in keyframes:
@@ -73,6 +73,7 @@ class Window:
         stamps |= dict.fromkeys(self.model.calibration_keys(), float(k))  # calibrations never leave
         keyframe.state = predicted
         self._remember(keyframe)
+        self.misfits = 0  # tracks of a blind keyframe that no point explains, although they have parallax
         self._observe_landmarks(keyframe, graph, stamps)
         self._triangulate_landmarks(keyframes, graph, values, stamps)
         if keyframe.blind:
@@ -169,14 +170,14 @@ class Window:
         if not track:
             return
         poses = {k: keyframes[k - keyframes[0].index].estimate.matrix for k in {view.keyframe for view in observations}}
-        ids, points = self.model.rig.triangulate(
-            np.array(track, dtype=np.int64),
-            np.array([view.ray for view in observations]),
-            np.array([poses[view.keyframe] for view in observations]),
-            self.model.settings.landmarks.max_error_px,
-            self.model.settings.landmarks,
-            np.array([view.camera for view in observations]),
-        )
+        track_of, rays = np.array(track, dtype=np.int64), np.array([view.ray for view in observations])
+        poses_of = np.array([poses[view.keyframe] for view in observations])
+        cameras = np.array([view.camera for view in observations])
+        limits = self.model.settings.landmarks
+        ids, points = self.model.rig.triangulate(track_of, rays, poses_of, limits.max_error_px, limits, cameras)
+        if keyframes[-1].blind:
+            spread = self.model.rig.spread_deg(track_of, rays, poses_of[:, :3, :3], cameras)
+            self.misfits = int(np.count_nonzero(spread >= limits.min_ray_angle_deg)) - len(ids)
         for landmark, point in zip(ids, points, strict=True):
             values.insert(L(int(landmark)), point)
             stamps[L(int(landmark))] = float(last)

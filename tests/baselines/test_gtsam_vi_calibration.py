@@ -303,14 +303,35 @@ def test_what_drifts_with_the_water_is_told_from_the_bottom_by_how_the_vehicle_m
     assert not agree_with(Translation(-moved, 0.0005), before, after, turn, 3e-3, 3.0)[:50].any()
 
 
-def test_a_state_of_which_nothing_is_known_slows_down():
+def turning(duration_s: float, rate: float) -> Segment:
+    """Inertial measurements at a rate (rad/s) about z, with forces that are not to be believed."""
+    count = round(duration_s / 0.01)
+    return Segment(np.full(count, 0.01), np.tile([0.0, 0.0, rate], (count, 1)), np.full((count, 3), 7.0))
+
+
+def test_a_state_of_which_nothing_is_known_but_its_turns_slows_down():
     rotation = Rotation.from_euler("z", 40, degrees=True).as_matrix()
-    state = make_state(rotation, np.array([1.0, 2.0, -3.0]), np.array([0.4, 0.0, 0.1]), np.zeros(3), np.zeros(3))
-    soon, later = coast(state, 0.1, 2.0), coast(state, 60.0, 2.0)
+    bias = np.array([0.0, 0.0, 0.01])
+    state = make_state(rotation, np.array([1.0, 2.0, -3.0]), np.array([0.4, 0.0, 0.1]), bias, np.zeros(3))
+    soon, later = coast(state, turning(0.1, 0.01), 2.0), coast(state, turning(60.0, 0.06), 2.0)
     np.testing.assert_allclose(soon.nav.position(), [1.04, 2.0, -2.99], atol=0.002)
+    np.testing.assert_allclose(soon.nav.attitude().matrix(), rotation, atol=1e-12)
     np.testing.assert_allclose(later.nav.position(), [1.8, 2.0, -2.8], atol=1e-6)  # as far as in 2 s at full speed
     assert np.linalg.norm(later.nav.velocity()) < 1e-6
-    np.testing.assert_allclose(later.nav.attitude().matrix(), rotation)
+    turned = Rotation.from_matrix(rotation.T @ later.nav.attitude().matrix()).as_rotvec()
+    np.testing.assert_allclose(turned, [0.0, 0.0, 60.0 * 0.05], atol=1e-9)
+
+
+def test_what_is_not_measured_is_no_faster_than_what_was():
+    model = Estimator([dive.camera_calibration()], dive.imu_calibration(), GtsamViSettings()).model
+    unknown = model.usual_speed
+    assert unknown == model.settings.recovery.unknown_speed
+    for _ in range(20):
+        model.note_speed(0.2)
+    assert model.usual_speed == pytest.approx(0.2)
+    for _ in range(20):
+        model.note_speed(1.4)
+    assert model.usual_speed == pytest.approx(1.0)
 
 
 @pytest.mark.slow

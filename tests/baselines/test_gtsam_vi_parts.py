@@ -334,7 +334,9 @@ def test_the_closed_form_start_finds_scale_gravity_and_gyro_bias():
             pending = []
         frame += 1
     T_imu_cam = invert(measured.inertial.T_base_imu) @ measured.camera.T_base_cam
-    start = closed_form_start(views, segments[1:], T_imu_cam[None], dive.GRAVITY, 5e-3, 5e-2, 1e-3)
+    start = closed_form_start(
+        views, segments[1:], T_imu_cam[None], dive.GRAVITY, 5e-3, 5e-2, 1e-3, gtsam.imuBias.ConstantBias()
+    )
     truth = measured.truth.at(np.array(stamps)).matrices @ measured.inertial.T_base_imu
     moved = np.linalg.norm(truth[-1, :3, 3] - truth[0, :3, 3])
     assert np.linalg.norm(start.positions[-1]) == pytest.approx(moved, rel=0.05)

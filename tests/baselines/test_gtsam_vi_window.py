@@ -15,6 +15,7 @@ from oysterbench_baselines.gtsam_vi import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.fixed_lag import FixedLagSmoother
 from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, undistort
+from oysterbench_baselines.gtsam_vi.graph import StartPrior
 from oysterbench_baselines.gtsam_vi.keyframes import DataAssociation
 from oysterbench_baselines.gtsam_vi.settings import LandmarkSettings, LoopSettings
 from tests.helpers import synthetic_dive as dive
@@ -87,7 +88,7 @@ def test_heading_is_never_learnt_from_what_cannot_tell_it():
     more is known on the way; with what is marginalised linearised here and the rest there, it soon is to 14 mrad."""
     measured = dive.make_dive(3, duration_s=14.0, most=60, pixel_noise=0.8)
     estimator = Estimator([measured.camera], measured.inertial, GtsamViSettings(loops=LoopSettings(enabled=False)))
-    estimator.model.initial_covariances[0] = np.diag([1e-8] * 3 + [0.25, 0.25, 1.0]), np.eye(3) * 4.0
+    estimator.model.start_prior[0] = StartPrior(np.diag([1e-8] * 3 + [0.25, 0.25, 1.0]), np.eye(3) * 4.0)
     samples, known = SampleBuffer(), []
     for item in measured.stream():
         if isinstance(item, ImuMeasurement):
