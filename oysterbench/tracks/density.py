@@ -46,7 +46,12 @@ class DensityTrack(Track):
     default_methods = ("dead_reckoning",)
     evaluator = EVALUATOR
     options = (
-        Option("poses", "--poses", "Folder of SEQUENCE-METHOD.tum files, as written by `run`.", Path),
+        Option(
+            "poses",
+            "--poses",
+            "Folder of SEQUENCE-METHOD.tum files, as written by `run`: all are used, or only those of each --method.",
+            Path,
+        ),
         Option(
             "masks",
             "--masks",
@@ -60,7 +65,8 @@ class DensityTrack(Track):
     )
     examples = """
       oysterbench eval density --split slam-val --method gtsam_full --method dead_reckoning
-      oysterbench eval density --split slam-val --poses results --masks masks --depth stereo"""
+      oysterbench eval density --split slam-val --poses results --masks masks --depth stereo
+      oysterbench eval density --split slam-val --poses results --method mine   only results/*-mine.tum"""
 
     def settings(self, options: Mapping[str, Any]) -> MapSettings:
         """Settings of the maps."""
@@ -104,8 +110,7 @@ class DensityTrack(Track):
         options, settings = request.options, self.settings(request.options)
         if request.template is not None or request.runs > 1:
             raise MethodError("density: maps need Python methods, each run once, or --poses and --masks")
-        names = dict.fromkeys(request.methods or (() if "poses" in options else self.default_methods))
-        methods = [PythonMethod(name, self.takes) for name in names]
+        methods, kept = self._named(request)
         images = [method for method in methods if method.track in IMAGES]
         if "masks" in options and images:
             raise MethodError(f"--masks and {images[0].name}: expected masks from one of them")
@@ -117,7 +122,7 @@ class DensityTrack(Track):
             opened = open_sequence(sequence.path)
             topics = {topic for topic, _, _ in opened.contents()}
             camera = camera_with_layers(opened.name, opened.cameras, topics)
-            paths = self._paths(sequence, [one for one in methods if one.track == "slam"], again)
+            paths = self._paths(sequence, [one for one in methods if one.track == "slam"], kept, again)
             if (place := options.get("masks")) is None:
                 masks = self._masks(sequence, camera, images, again, settings)
             else:
@@ -134,17 +139,46 @@ class DensityTrack(Track):
         """Show the results by sequence, with the maps."""
         return Evaluation(runs, printed=shown_tables([run.record for run in runs]))
 
+    def _named(self, request: Request) -> tuple[list[PythonMethod], list[str] | None]:
+        """Methods to run, and the methods whose estimates are taken from --poses; None for all that it has.
+
+        A method with estimates there is not run. Raises MethodError for one that has none and is not known either.
+        """
+        folder = request.options.get("poses")
+        names = dict.fromkeys(request.methods or (() if folder is not None else self.default_methods))
+        if folder is None:
+            return [PythonMethod(name, self.takes) for name in names], []
+        methods, kept = list[PythonMethod](), list[str]()
+        for name in names:
+            if _has_estimates(folder, name):
+                kept.append(name)
+                continue
+            try:
+                method = PythonMethod(name, self.takes)
+            except MethodError as error:
+                raise MethodError(f"{folder} has no estimates SEQUENCE-{name}.tum, and: {error}") from None
+            if _has_estimates(folder, method.name):  # given as module:Class
+                kept.append(method.name)
+            else:
+                methods.append(method)
+        of_slam = [method for method in methods if method.track == "slam"]
+        for method in of_slam:
+            request.announce(f"{folder} has no estimates of {method.name}, which is therefore run")
+        return methods, kept if kept or of_slam else None
+
     def _paths(
-        self, sequence: SlamSequence, methods: Sequence[PythonMethod], request: Request
+        self, sequence: SlamSequence, methods: Sequence[PythonMethod], kept: list[str] | None, request: Request
     ) -> dict[str, Trajectory | Exception]:
-        """Paths by method, from a folder and from running the methods; an exception with the reason where there is
-        none."""
+        """Paths by method: those `kept` in a folder (None for all), and from running the methods; an exception with the
+        reason where there is none."""
         found: dict[str, Trajectory | Exception] = {}
-        if (folder := request.options.get("poses")) is not None:
-            kept = estimates_in(folder, sequence.name)
-            if not kept:
+        if (folder := request.options.get("poses")) is not None and kept != []:
+            there = estimates_in(folder, sequence.name)
+            if not there:
                 raise TrajectoryError(f"{folder}: expected estimates of {sequence.name}, {sequence.name}-METHOD.tum")
-            found = {method: read_trajectory(file) for method, file in kept.items()}
+            for name in there if kept is None else kept:
+                missing = TrajectoryError(f"{folder} has no {sequence.name}-{name}.tum")
+                found[name] = read_trajectory(there[name]) if name in there else missing
         within = replace(request, out=request.out / "paths")
         for done in SLAM.run([sequence], methods, SlamSettings(), within) if methods else ():
             failed = _failure(done.outcome)
@@ -195,6 +229,12 @@ def _seen(job: Job, outcome: Outcome, out: Path, camera: str, threshold: float) 
             shape = (truth.classes.shape[0], truth.classes.shape[1])
             numbers, scores = stacked(instances_of(prediction, job.adapter.name, shape, threshold))
             yield Seen(int(stamp), camera, numbers, scores=scores)
+
+
+def _has_estimates(folder: Path, method: str) -> bool:
+    """Whether a folder has an estimate of a method, as `estimates_in` finds them, of any sequence."""
+    named = "." not in method and method != "truth"
+    return named and any(file.name.endswith(f"-{method}.tum") for file in folder.glob("*.tum"))
 
 
 def estimates_in(folder: Path, sequence: str) -> dict[str, Path]:

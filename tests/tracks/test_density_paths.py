@@ -1,0 +1,81 @@
+"""Which paths the density track maps along: those of a folder, and those of methods that it runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+import oysterbench
+from oysterbench.core.errors import MethodError
+from oysterbench.core.trajectory import write_tum
+from oysterbench.tracks import Request
+from oysterbench.tracks.density import TRACK
+from oysterbench.tracks.slam import TRACK as SLAM
+
+
+@pytest.fixture
+def paths_of(dive_file, tmp_path, monkeypatch):
+    """Return a function: the paths that are mapped with these methods, beside a folder with estimates of `mine` and
+    `dead_reckoning`, and what is said; nothing is mapped, and a method that is run fails."""
+    truth = oysterbench.open(dive_file).truth()
+    for name, aside in (("mine", 1.0), ("dead_reckoning", 2.0), ("truth", 0.0)):
+        write_tum(tmp_path / f"hand-made-{name}.tum", replace(truth, positions=truth.positions + aside))
+    ran: list[str] = []
+    mapped = []
+
+    def run(sequences, adapters, settings, request):
+        ran.extend(adapter.name for adapter in adapters)
+        return []
+
+    monkeypatch.setattr(SLAM, "run", run)
+    monkeypatch.setattr(TRACK, "run", lambda *rest: [])
+    monkeypatch.setattr(
+        "oysterbench.tracks.mapping_evaluation.evaluate_maps", lambda one, *rest: mapped.append(one) or []
+    )
+
+    def call(*methods):
+        said: list[str] = []
+        request = Request(
+            tmp_path / "out", places=[dive_file], methods=methods, options={"poses": tmp_path}, announce=said.append
+        )
+        TRACK.evaluate(request)
+        paths = {
+            name: path if isinstance(path, Exception) else path.positions[0, 0]
+            for name, path in mapped[-1].paths.items()
+        }
+        return paths, ran, said
+
+    return call
+
+
+def test_estimates_in_a_folder_are_used_and_their_method_is_not_run(paths_of):
+    found, ran, said = paths_of("dead_reckoning")
+    assert found == {"dead_reckoning": pytest.approx(2.0)}
+    assert (ran, said) == ([], [])
+
+
+def test_a_method_beside_a_folder_selects_among_its_estimates(paths_of):
+    assert list(paths_of("mine")[0]) == ["mine"]
+    assert list(paths_of()[0]) == ["dead_reckoning", "mine"]
+    assert list(paths_of("none")[0]) == ["dead_reckoning", "mine"], "it has masks, not a path"
+
+
+def test_a_method_without_estimates_in_the_folder_is_run_and_that_is_said(paths_of):
+    _, ran, said = paths_of("visual_only")
+    assert ran == ["visual_only"]
+    assert "has no estimates of visual_only, which is therefore run" in said[0]
+
+
+@pytest.mark.parametrize("name", ["nobody", "truth"])
+def test_a_method_neither_in_the_folder_nor_known_is_refused(paths_of, name):
+    with pytest.raises(
+        MethodError, match=f"has no estimates SEQUENCE-{name}.tum, and: unknown method '{name}'"
+    ) as error:
+        paths_of(name)
+    assert "\n" not in str(error.value)
+
+
+def test_a_sequence_without_an_estimate_is_a_failure_of_the_method(paths_of, tmp_path):
+    (tmp_path / "hand-made-mine.tum").rename(tmp_path / "other-mine.tum")
+    assert "has no hand-made-mine.tum" in str(paths_of("mine")[0]["mine"])
