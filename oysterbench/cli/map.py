@@ -29,7 +29,13 @@ DEPTHS = ("stereo", "motion", "plane", "layer")
 KINDS = ("auto", "instances", "mask", "probability", "classes")
 """Copy of `annotations.masks.FORMS`, which is slow to load for a page of help."""
 TRUTH = "truth"
-SETTING_OPTIONS = {"far_m": "--far", "cell_m": "--cell", "voxel_m": "--voxel", "threshold": "--threshold"}
+SETTING_OPTIONS = {
+    "far_m": "--far",
+    "cell_m": "--cell",
+    "voxel_m": "--voxel",
+    "threshold": "--threshold",
+    "max_gap_s": "--max-gap",
+}
 """Key of a setting -> option that sets it."""
 
 Made = TypeVar("Made")
@@ -89,6 +95,9 @@ class MapCommand(click.Command):
 @click.option(
     "--voxel", "voxel_m", type=POSITIVE, help="Cloud: voxel size, in m; one point per voxel.  [default: 0.01]"
 )
+@click.option(
+    "--max-gap", "max_gap_s", type=POSITIVE, help="Interpolate poses across at most this many seconds.  [default: 0.3]"
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 def map_command(
     sequence: Path,
@@ -97,6 +106,7 @@ def map_command(
     out: Path,
     cameras: tuple[str, ...],
     far_m: float | None,
+    max_gap_s: float | None,
     as_json: bool,
     **given: Any,
 ) -> None:
@@ -113,7 +123,8 @@ def map_command(
       oysterbench map dive.mcap --trajectory poses.tum --from echoes --voxel 0.05 --out bottom.ply
 
     The trajectory is refused if gravity as measured by the IMU would not point down along it, as with poses of a camera
-    or quaternions with w first.
+    or quaternions with w first. What else in it contradicts the gyroscope or the DVL (its scale, its
+    clock, the sense of its rotation) is said on the terminal and on the page of the map.
 
     \b
     Masks as read by `oysterbench eval --estimate`, named after their images (SEQUENCE/CAMERA/STAMP):
@@ -144,17 +155,15 @@ def map_command(
         raise click.UsageError(
             f"{', '.join(names)}: only for {what}{'' if masks is None else ', which is made without --masks'}"
         )
+    chosen = {"far_m": far_m, "max_gap_s": max_gap_s}
+    chosen |= {key: given[key] for key in (("voxel_m",) if masks is None else ("cell_m", "threshold"))}
+    chosen = {key: value for key, value in chosen.items() if value is not None}
     if masks is None:
-        facts = _cloud(
-            sequence, trajectory, options, out, given["source"] or "pictures", cameras, given["voxel_m"], far_m
-        )
+        facts = _cloud(sequence, trajectory, options, out, given["source"] or "pictures", cameras, chosen)
         summary = facts.pop("summary")
     else:
         if len(cameras) > 1:
             raise click.UsageError("--camera: a map uses one camera, got several")
-        chosen = {key: given[key] for key in ("cell_m", "threshold") if given[key] is not None}
-        if far_m is not None:
-            chosen["far_m"] = far_m
         camera = cameras[0] if cameras else None
         facts = _oysters(
             sequence, trajectory, options, masks, out, camera, given["depth"], given["kind"] or "auto", chosen
@@ -194,8 +203,7 @@ def _cloud(
     out: Path,
     source: str,
     cameras: tuple[str, ...],
-    voxel_m: float | None,
-    far_m: float | None,
+    chosen: dict[str, Any],
 ) -> dict[str, Any]:
     from oysterbench.cli.progress import late_bar
     from oysterbench.sequence import open_sequence
@@ -204,9 +212,9 @@ def _cloud(
         raise OysterbenchError(f"{out}: expected the name of a .ply file, or --masks and the name of a folder")
     opened = open_sequence(sequence)  # before the slow imports, to refuse it early
     from oysterbench.mapping import CloudSettings, build_cloud
+    from oysterbench.mapping.contradictions import contradictions
 
-    chosen = {"voxel_m": voxel_m, "far_m": far_m}
-    settings = _settings(CloudSettings, {key: value for key, value in chosen.items() if value is not None})
+    settings = _settings(CloudSettings, chosen)
     poses = _poses(opened, trajectory, options)
     start = time.process_time()
     looks = max(len(cameras), 1)
@@ -218,6 +226,8 @@ def _cloud(
     if len(cloud) == 0:
         raise OysterbenchError(f"{opened.name}: no points found from {source} along {trajectory}; nothing was written")
     cloud.write(out, f"{opened.name} along {trajectory.name}, from {source}, in odom, m")
+    for contradiction in contradictions(opened.for_method(), poses):
+        message(contradiction)
     facts = {
         "file": str(out),
         "points": len(cloud),
@@ -296,6 +306,8 @@ def _oysters(
     if time.process_time() >= start + LATE_S:
         message(f"writing the map of {opened.name}")
     written = write_map(found, out, command)
+    for note in found.notes:
+        message(note)
     facts = {**summary(found), "files": [str(path) for path in written]}
     facts["cpu_s"] = round(time.process_time() - start, 1)
     lines = [f"{out}: {written[0].name} and {len(written) - 1} more files"]

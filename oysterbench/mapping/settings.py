@@ -48,7 +48,7 @@ class MapSettings:
     max_gap_s: float = 0.3  # between the poses that an image's pose is interpolated from
 
     def __post_init__(self) -> None:
-        for name in ("cell_m", "raster_m", "near_m", "shell_m", "reach_m", "plane_s"):
+        for name in ("cell_m", "raster_m", "near_m", "shell_m", "reach_m", "plane_s", "max_gap_s"):
             if not getattr(self, name) > 0:
                 raise OysterbenchError(f"{name}: expected more than 0, got {getattr(self, name):g}")
         for name in ("pose_sigma_m", "depth_sigma"):

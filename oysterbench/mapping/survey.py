@@ -13,6 +13,7 @@ from oysterbench.core.errors import LabelError, SequenceError, TrajectoryError
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.mapping.association import OysterTracks
+from oysterbench.mapping.contradictions import contradictions
 from oysterbench.mapping.cover import Cover, Raster, raster_around, tile_of
 from oysterbench.mapping.depth import SIGMA, depth_source
 from oysterbench.mapping.grid import Grid, Oyster, Total, make_grid, total
@@ -44,6 +45,7 @@ class OysterMap:
     pictures, without_pose, without_depth: number of images given, and of those without a pose or a depth
     unassociated: the count without association (`mapping.unassociated`); None if path and depths are the ground truth
     magnetic_north_rad: clockwise from +y of the path's world frame; None if unknown
+    has_magnetometer: whether the sequence has one, which may not show north along this path (`mapping.north`)
     """
 
     name: str
@@ -60,6 +62,7 @@ class OysterMap:
     notes: tuple[str, ...] = field(default=())
     unassociated: float | None = None
     magnetic_north_rad: float | None = None
+    has_magnetometer: bool = False
 
     @property
     def depth_sigma(self) -> float:
@@ -115,15 +118,14 @@ def build_map(
     camera: str,
     depth: str,
     settings: MapSettings | None = None,
-    allow_none: bool = False,
     progress: Progress = lambda what, done, total: None,
 ) -> OysterMap:
     """Build the map. trajectory: poses of base_link at any stamps; seen: returns the oysters of images, in time order.
 
     depth: one of `depth.DEPTHS`; only "layer" uses ground truth, for depths and for the camera's calibration.
-    allow_none: make a map even without any oysters. progress: called with the progress once all images have been read.
-    Raises TrajectoryError where the trajectory does not overlap with the sequence in time, LabelError where the oysters
-    are not of images of this camera or there are none, SequenceError where there is no depth.
+    progress: called with the progress once all images have been read. What may be wrong without being an error is in
+    the map's notes. Raises TrajectoryError where the trajectory does not overlap with the sequence in time, LabelError
+    where the oysters are not of images of this camera, SequenceError where there is no depth.
     """
     settings = settings or MapSettings()
     if camera not in sequence.cameras:
@@ -138,7 +140,7 @@ def build_map(
     raster = raster_of(trajectory, settings)
     pictures = list[list[Patch]]()
     places, counts = [], {"pictures": 0, "without_pose": 0, "without_depth": 0}
-    any_oyster = False
+    any_oyster, in_gaps = False, 0
     with Tiles() as tiles:
         for k, picture in enumerate(seen()):
             counts["pictures"] += 1
@@ -158,6 +160,7 @@ def build_map(
             T, T_odom_cam = (find(calibration, first_ns) for find in (poses.taking, poses.of_rows))
             if T is None or T_odom_cam is None:
                 counts["without_pose"] += 1
+                in_gaps += poses.is_gap(calibration.taken_ns(first_ns))
                 continue
             depth_m = depth_of(picture.stamp_ns, first_ns)
             if depth_m is None:
@@ -171,16 +174,12 @@ def build_map(
             sigma = _pose_sigma(trajectory, picture.stamp_ns, settings, exact), sigma_of(depth, settings)
             pictures.append(patches(k, picture, points, depth_m, eye, lens.pixel_sr, *sigma, settings))
             places.append(T[:3, 3])
-        _check(sequence, camera, depth, counts, len(places), any_oyster or allow_none)
+        _check(sequence, camera, depth, counts, len(places), _reasons(counts, in_gaps, settings))
         path = np.array(places)
         pictures, moves = laid(pictures, path, settings, progress)
         cover, unassociated = _ground(raster, tiles, moves, pictures, settings)
-    notes = []
-    if depth == "layer":
-        notes.append("depths are the truth's (layer depth): no real survey has them")
-    for key, what in (("without_pose", "pose"), ("without_depth", "depth")):
-        if counts[key]:
-            notes.append(f"{counts[key]} of {counts['pictures']} images have no {what} and are left out")
+    notes = _notes(sequence, camera, depth, counts, _reasons(counts, in_gaps, settings), any_oyster)
+    notes += contradictions(source, trajectory)
     tracks = OysterTracks(settings)
     for k, found in enumerate(pictures, start=1):
         tracks.add(found)
@@ -192,6 +191,7 @@ def build_map(
         notes=tuple(notes),
         unassociated=None if exact else unassociated.count,
         magnetic_north_rad=magnetic_north(source, poses),
+        has_magnetometer=source.magnetometer_calibration is not None,
     )  # fmt: skip
 
 
@@ -248,17 +248,45 @@ def _pose_sigma(trajectory: Trajectory, stamp_ns: int, settings: MapSettings, ex
     return max(least or 0.0, float(np.sqrt(np.trace(trajectory.covariances[k][:3, :3]) / 3.0)))
 
 
-def _check(sequence: Sequence, camera: str, depth: str, counts: dict[str, int], used: int, any_oyster: bool) -> None:
+def _reasons(counts: dict[str, int], in_gaps: int, settings: MapSettings) -> str:
+    """Why images have no pose, in words."""
+    outside = counts["without_pose"] - in_gaps
+    between = f"{in_gaps} between poses more than {settings.max_gap_s:g} s apart (--max-gap, max_gap_s, allows more)"
+    return ", ".join([*([between] if in_gaps else []), *([f"{outside} before or after the path"] if outside else [])])
+
+
+def _notes(
+    sequence: Sequence, camera: str, depth: str, counts: dict[str, int], reasons: str, any_oyster: bool
+) -> list[str]:
+    """What readers of a map should know about its input, in sentences."""
+    notes, given = [], counts["pictures"]
+    if depth == "layer":
+        notes.append("depths are the truth's (layer depth): no real survey has them")
+    if not any_oyster:
+        notes.append(
+            f"no oyster in any of {given} masks: if there are oysters, the threshold or the meaning of the masks' "
+            "values is wrong (--threshold, --masks-kind)"
+        )
+    labelled = max((n for topic, _, n in sequence.contents() if topic == f"/{camera}/class"), default=0)
+    if given < labelled:
+        notes.append(
+            f"{labelled - given} of {labelled} labelled images have no mask and are left out; an image without oysters "
+            "needs an empty mask for its ground to count as seen"
+        )
+    if counts["without_pose"]:
+        notes.append(f"{counts['without_pose']} of {given} images have no pose and are left out: {reasons}")
+    if counts["without_depth"]:
+        notes.append(f"{counts['without_depth']} of {given} images have no depth and are left out")
+    return notes
+
+
+def _check(sequence: Sequence, camera: str, depth: str, counts: dict[str, int], used: int, reasons: str) -> None:
     if counts["pictures"] == 0:
         raise LabelError(f"{sequence.name}: no mask of an image of {camera}: expected some to map")
-    if not any_oyster:
-        raise LabelError(
-            f"{sequence.name}: no oyster in any of {counts['pictures']} masks: all of them are empty; expected some, "
-            "or another threshold"
-        )
     if counts["without_pose"] == counts["pictures"]:
         raise TrajectoryError(
-            f"{sequence.name}: the trajectory has no pose at any of {counts['pictures']} images that have masks"
+            f"{sequence.name}: the trajectory has no pose at any of {counts['pictures']} images that have masks: "
+            f"{reasons}"
         )
     if used == 0:
         raise SequenceError(

@@ -105,6 +105,12 @@ class PoseInterpolator:
             return None
         return np.asarray(self.trajectory.select(slice(after - 1, after + 1)).at(np.array([stamp_ns])).matrices[0])
 
+    def is_gap(self, stamp_ns: int) -> bool:
+        """Whether a stamp without a pose lies between two poses that are too far apart, rather than before or after all
+        of them."""
+        stamps = self.trajectory.stamps_ns
+        return bool(len(stamps) and stamps[0] < stamp_ns < stamps[-1])
+
     def taking(self, camera: CameraCalibration, stamp_ns: int) -> Array | None:
         """T_odom_base at the time when a camera took the frame of a stamp; None as in `at`."""
         return self.at(camera.taken_ns(stamp_ns))

@@ -57,7 +57,12 @@ LINE = 1.6 * LINE_SIZE / POINTS_PER_INCH  # inches, height of a line
 LETTERS = 10.5  # minimum number of letters of that size per inch
 NO_NORTH = (
     "Up is +y of the path: north where the path is the ground truth of a rendered dive, any direction where it is an "
-    "estimate. No magnetometer shows where north is."
+    "estimate. "
+)
+NO_MAGNETOMETER = "No magnetometer shows where north is."
+NO_AGREEMENT = (
+    "The magnetometer does not show where north is: along this path its readings disagree, or the vehicle turned too "
+    "little to tell them from unknown iron on board."
 )
 ARROW = 20.0  # points, half the length of the north arrow
 TEXT_CELL = 26.0  # points, minimum edge of a cell for its number to be written into it
@@ -116,8 +121,14 @@ def notes(found: OysterMap) -> list[str]:
         "Oysters hidden under others in every image are not counted.",
         "An oyster that the edge always cuts counts as half.",
         "? the 95 % interval extends into another class. Grey: too little seen.",
-        "N is magnetic north; up is +y of the path." if found.magnetic_north_rad is not None else NO_NORTH,
+        _north(found),
     ]
+
+
+def _north(found: OysterMap) -> str:
+    if found.magnetic_north_rad is not None:
+        return "N is magnetic north; up is +y of the path."
+    return NO_NORTH + (NO_AGREEMENT if found.has_magnetometer else NO_MAGNETOMETER)
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ class DensityTrack(Track):
         Option("kind", "--masks-kind", "Meaning of the masks' values.  [default: auto]", FORMS),
         Option("depth", "--depth", "Source of depths.  [default: layer]", DEPTHS),
         Option("cell_m", "--cell", "Size of the grid cells, in m.  [default: 1]", float),
-        next(option for option in SETTINGS if option.key == "align"),
+        *(option for option in SETTINGS if option.key in ("align", "max_gap_s")),
     )
     examples = """
       oysterbench eval density --split slam-val --method gtsam_full --method dead_reckoning
@@ -72,7 +72,7 @@ class DensityTrack(Track):
         """Settings of the maps."""
         from oysterbench.mapping import MapSettings
 
-        return MapSettings(**{key: options[key] for key in ("cell_m",) if key in options})
+        return MapSettings(**{key: options[key] for key in ("cell_m", "max_gap_s") if key in options})
 
     def with_truth(self, topics: Sequence[str]) -> tuple[str, ...]:
         """Add the topics of the ground truth; the layers of the camera that is mapped must be among those given."""

@@ -130,9 +130,11 @@ def cells_of(grid: Grid) -> dict[tuple[int, int], Cell]:
     }
 
 
-def aligned(truth: Trajectory, estimate: Trajectory, align: Align) -> Trajectory:
+def aligned(
+    truth: Trajectory, estimate: Trajectory, align: Align, max_gap_s: float = SlamSettings.max_gap_s
+) -> Trajectory:
     """Align an estimate with the ground truth, as the SLAM track does."""
-    fit = meet(truth, estimate, SlamSettings(align=align))[1].similarity
+    fit = meet(truth, estimate, SlamSettings(align=align, max_gap_s=max_gap_s))[1].similarity
     estimate = with_scale(estimate, fit.scale)
     return replace(estimate, positions=fit.apply(estimate.positions), quaternions=fit.rotate(estimate.quaternions))
 
@@ -167,10 +169,10 @@ def evaluate_maps(
             try:
                 if isinstance(path, Exception):
                     raise path
-                path_poses = poses if path_name == TRUE_POSES else aligned(poses, path, align)
+                path_poses = poses if path_name == TRUE_POSES else aligned(poses, path, align, settings.max_gap_s)
                 owners: dict[tuple[int, int], int] = {}
                 labelled = _owned(sequence, camera, seen, owners)
-                found = build_map(sequence, path_poses, labelled, camera, depth, settings, allow_none=True)
+                found = build_map(sequence, path_poses, labelled, camera, depth, settings)
             except OysterbenchError as error:
                 yield DensityRun(ResultRecord(**about, method=method, failure=str(error)))
                 continue

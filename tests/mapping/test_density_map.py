@@ -237,13 +237,6 @@ def test_masks_of_another_size_are_refused(once):
         map_of(once, seen=lambda: [Seen(BEGIN, "cam", np.ones((60, 80), int))])
 
 
-def test_masks_without_an_oyster_are_refused(once):
-    empty = [Seen(BEGIN, "cam", np.zeros((120, 160), int))]
-    with pytest.raises(LabelError, match="all of them are empty"):
-        map_of(once, seen=lambda: empty)
-    assert map_of(once, seen=lambda: empty, allow_none=True).total.count == 0
-
-
 def test_no_depth_is_refused_with_what_there_is():
     bare = FlatReef(LANE, DISCS, layers=("class", "instance"))
     with pytest.raises(SequenceError, match="no layer depth"):

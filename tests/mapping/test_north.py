@@ -90,5 +90,13 @@ def test_where_no_magnetometer_shows_north_the_page_says_what_up_is():
     assert "N is magnetic north; up is +y of the path." in notes(replace(without, magnetic_north_rad=2.0))
 
 
+def test_a_magnetometer_that_shows_no_north_along_this_path_is_not_called_absent():
+    found = map_of(FlatReef(LANE[:3], scattered(-0.6, 1.8)))
+    assert "No magnetometer shows where north is." in notes(found)[-1]
+    disagreeing = map_of(Compassed(TURNING, known=False))
+    assert disagreeing.magnetic_north_rad is None
+    assert "The magnetometer does not show where north is" in notes(disagreeing)[-1]
+
+
 def arrows(drawn):
     return [text for axes in drawn.axes for text in axes.texts if text.get_text() == "N"]

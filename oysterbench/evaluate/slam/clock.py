@@ -51,7 +51,7 @@ def estimate_offset(truth: Trajectory, estimate: Trajectory) -> Offset:
     found, failures = [], []
     for signal in ("angular speed", "speed"):
         try:
-            found.append(_fit(_speed(truth, step_s, signal), _speed(estimate, step_s, signal), step_s, signal))
+            found.append(fit_offset(_speed(truth, step_s, signal), _speed(estimate, step_s, signal), step_s, signal))
         except ValueError as error:
             failures.append(f"by {signal} {error}")
     if not found:
@@ -88,8 +88,8 @@ def _speed(trajectory: Trajectory, step_s: float, signal: str) -> Array:
     return rotation_angle(poses.quaternions[:-1], poses.quaternions[1:]) / step_s
 
 
-def _fit(truth: Array, estimate: Array, step_s: float, signal: str) -> Offset:
-    """Find the offset between the first stamps of two evenly sampled speeds (K,), (L,).
+def fit_offset(truth: Array, estimate: Array, step_s: float, signal: str) -> Offset:
+    """Find the offset between the first stamps of two evenly sampled speeds (K,), (L,), with step_s between samples.
 
     Raises ValueError where there are too few samples, too little variation or correlation, or no distinct maximum.
     """

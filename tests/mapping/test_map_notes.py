@@ -1,0 +1,59 @@
+"""What a map says about its input: images without oysters, without masks, without poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.mapping import Seen, true_seen
+from oysterbench.report.density_files import map_page, summary
+from tests.helpers.flat_reef import LANE, FlatReef, scattered
+from tests.mapping.test_density_map import SETTINGS, map_of
+
+WIDE = replace(SETTINGS, max_gap_s=1.0)
+
+
+@pytest.fixture(scope="module")
+def reef():
+    return FlatReef(LANE, scattered(-0.6, 1.2))
+
+
+def test_ground_without_oysters_has_a_density_of_zero_with_an_interval_and_that_is_said(reef):
+    found = map_of(reef, seen=lambda: [Seen(int(stamp), "cam", np.zeros((120, 160), int)) for stamp in reef.stamps])
+    total = found.total
+    assert (total.count, total.live_per_m2, total.low_per_m2) == (0.0, 0.0, 0.0)
+    # Of none counted, the mean may be up to 3.7 (Poisson, 97.5 %).
+    assert total.high_per_m2 == pytest.approx(3.689 / total.area_m2, rel=1e-3)
+    (note,) = [note for note in found.notes if "no oyster" in note]
+    assert "no oyster in any of 8 masks" in note
+    assert "--threshold" in note
+    assert "No oyster in any of 8 masks" in map_page(found, "")
+    assert summary(found)["oysters"]["count"] == 0
+
+
+def test_labelled_images_without_a_mask_are_counted(reef):
+    half = list(true_seen(reef, "cam"))[::2]
+    (note,) = [note for note in map_of(reef, seen=lambda: half).notes if "mask" in note]
+    assert note.startswith("4 of 8 labelled images have no mask and are left out")
+    assert not any("mask" in note for note in map_of(reef).notes)
+    unlabelled = FlatReef(LANE, reef.discs, layers=("depth", "instance"))
+    assert not any("mask" in note for note in map_of(unlabelled, seen=lambda: half).notes)
+
+
+def test_images_without_a_pose_are_counted_with_the_reason(reef):
+    sparse = reef.truth().select(np.array([0, 2, 3, 6]))
+    (note,) = [note for note in map_of(reef, sparse).notes if "pose" in note]
+    assert note.startswith("4 of 8 images have no pose and are left out: 3 between poses more than 0.3 s apart (--max")
+    assert note.endswith(", 1 before or after the path")
+    (note,) = [note for note in map_of(reef, sparse, replace(SETTINGS, max_gap_s=2.0)).notes if "pose" in note]
+    assert note.startswith("3 of 8 images have no pose and are left out: 2 between poses more than 2 s apart")
+
+
+def test_a_path_without_a_pose_at_any_image_is_refused_with_the_reason(reef):
+    between = replace(reef.truth(), stamps_ns=reef.stamps + 500_000_000)
+    with pytest.raises(TrajectoryError, match=r"at any of 8 images .*: 7 between poses more than 0\.3 s apart"):
+        map_of(reef, between)
+    assert len(map_of(reef, between, WIDE).path) == 7
