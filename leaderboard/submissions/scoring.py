@@ -260,6 +260,11 @@ class CommandScorer(Scorer):
         found = score_pictures(*self._parts[-1])
         return Found(found.metrics, found.reasons)
 
+    def failed(self) -> Mapping[str, float]:
+        from oysterbench.evaluate.steering import failed_metrics
+
+        return failed_metrics(self._views.labels)
+
     def whole(self, results: tuple[ResultRecord, ...]) -> Scored:
         from oysterbench.evaluate.steering.dataset import over_sequences
 

@@ -69,7 +69,8 @@ def track_options() -> dict[str, Option]:
     "--timeout",
     "limit_s",
     type=Number(min=0, min_open=True),
-    help="Time limit in s.  [default: 10 times the sequence's, 10 per image, at least 600, or a system's own]",
+    help="Time limit in s of a run, or of a rollout.  [default: 10 times the sequence's, 10 per image, at least 600, "
+    "or a system's own; for a rollout 4 hours]",
 )
 @click.option("--again", is_flag=True, help="Rerun finished runs.")
 @click.option("--retry", is_flag=True, help="Rerun failed runs.")

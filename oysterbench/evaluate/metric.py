@@ -110,7 +110,9 @@ class TrackMetrics:
     table:    metrics in a table with one line per method and sequence; the first is the ranking metric
     standing: metrics in the standings, beside rank, score and interval
     beside:   the metric shown beside the ranking one, over conditions and over runs
-    failed:   values of a run without a scored estimate: it answers nothing, and its errors do not exist
+    failed:   values of a run without a scored estimate: it answers nothing, and its errors do not exist. A record may
+              have a lower one, where the metric can be negative
+    failed_as: the same for the ranking metric, in words, after "a failed run"
     costs:    metrics of what a run cost, shown after `table` where any run has them
     wide:     metrics of `table` and `costs` that a narrow terminal leaves out: the others fit into 80 characters
     errors:   metrics of both that are unbounded, so that a single lost sequence would dominate their mean: over
@@ -124,6 +126,7 @@ class TrackMetrics:
     standing: tuple[str, ...]
     beside: str
     failed: Mapping[str, float]
+    failed_as: str = "scores 0"
     costs: tuple[str, ...] = ("cpu_s", "peak_memory_mb")
     wide: tuple[str, ...] = ("cpu_s", "peak_memory_mb")
     errors: tuple[str, ...] = ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -59,7 +60,10 @@ def commands(
 
 
 def classes_of(command: Steering, task: SteeringRecipe, where: str) -> tuple[int, int]:
-    """Classes of yaw and pitch that a command names or gives the highest probability; ties go to the straightest."""
+    """Classes of yaw and pitch that a command names or gives the highest probability; ties go to the straightest.
+
+    Raises MethodError where both are given and contradict each other, or one of them is not as expected.
+    """
     found = []
     for axis, degrees in (("yaw", task.yaw_deg), ("pitch", task.pitch_deg)):
         number, shares = getattr(command, axis), getattr(command, f"{axis}_probability")
@@ -76,11 +80,21 @@ def classes_of(command: Steering, task: SteeringRecipe, where: str) -> tuple[int
                     f"{np.round(shares, 3).tolist()!s:.80}"
                 )
             near = -np.abs(np.arange(len(degrees)) - degrees.index(0.0))
-            number = int(np.lexsort((near, shares))[-1])
+            most = int(np.lexsort((near, shares))[-1])
+            number = _agreed(number, shares, most, f"{where}: {axis}")
         if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < len(degrees):
             raise MethodError(f"{where}: {axis}: expected a class from 0 to {len(degrees) - 1}, got {number!r}")
         found.append(int(number))
     return found[0], found[1]
+
+
+def _agreed(number: Any, shares: Array, most: int, where: str) -> Any:
+    """The class that a command names beside probabilities, which must be a most probable one, or that one."""
+    if number is None:
+        return most
+    if number not in np.flatnonzero(shares == shares.max()):
+        raise MethodError(f"{where}: expected a class or probabilities, got {number!r} and, as most probable, {most}")
+    return number
 
 
 def probabilities(command: Steering, classes: tuple[int, int], task: SteeringRecipe) -> tuple[Array, Array]:

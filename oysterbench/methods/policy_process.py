@@ -28,7 +28,7 @@ from oysterbench.methods.processes import STDERR, environment, failure_of, secre
 from oysterbench.methods.steering import Steering, SteeringMethod, VehicleState, View, Views
 
 LIMIT_S = 4 * 3600.0
-"""Time limit of a rollout, s."""
+"""Default time limit of a rollout, s."""
 
 
 class PolicyProcess:
@@ -36,16 +36,16 @@ class PolicyProcess:
 
     track = "steering"
 
-    def __init__(self, reference: str) -> None:
-        """Raises MethodError where the method cannot be found."""
-        self.reference = reference
+    def __init__(self, reference: str, limit_s: float = LIMIT_S) -> None:
+        """limit_s: time after which the process is ended. Raises MethodError where the method cannot be found."""
+        self.reference, self.limit_s = reference, limit_s
         self.name = find_method(reference).name
 
     def run(self, views: Views) -> Iterator[Steering]:
         """Yield a command for each view. Raises MethodError where the policy fails."""
         with scratch() as folder, tempfile.TemporaryFile() as report:
             words = [sys.executable, "-m", __name__, self.reference]
-            command = supervised_command(words, LIMIT_S, report, secrets(), own=[folder])
+            command = supervised_command(words, self.limit_s, report, secrets(), own=[folder])
             with open(folder / STDERR, "wb") as err:
                 process = subprocess.Popen(
                     command,
@@ -62,7 +62,7 @@ class PolicyProcess:
                 yield from self._commands(views, process.stdin, process.stdout)
             except (BrokenPipeError, EOFError):
                 process.wait()
-                failure = failure_of(report, LIMIT_S, folder) or "it ended without output"
+                failure = failure_of(report, self.limit_s, folder) or "it ended without output"
                 raise MethodError(f"method {self.name!r}: {failure}") from None
             finally:
                 process.terminate()  # the supervisor ends everything that the policy started

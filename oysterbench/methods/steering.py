@@ -37,7 +37,8 @@ class View:
 
 @dataclass(frozen=True)
 class Steering:
-    """The command for a view: classes, or a probability for each class, of which the most probable is taken.
+    """The command for a view: classes, or a probability for each class, of which the most probable is taken. A class
+    given beside probabilities must be a most probable one.
 
     yaw, pitch:             class numbers, from 0, in the order of the task
     yaw_probability:        (Y,) float, none negative, not all 0; they need not add up to 1

@@ -206,12 +206,13 @@ def _reading(board: Board) -> list[str]:
     count = f"{n} sequence{'' if n == 1 else 's'}"
     metric = find_metric(board.metric)
     beside = "coverage and " if "coverage" in TRACKS[board.track].standing else ""
+    failed_as = TRACKS[board.track].failed_as
     notes = [
-        f"Means over {count}, each the mean of its runs; a failed run scores 0, and errors cover the runs that have "
+        f"Means over {count}, each the mean of its runs; a failed run {failed_as}, and errors cover the runs that have "
         f"one: read them together with {beside}failures."
     ]
     if lost := lost_note(board.track):
-        notes = [f"Means over {count}, each the mean of its runs; a failed run scores 0. {lost}"]
+        notes = [f"Means over {count}, each the mean of its runs; a failed run {failed_as}. {lost}"]
     if metric is not None and metric.weight:
         notes = [f"{metric.heading} is computed over all pixels of {count}; a failed run finds nothing."]
     if any(row.standing.rank is not None for row in board.standings):
@@ -311,7 +312,7 @@ def runs_table(board: Board) -> Table:
         _median_column(error),
         replace(interval_column(error, f"{error.key}_range", "from, to", ""), wide=True),
     )
-    note = "A failed run scores 0; errors cover the runs that have one."
+    note = f"A failed run {TRACKS[board.track].failed_as}; errors cover the runs that have one."
     return Table(f"Runs on {board.name}", columns, tuple(rows), (note,) if rows else ())
 
 

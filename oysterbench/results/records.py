@@ -65,7 +65,8 @@ class ResultRecord:
     metrics:                 by keys that include the unit (`evaluate.metrics`); NaN where there is no value
     reasons:                 the reason for every metric that is NaN
     failure:                 why there is no estimate, or why it cannot be scored; None for a run that was scored.
-                             A failed run has no estimate: its score and coverage are 0 and its errors do not exist.
+                             A failed run has no estimate: its score and coverage are 0 and its errors do not exist;
+                             a score that can be negative is at most 0.
     settings:                of the evaluator
     notes:                   what a reader of the numbers should know, in sentences
     info:                    what the method wants kept with the result
@@ -99,7 +100,9 @@ class ResultRecord:
         object.__setattr__(self, "notes", tuple(self.notes))
         if self.failure is not None:
             spent = {key: value for key, value in self.metrics.items() if key not in SPEEDS}
-            object.__setattr__(self, "metrics", {**spent, **FAILED.get(self.track, {"coverage": 0.0})})
+            failed = FAILED.get(self.track, {"coverage": 0.0})
+            lowest = {key: min(value, spent.get(key, value)) for key, value in failed.items()}
+            object.__setattr__(self, "metrics", {**spent, **lowest})
         for key, value in self.metrics.items():
             if abs(value) > sys.float_info.max:  # JSON allows integers that no float can hold
                 got = f"{value!s:.60}"
@@ -253,9 +256,9 @@ def aggregate(records: Iterable[ResultRecord]) -> list[dict[str, Any]]:
     """Aggregate each metric over sequences, with its statistics, for each track, split and method.
 
     The aggregate is the mean or, for a track's `errors`, the median over the sequences that are not `lost`. Several
-    runs on one sequence are averaged first, so that every sequence has one vote. A failed run counts with score and
-    coverage 0 and has no errors; a metric without any value is None, with the reason. Records of different recipes,
-    evaluators or settings are never averaged together: each combination has a row of its own.
+    runs on one sequence are averaged first, so that every sequence has one vote. A failed run counts with the score and
+    coverage of its record, at most 0, and has no errors; a metric without any value is None, with the reason. Records
+    of different recipes, evaluators or settings are never averaged together: each combination has a row of its own.
     """
     groups: dict[tuple[str, ...], list[ResultRecord]] = {}
     for record in records:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import MethodError, RecipeError
-from oysterbench.evaluate.steering import EVALUATOR, Commands, score_pictures
+from oysterbench.evaluate.steering import EVALUATOR, Commands, failed_metrics, score_pictures
 from oysterbench.exploration.labelled_views import LabelledViews, labelled_views
 from oysterbench.methods.interfaces import RunSequence
 from oysterbench.methods.interfaces.images import LIMIT_OF_PICTURE_S
 from oysterbench.methods.interfaces.steering import read_classes, write_views
 from oysterbench.methods.outcomes import Job, Outcome
+from oysterbench.methods.policy_process import LIMIT_S
 from oysterbench.methods.processes import Processes
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report.exploring import pictures_table, whole_of
@@ -145,7 +147,7 @@ class SteeringTrack(Track):
             except MethodError as error:
                 failure = str(error)
         if failure is not None:
-            return PictureRun(ResultRecord(**about, failure=failure))
+            return PictureRun(ResultRecord(**about, failure=failure, metrics=failed_metrics(views.labels)))
         score = score_pictures(views.labels, commands)
         metrics = {**score.metrics, **cost_of(outcome, "pictures_per_s", len(commands.classes))}
         record = ResultRecord(**about, metrics=metrics, reasons=score.reasons)
@@ -167,13 +169,16 @@ class SteeringTrack(Track):
                 "--closed-loop: expected Python policies, each run once over each reef, which its seed determines"
             )
         policies = [name for name in dict.fromkeys(request.methods) if name not in REFERENCES]
-        for name in policies:
-            self.have_weights(self.adapters(Request(request.out, split, methods=[name])), request)
+        adapters = self.adapters(replace(request, methods=policies)) if policies else []
+        if taken := [one.name for one in adapters if one.name in REFERENCES]:
+            raise MethodError(f"{taken[0]!r} is the name of a reference of the closed loop: expected another name")
+        self.have_weights(adapters, request)
         reefs = list(request.sequences) or [one.name for one in split.sequence]
         count = options.get("reefs", len(reefs))
         if not 1 <= count <= len(reefs):
             raise RecipeError(f"--reefs: expected at most {len(reefs)}, as many as there are, got {count}")
-        plan = plan_rollouts(split, options.get("seconds"), salt=salt_for(split.name, split.hidden))
+        salt = salt_for(split.name, split.hidden)
+        plan = plan_rollouts(split, options.get("seconds"), salt=salt, limit_s=request.limit_s or LIMIT_S)
         workers = check_workers(request.workers)
         with request.bar(f"driving over {split.name}", "rollouts") as progress:
             runs = run_rollouts(

@@ -27,7 +27,8 @@ from oysterbench.exploration.rollout_store import (
     steering_source,
     unpacked,
 )
-from oysterbench.methods.policy_process import PolicyProcess
+from oysterbench.methods.finding import find_method
+from oysterbench.methods.policy_process import LIMIT_S, PolicyProcess
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report import results_table
 from oysterbench.report.exploring import places, places_table, policies_table
@@ -63,13 +64,14 @@ class RolloutJob:
 @dataclass(frozen=True)
 class RolloutPlan:
     """Parameters common to all rollouts. seconds: length of each, a whole number of steps; start: number of the start
-    pose."""
+    pose; limit_s: time limit of each, in s of the clock."""
 
     split: SplitRecipe
     seconds: float
     start: int = 0
     salt: bytes = b""
     explore: Explore | None = None
+    limit_s: float = LIMIT_S
 
     @property
     def steps(self) -> int:
@@ -84,6 +86,7 @@ def plan_rollouts(
     start: int = 0,
     salt: bytes = b"",
     explore: Explore | None = None,
+    limit_s: float = LIMIT_S,
 ) -> RolloutPlan:
     """Make the plan of rollouts that last `seconds`, or as long as the task says.
 
@@ -98,7 +101,7 @@ def plan_rollouts(
         raise RecipeError(
             f"--seconds: expected at least {task.step_s:g}, the time of one command of {split.name}, got {chosen:g}"
         )
-    return RolloutPlan(split, steps * task.step_s, start, Salt(salt), explore)
+    return RolloutPlan(split, steps * task.step_s, start, Salt(salt), explore, limit_s)
 
 
 def run_rollouts(
@@ -156,11 +159,11 @@ def make_rollout(plan: RolloutPlan, job: RolloutJob) -> bytes:
     """Make a rollout and return the contents of its file or, after FAILED, why the policy failed."""
     explore = plan.explore or _explore()
     try:
-        policy = job.policy if job.policy in REFERENCES else PolicyProcess(job.policy)
+        policy = job.policy if job.policy in REFERENCES else PolicyProcess(job.policy, plan.limit_s)
         log, _ = explore(plan.split, job.reef, policy, salt=plan.salt, seconds=plan.seconds, start=plan.start)
         if len(log.commands) < plan.steps:
             raise MethodError(
-                f"method {job.policy!r} on {job.reef}: expected {plan.steps} commands, got {len(log.commands)}"
+                f"method {_name(job.policy)!r} on {job.reef}: expected {plan.steps} commands, got {len(log.commands)}"
             )
     except MethodError as error:
         return FAILED + str(error).encode()
@@ -175,6 +178,11 @@ def _explore() -> Explore:
 
 def _policy(policy: str) -> dict[str, Any]:
     return {"reference": policy} if policy in REFERENCES else method_identity(policy)
+
+
+def _name(policy: str) -> str:
+    """Name in results: the policy's own, as over labelled images, however it was referred to."""
+    return policy if policy in REFERENCES else find_method(policy).name
 
 
 def _identity(plan: RolloutPlan, job: RolloutJob, policy: Mapping[str, Any]) -> dict[str, Any]:
@@ -195,7 +203,7 @@ def _run(plan: RolloutPlan, job: RolloutJob, made: RolloutLog | str, policy: Map
     about = {
         **about_sequence(TRACK, split, job.reef, "", settings, EVALUATOR),
         "split_digest": digest(split, plan.salt),
-        "method": job.policy,
+        "method": _name(job.policy),
         "seed": policy.get("seed"),
         "method_settings": json.loads(json.dumps(policy.get("settings", {}), default=str)),
     }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 
 from oysterbench.methods.steering import Steering
@@ -124,3 +126,14 @@ class WithOption(Reader):
 
     def as_dict(self):
         return {"gain": self.gain}
+
+
+class Hanging(Ahead):
+    """Never commands."""
+
+    name = "hanging"
+
+    def run(self, views):
+        for _ in views:
+            time.sleep(600)
+        yield

@@ -10,6 +10,7 @@ import pytest
 
 from oysterbench.core.errors import LabelError, MethodError, RecipeError, ResultError
 from oysterbench.evaluate.statistics import Comparison, Interval
+from oysterbench.evaluate.steering import failed_metrics
 from oysterbench.exploration.labelled_views import labelled_views
 from oysterbench.exploration.rollout_store import packed, unpacked
 from oysterbench.methods.interfaces import Stopwatch
@@ -116,7 +117,7 @@ def test_a_method_that_does_not_do_as_agreed_fails_by_name_and_the_others_go_on(
     assert getattr(exploring_policies, policy).name in runs[0].record.failure
     assert message in runs[0].record.failure
     assert "\n" not in runs[0].record.failure
-    assert runs[0].record.metrics == {"skill": 0.0}
+    assert runs[0].record.metrics == failed_metrics(sequences[0].labels)
     assert runs[1].record.metrics["skill"] == 1
 
 
@@ -226,7 +227,8 @@ def test_finished_rollouts_are_kept_and_made_anew_where_anything_is_different(tm
     )
     assert len(calls) == 8
     assert told == [(k, 8) for k in range(9)]
-    assert [(run.record.sequence, run.record.method) for run in first[:4]] == [("one", policy) for policy in policies]
+    names = ["with-option", *REFERENCES]
+    assert [(run.record.sequence, run.record.method) for run in first[:4]] == [("one", name) for name in names]
     calls.clear()
     again = run_rollouts(plan, ["one", "two"], policies, tmp_path)
     assert calls == []
@@ -354,9 +356,9 @@ def test_policies_are_compared_on_the_same_reefs_and_have_a_place(tmp_path, monk
     plan = plan_rollouts(split, explore=made_explore)
     runs = run_rollouts(plan, reefs, [POLICIES + ":Reader", *REFERENCES], tmp_path)
     found = places(runs)
-    assert set(found) == {POLICIES + ":Reader", "lawnmower"}
+    assert set(found) == {"reader", "lawnmower"}
     assert found["lawnmower"].value == pytest.approx(0.5)
-    assert found[POLICIES + ":Reader"].value == pytest.approx(0.0)
+    assert found["reader"].value == pytest.approx(0.0)
     assert found["lawnmower"].interval.low == pytest.approx(0.5)
     assert len(places_table(found).rows) == 2
     lines = {texts[0]: texts for texts in policies_table(runs).texts if texts[1].startswith("Oysters")}

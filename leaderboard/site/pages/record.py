@@ -167,7 +167,7 @@ def sequences_table(results: Sequence[ResultRecord], sequences: Sequence[str], t
             *(Cell(runs[0].conditions.get(key), kind="brief") for key in known),
         )
         lines.append(TableRow(cells, "failed" if failed == len(runs) else ""))
-    notes = ("Means over the runs of each sequence; a failed run scores 0 and has no errors.",)
+    notes = (f"Means over the runs of each sequence; a failed run {TRACKS[track].failed_as} and has no errors.",)
     return Table(title, columns, tuple(lines), notes, "sequences")
 
 

@@ -1,7 +1,7 @@
 """Steering over a reef: classes of commands against those of an expert, and closed-loop rollouts."""
 
 from oysterbench.evaluate.steering.log import RolloutLog
-from oysterbench.evaluate.steering.pictures import Commands, Labels, PictureScore, score_pictures
+from oysterbench.evaluate.steering.pictures import Commands, Labels, PictureScore, failed_metrics, score_pictures
 from oysterbench.evaluate.steering.rollouts import NormalisedScore, normalised_score, score_rollout
 
 EVALUATOR = "navigation 1"
@@ -14,6 +14,7 @@ __all__ = [
     "NormalisedScore",
     "PictureScore",
     "RolloutLog",
+    "failed_metrics",
     "normalised_score",
     "score_pictures",
     "score_rollout",

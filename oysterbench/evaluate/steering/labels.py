@@ -87,5 +87,11 @@ def skill(action_values: Array, commanded: Classes) -> float:
     return 1.0 - math.fsum(regrets(action_values, commanded)) / chance if chance > 0 else math.nan
 
 
+def worst(action_values: Array) -> Classes:
+    """The command (N, 2) that loses most at each image."""
+    flat = action_values.reshape(len(action_values), -1).argmin(axis=1)
+    return np.column_stack(np.unravel_index(flat, action_values.shape[1:])).astype(np.int64)
+
+
 def _mean(values: Array | NDArray[np.bool_]) -> float:
     return float(np.mean(values)) if len(values) else math.nan

@@ -41,7 +41,7 @@ PICTURES: dict[str, Metric] = {
     "skill": higher("Skill", column=Column("skill"), limits=(-math.inf, 1.0))(
         "1 - regret / regret of commands drawn evenly from all pairs of classes, over the images of a sequence: 1 for "
         "the expert's own commands, 0 for chance, below 0 if worse than chance. If several commands are equally good, "
-        "any of them is right. A failed run counts 0."
+        "any of them is right. A failed run counts as the worst command at each image."
     ),
     "regret_oysters": lower("Regret", "oysters", Column("regret", "oysters", 2))(
         "Mean over images of the value of the expert's best pair of classes minus that of the commanded pair: oysters "
@@ -96,7 +96,15 @@ TABLE = (
     "regret_oysters",
     *(f"{axis}_{what}" for axis in ("yaw", "pitch") for what in ("accuracy", "macro_f1", "cost_deg")),
 )
-STEERING = TrackMetrics("Steering", PICTURES, TABLE, TABLE[1:], beside="regret_oysters", failed={"skill": 0.0})
+STEERING = TrackMetrics(
+    "Steering",
+    PICTURES,
+    TABLE,
+    TABLE[1:],
+    beside="regret_oysters",
+    failed={"skill": 0.0},
+    failed_as="scores as the worst command at each image",
+)
 
 EXPLORATION_TABLE = (
     "oysters_per_min",

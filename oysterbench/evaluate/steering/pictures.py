@@ -65,6 +65,13 @@ class PictureScore(Score):
     pitch: NDArray[np.int64]
 
 
+def failed_metrics(truth: Labels) -> dict[str, float]:
+    """Metrics of a run that failed: the skill of the worst command at each image, so that no answer ranks below none;
+    at most 0, also where no command makes a difference."""
+    worst = labels.skill(truth.action_values, labels.worst(truth.action_values)) if len(truth.classes) else 0.0
+    return {"skill": min(0.0, worst)}
+
+
 def score_pictures(truth: Labels, commands: Commands) -> PictureScore:
     """Score the commands for N images."""
     n, task = len(truth.classes), truth.task
