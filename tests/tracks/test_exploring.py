@@ -345,11 +345,6 @@ def test_a_rollout_without_a_step_is_refused(seconds):
         plan_rollouts(SPLIT, seconds)
 
 
-def test_a_split_of_another_track_has_no_rollouts(tiny_split):
-    with pytest.raises(RecipeError, match="is of the track 'slam'"):
-        plan_rollouts(tiny_split)
-
-
 def test_policies_are_compared_on_the_same_reefs_and_have_a_place(tmp_path, monkeypatch):
     split = made_split(tuple(f"r{k}" for k in range(7)))
     reefs = [sequence.name for sequence in split.sequence]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from oysterbench.core.errors import MethodError
+from oysterbench.core.errors import MethodError, RecipeError
 from oysterbench.evaluate.steering import Commands, Labels, failed_metrics, score_pictures
 from oysterbench.methods.policy import classes_of
 from oysterbench.methods.steering import Steering
@@ -20,7 +21,7 @@ from tests.helpers.exploring_made import made_explore, made_split
 from tests.helpers.exploring_policies import Reader
 
 SPLIT = made_split()
-TASK = SPLIT.steering
+TASK: Any = SPLIT.steering
 POLICIES = "tests.helpers.exploring_policies"
 
 
@@ -28,6 +29,11 @@ class Random(Reader):
     """Has the name of a reference."""
 
     name = "random"
+
+
+def test_a_split_of_another_track_has_no_rollouts(tiny_split):
+    with pytest.raises(RecipeError, match="is of the track 'slam'"):
+        plan_rollouts(tiny_split)
 
 
 def test_a_rollout_that_takes_too_long_is_ended_and_the_others_go_on(tmp_path):
