@@ -141,6 +141,7 @@ def run_command(
     writes nothing readable is a failure in the results. A run that the machine killed, or had no memory or disk for, is
     not, and the same command runs it again. If a METHOD needs trained weights that are missing, they are downloaded
     first where a hub is set: `oysterbench models`. After any interruption, even a kill, the same command resumes.
+    A module:Class is known by its code and `weights`; once they have changed, its results are refused until --again.
     Temporary files go to the folder that TMPDIR names; folders given to programs are kept under the home folder for
     other runs, up to OYSTERBENCH_EXPORTS_GB (20). A program's lines `progress 120 of 700` are shown as a bar.
     """

@@ -117,7 +117,8 @@ def segment_command(
     N resamples N neighbours together. The intervals cover sampling only, not the method's overcounting or
     undercounting. For stereo pairs, or to count oysters in overlapping images once: `oysterbench map`.
 
-    Finished work is kept: it is repeated only with --again, or if image, method, weights or settings have changed.
+    Finished work is kept: it is repeated only with --again, or if image, settings, or the method's code or declared
+    weights have changed.
     Exits with 1 if an image or video could not be counted; the rest is counted.
     """
     from oysterbench.counting.sources import find_sources

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from oysterbench.methods.code import code_digests
 from oysterbench.methods.finding import versions_of
 from oysterbench.methods.weights import weights_of
 from oysterbench.version import VERSION
@@ -23,14 +24,15 @@ def file_digest(path: Path) -> str:
 
 
 def method_identity(reference: str, method: object, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Everything about a method that its results depend on: reference, versions, the code of its package, the weights
-    that it declares (`methods.weights`), and every file that an option names."""
+    """Everything about a method that its results depend on: reference, versions, its code (`methods.code`, or of an
+    entry point the folder of its module), the weights that it declares (`methods.weights`), and every file that an
+    option names."""
     files = [path for path in weights_of(method).values() if path.is_file()]
     files += [Path(value) for value in options.values() if isinstance(value, str) and value and Path(value).is_file()]
     return {
         "method": reference,
         "versions": {"oysterbench": VERSION, **versions_of(reference)},
-        "code": _code(type(method).__module__),
+        "code": key_of(code) if (code := code_digests(reference)) else _code(type(method).__module__),
         "files": {path.name: file_digest(path) for path in dict.fromkeys(files)},
     }
 

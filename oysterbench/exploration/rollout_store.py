@@ -17,6 +17,7 @@ import numpy as np
 
 from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.evaluate.steering import RolloutLog
+from oysterbench.methods.code import code_digests
 from oysterbench.methods.finding import find_method, versions_of
 from oysterbench.methods.weights import weights_digests, weights_of
 
@@ -56,8 +57,8 @@ def rollout_file(folder: Path, reef: str, policy: str, identity: Mapping[str, An
 
 
 def method_identity(reference: str) -> dict[str, Any]:
-    """Identity of a method, as far as it determines how it steers: settings, seed, package versions, the text of the
-    file that defines its class, and its trained weights. What that file imports is not included."""
+    """Identity of a method, as far as it determines how it steers: settings, seed, package versions, its code
+    (`methods.code`, or of an entry point the text of the file that defines its class), and its trained weights."""
     method = find_method(reference)
     try:
         source = Path(inspect.getfile(type(method))).read_bytes()
@@ -69,7 +70,7 @@ def method_identity(reference: str) -> dict[str, Any]:
         "settings": {**getattr(method, "as_dict", dict)(), **({"weights": weights} if weights else {})},
         "seed": getattr(method, "seed", None),
         "versions": versions_of(reference),
-        "source": hashlib.sha256(source).hexdigest(),
+        "source": code_digests(reference) or hashlib.sha256(source).hexdigest(),
     }
 
 

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import shlex
 import shutil
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from string import Formatter
 from typing import Any
 
 from oysterbench.core.errors import MethodError
+from oysterbench.methods.code import code_digests, file_digest
 from oysterbench.methods.finding import find_method, find_variant, versions_of
 from oysterbench.methods.interfaces import Interface, Predicted, RunSequence, interface_of
 from oysterbench.methods.method import seed_of
@@ -98,7 +97,8 @@ class MethodAdapter(ABC):
 class PythonMethod(MethodAdapter):
     """A method given by an entry point's name or as `module:Class`, with or without options, run by `worker`.
 
-    The worker receives a copy without the ground truth: no attribute, however private, leads to it.
+    The worker receives a copy without the ground truth: no attribute, however private, leads to it. A class is
+    identified by the digests of its code (`code`), an entry point by the version of its package.
     """
 
     def __init__(self, reference: str, tracks: Sequence[str] = ("slam",)) -> None:
@@ -130,7 +130,11 @@ class PythonMethod(MethodAdapter):
 
     @property
     def identity(self) -> dict[str, Any]:
-        files = {f"weights of {name}": digest for name, digest in weights_digests(self.weights).items()}
+        weights = self.weights
+        named = {key: Path(value) for key, value in self._options.items() if isinstance(value, str) and value}
+        files = code_digests(self.reference)
+        files |= {f"weights of {name}": digest for name, digest in weights_digests(weights).items()}
+        files |= {f"file of {key}": file_digest(path) for key, path in named.items() if _is_further(path, weights)}
         known = {"method": self.reference, "versions": versions_of(self.reference)}
         return {**known, "files": files} if files else known
 
@@ -249,16 +253,8 @@ class ExternalCommand(MethodAdapter):
         return self.interface.take(sequence, given, folder, self.form, self.options)
 
 
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file; cached until its size or modification time changes."""
-    state = path.stat()
-    return _file_digest(path.absolute(), state.st_size, state.st_mtime_ns)
-
-
-@lru_cache
-def _file_digest(path: Path, size: int, modified_ns: int) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def _is_further(path: Path, weights: Mapping[str, Path]) -> bool:
+    return path.is_file() and path not in weights.values()
 
 
 def check_name(name: str) -> str:

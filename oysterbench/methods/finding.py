@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 from importlib import import_module
@@ -13,6 +12,7 @@ from typing import Any
 
 from oysterbench.core.errors import MethodError
 from oysterbench.core.names import did_you_mean, nearest
+from oysterbench.methods.code import search_here
 from oysterbench.methods.method import Method
 from oysterbench.methods.options import configure, split_variant, variant_name
 
@@ -80,8 +80,7 @@ def _load_class(reference: str) -> Any:
     module, _, name = reference.partition(":")
     if not module or not name:
         raise MethodError(f"method {reference!r}: expected module:Class, such as my_slam:MySlam")
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())
+    search_here()
     _check_mentioned(reference, module, name)
     found = import_module(module)
     if not hasattr(found, name):

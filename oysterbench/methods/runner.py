@@ -52,8 +52,8 @@ def run_jobs(
     """Yield each job with its outcome as it finishes; jobs that were finished before come first and are not run.
 
     root: folder of the results, which only one runner at a time may use. again: rerun finished jobs too; retry: rerun
-    those of them that failed; one that failed on files that have changed since is rerun in any case. workers: jobs at a
-    time; None for one per core. exports: folder where inputs are kept for other runs. hardware: describes a machine;
+    those of them that failed; one that failed is rerun in any case if files of its sequence or method have changed.
+    workers: jobs at a time; None for one per core. exports: folder where inputs are kept for other runs. hardware: describes a machine;
     scheduler: address of a Dask cluster to run the jobs on. told: called with the latest output of jobs that run here.
     A job that fails has a `failure`; nothing that a method does raises here. Raises MethodError, before anything is
     run, where `root` holds outcomes of other jobs under the same names or the options of a method fit none of its
@@ -99,8 +99,7 @@ def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
         return None
     if outcome.identity != job.identity:
         changed = _changed_files(outcome.identity, job.identity)
-        same_method = {**outcome.identity, "origin": job.sequence.origin} == job.identity
-        if outcome.failure is not None and changed and same_method:
+        if outcome.failure is not None and changed and _but_files(outcome.identity) == _but_files(job.identity):
             return None  # the files that it failed on were mended
         differs = f"{', '.join(changed)} changed" if changed else "method, command, topics or recipe differ"
         raise MethodError(
@@ -111,14 +110,21 @@ def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
 
 
 def _changed_files(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Names of the files that are in both identities of a program but differ, and of those of the sequence that differ
-    or are in only one of them."""
+    """Names of the files of a method or program, and of the sequence, that differ; those in only one of the identities
+    are among them if it is the same method or sequence."""
     old, new = (identity["method"].get("files", {}) for identity in (before, now))
-    changed = [name for name in new if old.get(name, new[name]) != new[name]]
+    names = {**new, **old} if _but_files(before)["method"] == _but_files(now)["method"] else new.keys() & old.keys()
+    changed = sorted(name for name in names if old.get(name) != new.get(name))
     (place, *old), (same, *new) = (identity["origin"].splitlines() for identity in (before, now))
     if place == same:
         changed += sorted({line.partition(" ")[2] for line in {*old} ^ {*new}})
     return changed
+
+
+def _but_files(identity: Mapping[str, Any]) -> dict[str, Any]:
+    """An identity without its files: where the sequence is, and the method by its reference and settings."""
+    method = {key: value for key, value in identity["method"].items() if key != "files"}
+    return {**identity, "method": method, "origin": identity["origin"].partition("\n")[0]}
 
 
 def _by_lasting_names(failure: str, job: Job, given: Path | None, folder: Path, kept: Path) -> str:

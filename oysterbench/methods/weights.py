@@ -23,6 +23,7 @@ from oysterbench.core.files import models
 from oysterbench.core.names import instead
 from oysterbench.hub.manifest import LICENCE
 from oysterbench.hub.model import Training
+from oysterbench.methods.code import file_digest
 
 ENTRY_POINTS = "oysterbench.weights"
 
@@ -90,8 +91,6 @@ def weights_of(method: Any) -> dict[str, Path]:
 
 def weights_digests(needed: Mapping[str, Path]) -> dict[str, str]:
     """SHA-256 of each file; an empty string if it is absent."""
-    from oysterbench.methods.adapters import file_digest
-
     return {name: file_digest(path) if path.is_file() else "" for name, path in needed.items()}
 
 

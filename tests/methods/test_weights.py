@@ -126,6 +126,15 @@ class Learnt:
 
     def run(self, images):
         return iter(())
+
+class Plain:
+    name, track = "plain", "segmentation"
+
+    def __init__(self, table: str = "") -> None:
+        self.table = table
+
+    def run(self, images):
+        return iter(())
 """
 
 
@@ -142,7 +151,12 @@ def test_results_and_runs_are_known_by_the_weights_content_and_not_their_place(t
     assert adapter(one).settings == adapter(same).settings == {"size": 4, "weights": {"learnt": digest}}
     assert adapter(other).settings != adapter(one).settings
     before = adapter(one)
-    assert before.identity["files"] == {"weights of learnt": digest}
+    code = hashlib.sha256(LEARNT.encode()).hexdigest()
+    assert before.identity["files"] == {"own_learnt.py": code, "weights of learnt": digest}
     one.write_bytes(other.read_bytes())
     assert before.identity["files"]["weights of learnt"] == hashlib.sha256(other.read_bytes()).hexdigest()
+    given = PythonMethod(f"own_learnt:Learnt[checkpoint={other},size=4]", ["segmentation"])
+    assert set(given.identity["files"]) == {"own_learnt.py", "weights of learnt"}
+    plain = PythonMethod(f"own_learnt:Plain[table={other}]", ["segmentation"])
+    assert plain.identity["files"]["file of table"] == hashlib.sha256(other.read_bytes()).hexdigest()
     assert PythonMethod("own_learnt:Learnt", ["segmentation"]).settings == {"weights": {"learnt": ""}}

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import MethodError
-from oysterbench.methods.adapters import MethodAdapter, check_name, file_digest
+from oysterbench.methods.adapters import MethodAdapter, check_name
+from oysterbench.methods.code import file_digest
 from oysterbench.methods.interfaces import Predicted, RunSequence, interface_of
 from oysterbench.methods.options import with_options
 from oysterbench.methods.processes import STDOUT

@@ -16,7 +16,7 @@ import msgspec
 from oysterbench.core.errors import MethodError
 from oysterbench.core.files import home
 from oysterbench.core.names import did_you_mean, nearest
-from oysterbench.methods.adapters import file_digest
+from oysterbench.methods.code import file_digest
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.interfaces import interface_of
 from oysterbench.methods.options import read_value, split_variant, variant_name

@@ -1,0 +1,128 @@
+"""A class is known by its code: by which files, and that a run or a count of other code is not taken for its own."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import invalidate_caches
+
+import pytest
+
+from oysterbench.core.errors import MethodError
+from oysterbench.counting.identity import method_identity
+from oysterbench.exploration import rollout_store
+from oysterbench.methods import runner
+from oysterbench.methods.adapters import PythonMethod
+from oysterbench.methods.code import code_digests
+from oysterbench.methods.finding import find_method
+from oysterbench.methods.outcomes import Job, Outcome
+from oysterbench.tracks.slam import SlamSequence
+
+NET = """
+class Net:
+    name, track = "net", "slam"
+
+    def run(self, sequence):
+        import coded_helper
+"""
+FILES = {
+    "coded.py": NET,
+    "coded_helper.py": "from coded_nets import blocks\n",
+    "coded_nets/blocks.py": "from . import layers\nimport oysterbench, numpy\n",
+    "coded_nets/layers.py": "import coded_package.deep\n",
+    "coded_package/__init__.py": "",
+    "coded_package/deep.py": NET,
+    "coded_package/inner/other.py": "",
+    "coded_unrelated.py": "",
+    "coded_nets/unrelated.py": "",
+    "oysterbench/__init__.py": "",
+}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder with methods and what they import, after all other places on Python's path."""
+    for name, text in FILES.items():
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True, parents=True)
+        path.write_text(text)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [*sys.path])
+    invalidate_caches()
+    yield tmp_path
+    for name in [name for name in sys.modules if name.startswith("coded")]:
+        del sys.modules[name]
+
+
+def change(path, text="# other\n"):
+    before = path.stat().st_mtime_ns
+    path.write_text(path.read_text() + text)
+    os.utime(path, ns=(before + 10**9, before + 10**9))
+
+
+@pytest.mark.parametrize(
+    ("reference", "files"),
+    [
+        ("coded:Net[size=4]", {name for name in FILES if "unrelated" not in name and "oysterbench" not in name}),
+        ("coded_package.deep:Net", {name for name in FILES if name.startswith("coded_package/")}),
+        ("dead_reckoning", set()),
+        ("no_such_module:Net", set()),
+        ("builtins:object", set()),
+    ],
+)
+def test_a_class_is_known_by_its_package_or_its_file_and_what_that_imports_from_beside_it(reference, files, folder):
+    assert set(code_digests(reference)) == files
+
+
+def test_of_an_installed_module_nothing_beside_it_belongs_to_it(tmp_path, monkeypatch):
+    folder = tmp_path / "site-packages"
+    folder.mkdir()
+    (folder / "coded_installed.py").write_text("import coded_beside\n")
+    (folder / "coded_beside.py").write_text("")
+    monkeypatch.syspath_prepend(folder)
+    assert set(code_digests("coded_installed:Net")) == {"coded_installed.py"}
+
+
+def test_a_result_is_not_that_of_changed_code(folder, dive_file, tmp_path):
+    job, root = job_of(dive_file), tmp_path / "out"
+    write_outcome(job, root)
+    ((_, kept),) = runner.run_jobs([job], root)
+    assert kept.earlier
+    change(folder / "coded_unrelated.py")
+    list(runner.run_jobs([job], root))
+    change(folder / "coded_helper.py")
+    change(folder / "coded_nets/layers.py", "import coded_unrelated")
+    changed = "coded_helper.py, coded_nets/layers.py, coded_unrelated.py changed"
+    with pytest.raises(MethodError, match=rf"has run 1 of another net \({changed}\); .*rerun it with --again"):
+        list(runner.run_jobs([job], root))
+
+
+def test_what_failed_is_run_again_once_its_code_has_changed(folder, dive_file, tmp_path, monkeypatch):
+    job, root = job_of(dive_file), tmp_path / "out"
+    write_outcome(job, root, failure="method 'net' failed")
+    monkeypatch.setattr(runner, "_run", lambda jobs, *others: iter([(one, "run again") for one in jobs]))
+    ((_, kept),) = runner.run_jobs([job], root)
+    assert kept.failure == "method 'net' failed"
+    change(folder / "coded.py")
+    assert list(runner.run_jobs([job], root)) == [(job, "run again")]
+
+
+def job_of(dive_file):
+    return Job(PythonMethod("coded:Net"), SlamSequence("hand-made", dive_file), 0, 60.0)
+
+
+def write_outcome(job, root, failure=None):
+    cost = {"wall_s": 1.0, "cpu_s": 1.0, "peak_bytes": 1, "left_behind": 0}
+    outcome = Outcome(job.identity, failure, 1.0, 1.0, cost, [], 60.0, {}, {}, "", "")
+    outcome.write(job.folder(root))
+
+
+def test_counts_and_rollouts_are_not_those_of_changed_code(folder):
+    def identities():
+        return method_identity("coded:Net", find_method("coded:Net"), {}), rollout_store.method_identity("coded:Net")
+
+    before = identities()
+    change(folder / "coded_unrelated.py")
+    assert identities() == before
+    change(folder / "coded_helper.py")
+    assert all(now != was for now, was in zip(identities(), before, strict=True))
