@@ -16,12 +16,13 @@ from contextlib import contextmanager
 from functools import cached_property
 from glob import escape
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
+from oysterbench.annotations.forms import Form, judged
 from oysterbench.annotations.image import read_plane
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import LARGEST_IMAGE_PX
@@ -29,17 +30,8 @@ from oysterbench.core.text import in_one_line
 from oysterbench.evaluate.detection.instances import instance_numbers
 from oysterbench.evaluate.segmentation import EstimateImage
 
-Form = Literal["auto", "instances", "mask", "probability", "classes"]
-FORMS: tuple[str, ...] = get_args(Form)
 SUFFIXES = (".png", ".npy", ".npz")
 PNG_MAGIC, PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
-
-NUMBERS = 0.01
-"""Share of the greatest 16-bit number up to which values may be numbers of oysters: a probability map without any value
-above 1 % would be meaningless."""
-UNIFORM = 0.8
-"""Minimum share of the numbered pixels with the same value as their right neighbour: numbers lie in patches,
-probabilities do not."""
 
 MOST_BYTES = 8 * LARGEST_IMAGE_PX
 
@@ -49,10 +41,10 @@ T = TypeVar("T")
 class MaskFiles:
     """Predictions by the name of their image, each read on access.
 
-    form: meaning of the values. "auto": floating-point numbers are probabilities; integers of only 0 and 1 are masks;
-    other integers are probabilities, as shares of the type's greatest number, or, if of 16 bits, small and in patches
-    in all files, the numbers of single oysters. If some files could be masks of 0 and 1 and others are probabilities,
-    they are refused: then the form must be given.
+    form: meaning of the values. "auto": floating-point numbers are probabilities; integers of 0 and one other number,
+    the same in all files, are masks; other integers are probabilities, as shares of the type's greatest number, or, if
+    of 16 bits, small and in patches, the numbers of single oysters. What could be either is refused, as are 8-bit
+    numbers in patches and masks of 0 and 1 among probabilities: then the form must be given.
     """
 
     def __init__(
@@ -83,28 +75,24 @@ class MaskFiles:
             return EstimateImage(name, classes=self._classes(values, where))
         if self.numbered:
             return EstimateImage(name, oyster=instance_numbers(values, where) > 0)
-        if self.form == "mask":
+        if self.kind == "mask":
             return EstimateImage(name, oyster=as_mask(values, where))
         if np.issubdtype(values.dtype, np.floating):
             return EstimateImage(name, probability=values)
         return self._integers(name, values, where)
 
     @cached_property
-    def numbered(self) -> bool:
-        """Whether values are numbers of single oysters: by `form`, or, if that is "auto", judging by all files."""
+    def kind(self) -> Form:
+        """Meaning of the values: `form`, or, if that is "auto", judging by all files; "auto" if they are masks of 0 and
+        1, or probabilities. Raises LabelError where it cannot be told (`forms.judged`)."""
         if self.form != "auto":
-            return self.form == "instances"
-        fullest = None
-        for name in self._readers:
-            values = self.plane(name)
-            if values.dtype != np.uint16 or values.max(initial=0) > NUMBERS * np.iinfo(np.uint16).max:
-                return False
-            if fullest is None or values.max(initial=0) > fullest.max(initial=0):
-                fullest = values
-        if fullest is None or fullest.max(initial=0) < 2:
-            return False
-        left, right = fullest[:, :-1], fullest[:, 1:]
-        return bool((left == right)[left > 0].mean() > UNIFORM) if left.any() else False
+            return self.form
+        return judged((self.where(name), self.plane(name)) for name in self._readers)
+
+    @property
+    def numbered(self) -> bool:
+        """Whether values are numbers of single oysters."""
+        return self.kind == "instances"
 
     def numbers(self, name: str) -> NDArray[np.int32] | None:
         """Numbers (H, W) of the single oysters of an image; None if the files do not number them. Raises LabelError

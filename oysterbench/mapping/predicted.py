@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from oysterbench.annotations import open_predictions, read_coco
 from oysterbench.annotations.coco import CocoFile, read_json
-from oysterbench.annotations.masks import FORMS, MaskFiles
+from oysterbench.annotations.forms import FORMS
+from oysterbench.annotations.masks import MaskFiles
 from oysterbench.annotations.parts import connected_parts, without_specks
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.detection import ImageInstances

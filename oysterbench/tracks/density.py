@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from oysterbench.annotations import labelled_sequence
-from oysterbench.annotations.masks import FORMS
+from oysterbench.annotations.forms import FORMS
 from oysterbench.core.errors import MachineError, MethodError, TrajectoryError
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.evaluate.density.scoring import EVALUATOR

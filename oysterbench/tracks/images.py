@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations import LabelledSequence, labelled_sequence, open_predictions, open_truth, read_coco
-from oysterbench.annotations.masks import FORMS, Form, MaskFiles, check_names
+from oysterbench.annotations.forms import FORMS, Form
+from oysterbench.annotations.masks import MaskFiles, check_names
 from oysterbench.annotations.parts import connected_parts
 from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError, MethodError
@@ -42,7 +43,8 @@ THRESHOLD = Option("threshold", "--threshold", "Minimum score of an oyster.  [de
 KIND = Option(
     "form",
     "--estimate-kind",
-    "Meaning of the estimate's values.  [default: auto]",
+    "Meaning of the estimate's values; auto: floats are probabilities, integers of 0 and one other number masks, others "
+    "probabilities (255 or 65535 is 1) or, if small, of 16 bits and in patches, oysters.  [default: auto]",
     FORMS,
     files=True,
 )

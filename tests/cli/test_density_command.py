@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from click.testing import CliRunner
 
-from oysterbench.annotations.masks import FORMS
+from oysterbench.annotations.forms import FORMS
 from oysterbench.cli.main import STATES, main
 from oysterbench.cli.map import KINDS, _settings
 from oysterbench.core.errors import OptionError

@@ -1,0 +1,92 @@
+"""What the integers of masks mean, judged by all files together: masks, probabilities or numbers of single oysters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import LabelError
+
+Form = Literal["auto", "instances", "mask", "probability", "classes"]
+FORMS: tuple[str, ...] = get_args(Form)
+
+NUMBERS = 0.01
+"""Share of the greatest 16-bit number up to which values may be numbers of oysters: a probability map without any value
+above 1 % would be meaningless."""
+UNIFORM = 0.8
+"""Minimum share of the numbered pixels with the same value as their right neighbour: numbers lie in patches,
+probabilities do not."""
+FAINT = 10
+"""Greatest 8-bit value up to which values are no probabilities: none would be above 4 %."""
+FEW = 2
+"""Number of values other than 0 up to which a map may have levels rather than numbers: unsure and sure."""
+
+PATCHES = 2.5
+"""Maximum number of connected parts per number. True oysters have up to 1.7, as others hide parts of them; blocks of an
+enlarged probability map have 5 and more where there are many."""
+JUMPS = 0.2
+"""Minimum share of the borders between patches where other values lie in between: probabilities change by degrees."""
+
+
+def judged(planes: Iterable[tuple[str, NDArray[Any]]]) -> Form:
+    """Judge what the values of files are, given as name and plane (H, W). "auto" if they are masks of 0 and 1, or
+    probabilities. Raises LabelError naming a file where they look like numbers of oysters or classes in a form in which
+    integers are probabilities.
+    """
+    values, kinds = set[int](), set[np.dtype[Any]]()
+    fullest, most_values, greatest = ("", np.zeros((1, 1), np.uint8)), -1, np.zeros((1, 1), np.uint16)
+    for name, plane in planes:
+        if plane.dtype not in (np.uint8, np.uint16):
+            return "auto"  # it says what it is, or is refused
+        own = np.flatnonzero(np.bincount(plane.ravel()))
+        values.update(own.tolist())
+        kinds.add(plane.dtype)
+        if len(own) > most_values:
+            fullest, most_values = (name, plane), len(own)
+        if plane.max(initial=0) > greatest.max(initial=0):
+            greatest = plane
+    numbers = sorted(values - {0})
+    if not numbers or numbers == [1]:
+        return "auto"
+    limit = np.iinfo(greatest.dtype).max
+    if len(numbers) == 1 and 0 in values:
+        return "auto" if numbers == [limit] else "mask"
+    if kinds == {np.dtype(np.uint16)} and numbers[-1] <= NUMBERS * limit and _mostly_uniform(greatest):
+        return "instances"
+    faint = kinds == {np.dtype(np.uint8)} and numbers[-1] <= FAINT
+    if faint or (len(numbers) > FEW and in_patches(fullest[1])):
+        name, plane = fullest
+        raise LabelError(
+            f"{name}: expected a mask of 0 and one other value, or probabilities, where {limit} is 1, got "
+            f"{len(np.unique(plane[plane > 0]))} values up to {plane.max()}, which look like numbers of oysters or of "
+            "classes; number oysters from 1 on in 16 bits, store probabilities as floating-point numbers; or say what "
+            "they are: --estimate-kind instances, probability or classes (of a map --masks-kind)"
+        )
+    return "auto"
+
+
+def in_patches(plane: NDArray[Any]) -> bool:
+    """Whether each value other than 0 of a plane (H, W) lies in one patch, or few, next to any other values."""
+    from scipy.ndimage import find_objects, label
+
+    values, ranks = np.unique(plane, return_inverse=True)
+    ranks = ranks.reshape(plane.shape).astype(np.int32) + (values[0] > 0)
+    left, right = ranks[:, :-1], ranks[:, 1:]
+    same, count = left == right, int(ranks.max()) + 1
+    pixels = np.bincount(left.ravel(), minlength=count)[1:]
+    uniform = np.bincount(left[same], minlength=count)[1:] / np.maximum(pixels, 1)
+    steps = np.abs(left - right)[~same]
+    # Edges of a sharp probability map have many values, each of single pixels; levels of a smooth one are nested.
+    if np.median(uniform) <= 0.5 or not steps.size or (steps > 1).mean() < JUMPS:
+        return False
+    places = enumerate(find_objects(ranks), start=1)
+    parts = sum(label(ranks[place] == number, np.ones((3, 3)))[1] for number, place in places if place is not None)
+    return bool(parts <= PATCHES * (count - 1))
+
+
+def _mostly_uniform(plane: NDArray[Any]) -> bool:
+    left, right = plane[:, :-1], plane[:, 1:]
+    return bool((left == right)[left > 0].mean() > UNIFORM) if left.any() else False

@@ -1,0 +1,93 @@
+"""What integers mean is judged by all files; what could be numbers of oysters or probabilities is refused."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from oysterbench.annotations import open_predictions
+from oysterbench.annotations.forms import in_patches
+from oysterbench.core.errors import LabelError
+from tests.annotations.test_predictions import write_png
+
+
+def numbers_of(count):
+    """Oysters of 8 x 8 px in rows, some of which touch."""
+    plane = np.zeros((120, 160), np.uint16)
+    for k in range(count):
+        row, column = divmod(k, 14)
+        plane[2 + 9 * row : 10 + 9 * row, 2 + 11 * column : 10 + 11 * column + 3 * (k % 2)] = k + 1
+    return plane
+
+
+NUMBERS = numbers_of(150)
+MASK = NUMBERS > 0
+SOFT = cv2.GaussianBlur(MASK.astype(np.float32), (0, 0), 1.5)
+COARSE = cv2.resize(cv2.resize(SOFT, (40, 30), interpolation=cv2.INTER_AREA), (160, 120), interpolation=0)
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        NUMBERS.astype(np.uint8),
+        numbers_of(3).astype(np.uint8),
+        (NUMBERS % 4).astype(np.uint8),  # classes
+        NUMBERS + np.uint16(24000) * MASK,  # as in Cityscapes
+        NUMBERS * np.uint16(400),
+    ],
+)
+def test_numbers_of_oysters_are_never_read_as_probabilities(tmp_path, numbers):
+    write_png(tmp_path / "a.png", numbers * 0)
+    write_png(tmp_path / "b.png", numbers)
+    count = len(np.unique(numbers)) - 1
+    said = rf"b\.png: expected a mask .* got {count} values up to {numbers.max()}, .*--estimate-kind instances, probab"
+    for name in "ab":
+        with pytest.raises(LabelError, match=said) as caught:
+            open_predictions(tmp_path).get(name)
+    assert "\n" not in str(caught.value)
+    assert (open_predictions(tmp_path, "instances").get("b").mask(0.5) == (numbers > 0)).all()
+    assert open_predictions(tmp_path, "probability").get("b").probability is not None
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        SOFT,
+        COARSE,
+        1 / (1 + np.exp(-60 * (SOFT - 0.5))),  # sure, but for edges
+        np.round(5 * SOFT) / 5,  # levels
+        0.07 * SOFT,  # of an untrained network
+        np.where(SOFT > 0.9, 1.0, np.where(SOFT > 0.3, 0.5, 0.0)),
+    ],
+)
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_maps_of_probabilities_remain_so(tmp_path, values, kind):
+    most = np.iinfo(kind).max
+    write_png(tmp_path / "a.png", np.round(values * most).astype(kind))
+    found = open_predictions(tmp_path).get("a")
+    assert found.probability == pytest.approx(values, abs=0.6 / most)
+
+
+@pytest.mark.parametrize(("kind", "number"), [(np.uint8, 2), (np.uint8, 100), (np.uint8, 255), (np.uint16, 100)])
+def test_zero_and_one_other_number_in_all_files_are_a_mask(tmp_path, kind, number):
+    write_png(tmp_path / "a.png", MASK.astype(kind) * kind(number))
+    write_png(tmp_path / "b.png", np.zeros_like(MASK, dtype=kind))
+    assert (open_predictions(tmp_path).get("a").mask(0.5) == MASK).all()
+    assert not open_predictions(tmp_path).get("b").mask(0.5).any()
+    write_png(tmp_path / "b.png", np.full(MASK.shape, number // 2, kind))
+    assert open_predictions(tmp_path, "probability").get("a").mask(0.5).any() == (number == 255)
+
+
+def test_a_constant_map_is_no_mask(tmp_path):
+    write_png(tmp_path / "a.png", np.full((6, 8), 40, np.uint8))
+    assert not open_predictions(tmp_path).get("a").mask(0.5).any()
+
+
+def test_patches_may_be_split_and_touch():
+    assert in_patches(NUMBERS)
+    split = NUMBERS.copy()
+    split[::9] = 0
+    split[6::9] = 0
+    assert in_patches(split)
+    assert not in_patches(np.tile(np.arange(160, dtype=np.uint8), (120, 1)))
