@@ -3,29 +3,19 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations.image import (
-    Entry,
-    LabelledImage,
-    LabelledSet,
-    planes_of,
-    read_picture,
-)
 from oysterbench.core import documents
 from oysterbench.core.errors import LabelError
-from oysterbench.core.files import leads_out
 from oysterbench.core.pictures import LARGEST_IMAGE_PX
 from oysterbench.evaluate.detection import ImageInstances, Instance
 from oysterbench.evaluate.detection.instances import OUTSIDE, Runs, mask_tools, numpy_2
@@ -57,8 +47,14 @@ class CocoItem(NamedTuple):
     values: Mapping[str, Any]
 
     def score(self, default: float | None = None) -> float:
-        """Return the score. Raises LabelError if there is none, and no default."""
-        return self.number("score", default)
+        """Return the score. Raises LabelError if there is none, and no default, or it is not from 0 to 1."""
+        score = self.number("score", default)
+        if not 0 <= score <= 1:
+            raise LabelError(
+                f"{self.where}: expected 'score' from 0 to 1, got {score:g}; divide percentages by 100, or apply a "
+                "sigmoid to logits"
+            )
+        return score
 
     def number(self, key: str, default: float | None = None) -> float:
         """Return the number under a key. Raises LabelError if it is missing, or no finite float64."""
@@ -70,12 +66,14 @@ class CocoItem(NamedTuple):
 
 @dataclass(frozen=True)
 class CocoFile:
-    """Content of a COCO file. images: by id; items: by name of the image; categories: names by id."""
+    """Content of a COCO file. images: by id; items: by name of the image; categories: names by id; notes: what was left
+    out or assumed, in sentences."""
 
     path: Path
     images: Mapping[Any, CocoImage]
     items: Mapping[str, tuple[CocoItem, ...]]
     categories: Mapping[Any, str]
+    notes: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -91,6 +89,13 @@ class CocoFile:
     def boxes_alone(self) -> bool:
         """Whether some item has a box, but no mask."""
         return any(not item.values.get("segmentation") for items in self.items.values() for item in items)
+
+    @property
+    def without_mask(self) -> str:
+        """How many items have a box, but no mask, and which; empty if there is none."""
+        items = [item for own in self.items.values() for item in own]
+        lacking = [item.where for item in items if not item.values.get("segmentation")]
+        return f"{len(lacking)} of {len(items)} ({_first(lacking)})" if lacking else ""
 
     def instances(self, name: str, scored: bool) -> ImageInstances:
         """Return the instances of an image; scored: as an estimate, in which every item has a score and none is a
@@ -127,52 +132,14 @@ class CocoFile:
         return (self.mask_of(name, item) for item in single), crowd
 
 
-def coco_set(path: Path) -> LabelledSet:
-    """Open the images of a COCO file, found beside it, or in images/ beside it, by their file_name.
-
-    Annotations of the category "oyster" are instances; those with iscrowd = 1 become pixels to be ignored; those of
-    other categories are skipped. The keys clip and split of an image are used if present; without them, each image is
-    a clip of its own. Raises LabelError naming the item that is wrong.
-    """
-    coco, folder = read_coco(path), path.parent.absolute()
-    entries = []
-    for key, image in coco.images.items():
-        name = image.file_name
-        if os.path.isabs(name) and Path(name).is_relative_to(folder):
-            name = os.path.relpath(name, folder)
-        if leads_out(name):
-            raise LabelError(
-                f"{path}: image {key}: expected a file_name relative to this folder or to images/ in it, got one that "
-                f"leads out of it: {image.file_name!r:.80}; put the image there and correct its name"
-            )
-        places = (path.parent / name, path.parent / "images" / name)
-        file = next((place for place in places if place.is_file()), None)
-        if file is None:
-            raise LabelError(f"{path}: image {key}: no file {image.file_name} beside it, nor in images/")
-        clip = image.clip or image.name
-        entries.append(Entry(image.name, clip, partial(_read, coco, image, file, clip), (file, path), image.split))
-    return LabelledSet(path.resolve().parent.name, entries)
-
-
-def _read(coco: CocoFile, image: CocoImage, file: Path, clip: str) -> LabelledImage:
-    pixels = read_picture(file)
-    height, width = pixels.shape[:2]
-    if (image.width, image.height) != (width, height):
-        raise LabelError(
-            f"{file}: expected {image.width} x {image.height} px, as the COCO file says, got {width} x {height}"
-        )
-    oysters, crowd = coco.truth(image.name)
-    classes, instances = planes_of(list(oysters), height, width)
-    return LabelledImage(image.name, clip, pixels, classes, instances, crowd & (instances == 0))
-
-
 def read_coco(path: Path, truth: CocoFile | None = None, category: str = "oyster") -> CocoFile:
     """Read a document, or a list of results on the images of `truth`, of which only the items of a category are kept.
     Raises LabelError naming the item that is wrong.
 
-    In a list of results, `category_id` means what it means in `truth`; where that has a single category, all items are
-    of it, since programs number a single class from 0 or from 1. Checked here: ids of images and annotations (unique,
-    known), categories; when they are used: boxes, polygons, run lengths and their size, scores.
+    In a list of results, `category_id` means what it means in `truth`. Where that has a single category, results of a
+    single number are of it, since programs number a single class from 0 or from 1; of several numbers, only those of
+    the truth's. Checked here: ids of images and annotations (unique, known), categories; when they are used: boxes,
+    polygons, run lengths and their size, scores.
     """
     content = read_json(path)
     if isinstance(content, list):
@@ -183,8 +150,11 @@ def read_coco(path: Path, truth: CocoFile | None = None, category: str = "oyster
             )
         several = len(truth.categories) > 1
         results = _checked(path, "", content, truth.images, truth.categories if several else None)
-        kept = (one for one in results if not several or truth.categories[one.values["category_id"]] == category)
-        return _sorted(path, truth.images, kept, truth.categories)
+        if several:
+            kept, notes = [one for one in results if truth.categories[one.values["category_id"]] == category], ()
+        else:
+            kept, notes = _of_single_category(path, list(results), *truth.categories.items())
+        return _sorted(path, truth.images, iter(kept), truth.categories, notes)
     for key in ("images", "annotations", "categories"):
         if not isinstance(content, dict) or not isinstance(content.get(key), list):
             raise LabelError(f"{path}: expected a list of results, or an object with the list {key!r}")
@@ -197,6 +167,34 @@ def read_coco(path: Path, truth: CocoFile | None = None, category: str = "oyster
     own = _images(path, content["images"])
     items = _checked(path, "annotations", content["annotations"], own, categories)
     return _sorted(path, own, (item for item in items if item.values["category_id"] == names[category]), categories)
+
+
+def _of_single_category(
+    path: Path, results: list[CocoItem], category: tuple[Any, str]
+) -> tuple[list[CocoItem], tuple[str, ...]]:
+    """Results of the only category, number and name, of a truth; and what to say of the others."""
+    number, name = category
+    found = Counter(one.values.get("category_id") for one in results)
+    if len(found) == 1:
+        (other,) = found
+        assumed = f"all results have category_id {other}, taken for the ground truth's {number} {name}"
+        return results, () if other in (number, None) else (assumed,)
+    others = ", ".join(str(other) for other in found if other != number)
+    if found and number not in found:
+        raise LabelError(
+            f"{path}: results have category_id {others}, and the ground truth knows only {number} {name}: give its "
+            "number to those that are oysters"
+        )
+    kept = [one for one in results if one.values.get("category_id") == number]
+    rest = [one.where for one in results if one.values.get("category_id") != number]
+    if not rest:
+        return kept, ()
+    said = f"left out: {len(rest)} of {len(results)} results, of category_id {others}; the ground truth knows only "
+    return kept, (f"{said}{number} {name} ({_first(rest)})",)
+
+
+def _first(places: list[str]) -> str:
+    return places[0] + (f" and {len(places) - 1} more" if len(places) > 1 else "")
 
 
 def read_json(path: Path) -> Any:
@@ -270,12 +268,16 @@ def _checked(
 
 
 def _sorted(
-    path: Path, images: Mapping[Any, CocoImage], items: Iterator[CocoItem], categories: Mapping[Any, str]
+    path: Path,
+    images: Mapping[Any, CocoImage],
+    items: Iterator[CocoItem],
+    categories: Mapping[Any, str],
+    notes: tuple[str, ...] = (),
 ) -> CocoFile:
     found: dict[str, list[CocoItem]] = {image.name: [] for image in images.values()}
     for item in items:
         found[images[item.values["image_id"]].name].append(item)
-    return CocoFile(path, images, {name: tuple(own) for name, own in found.items()}, categories)
+    return CocoFile(path, images, {name: tuple(own) for name, own in found.items()}, categories, notes)
 
 
 def _check_id(value: Any, where: str) -> None:

@@ -43,7 +43,7 @@ def open_labelled(path: str | Path) -> LabelledSet:
         from oysterbench.annotations.folders import mask_set
 
         return mask_set(path)
-    from oysterbench.annotations.coco import coco_set
+    from oysterbench.annotations.coco_set import coco_set
 
     return coco_set(path if path.is_file() else next(iter(sorted(path.glob("*.json")))))
 

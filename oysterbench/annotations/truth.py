@@ -51,6 +51,13 @@ class LabelledSequence:
     conditions: Mapping[str, float | str] = field(default_factory=dict)
     coco: CocoFile | None = None
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the metrics of single oysters should know, in sentences."""
+        lacking = "" if self.coco is None else self.coco.without_mask
+        why = f"no metrics of masks, as oysters of the ground truth have a box alone: {lacking}; outline or remove them"
+        return (why,) if lacking else ()
+
     def instances(self, truth: TruthImage) -> ImageInstances:
         """Return the single oysters of one of the images. Raises LabelError if the truth does not separate them."""
         if self.coco is not None:

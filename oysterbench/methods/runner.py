@@ -53,8 +53,9 @@ def run_jobs(
 
     root: folder of the results, which only one runner at a time may use. again: rerun finished jobs too; retry: rerun
     those of them that failed; one that failed is rerun in any case if files of its sequence or method have changed.
-    workers: jobs at a time; None for one per core. exports: folder where inputs are kept for other runs. hardware: describes a machine;
-    scheduler: address of a Dask cluster to run the jobs on. told: called with the latest output of jobs that run here.
+    workers: jobs at a time; None for one per core. exports: folder where inputs are kept for other runs. hardware:
+    describes a machine; scheduler: address of a Dask cluster to run the jobs on. told: called with the latest output of
+    jobs that run here.
     A job that fails has a `failure`; nothing that a method does raises here. Raises MethodError, before anything is
     run, where `root` holds outcomes of other jobs under the same names or the options of a method fit none of its
     sequences, and OSError where a disk is full.

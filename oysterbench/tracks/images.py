@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
@@ -32,6 +33,7 @@ from oysterbench.methods.processes import Processes
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report import images_csv
 from oysterbench.report.images import DatasetRow, ImageRun, Sample, dataset_tables
+from oysterbench.report.tables import failures_and_notes
 from oysterbench.results.records import ResultRecord
 from oysterbench.simulation.conditions import conditions
 from oysterbench.simulation.generate import digest
@@ -43,8 +45,8 @@ THRESHOLD = Option("threshold", "--threshold", "Minimum score of an oyster.  [de
 KIND = Option(
     "form",
     "--estimate-kind",
-    "Meaning of the estimate's values; auto: floats are probabilities, integers of 0 and one other number masks, others "
-    "probabilities (255 or 65535 is 1) or, if small, of 16 bits and in patches, oysters.  [default: auto]",
+    "Meaning of the estimate's values; auto: of floats probabilities, of 0 and one other number a mask, of small 16-bit"
+    " numbers in patches oysters, else probabilities (255 or 65535 is 1).  [default: auto]",
     FORMS,
     files=True,
 )
@@ -151,10 +153,11 @@ class ImageTrack(Track):
         failure = outcome.failure
         if failure is None:
             try:
-                get = self._predictor(job.folder(out), outcome, sequence.labelled, settings, job.adapter.name)
+                get, notes = self._predictor(job.folder(out), outcome, sequence.labelled, settings, job.adapter.name)
                 result, samples = self.score_sequence(sequence.labelled, get, settings, job.adapter.name)
+                notes = (*outcome.notes, *notes, *self._notes_on(sequence.labelled))
                 metrics = {**result.metrics, **cost_of(outcome, "images_per_s", len(sequence.labelled.names))}
-                done = ResultRecord(**record, metrics=metrics, reasons=result.reasons, notes=tuple(outcome.notes))
+                done = ResultRecord(**record, metrics=metrics, reasons=result.reasons, notes=notes)
                 return ImageRun(done, result, tuple(samples))
             except (MethodError, LabelError) as error:
                 failure = str(error)
@@ -163,7 +166,7 @@ class ImageTrack(Track):
 
     def _predictor(
         self, folder: Path, outcome: Outcome, labelled: LabelledSequence, settings: Any, method: str
-    ) -> Predictor:
+    ) -> tuple[Predictor, tuple[str, ...]]:
         if not outcome.prediction.get("arrays"):
             # Always within the folder, whatever path the method's process reported.
             place = Path(str(outcome.prediction.get("place"))).name
@@ -173,17 +176,25 @@ class ImageTrack(Track):
         def get(name: str, shape: tuple[int, int]) -> Any:
             return self.of_prediction(next(coming), method, shape, settings)
 
-        return get
+        return get, ()
+
+    def _notes_on(self, labelled: LabelledSequence) -> tuple[str, ...]:
+        return labelled.notes if self.single else ()
 
     def file_predictor(
         self, place: Path, labelled: Sequence[LabelledSequence], settings: Any, form: Form = "auto"
-    ) -> Predictor:
-        """Return a function that reads the prediction for an image from files. Raises LabelError where an image has
-        none, or where there is one too many."""
+    ) -> tuple[Predictor, tuple[str, ...]]:
+        """Return a function that reads the prediction for an image from files, and notes on these. Raises LabelError
+        where an image has none, or where there is one too many."""
+        notes: tuple[str, ...] = ()
         if place.suffix.lower() == ".json":
             coco = next((one.coco for one in labelled if one.coco is not None), None)
             file = read_coco(place, coco)
             names, get = file.names, lambda name, shape: self.of_coco(file, name, settings)
+            notes = file.notes
+            outlined = any(one.coco is None or not one.coco.boxes_alone for one in labelled)
+            if self.single and outlined and file.boxes_alone:
+                notes += (f"oysters with a box alone overlap no mask: {file.without_mask}",)
         else:
             files = open_predictions(place, form)
             names = files.names
@@ -192,7 +203,7 @@ class ImageTrack(Track):
                 return self.of_masks(files, name, shape, settings)
 
         check_names((name for one in labelled for name in one.names), names, place)
-        return get
+        return get, notes
 
     def of_masks(self, files: MaskFiles, name: str, shape: tuple[int, int], settings: Any) -> Any:
         """Return the prediction for an image of size (H, W) from mask files, in the evaluator's type. Raises LabelError
@@ -213,12 +224,13 @@ class ImageTrack(Track):
         settings = self.settings(options)
         reading = {key: options[key] for key in ("labels", "ignore_value") if key in options}
         sequences = open_truth(truth, **reading)
-        get = self.file_predictor(estimate, sequences, settings, cast(Form, options.get("form", "auto")))
+        get, notes = self.file_predictor(estimate, sequences, settings, cast(Form, options.get("form", "auto")))
         runs = []
         for labelled in sequences:
             result, samples = self.score_sequence(labelled, get, settings, estimate.name)
             about = {**self._about(None, labelled, settings), "method": estimate.name}
-            record = ResultRecord(**about, metrics=result.metrics, reasons=result.reasons)
+            said = (*notes, *self._notes_on(labelled))
+            record = ResultRecord(**about, metrics=result.metrics, reasons=result.reasons, notes=said)
             runs.append(ImageRun(record, result, tuple(samples)))
         return self.show(runs, (), None)
 
@@ -232,7 +244,10 @@ class ImageTrack(Track):
         records = [run.record for run in runs]
         several = len({record.sequence for record in records}) > 1
         first = dataset_tables(rows)
-        printed = shown_tables(records, first) if several or not rows else first
+        if not several and rows:
+            printed = [replace(first[0], notes=(*first[0].notes, *failures_and_notes(records))), *first[1:]]
+        else:
+            printed = shown_tables(records, first)
         return Evaluation(runs, rows, printed=printed, files={"images.csv": images_csv(runs)})
 
 

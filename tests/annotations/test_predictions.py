@@ -205,8 +205,19 @@ def test_results_without_a_score_are_refused_by_item(tmp_path, score):
         file.instances("clip/a", scored=True)
 
 
+@pytest.mark.parametrize("score", [87.5, 1.001, -2])
+def test_scores_that_are_no_probabilities_are_refused_by_item(tmp_path, score):
+    """Of percentages, all would reach the threshold."""
+    truth = read_coco(wrote(tmp_path / "x.json", document()))
+    result = {"image_id": 1, "category_id": 3, "segmentation": [POLYGON], "score": score}
+    file = read_coco(wrote(tmp_path / "r.json", [{**result, "score": 1}, result]), truth)
+    for reads in (lambda: file.instances("clip/a", scored=True), lambda: file.mask("clip/a", 0.5)):
+        with pytest.raises(LabelError, match=rf"r\.json: \[1\]: expected 'score' from 0 to 1, got {score:g}; divide"):
+            reads()
+
+
 def test_a_list_of_results_means_by_a_category_what_the_ground_truth_means(tmp_path):
-    """Whose document has oysters (3) and stones (4); with oysters alone, all results are of them."""
+    """Whose document has oysters (3) and stones (4); with oysters alone, results of one number are of them."""
     content = document()
     results = [{"image_id": 1, "category_id": k, "segmentation": [POLYGON], "score": 0.5} for k in (4, 3, 4)]
     truth = read_coco(wrote(tmp_path / "x.json", content))
@@ -218,7 +229,19 @@ def test_a_list_of_results_means_by_a_category_what_the_ground_truth_means(tmp_p
             read_coco(wrote(tmp_path / "r.json", [lone]), truth)
     content["categories"] = [{"id": 3, "name": "oyster"}]
     alone = read_coco(wrote(tmp_path / "x.json", content))
-    assert len(read_coco(wrote(tmp_path / "r.json", results), alone).items["clip/a"]) == 3
+    file = read_coco(wrote(tmp_path / "r.json", results), alone)
+    assert [item.where for item in file.items["clip/a"]] == [f"{tmp_path / 'r.json'}: [1]"]
+    left_out = "left out: 2 of 3 results, of category_id 4; the ground truth knows only 3 oyster"
+    assert file.notes == (f"{left_out} ({tmp_path / 'r.json'}: [0] and 1 more)",)
+    for number, said in ((3, ""), (0, "all results have category_id 0, taken for the ground truth's 3 oyster")):
+        same = [{**result, "category_id": number} for result in results]
+        file = read_coco(wrote(tmp_path / "r.json", same), alone)
+        assert len(file.items["clip/a"]) == 3
+        assert "".join(file.notes) == said
+    others = [{**result, "category_id": k} for k, result in enumerate(results)]
+    with pytest.raises(LabelError, match=r"category_id 0, 1, 2, and the ground truth knows only 3 oyster: give its"):
+        read_coco(wrote(tmp_path / "r.json", others), alone)
+    assert read_coco(wrote(tmp_path / "r.json", []), alone).items["clip/a"] == ()
 
 
 def test_doubled_ids_and_lists_without_images_are_refused(tmp_path):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from oysterbench.annotations.coco import coco_set
+from oysterbench.annotations.coco_set import coco_set
 from oysterbench.counting.accuracy import Accuracy
 from oysterbench.counting.least import EVERY_SIZE, Least
 from oysterbench.counting.per_picture import plain

@@ -1,0 +1,51 @@
+"""Data sets as COCO annotations and images beside them."""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+from pathlib import Path
+
+from oysterbench.annotations.coco import CocoFile, CocoImage, read_coco
+from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
+from oysterbench.core.errors import LabelError
+from oysterbench.core.files import leads_out
+
+
+def coco_set(path: Path) -> LabelledSet:
+    """Open the images of a COCO file, found beside it, or in images/ beside it, by their file_name.
+
+    Annotations of the category "oyster" are instances; those with iscrowd = 1 become pixels to be ignored; those of
+    other categories are skipped. The keys clip and split of an image are used if present; without them, each image is
+    a clip of its own. Raises LabelError naming the item that is wrong.
+    """
+    coco, folder = read_coco(path), path.parent.absolute()
+    entries = []
+    for key, image in coco.images.items():
+        name = image.file_name
+        if os.path.isabs(name) and Path(name).is_relative_to(folder):
+            name = os.path.relpath(name, folder)
+        if leads_out(name):
+            raise LabelError(
+                f"{path}: image {key}: expected a file_name relative to this folder or to images/ in it, got one that "
+                f"leads out of it: {image.file_name!r:.80}; put the image there and correct its name"
+            )
+        places = (path.parent / name, path.parent / "images" / name)
+        file = next((place for place in places if place.is_file()), None)
+        if file is None:
+            raise LabelError(f"{path}: image {key}: no file {image.file_name} beside it, nor in images/")
+        clip = image.clip or image.name
+        entries.append(Entry(image.name, clip, partial(_read, coco, image, file, clip), (file, path), image.split))
+    return LabelledSet(path.resolve().parent.name, entries)
+
+
+def _read(coco: CocoFile, image: CocoImage, file: Path, clip: str) -> LabelledImage:
+    pixels = read_picture(file)
+    height, width = pixels.shape[:2]
+    if (image.width, image.height) != (width, height):
+        raise LabelError(
+            f"{file}: expected {image.width} x {image.height} px, as the COCO file says, got {width} x {height}"
+        )
+    oysters, crowd = coco.truth(image.name)
+    classes, instances = planes_of(list(oysters), height, width)
+    return LabelledImage(image.name, clip, pixels, classes, instances, crowd & (instances == 0))
