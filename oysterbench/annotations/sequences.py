@@ -6,18 +6,11 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from oysterbench.annotations.image import OYSTER, Entry, LabelledImage, LabelledSet
+from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet
 from oysterbench.core.errors import LabelError
 from oysterbench.sequence import Sequence, open_sequence
+from oysterbench.sequence.countable import countable
 from oysterbench.sequence.export.parts import labelled_cameras
-
-LEAST_VISIBILITY = 0.1
-"""Minimum visible share of an oyster for it to count; with less, not even a person could tell what it is."""
-LEAST_PIXELS = 16
-"""Minimum number of pixels of an oyster for it to count: 4 x 4."""
 
 
 def sequence_set(
@@ -25,9 +18,9 @@ def sequence_set(
 ) -> LabelledSet:
     """Open the frames of all cameras of sequences that have the layers class and instance, sequence by sequence.
 
-    A clip is a sequence: its cameras look at the same reef at the same time. Oysters of which less than
-    `LEAST_VISIBILITY` is visible (if there is a layer visibility) or fewer than `LEAST_PIXELS` are not instances, and
-    their pixels are ignored. conditions: by name of a sequence. Raises LabelError if no sequence has labels.
+    A clip is a sequence: its cameras look at the same reef at the same time. Oysters that are too small or too hidden
+    (`sequence.countable`) are not instances, and their pixels are ignored. conditions: by name of a sequence. Raises
+    LabelError if no sequence has labels.
     """
     entries: list[Entry] = []
     names = []
@@ -66,19 +59,3 @@ def _read(
     planes = {layer: item.pixels for layer, item in found.items() if item is not None}
     instances, ignore = countable(planes["class"], planes["instance"], planes.get("visibility"))
     return LabelledImage(name, sequence.name, image.pixels, planes["class"], instances, ignore, conditions, living)
-
-
-def countable(
-    classes: NDArray[np.uint8], instances: NDArray[np.uint16], visibility: NDArray[np.float32] | None
-) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """Split off the oysters that are too small or too hidden: return the other instances (H, W), and their mask
-    (H, W)."""
-    sizes = np.bincount(instances.ravel())
-    bad = sizes < LEAST_PIXELS
-    if visibility is not None:
-        hidden = np.ones(len(sizes), dtype=bool)
-        hidden[instances[visibility >= LEAST_VISIBILITY]] = False
-        bad |= hidden
-    bad[0] = False
-    ignore = bad[instances] & (classes == OYSTER)
-    return np.where(ignore, 0, instances).astype(np.uint16), ignore

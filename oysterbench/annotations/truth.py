@@ -16,7 +16,6 @@ from oysterbench.annotations.image import Entry, is_colour
 from oysterbench.annotations.manifest import FILE, read_manifest
 from oysterbench.annotations.masks import as_mask, read_png
 from oysterbench.annotations.opening import open_labelled
-from oysterbench.annotations.sequences import countable
 from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import Array
 from oysterbench.evaluate.detection import ImageInstances
@@ -25,6 +24,7 @@ from oysterbench.evaluate.segmentation import TruthImage
 from oysterbench.evaluate.segmentation.images import OYSTER
 from oysterbench.recipe import CLASSES
 from oysterbench.sequence import CameraCalibration, Sequence, open_sequence
+from oysterbench.sequence.countable import countable
 from oysterbench.sequence.export.parts import frames_with_layers, labelled_cameras, sensor_poses
 from oysterbench.sequence.export.ply import points_at, rays_at
 
@@ -82,7 +82,7 @@ class LabelledSequence:
 
 def labelled_sequence(path: Path, conditions: Mapping[str, float | str] | None = None) -> LabelledSequence:
     """Open the frames of all cameras of a sequence with the layers class and instance. Oysters that are hardly visible
-    are ignored (`sequences.countable`); depth, shell heights and the area of seabed in view are included if known."""
+    are ignored (`sequence.countable`); depth, shell heights and the area of seabed in view are included if known."""
     sequence = open_sequence(path)
     cameras = labelled_cameras(sequence, "visibility", "depth")
     if not cameras:

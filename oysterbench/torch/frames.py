@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
 from oysterbench.annotations.image import OYSTER
-from oysterbench.annotations.sequences import countable
 from oysterbench.core.errors import SequenceError
 from oysterbench.sensors.camera_messages import LAYERS, read_layer
 from oysterbench.sequence import Sequence
+from oysterbench.sequence.countable import countable
 from oysterbench.sequence.places import CACHE_BYTES, Chunks, IndexedFile
 from oysterbench.torch.sources import (
     Shots,

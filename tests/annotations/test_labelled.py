@@ -11,9 +11,9 @@ import pytest
 import oysterbench
 from oysterbench.annotations import LabelledSet, joined, open_labelled, write_folder
 from oysterbench.annotations.image import OYSTER
-from oysterbench.annotations.sequences import LEAST_PIXELS, LEAST_VISIBILITY, countable
 from oysterbench.core.errors import LabelError
 from oysterbench.core.polygons import mask_polygons, rasterise
+from oysterbench.sequence.countable import LEAST_PIXELS, LEAST_VISIBILITY, countable
 from oysterbench.sequence.export import export_sequence
 from tests.helpers.labelled_folders import HEIGHT, WIDTH, image, picture, write_png, yolo_folder
 
@@ -276,9 +276,11 @@ def test_a_rendered_sequence_and_its_coco_export_have_the_same_oysters(tiny_file
     rendered, exported = open_labelled(tiny_file), open_labelled(folder)
     assert len(rendered) == len(exported) == 5
     assert any(one.oysters.any() for one in rendered)
+    assert any(one.ignore.any() for one in rendered)
     for one, other in zip(rendered, exported, strict=True):
         assert np.array_equal(one.pixels, other.pixels)
-        assert np.array_equal(one.oysters, other.oysters)
+        assert np.array_equal(one.oysters & ~one.ignore, other.oysters)
+        assert np.array_equal(one.ignore, other.ignore)
         assert one.clip == "tiny-01"
         assert one.conditions == {"camera": "cam_front"}
 

@@ -1,4 +1,7 @@
-"""COCO instances: images/ as in the sequence, and instances.json with polygons that reproduce each mask exactly."""
+"""COCO instances: images/ as in the sequence, and instances.json with polygons that reproduce each mask exactly.
+
+Oysters too small or too hidden to count have `iscrowd` 1, by which COCO's evaluation ignores them, as ours does.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from numpy.typing import NDArray
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.polygons import mask_polygons
 from oysterbench.recipe import CLASSES
+from oysterbench.sequence.countable import OYSTER, countable
 from oysterbench.sequence.export.parts import frames_with_layers, labelled_cameras, write_png
 from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.types import Sequence
@@ -64,22 +68,26 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
         "annotations": annotations,
     }
     (folder / "instances.json").write_text(json.dumps(document) + "\n", encoding="utf-8")
-    return [f"{len(images)} images, {len(annotations)} instances"]
+    ignored = sum(annotation["iscrowd"] for annotation in annotations)
+    said = f", {ignored} of them oysters too small or too hidden to count (iscrowd 1: ignored)" if ignored else ""
+    return [f"{len(images)} images, {len(annotations)} instances{said}"]
 
 
 def annotate(
     classes: NDArray[np.uint8], instances: NDArray[np.uint16], visibility: NDArray[np.float32] | None
 ) -> Iterator[dict[str, Any]]:
     """Yield the annotations of one image, from layers (H, W); instance 0 is none. Area is the number of pixels."""
+    _, ignore = countable(classes, instances, visibility)
     for number in np.unique(instances[instances > 0]):
         mask = instances == number
         rows, columns = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
         top, left = int(rows[0]), int(columns[0])
         height, width = int(rows[-1]) - top + 1, int(columns[-1]) - left + 1
         polygons = mask_polygons(mask[top : top + height, left : left + width])
+        category = int(np.bincount(classes[mask]).argmax())
         yield {
-            "category_id": int(np.bincount(classes[mask]).argmax()),
-            "iscrowd": 0,
+            "category_id": category,
+            "iscrowd": int(category == OYSTER and ignore[mask].any()),
             "area": int(mask.sum()),
             "bbox": [left, top, width, height],
             "segmentation": [
