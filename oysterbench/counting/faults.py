@@ -46,6 +46,13 @@ def picture_fault(data: bytes) -> str:
     return ""
 
 
+def counts_frames(path: Path) -> bool:
+    """Whether a video is of a format that stores its number of frames (AVI, MP4, MOV), rather than its duration."""
+    with open(path, "rb") as file:
+        head = file.read(8)
+    return head[:4] == b"RIFF" or head[4:] in (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")
+
+
 def video_fault(path: Path) -> str:
     """Reason why no frame of a video can be decoded, as far as its bytes tell."""
     size = path.stat().st_size

@@ -14,14 +14,18 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import LARGEST_IMAGE_PX, decode_picture
-from oysterbench.counting.faults import picture_fault, video_fault
+from oysterbench.counting.faults import counts_frames, picture_fault, video_fault
 
 # FFmpeg's own messages on a broken file would break up the progress bar; the error is reported in one line here.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 COMPLETE = 0.95
-"""Share of the frames that a video claims to have below which it is truncated: the claim is often off by a frame or
+"""Share of the frames, or of the duration, that a video claims to have below which it is truncated: the claim is often off by a frame or
 two."""
+
+PTS = getattr(cv2, "CAP_PROP_PTS", 71)
+"""OpenCV's property of a frame's timestamp from the container's start, in frames at the nominal rate; always 0 before
+OpenCV 4.11."""
 
 ROUNDING_S = 1e-3
 """Rounding of timestamps, s: some containers have them in whole milliseconds."""
@@ -91,7 +95,10 @@ def _quiet() -> Iterator[None]:
 
 
 class Video:
-    """A video file. Raises LabelError if it cannot be opened. claimed: number of frames by its header; 0 if unknown."""
+    """A video file. Raises LabelError if it cannot be opened. claimed: number of frames by its header; 0 if unknown.
+
+    Of Matroska and others that store no number of frames, `claimed` is their duration in frames at the nominal rate.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -102,6 +109,7 @@ class Video:
         rate = self._capture.get(cv2.CAP_PROP_FPS)
         self.rate_hz = float(rate) if 0 < rate < 10_000 else 0.0
         self.claimed = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+        self._reached = 0.0
 
     def estimate(self, sampling: Sampling) -> int:
         """Estimate how many frames will be used."""
@@ -126,10 +134,14 @@ class Video:
             raise LabelError(
                 f"{self.path}: the video cannot be read, none of its frames were: {video_fault(self.path)}"
             )
-        if index < COMPLETE * self.claimed:
+        counts = counts_frames(self.path)
+        if max(index, 0 if counts else self._reached) < COMPLETE * self.claimed:
+            what = f"{index} of {self.claimed} frames were"
+            if not counts and self.rate_hz:
+                what = f"{self._reached / self.rate_hz:.1f} of {self.claimed / self.rate_hz:.1f} s were"
             raise LabelError(
-                f"{self.path}: the video cannot be read to its end: {index} of {self.claimed} frames were; these are "
-                "counted; copy it again from the camera"
+                f"{self.path}: the video cannot be read to its end: {what}; these are counted; copy it again from the "
+                "camera"
             )
 
     def _times_s(self) -> Iterator[float]:
@@ -138,6 +150,8 @@ class Video:
         period_s = 1 / self.rate_hz if self.rate_hz else 0.0
         time_s, offset_s = -period_s, 0.0
         while self._capture.grab():
+            # The container's duration, too, is measured from its start, which need not be the first frame.
+            self._reached = max(self._reached, self._capture.get(PTS) + 1)
             stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
             if stamp_s <= 0 and self.rate_hz:
                 time_s += period_s
