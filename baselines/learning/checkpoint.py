@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import io
 import platform
+import zipfile
+import zlib
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -61,16 +63,37 @@ class Checkpoint:
 def read_checkpoint(path: Path) -> Checkpoint:
     """Read a checkpoint. Raises MethodError where the file is missing or is not a checkpoint of this version."""
     try:
+        if damaged := _damaged_part(path):
+            raise MethodError(
+                f"{path}: damaged: {damaged} does not match its checksum; get the file again, or delete it and train "
+                "again"
+            )
         values = torch.load(path, map_location="cpu", weights_only=True)
         if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
             raise ValueError(f"expected {FORMAT}")
         return Checkpoint(**values)
     except FileNotFoundError:
         raise MethodError(f"{path}: no such checkpoint; `oysterbench train` makes one") from None
+    except MethodError:
+        raise
+    except zipfile.BadZipFile:
+        raise MethodError(
+            f"{path}: not a checkpoint of this version, or cut short ({path.stat().st_size} bytes); get the file "
+            "again, delete it and train again, or choose another file"
+        ) from None
     except Exception as error:
         # torch raises any kind of exception from its unpickler where a file is damaged or not its own
         line = in_one_line(error)
-        raise MethodError(f"{path}: not a checkpoint of this version ({line}); train again") from None
+        raise MethodError(f"{path}: not a checkpoint of this version ({line}); delete it and train again") from None
+
+
+def _damaged_part(path: Path) -> str:
+    """Name of the first part of a checkpoint that is not as it was written; torch does not check them."""
+    with zipfile.ZipFile(path) as archive:
+        try:
+            return archive.testzip() or ""
+        except (EOFError, zlib.error):
+            return "a part"
 
 
 def versions() -> dict[str, str]:

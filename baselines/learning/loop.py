@@ -257,12 +257,13 @@ def _set_random(state: Mapping[str, Any]) -> None:
         torch.cuda.set_rng_state_all(state["cuda"])
 
 
-def _difference(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
-    """Describe the first difference between two identities in words."""
+def _difference(known: Mapping[str, Any], wanted: Mapping[str, Any], of: str = "") -> str:
+    """Describe the first difference between two identities in words. of: key of what is compared"""
     for key in dict.fromkeys([*known, *wanted]):
         mine, other = known.get(key), wanted.get(key)
         if mine != other:
             if isinstance(mine, Mapping) and isinstance(other, Mapping):
-                return _difference(mine, other)
-            return f"holds a training with {key} = {str(mine)[:60]}, and {key} = {str(other)[:60]} is asked for"
+                return _difference(mine, other, key)
+            why = f": the images or labels of {key} have changed" if of == "data" and mine and other else ""
+            return f"holds a training with {key} = {str(mine)[:60]}, and {key} = {str(other)[:60]} is asked for{why}"
     return "holds another training"

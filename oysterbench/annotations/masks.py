@@ -31,6 +31,9 @@ from oysterbench.evaluate.detection.instances import instance_numbers
 from oysterbench.evaluate.segmentation import EstimateImage
 
 SUFFIXES = (".png", ".npy", ".npz")
+OTHERS = (".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+PALETTE = b"\x03"
+"""Colour type of a PNG with a palette, at byte 25."""
 PNG_MAGIC, PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 
 MOST_BYTES = 8 * LARGEST_IMAGE_PX
@@ -122,8 +125,9 @@ class MaskFiles:
         greatest, most = int(values.max(initial=0)), np.iinfo(values.dtype).max
         if int(values.min(initial=0)) < 0 or values.dtype not in (np.uint8, np.uint16):
             raise LabelError(
-                f"{where}: expected unsigned integers of 8 or 16 bits, got {values.dtype}; say what they are "
-                "(--estimate-kind; of a map --masks-kind)"
+                f"{where}: expected unsigned integers of 8 or 16 bits, got {values.dtype}; store a mask as bool, "
+                "probabilities as float32, numbers of oysters as uint16; or say what they are: --estimate-kind mask, "
+                "instances or classes (of a map --masks-kind)"
             )
         if self.form == "auto" and greatest == 1:
             self._zero_one = name
@@ -175,7 +179,9 @@ def open_predictions(place: Path, form: Form = "auto") -> MaskFiles:
             raise LabelError(f"{place}: two files predict {name}; expected one of {', '.join(SUFFIXES)}")
         files[name] = path
     if not files:
-        raise LabelError(f"{place}: expected a .png, .npy or .npz per image, got none")
+        others = sorted({path.suffix for path in place.rglob("*") if path.suffix.lower() in OTHERS})
+        got = f"{', '.join(others)} files; save masks as .png, since JPEG changes their values" if others else "none"
+        raise LabelError(f"{place}: expected a .png, .npy or .npz per image, got {got}")
     return MaskFiles(place, {name: _reader(path) for name, path in files.items()}, form, files)
 
 
@@ -192,7 +198,7 @@ def read_png(path: Path) -> NDArray[Any]:
     would silently fill in the rest."""
     try:
         with open(path, "rb") as file:
-            head = file.read(24)
+            head = file.read(26)
             file.seek(max(0, path.stat().st_size - len(PNG_END)))
             whole = file.read() == PNG_END
     except OSError as error:
@@ -204,7 +210,15 @@ def read_png(path: Path) -> NDArray[Any]:
     width, height = int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
     if width * height > LARGEST_IMAGE_PX:
         raise LabelError(f"{path}: {width} x {height} pixels: larger than any image here")
-    return read_plane(path)
+    try:
+        return read_plane(path)
+    except LabelError:
+        if head[25:] != PALETTE:
+            raise
+        raise LabelError(
+            f"{path}: expected one channel, got a palette, whose colours are read in place of its numbers; save the "
+            "numbers as a grey PNG (with Pillow: Image.fromarray(numpy.array(Image.open(FILE))))"
+        ) from None
 
 
 @contextmanager

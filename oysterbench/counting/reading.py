@@ -20,8 +20,8 @@ from oysterbench.counting.faults import counts_frames, picture_fault, video_faul
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 COMPLETE = 0.95
-"""Share of the frames, or of the duration, that a video claims to have below which it is truncated: the claim is often off by a frame or
-two."""
+"""Share of the frames, or of the duration, that a video claims to have below which it is truncated: the claim is often
+off by a frame or two."""
 
 PTS = getattr(cv2, "CAP_PROP_PTS", 71)
 """OpenCV's property of a frame's timestamp from the container's start, in frames at the nominal rate; always 0 before

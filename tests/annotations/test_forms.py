@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from oysterbench.annotations import open_predictions
 from oysterbench.annotations.forms import in_patches
@@ -77,6 +78,23 @@ def test_zero_and_one_other_number_in_all_files_are_a_mask(tmp_path, kind, numbe
     assert not open_predictions(tmp_path).get("b").mask(0.5).any()
     write_png(tmp_path / "b.png", np.full(MASK.shape, number // 2, kind))
     assert open_predictions(tmp_path, "probability").get("a").mask(0.5).any() == (number == 255)
+
+
+def test_masks_in_other_files_say_what_to_do(tmp_path):
+    palette = Image.fromarray(MASK.astype(np.uint8))
+    palette.putpalette([0, 0, 0, 250, 0, 0])
+    palette.save(tmp_path / "a.png")
+    with pytest.raises(
+        LabelError, match=r"a\.png: expected one channel, got a palette.*; save the numbers as a grey PNG"
+    ):
+        open_predictions(tmp_path).get("a")
+    (tmp_path / "a.png").rename(tmp_path / "a.JPG")
+    with pytest.raises(LabelError, match=r"per image, got \.JPG files; save masks as \.png"):
+        open_predictions(tmp_path)
+    np.savez(tmp_path / "all.npz", a=MASK.astype(int))
+    with pytest.raises(LabelError, match=r"got int64; store a mask as bool, .*--estimate-kind mask, instances or"):
+        open_predictions(tmp_path / "all.npz").get("a")
+    assert (open_predictions(tmp_path / "all.npz", "mask").get("a").mask(0.5) == MASK).all()
 
 
 def test_a_constant_map_is_no_mask(tmp_path):

@@ -20,7 +20,7 @@ from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
 from oysterbench.core.streams import Streams, stream  # noqa: E402
 from oysterbench_baselines.learning.augment import Augmentation, augmented  # noqa: E402
 from oysterbench_baselines.learning.batches import Mixture, make_batch  # noqa: E402
-from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.loop import FitSettings, fit, pick_device, prepared  # noqa: E402
 from oysterbench_baselines.learning.losses import bce_dice, centre_error, mask_loss, state_entropy  # noqa: E402
 from oysterbench_baselines.learning.samples import LabelledDataset, depths, make_sample, offsets, states  # noqa: E402
@@ -277,7 +277,7 @@ def test_a_training_of_other_data_or_settings_is_not_gone_on_with(labelled, tmp_
     more = dataclasses.replace(SMALL, fit=dataclasses.replace(SMALL.fit, steps=13))
     with pytest.raises(MethodError, match=r"a\.pt: holds a training with steps = 12, and steps = 13 is asked for"):
         train(labelled, tmp_path / "a.pt", more, 3, CPU)
-    with pytest.raises(MethodError, match="holds a training with small = "):
+    with pytest.raises(MethodError, match=r"a training with small = .*: the images or labels of small have changed"):
         train(labelled.where(lambda entry: entry.clip == "one"), tmp_path / "a.pt", SMALL, 3, CPU)
 
 
@@ -295,6 +295,24 @@ def test_a_damaged_checkpoint_is_named(tmp_path):
         read_checkpoint(tmp_path / "a.pt")
     with pytest.raises(MethodError, match="no such checkpoint; `oysterbench train` makes one"):
         read_checkpoint(tmp_path / "b.pt")
+
+
+def test_a_checkpoint_of_which_bytes_were_lost_or_changed_is_named(tmp_path):
+    whole = tmp_path / "a.pt"
+    Checkpoint({}, {}, {"w": torch.ones(4000)}, {}, {}, 0, False, [], 0.0).write(whole)
+    assert read_checkpoint(whole).weights["w"].sum() == 4000
+    data = whole.read_bytes()
+    whole.write_bytes(data[: len(data) // 2])
+    with pytest.raises(
+        MethodError, match=r"a\.pt: not a checkpoint .* cut short .*; get the file again, delete"
+    ):
+        read_checkpoint(whole)
+    at = data.find(torch.ones(4).numpy().tobytes())
+    whole.write_bytes(data[:at] + bytes(400) + data[at + 400 :])
+    with pytest.raises(
+        MethodError, match=r"a\.pt: damaged: \S+ does not match its checksum; get the file again"
+    ):
+        read_checkpoint(whole)
 
 
 def test_a_device_that_is_not_there_is_named():

@@ -80,10 +80,8 @@ class EstimateImage:
             raise LabelError(f"{self.name}: expected probabilities as floating point numbers, got {values.dtype}")
         low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
         if not (low >= 0.0 and high <= 1.0):  # NaN fails as well
-            raise LabelError(
-                f"{self.name}: expected probabilities from 0 to 1, got {low:g} to {high:g}; apply a sigmoid to logits "
-                "first"
-            )
+            advice = "check the network's weights" if low != low else "apply a sigmoid to logits first"
+            raise LabelError(f"{self.name}: expected probabilities from 0 to 1, got {low:g} to {high:g}; {advice}")
 
     def _checked_classes(self, values: NDArray[Any]) -> NDArray[np.uint8]:
         if values.dtype.kind not in "iu":
