@@ -148,10 +148,10 @@ def read_coco(path: Path, truth: CocoFile | None = None, category: str = "oyster
                 f"{path}: a bare list of results names images only by number: expected ground truth in COCO form, "
                 "which maps numbers to images, or an object with 'images' here"
             )
-        several = len(truth.categories) > 1
+        several, notes = len(truth.categories) > 1, tuple[str, ...]()
         results = _checked(path, "", content, truth.images, truth.categories if several else None)
         if several:
-            kept, notes = [one for one in results if truth.categories[one.values["category_id"]] == category], ()
+            kept = [one for one in results if truth.categories[one.values["category_id"]] == category]
         else:
             kept, notes = _of_single_category(path, list(results), *truth.categories.items())
         return _sorted(path, truth.images, iter(kept), truth.categories, notes)

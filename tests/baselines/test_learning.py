@@ -303,15 +303,11 @@ def test_a_checkpoint_of_which_bytes_were_lost_or_changed_is_named(tmp_path):
     assert read_checkpoint(whole).weights["w"].sum() == 4000
     data = whole.read_bytes()
     whole.write_bytes(data[: len(data) // 2])
-    with pytest.raises(
-        MethodError, match=r"a\.pt: not a checkpoint .* cut short .*; get the file again, delete"
-    ):
+    with pytest.raises(MethodError, match=r"a\.pt: not a checkpoint .* cut short .*; get the file again, delete"):
         read_checkpoint(whole)
     at = data.find(torch.ones(4).numpy().tobytes())
     whole.write_bytes(data[:at] + bytes(400) + data[at + 400 :])
-    with pytest.raises(
-        MethodError, match=r"a\.pt: damaged: \S+ does not match its checksum; get the file again"
-    ):
+    with pytest.raises(MethodError, match=r"a\.pt: damaged: \S+ does not match its checksum; get the file again"):
         read_checkpoint(whole)
 
 
