@@ -15,6 +15,7 @@ from typing import Any
 
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.code import code_digests, file_digest
+from oysterbench.methods.command_line import files_named, filled
 from oysterbench.methods.finding import find_method, find_variant, versions_of
 from oysterbench.methods.interfaces import Interface, Predicted, RunSequence, interface_of
 from oysterbench.methods.method import seed_of
@@ -183,7 +184,8 @@ class PythonMethod(MethodAdapter):
 class ExternalCommand(MethodAdapter):
     """Another program. Its command line has {out}, where it leaves its predictions, and one form of its interface.
 
-    It is identified not by its name alone but by the digests of the program and of the files on its command line.
+    It is identified not by its name alone but by the digests of the program and of the files that its command line
+    names, also in the commands of a shell (`sh -c`), where the values of placeholders are quoted for that shell.
     options: of the interface; `poses_of` (SLAM): frame whose poses it writes: base, imu, camera or a camera's name
     """
 
@@ -209,6 +211,10 @@ class ExternalCommand(MethodAdapter):
                 f"of {', '.join(f'{{{form}}}' for form in forms)}, which it reads, got "
                 f"{', '.join(f'{{{key}}}' for key in sorted(asked)) or 'no placeholder'}"
             )
+        try:
+            filled(self._words, dict.fromkeys(known, ""))
+        except ValueError as error:
+            raise MethodError(f"--command {template!r}: {error}, as its value may have blanks or quotes") from None
         program = shutil.which(self._words[0])
         if program is None:
             raise MethodError(f"--command {template!r}: no program {self._words[0]!r} that can be executed")
@@ -227,10 +233,9 @@ class ExternalCommand(MethodAdapter):
         return {"command": self.template, **self.options}
 
     def _digests(self) -> dict[str, str]:
-        """SHA-256 of the program, and of scripts and files that the command line names, also as `--config=FILE`."""
-        named = (Path(part) for word in self._words[1:] for part in {word, word.partition("=")[2]} if part)
-        files = {str(path) for path in named if path.is_file()} | {str(self.program)}
-        return {name: file_digest(Path(name)) for name in sorted(files)}
+        """SHA-256 of the program, and of what else the command line names (`files_named`)."""
+        files = {str(path): path for path in {*files_named(self._words), self.program}}
+        return {name: file_digest(files[name]) for name in sorted(files)}
 
     def versions(self) -> dict[str, str]:
         files = {f"sha256 of {name}": digest for name, digest in self._digests().items()}
@@ -242,7 +247,7 @@ class ExternalCommand(MethodAdapter):
     def command(self, given: Path, folder: Path, number: int) -> list[str]:
         left = {key: str(folder / name) for key, name in {"out": self.interface.out, **self.interface.further}.items()}
         values = {self.form: str(given), **left, "seed": str(number)}
-        return [str(self.program), *(word.format(**values) for word in self._words[1:])]
+        return [str(self.program), *filled(self._words, values)[1:]]
 
     def check(self, sequence: RunSequence) -> None:
         self.interface.check(sequence, self.form, self.options)

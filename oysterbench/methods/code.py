@@ -20,7 +20,11 @@ OWN = "oysterbench"
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file; cached until its size or modification time changes."""
+    """SHA-256 of a file, or of the Python files of a package; of a file cached until its size or time changes."""
+    if path.is_dir():
+        sources = sorted(each for each in path.rglob("*.py") if each.is_file())
+        digests = [f"{each.relative_to(path)} {file_digest(each)}" for each in sources]
+        return hashlib.sha256("\n".join(digests).encode(errors="surrogateescape")).hexdigest()
     state = path.stat()
     return _file_digest(path.absolute(), state.st_size, state.st_mtime_ns)
 

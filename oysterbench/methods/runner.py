@@ -61,13 +61,19 @@ def run_jobs(
     sequences, and OSError where a disk is full.
     """
     with _alone(root):
-        todo = []
+        todo, kept = [], []
         for job in jobs:
             known = None if again else _finished(job, root, retry)
             if known is None:
                 todo.append(job)
             else:
+                kept.append(known.ended)
                 yield job, known
+        if kept:
+            announce(
+                f"{root}: {len(kept)} of {len(jobs)} runs are of an earlier command, the last of {max(kept)}, and are "
+                "not run again; `oysterbench run` with --again reruns them"
+            )
         _check(todo)
         if todo and scheduler is not None:
             from oysterbench.methods.remote import run_remotely

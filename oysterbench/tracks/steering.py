@@ -189,6 +189,7 @@ class SteeringTrack(Track):
                 workers,
                 bool(options.get("again")),
                 progress,
+                request.announce,
             )
         return show_rollouts(runs, request.out)
 

@@ -112,8 +112,9 @@ def run_rollouts(
     workers: int = 1,
     again: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    announce: Callable[[str], None] = lambda text: None,
 ) -> list[RolloutRun]:
-    """Run each policy on each reef, reef by reef; rollouts already in `folder` are not repeated.
+    """Run each policy on each reef, reef by reef; rollouts already in `folder` are not repeated, which is announced.
 
     A policy that fails gets a record with `failure`, which is not kept: the next time it is tried again.
     """
@@ -128,6 +129,11 @@ def run_rollouts(
         if kept is not None:
             found[job] = kept
     todo = [job for job in jobs if job not in found]
+    if found:
+        announce(
+            f"{folder}: {len(found)} of {len(jobs)} rollouts are of an earlier command and are not repeated; --again "
+            "repeats them"
+        )
     progress(len(found), len(jobs))
     with contextlib.closing(_results(plan, todo, workers)) as results:
         for job, data in results:

@@ -200,6 +200,9 @@ def test_a_rollout_is_read_as_it_was_written():
 def test_a_damaged_rollout_is_refused_by_name(tmp_path, damage):
     plan = plan_rollouts(SPLIT, explore=made_explore)
     run_rollouts(plan, ["one"], ["expert"], tmp_path)
+    said: list[str] = []
+    run_rollouts(plan, ["one"], ["expert"], tmp_path, announce=said.append)
+    assert "1 of 1 rollouts are of an earlier command and are not repeated" in said[0]
     (file,) = tmp_path.iterdir()
     file.write_bytes(damage)
     with pytest.raises(ResultError, match=rf"{file.name}.*--again"):

@@ -89,6 +89,29 @@ def test_a_result_is_not_that_of_a_folder_whose_files_changed_since(folder, tmp_
         run(folder, tmp_path, mine)
 
 
+def test_a_program_in_a_shell_that_changed_is_refused_and_one_that_did_not_is_told_to_be_of_an_earlier_run(
+    folder, tmp_path, monkeypatch
+):
+    write_answer(tmp_path)
+    copies = command(tmp_path, "copies", tmp_path / "answer.tum", "euroc")
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    program = Path("my_slam")
+    program.write_text(f"#!/bin/sh\n{copies.format(euroc='$1', out='$2')}\n")
+    program.chmod(0o755)
+    line = f"sh -c 'HERE={tmp_path}/work; ./my_slam \"{{euroc}}\" {{out}}'"
+    said: list[str] = []
+    for k in range(2):
+        (done,) = run(folder, tmp_path, ExternalCommand(line, "mine"), announce=said.append)
+        assert (done.failure, done.outcome.earlier) == (None, bool(k))
+    (told,) = (text for text in said if "earlier" in text)
+    assert "out: 1 of 1 runs are of an earlier command, the last of 20" in told
+    assert "and are not run again; `oysterbench run` with --again reruns them" in told
+    program.write_text("#!/bin/sh\nexit 5\n")
+    with pytest.raises(MethodError, match=r"has run 1 of another mine \(my_slam changed\)"):
+        run(folder, tmp_path, ExternalCommand(line, "mine"))
+
+
 def write_answer(tmp_path: Path) -> None:
     (tmp_path / "answer.tum").write_text("".join(f"{s * 1e-9:.9f} {k} 0 0 0 0 0 1\n" for k, s in enumerate(SAMPLES)))
 

@@ -1,0 +1,207 @@
+"""Command lines of external programs: the shells in them, the values of their placeholders, and the files they name."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from string import Formatter
+
+SHELLS = ("sh", "bash", "dash", "ash", "ksh", "zsh")
+"""Shells whose commands, after -c, are understood."""
+
+STARTERS = ("env", "exec", "ionice", "nice", "nohup", "numactl", "setsid", "stdbuf", "taskset", "time", "timeout")
+"""Programs that start the one named after them."""
+
+PYTHON = re.compile(r"python[0-9.]*|pypy[0-9.]*")
+SIGNS = "();<>|&`\n"
+"""Characters that end a word of a shell's commands, besides blanks."""
+
+
+def scripts_in(words: Sequence[str]) -> set[int]:
+    """Indices of the words that a shell on a command line runs as commands.
+
+    >>> scripts_in(["env", "A=1", "bash", "-eo", "pipefail", "-c", "exit 3", "bash", "{out}"])
+    {6}
+    """
+    found = set()
+    for i, word in enumerate(words):
+        if Path(word).name not in SHELLS:
+            continue
+        runs, valued = False, False
+        for j in range(i + 1, len(words)):
+            option = words[j]
+            if valued:
+                valued = False
+            elif option[:1] not in ("-", "+"):
+                if runs:
+                    found.add(j)
+                break
+            else:
+                short = option[:2] != "--"
+                runs = runs or (short and "c" in option)
+                valued = option[-1] in "oO" if short else option in ("--rcfile", "--init-file")
+    return found
+
+
+def filled(words: Sequence[str], values: Mapping[str, str]) -> list[str]:
+    """Put in the values of placeholders, in a shell's commands quoted for that shell. Raises ValueError where that is
+    impossible.
+
+    >>> filled(["sh", "-c", 'cd "$(dirname {out})" && my_slam "{out}"', "{out}"], {"out": "/a b/$c"})
+    ['sh', '-c', 'cd "$(dirname \\'/a b/$c\\')" && my_slam "/a b/\\\\$c"', '/a b/$c']
+    """
+    scripts = scripts_in(words)
+    return [_filled_script(w, values) if i in scripts else w.format(**values) for i, w in enumerate(words)]
+
+
+def _filled_script(script: str, values: Mapping[str, str]) -> str:
+    inner = [token for command in _parsed(script) for token in (command[i] for i in scripts_in(command))]
+    for key in values:
+        if any(f"{{{key}" in token for token in inner):
+            raise ValueError(
+                f"{{{key}}} is in a shell within a shell: write sh -c '... \"$1\"' sh {{{key}}} in the outer one"
+            )
+    quotes, found = Quotes(), ""
+    for literal, key, form, conversion in Formatter().parse(script):
+        quotes.read(literal)
+        found += literal
+        if key is not None:
+            field = f"{{{key}{f'!{conversion}' if conversion else ''}{f':{form}' if form else ''}}}"
+            found += quotes.quoted(field, field.format(**values))
+    return found
+
+
+class Quotes:
+    """The quotes that are open at a place of a shell's commands, which are read from left to right."""
+
+    def __init__(self) -> None:
+        self._open = [""]  # "" and "(": none; quotes, "`", and "#" and "<<" of comments and here-documents
+        self._last = "\n"
+
+    def read(self, text: str) -> None:
+        """Read on."""
+        i = 0
+        while i < len(text):
+            i += self._step(text[i], text[i : i + 3])
+            self._last = text[i - 1 : i]
+
+    def _step(self, one: str, ahead: str) -> int:
+        """Read a character, or more that belong together. Returns how many."""
+        inside = self._open[-1]
+        plain = inside in ("", "(")
+        if inside == "<<":
+            return 1
+        if inside in ("'", "#"):
+            if one == ("\n" if inside == "#" else inside):
+                self._open.pop()
+        elif one == "\\":
+            return 2  # at the end of the text one more than there is, so that `_last` is empty
+        elif (one == inside and one in '"`') or (one == ")" and inside == "("):
+            self._open.pop()
+        elif inside == "`":
+            return 1
+        elif ahead.startswith("$("):
+            self._open.append("(")
+            return 2
+        elif one in '"`' or (plain and one in "'("):
+            self._open.append(one)
+        elif plain and one == "#" and (self._last.isspace() or self._last in tuple(SIGNS)):
+            self._open.append("#")
+        elif plain and ahead.startswith("<<"):
+            if ahead == "<<<":  # a word
+                return 3
+            self._open.append("<<")
+        return 1
+
+    def quoted(self, field: str, value: str) -> str:
+        """Return a value as it is written here. Raises ValueError where no way to write it is safe."""
+        inside = self._open[-1]
+        if not self._last or inside in ("`", "#", "<<"):
+            where = {"`": "backquotes: write $(...)", "#": "a comment", "<<": "a here-document"}.get(inside)
+            raise ValueError(f"{field} is in {where}" if where else f"{field} is after a backslash")
+        self._last = "x"
+        if inside == "'":
+            return value.replace("'", "'\"'\"'")
+        if inside == '"':
+            return re.sub(r'(["\\$`])', r"\\\1", value)
+        return shlex.quote(value)
+
+
+def files_named(words: Sequence[str]) -> set[Path]:
+    """Files that exist and that a command line names, also in the commands of shells: programs, by PATH too, scripts,
+    other files (also as `--config=FILE`), and modules of `python -m`; a package is named by its folder."""
+    folders = [Path()]
+    found: set[Path] = set()
+    for depth, command in _commands(list(words)):
+        if command[:1] == ["cd"] and len(command) > 1:
+            folders += [each / command[1] for each in folders if (each / command[1]).is_dir()]
+        named = command if depth else command[1:]  # the first word is looked for in PATH only
+        parts = {part for word in named for part in (word, word.partition("=")[2]) if part}
+        if depth:  # a shell expands them
+            parts = {os.path.expandvars(os.path.expanduser(part)) for part in parts}
+        paths = {folder / part for folder in folders for part in parts}
+        found |= {path for path in paths if os.path.isfile(path)}
+        found |= set(_programs(command)) | set(_modules(command, folders))
+    return found
+
+
+def _commands(words: list[str], depth: int = 0) -> Iterator[tuple[int, list[str]]]:
+    """A command, then those that shells in it run; depth: of shells."""
+    yield depth, words
+    scripts = scripts_in(words)
+    for i, word in enumerate(words):
+        if i in scripts or (depth and re.search(rf"[\s{re.escape(SIGNS)}]", word)):  # such as "$(cat names)"
+            for command in _parsed(word):
+                yield from _commands(command, depth + 1)
+
+
+def _parsed(script: str) -> list[list[str]]:
+    """Simple commands of a shell's commands, without their quotes and the targets of `>`, which are written."""
+    lexer = shlex.shlex(script, posix=True, punctuation_chars=SIGNS)
+    lexer.whitespace, lexer.whitespace_split, lexer.commenters = " \t\r", True, ""
+    try:
+        tokens = list(lexer)
+    except ValueError:  # quotes that are not closed, such as an apostrophe in a comment
+        tokens = re.findall(rf"[{re.escape(SIGNS)}]+|[^\s'\"{re.escape(SIGNS)}]+", script)
+    found: list[list[str]] = [[]]
+    target = False
+    for token in tokens:
+        if set(token) <= set(SIGNS):
+            target = ">" in token
+            if not target:
+                found.append([])
+        elif not target:
+            found[-1].append(token)
+        else:
+            target = False
+    return [command for command in found if command]
+
+
+def _programs(command: Sequence[str]) -> Iterator[Path]:
+    """The program in PATH that a command starts: its first word that is one; after a starter, also the next."""
+    for word in command:
+        program = shutil.which(word)
+        if program is not None:
+            if os.sep not in word:
+                yield Path(program).absolute()
+            if Path(word).name not in STARTERS:
+                return
+
+
+def _modules(command: Sequence[str], folders: Sequence[Path]) -> Iterator[Path]:
+    """Module, or package as a folder, that `python -m` runs, if it is in the working folder or one of PYTHONPATH."""
+    given = [word.partition("=")[2] for word in command if word.startswith("PYTHONPATH=")]
+    given.append(os.environ.get("PYTHONPATH", ""))
+    paths = [Path(each) for text in given for each in text.split(os.pathsep) if each]
+    for i, word in enumerate(command[:-1]):
+        if word == "-m" and any(PYTHON.fullmatch(Path(before).name) for before in command[:i]):
+            name = command[i + 1].partition(".")[0]
+            for folder in dict.fromkeys([*folders, *paths]):
+                if os.path.isfile(folder / f"{name}.py"):
+                    yield folder / f"{name}.py"
+                elif name.isidentifier() and (folder / name).is_dir():
+                    yield folder / name
