@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,6 +14,10 @@ from oysterbench.cli.echo import echo, message
 from oysterbench.cli.evaluate import FOLDER
 from oysterbench.cli.numbers import Number
 from oysterbench.cli.outputs import print_table
+from oysterbench.core.errors import MethodError
+
+if TYPE_CHECKING:
+    from oysterbench.methods.tuning import OptionRange
 
 
 @click.command("tune", short_help="Search a method's options on a split, in a given number of trials.")
@@ -66,6 +70,7 @@ def tune_command(
     from oysterbench.cli.progress import runs_shown
     from oysterbench.cli.render import frames_bar, render_files
     from oysterbench.core.files import home
+    from oysterbench.methods.options import with_options
     from oysterbench.methods.systems import split_reference, track_of
     from oysterbench.methods.tuning import read_ranges, trials
     from oysterbench.recipe import load_split
@@ -97,6 +102,10 @@ def tune_command(
         announce=message,
         finished=keep,
     )
+    if ranges is not None:
+        _check_values(
+            ranges, known, lambda option: track.adapters(replace(request, methods=[with_options(method, [option])]))
+        )
     names = {adapter.name: reference for adapter, reference in zip(track.adapters(request), references, strict=True)}
     with runs_shown() as told:
         records = track.evaluate(replace(request, told=told)).records
@@ -106,3 +115,15 @@ def tune_command(
     if math.isfinite(best[1]):
         message(f"best of {len(references)} trials, mean {ranking_heading(track.name)} {best[1]:.3f}:")
         echo(names[best[0]])
+
+
+def _check_values(file: Path, ranges: Mapping[str, OptionRange], make: Callable[[str], object]) -> None:
+    """Refuse ranges and choices with values that the method does not take. make: makes it with one option."""
+    from oysterbench.methods.tuning import written
+
+    for key, option in ranges.items():
+        for value in sorted(option.ends, key=lambda end: isinstance(end, float) and end.is_integer()):  # 2.5 before 1.0
+            try:
+                make(f"{key}={written(value)}")
+            except MethodError as error:
+                raise MethodError(f"{file}: [{key}] {error}") from None

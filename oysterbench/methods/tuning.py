@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,14 @@ class OptionRange:
     def tuned(self) -> bool:
         """Whether tuning may change it."""
         return self.range is not None or bool(self.choices)
+
+    @property
+    def ends(self) -> tuple[Any, ...]:
+        """Lowest and highest value that it may get, as it is written, or all choices."""
+        if self.range is None:
+            return self.choices
+        whole = all(isinstance(end, int) for end in self.range)
+        return tuple(end if whole else float(end) for end in self.range)
 
     def draw(self, random: np.random.Generator) -> Any:
         """Draw a value, uniformly over the range (or its logarithm) or the choices."""
@@ -79,6 +87,28 @@ def read_ranges(path: Path) -> dict[str, OptionRange]:
     try:
         for key, table in tomllib.loads(path.read_text(encoding="utf-8")).items():
             found[key] = msgspec.convert(table, OptionRange)
+            if problem := _problem(table, found[key]):
+                raise ValueError(problem)
     except (OSError, ValueError) as error:
-        raise MethodError(f"{path}: {key}: {error}" if key else f"{path}: {error}") from None
+        raise MethodError(f"{path}: [{key}] {error}" if key else f"{path}: {error}") from None
     return found
+
+
+def _problem(table: Mapping[str, Any], option: OptionRange) -> str:
+    """What is wrong with the table of an option, empty if nothing is."""
+    known = [each.name for each in fields(OptionRange)]
+    if unknown := [name for name in table if name not in known]:
+        return f"expected {', '.join(known)}, got {unknown[0]!r}"
+    if "choices" in table and not option.choices:
+        return "choices: expected at least one value, got none"
+    if option.choices and option.range is not None:
+        return "expected either range or choices, got both"
+    if option.range is None:
+        return "log: expected a range with it, got none" if option.log else ""
+    low, high = option.range
+    got = f"got [{low}, {high}]"
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return f"range: expected finite numbers, {got}"
+    if low > high:
+        return f"range: expected the lowest value first, {got}"
+    return f"range: expected numbers above 0 with log = true, {got}" if option.log and low <= 0 else ""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.options import LONGEST, split_variant, variant_name
 from oysterbench.methods.tuning import OptionRange, read_ranges, trials
+from tests.helpers.command import run as run_here
 
 RANGES = {
     "gain": OptionRange(range=(0.01, 100.0), log=True),
@@ -49,6 +52,48 @@ def test_a_wrong_file_of_ranges_is_named(tmp_path):
     (tmp_path / "ranges.toml").write_text("[gain]\nrange = [1.0]\n")
     with pytest.raises(MethodError, match=r"ranges\.toml: .*gain"):
         read_ranges(tmp_path / "ranges.toml")
+
+
+@pytest.mark.parametrize(
+    ("table", "why"),
+    [
+        ("range = [0.0, 1.0]\nlog = true", r"range: expected numbers above 0 with log = true, got \[0\.0, 1\.0\]"),
+        ("range = [-2, 5]\nlog = true", r"range: expected numbers above 0 with log = true, got \[-2, 5\]"),
+        ("range = [nan, 1.0]", r"range: expected finite numbers, got \[nan, 1\.0\]"),
+        ("range = [1, inf]", r"range: expected finite numbers, got \[1, inf\]"),
+        ("range = [1.0, 0.1]", r"range: expected the lowest value first, got \[1\.0, 0\.1\]"),
+        ("range = [1, 2]\nchoices = [1]", "expected either range or choices, got both"),
+        ("choices = [1, 2]\nlog = true", "log: expected a range with it, got none"),
+        ("choices = []", "choices: expected at least one value, got none"),
+        ("rang = [1, 2]", "expected default, range, log, choices, got 'rang'"),
+    ],
+)
+def test_nonsense_in_a_file_of_ranges_is_refused_with_file_option_and_what_was_expected(table, why, tmp_path):
+    (tmp_path / "ranges.toml").write_text(f"[good]\nrange = [1, 1]\n[bad]\n{table}\n")
+    with pytest.raises(MethodError, match=rf"^{tmp_path}/ranges\.toml: \[bad\] {why}$"):
+        read_ranges(tmp_path / "ranges.toml")
+
+
+@pytest.mark.parametrize(
+    ("table", "why"),
+    [
+        ("[window]\nrange = [1, 2.5]", r"\[window\] .*'window'.*: expected a whole number, such as 30, got '2\.5'"),
+        ("[loops]\nchoices = [true, 2]", r"\[loops\] .*'loops'.*: expected true or false, such as true, got '2'"),
+        ("[speed]\nrange = [1, 2]", r"\[speed\] .*'speed'"),
+    ],
+)
+def test_values_that_a_method_does_not_take_are_refused_before_the_first_run(table, why, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "tuned_method.py").write_text(
+        "class Tuned:\n    name, track = 'tuned', 'slam'\n\n"
+        "    def __init__(self, window: int = 30, loops: bool = True): ...\n    def run(self, sequence): ...\n"
+    )
+    (tmp_path / "ranges.toml").write_text(table)
+    words = ("tune", "tuned_method:Tuned", "--split", "slam-mini", "--ranges", tmp_path / "ranges.toml")
+    done = run_here(*words, "--out", tmp_path / "out")
+    assert done.returncode == 1
+    assert re.fullmatch(rf"oysterbench: {tmp_path}/ranges\.toml: {why}.*\n", done.stderr), done.stderr
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_name_of_many_options_fits_a_folder():
