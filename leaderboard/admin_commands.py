@@ -66,6 +66,7 @@ def add_command(
     Identical results are stored once.
     """
     from oysterbench.results.records import dump
+    from oysterbench_leaderboard.index import open_index  # if what it needs is missing, nothing has been written yet
     from oysterbench_leaderboard.publishing import Attribution, keep_estimates, publish, records_of
 
     place = find_place(context)
@@ -75,7 +76,7 @@ def add_command(
         folder = results if results.is_dir() else results.parent
         found = [(keep_estimates(record, folder, estimates), curves) for record, curves in found]
     done = publish(place.store(must_exist=False), found)
-    index = place.index()
+    index = open_index(place.store(), place.url)
     rows = [index.row(digest) for _, digest, _ in done]
     if as_json:
         made = [

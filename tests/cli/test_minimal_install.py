@@ -9,8 +9,10 @@ import sys
 import pytest
 
 from oysterbench.core.trajectory import write_tum
+from oysterbench.results.records import write_results
 from oysterbench.sequence import open_sequence
 from tests.helpers.extras import only
+from tests.helpers.records_made import record_made
 
 WORKS = (
     ("doctor",),
@@ -35,6 +37,8 @@ LACK = (
     (("train", "unet_small", "--data", "masks"), "oysterbench[learn]"),
     (("leaderboard", "build", "site"), "oysterbench[board]"),
     (("leaderboard", "serve"), "oysterbench[board]"),
+    (("leaderboard", "--board", "board", "add", "results.json", "--team", "mine"), "oysterbench[board]"),
+    (("leaderboard", "withdraw", "3f9c21ab", "--reason", "A mistake."), "oysterbench[board]"),
 )
 CALLS = """
 import json, sys
@@ -47,14 +51,20 @@ for words in json.load(sys.stdin):
 
 
 @pytest.fixture(scope="module")
-def answers(dive_file, tmp_path_factory):
+def folder(tmp_path_factory):
+    """The working folder of the commands."""
+    return tmp_path_factory.mktemp("demo")
+
+
+@pytest.fixture(scope="module")
+def answers(dive_file, folder):
     """Command -> exit status, stderr and exception, of all of them, in one process."""
-    folder = tmp_path_factory.mktemp("demo")
     (folder / "dive.mcap").symlink_to(dive_file)
     write_tum(folder / "mine.tum", open_sequence(dive_file).truth())
     (folder / "tree").mkdir()
     (folder / "tree" / "index.json").write_text("{}")
     (folder / "masks").mkdir()
+    write_results(folder / "results.json", record_made().results)
     every = [*WORKS, *(words for words, _ in LACK)]
     done = subprocess.run(
         [sys.executable, "-c", CALLS],
@@ -82,3 +92,7 @@ def test_a_command_says_what_to_install(words, extra, answers):
     assert code == 1, raised
     assert f"pip install '{extra}'" in told
     assert told.count("\n") == 1
+
+
+def test_a_command_that_lacks_an_extra_leaves_the_board_as_it_was(answers, folder):
+    assert not (folder / "board").exists()
