@@ -16,7 +16,7 @@ from oysterbench.core.documents import read_json
 from oysterbench.core.errors import HubError, NetworkError
 from oysterbench.core.text import in_one_line
 from oysterbench.hub.pool import open_pool
-from oysterbench.hub.sources import HOST, RETRIED, Patience, retry_after_s
+from oysterbench.hub.sources import HOST, RETRIED, Patience, has_host, retry_after_s
 from oysterbench.hub.transfer import pause_s
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.submissions.package import Package
@@ -66,10 +66,10 @@ class Client:
         starting_s: float = STARTING_S,
         notify: Callable[[str], None] = lambda text: None,
     ) -> None:
-        parts = urllib.parse.urlsplit(url)
-        if parts.scheme not in ("http", "https") or not parts.hostname:
+        if url.partition("://")[0].lower() not in ("http", "https") or not has_host(url):
             meant = f"; did you mean http://{url}?" if HOST.fullmatch(url) else ""
             raise HubError(f"--to: expected the address of a leaderboard, https://..., got {url!r}{meant}")
+        parts = urllib.parse.urlsplit(url)
         self.url = url.rstrip("/")
         self.open = parts.scheme == "http" and parts.hostname not in ("localhost", "127.0.0.1", "::1")
         self._patience = patience or Patience()

@@ -112,6 +112,7 @@ def _check_folder(out: Path) -> None:
 def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
     """Write all files, print tables, and report failures; exits with an error if anything failed."""
     from oysterbench.core.files import write_atomically
+    from oysterbench.core.text import as_unicode
     from oysterbench.results.records import add_results, document, dump, output_place
     from oysterbench.tracks.track import Kept
 
@@ -122,7 +123,7 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
         _check_folder(out)
         kept = add_results(out / "results.json", records, data_set)
         for name, text in found.files.items():
-            write_atomically(out / name, text.encode())
+            write_atomically(out / name, as_unicode(text).encode())
         written = [out / "results.json", *(out / name for name in found.files), *(path for path, _ in found.figures)]
     if records:
         figures = [figure for _, figure in found.figures]

@@ -59,6 +59,7 @@ class Outputs:
         others; figures: figures of the report; beside: earlier runs, which the files in the folder also include.
         """
         from oysterbench.core.files import write_atomically
+        from oysterbench.core.text import as_unicode
         from oysterbench.report import csv_text, dataset_tables, latex_text, markdown_text, write_html_report
 
         makers = {"csv": csv_text, "tex": latex_text, "md": markdown_text}
@@ -73,7 +74,7 @@ class Outputs:
             if path == Path("-"):
                 echo(text, nl=False)
             else:
-                write_atomically(path, text.encode())
+                write_atomically(path, as_unicode(text).encode())
         for path, shown in reports:
             command = shlex.join(["oysterbench", *sys.argv[1:]])
             write_html_report(path, shown, command, data_set=data_set, first=first, figures=figures)

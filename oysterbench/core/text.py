@@ -33,6 +33,15 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c in "\n\t" else json.dumps(c)[1:-1] for c in text)
 
 
+def as_unicode(text: str) -> str:
+    r"""Replace what a file in UTF-8 cannot hold, bytes of file names that are not UTF-8, by question marks.
+
+    >>> as_unicode("l\udce4t/\u00fc") == "l?t/\u00fc"
+    True
+    """
+    return text.encode(errors="replace").decode()
+
+
 def in_one_line(error: Exception, most: int = 200) -> str:
     """Message of an error, probably from another library, in one line: its type if it has none, and without addresses
     of objects, which differ each time and reveal the memory layout.

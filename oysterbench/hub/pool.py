@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import urllib3
 from urllib3.connection import HTTPConnection, HTTPSConnection
 
+from oysterbench.core.errors import HubError
+
 if TYPE_CHECKING:
     from oysterbench.hub.sources import Patience
 
@@ -97,9 +99,16 @@ def open_pool(url: str, connections: int, patience: Patience) -> urllib3.PoolMan
     timeout = urllib3.Timeout(connect=patience.connect_s, read=patience.idle_s)
     proxy = urllib.request.getproxies().get(parts.scheme)
     if proxy and not urllib.request.proxy_bypass(parts.hostname or ""):
-        manager: urllib3.PoolManager = urllib3.ProxyManager(
-            proxy, maxsize=connections, retries=retries, timeout=timeout
-        )
+        address = proxy if "://" in proxy else f"http://{proxy}"  # as curl reads it
+        try:
+            manager: urllib3.PoolManager = urllib3.ProxyManager(
+                address, maxsize=connections, retries=retries, timeout=timeout
+            )
+        except (urllib3.exceptions.HTTPError, ValueError):
+            raise HubError(
+                f"{parts.scheme}_proxy: expected the address of an HTTP proxy, such as http://127.0.0.1:3128, got "
+                f"{proxy.rpartition('@')[2]!r}; correct or unset it"
+            ) from None
     else:
         manager = urllib3.PoolManager(maxsize=connections, retries=retries, timeout=timeout)
     response = partial(_Response, patience)

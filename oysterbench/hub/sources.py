@@ -225,6 +225,8 @@ def open_source(place: str, connections: int = 4, patience: Patience = Patience(
     if separator and scheme.lower() in ("http", "https"):
         if is_offline():
             raise NetworkError(f"{place}: OYSTERBENCH_OFFLINE is set, so no server is asked; unset it or use a folder")
+        if not has_host(place):
+            raise HubError(f"{place}: expected the address of a hub, such as http://HOST:8000 or http://[::1]:8000")
         return Web(place, connections, patience)
     if separator and scheme.lower() == "file":
         folder = Path(urllib.request.url2pathname(urllib.parse.urlsplit(place).path))
@@ -243,6 +245,15 @@ def open_source(place: str, connections: int = 4, patience: Patience = Patience(
             "publish` writes them"
         )
     return Folder(folder)
+
+
+def has_host(url: str) -> bool:
+    """Whether an address has a host and, if any, a port that is a number."""
+    try:
+        parts = urllib.parse.urlsplit(url)
+        return bool(parts.hostname) and (parts.port is None or parts.port > 0)
+    except ValueError:
+        return False
 
 
 def is_offline() -> bool:

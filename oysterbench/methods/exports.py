@@ -140,7 +140,9 @@ def _state(folder: Path) -> dict[str, Any]:
     found, total = hashlib.sha256(), 0
     for path in sorted(path for path in folder.rglob("*") if path.name != MADE and path.is_file()):
         state = path.stat()
-        found.update(f"{path.relative_to(folder)}\0{state.st_size}\0{state.st_mtime_ns}\n".encode())
+        found.update(
+            f"{path.relative_to(folder)}\0{state.st_size}\0{state.st_mtime_ns}\n".encode(errors="surrogateescape")
+        )
         total += state.st_size
     return {"files": found.hexdigest(), "bytes": total}
 

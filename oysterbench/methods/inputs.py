@@ -96,5 +96,5 @@ class Inputs:
 
     @staticmethod
     def _key(job: Job) -> str:
-        origin = hashlib.sha256(job.sequence.origin.encode()).hexdigest()[:8]
+        origin = hashlib.sha256(job.sequence.origin.encode(errors="surrogateescape")).hexdigest()[:8]
         return f"{job.sequence.name}-{job.adapter.form}-{origin}"

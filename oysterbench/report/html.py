@@ -16,6 +16,7 @@ import numpy as np
 from oysterbench.core.files import write_atomically
 from oysterbench.core.html import environment
 from oysterbench.core.page import STYLES
+from oysterbench.core.text import as_unicode
 from oysterbench.evaluate.conditions import CONDITIONS
 from oysterbench.evaluate.metric import TrackMetrics
 from oysterbench.evaluate.metrics import TRACKS, find_metric
@@ -99,7 +100,7 @@ def write_html_report(
 ) -> None:
     """Write `html_report` to a file, atomically."""
     text = html_report(runs, command, title, data_set, first, figures, Path(path).parent)
-    write_atomically(path, text.encode())
+    write_atomically(path, as_unicode(text).encode())
 
 
 def html_report(

@@ -19,6 +19,7 @@ import msgspec
 from oysterbench.core.documents import read_json
 from oysterbench.core.errors import ResultError
 from oysterbench.core.files import write_atomically
+from oysterbench.core.text import as_unicode
 from oysterbench.evaluate.metrics import FAILED, SPEEDS, TRACKS, find_metric
 from oysterbench.evaluate.statistics import summarise
 from oysterbench.results.lost import kept_median, lost_sequences
@@ -180,18 +181,20 @@ def _is_odd(given: Mapping[str, Any], key: str, name: str, kind: type[Any]) -> b
 
 def plain(value: Any) -> Any:
     """Convert a value to types that JSON has: numpy scalars and arrays, tuples and paths are converted, NaN and
-    infinity become None."""
+    infinity become None, and what is not Unicode becomes question marks."""
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {as_unicode(str(key)): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
-    if value is None or isinstance(value, str | bool | int):
+    if isinstance(value, str):
+        return as_unicode(value)
+    if value is None or isinstance(value, bool | int):
         return value
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if hasattr(value, "tolist"):
         return plain(value.tolist())
-    return str(value)
+    return as_unicode(str(value))
 
 
 def dump(value: Any) -> str:
@@ -315,7 +318,7 @@ def document(records: Iterable[ResultRecord], data_set: Any = None) -> dict[str,
 
 def write_results(path: str | os.PathLike[str], records: Iterable[ResultRecord], data_set: Any = None) -> None:
     """Write `document(records)` as JSON, atomically."""
-    write_atomically(path, (dump(document(records, data_set)) + "\n").encode())
+    write_atomically(path, (as_unicode(dump(document(records, data_set))) + "\n").encode())
 
 
 def add_results(

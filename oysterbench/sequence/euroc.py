@@ -16,6 +16,7 @@ from oysterbench.core.files import leads_out
 from oysterbench.core.geometry import Array, is_rigid
 from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.core.pictures import decode_picture
+from oysterbench.core.text import as_unicode
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.sensors.camera import KIND as CAMERA
 from oysterbench.sensors.imu import KIND as IMU
@@ -57,7 +58,7 @@ class EurocSequence(Sequence):
         self.folder = Path(folder)
         root = self.folder / "mav0"
         self._root = root
-        self.name = self.folder.resolve().name
+        self.name = as_unicode(self.folder.resolve().name)
         self.metadata = {"sequence": self.name, "format": "euroc"}
         if not (root / "imu0" / "data.csv").is_file():
             raise SequenceError(f"{self.folder}: expected an EuRoC folder with mav0/imu0/data.csv, found none")

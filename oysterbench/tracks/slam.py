@@ -16,6 +16,7 @@ from oysterbench.core.errors import MethodError, OysterbenchError, SequenceError
 from oysterbench.core.files import write_atomically
 from oysterbench.core.measurements import Image
 from oysterbench.core.ros import TF_STATIC
+from oysterbench.core.text import as_unicode
 from oysterbench.core.trajectory import ReadOptions, Trajectory, write_tum
 from oysterbench.core.trajectory.frames import with_scale
 from oysterbench.evaluate.slam.inputs import open_pair
@@ -291,10 +292,9 @@ def score_files(
     """Score one trajectory file against another; the options say what the files leave open."""
     pair = open_pair(_true_poses(truth, truth_options), estimate, settings, truth_options, estimate_options)
     result = score(*pair, settings)
-    about = about_sequence("slam", None, truth.name, truth_digest(pair[0]), settings.as_dict(), EVALUATOR)
-    record = ResultRecord(
-        **about, method=estimate.name, metrics=result.metrics, reasons=result.reasons, notes=result.notes
-    )
+    given, answered = as_unicode(truth.name), as_unicode(estimate.name)
+    about = about_sequence("slam", None, given, truth_digest(pair[0]), settings.as_dict(), EVALUATOR)
+    record = ResultRecord(**about, method=answered, metrics=result.metrics, reasons=result.reasons, notes=result.notes)
     return SlamRun(record, result, [])
 
 

@@ -156,3 +156,18 @@ def test_without_ground_truth_a_method_that_never_initialised_is_told_of_and_lea
     health = (tmp_path / "out" / "dive-reads.health.csv").read_text().splitlines()
     assert len(health) == 1 + len({*SAMPLES, *FRAMES})
     assert (tmp_path / "out" / "dive-reads.tum").is_file()
+
+
+def test_folders_whose_names_are_not_utf_8_are_run_on_and_written_to(folder, tmp_path):
+    odd = os.fsdecode(b"l\xe4t")
+    folder.write("state_groundtruth_estimate0/data.csv", TRUTH)
+    place, out = tmp_path / odd / os.fsdecode(b"\xe4"), tmp_path / odd / "out"
+    place.parent.mkdir()
+    folder.path.rename(place)
+    write_answer(tmp_path / odd)
+    line = command(tmp_path / odd, "copies", tmp_path / odd / "answer.tum", "euroc")
+    done = run_here("run", "mine", "--command", line, "--on", place, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert "l?t" in (out / "report.html").read_text(encoding="utf-8")
+    compared = run_here("compare", out)
+    assert compared.returncode == 0, compared.stderr

@@ -1,0 +1,37 @@
+"""Sources of a tree: addresses and proxies that cannot be used are refused in one line."""
+
+from __future__ import annotations
+
+import pytest
+
+from oysterbench.core.errors import HubError
+from oysterbench.hub.pool import open_pool
+from oysterbench.hub.sources import Patience, open_source
+from oysterbench_leaderboard.submissions.client import Client
+
+
+@pytest.mark.parametrize(
+    "address", ["http://[::1", "http://", "https://host:port/tree", "http://host:0", "http://[x]/"]
+)
+def test_an_address_without_a_host_is_refused(address):
+    with pytest.raises(HubError, match=r"expected the address of a hub, such as http://HOST:8000"):
+        open_source(address)
+    with pytest.raises(HubError, match="--to: expected the address of a leaderboard"):
+        Client(address)
+
+
+@pytest.mark.parametrize("proxy", ["127.0.0.1:3128", "http://127.0.0.1:3128", "user:word@127.0.0.1:3128"])
+def test_a_proxy_is_taken_with_and_without_a_scheme(proxy, monkeypatch):
+    monkeypatch.setenv("http_proxy", proxy)
+    monkeypatch.delenv("no_proxy", raising=False)
+    pool = open_pool("http://hub.example/tree", 1, Patience())
+    assert (pool.proxy.scheme, pool.proxy.host, pool.proxy.port) == ("http", "127.0.0.1", 3128)
+
+
+@pytest.mark.parametrize("proxy", ["socks5://user:word@127.0.0.1:1080", "http://user:word@[::1", "user:word@host:port"])
+def test_a_proxy_that_cannot_be_used_is_named_by_its_variable_without_its_password(proxy, monkeypatch):
+    monkeypatch.setenv("https_proxy", proxy)
+    monkeypatch.delenv("no_proxy", raising=False)
+    with pytest.raises(HubError, match=r"^https_proxy: expected the address of an HTTP proxy, such as ") as refused:
+        open_pool("https://hub.example", 1, Patience())
+    assert "word" not in str(refused.value)
