@@ -6,9 +6,10 @@ import errno
 import os
 from pathlib import Path
 
-from oysterbench.core.files import home
+from oysterbench.core.files import home, home_problem
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
+NO_FOLDER = (errno.EEXIST, errno.ENOTDIR, errno.ENOENT)
 FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 
@@ -27,6 +28,8 @@ def told(error: OSError) -> str:
 def _next_step(number: int | None, path: Path | None) -> str:
     at_home = path is not None and path.is_relative_to(home())
     where = "another home folder (OYSTERBENCH_HOME)" if at_home else "another place"
+    if at_home and number in NO_FOLDER and (problem := home_problem()):
+        return f"; {problem}: let OYSTERBENCH_HOME name a folder"
     if number in FULL:
         return f"; make room there or choose {where}, and run the same command again"
     if number not in FORBIDDEN or path is None:

@@ -23,6 +23,15 @@ def home() -> Path:
     return Path(platformdirs.user_data_dir("oysterbench"))
 
 
+def home_problem() -> str:
+    """Why the home folder cannot be made or used as a folder; empty where it can."""
+    folder = home()
+    there = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
+    if there.is_dir():
+        return ""
+    return f"{there} is a {'file' if there.exists() else 'link to something that is not there'}"
+
+
 MODELS = "OYSTERBENCH_MODELS"
 SCRATCH = "oysterbench-run-"
 """Prefix of temporary folders; those whose process was killed are removed later."""

@@ -154,6 +154,12 @@ def read_index(data: bytes, public: str, what: str) -> Index:
     document = decode(data, SignedIndex, what)
     signed = document.signed_bytes
     if not any(is_signed(public, signed, one.signature) for one in document.signatures):
+        if any(one.key == public for one in document.signatures):
+            raise IntegrityError(
+                f"{what}: not signed with the key {public[:16]}… that it names and that is trusted here: the signature "
+                "is wrong, so it was altered on the way, at the mirror or since; nothing of it was used: use another "
+                "mirror, or tell the hub's owner"
+            )
         raise IntegrityError(
             f"{what}: not signed with the key {public[:16]}… that is trusted here (it names "
             f"{', '.join(one.key[:16] + '…' for one in document.signatures) or 'no key'}); nothing of it was used: ask "

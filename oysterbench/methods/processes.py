@@ -236,7 +236,8 @@ def _ended(report: dict[str, Any], limit_s: float, folder: Path) -> Ended:
     elif report["status"]:
         failure, killed = f"exit status {report['status']}", report["status"] == KILLED_STATUS
     if killed:
-        failure = f"{failure} (out of memory?)"
+        cause = "out of memory?" if report["short"] else "by itself or from outside: memory was not short"
+        failure = f"{failure} ({cause})"
     if failure is not None and (last := tail(folder / STDERR) or tail(folder / STDOUT)):
         failure = f"{failure}; last output: {last}"
         if any(os.strerror(denied) in last for denied in (errno.EACCES, errno.EROFS)):

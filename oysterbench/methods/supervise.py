@@ -14,6 +14,8 @@ wall_s, cpu_s:  wall time of the command; user and system CPU time of all its de
 peak_bytes:     the larger of two resident sizes: the peak of any single process, as recorded by the kernel, and the
                 peak of all processes together, sampled every LOOK_S
 left_behind:    number of processes that were still running when the command had ended
+short:          whether the kernel killed a process of this machine for lack of memory in the meantime, or the command
+                used most of the memory
 error:          why the command could not be started; null if it was
 """
 
@@ -34,6 +36,8 @@ WATCHED = {signal.SIGCHLD, signal.SIGTERM}
 CHANGED_BY_PYTHON = {signal.SIGPIPE, signal.SIGXFSZ}
 """Signals that Python ignores, reset to their defaults for the command."""
 PAGE = os.sysconf("SC_PAGE_SIZE")
+MOST_MEMORY = 0.5
+"""Share of the memory from which on a command may have been killed for lack of it."""
 
 
 def descendants() -> dict[int, int]:
@@ -57,6 +61,21 @@ def descendants() -> dict[int, int]:
     return {pid: resident[pid] for pid in found}
 
 
+def oom_kills() -> int:
+    """Number of processes that the kernel has killed for lack of memory since it started; 0 where it does not say."""
+    with contextlib.suppress(OSError), open("/proc/vmstat") as file:
+        return sum(int(line.split()[1]) for line in file if line.startswith("oom_kill "))
+    return 0
+
+
+def memory_bytes() -> int:
+    """Memory of this machine or, where that is less, of the control group."""
+    found = os.sysconf("SC_PHYS_PAGES") * PAGE
+    with contextlib.suppress(OSError, ValueError), open("/sys/fs/cgroup/memory.max") as file:
+        found = min(found, int(file.read()))
+    return found
+
+
 class Supervisor:
     """Supervisor of one command."""
 
@@ -67,7 +86,7 @@ class Supervisor:
 
     def run(self, command: list[str], limit_s: float) -> dict[str, object]:
         """Run the command, and return the content of REPORT."""
-        start = time.monotonic()
+        start, kills = time.monotonic(), oom_kills()
         try:
             pid = os.posix_spawnp(command[0], command, os.environ, setsigmask=(), setsigdef=CHANGED_BY_PYTHON)
         except OSError as error:
@@ -93,6 +112,7 @@ class Supervisor:
             "wall_s": wall_s,
             "cpu_s": self.cpu_s,
             "peak_bytes": self.peak_bytes,
+            "short": oom_kills() > kills or self.peak_bytes >= MOST_MEMORY * memory_bytes(),
             "left_behind": 0 if timed_out or stopped else left_behind,
             "error": None,
         }

@@ -88,6 +88,18 @@ def test_a_place_that_cannot_be_written_to_is_named_and_not_what_was_to_be_in_it
     )
 
 
+@pytest.mark.parametrize("what", ["file", "link to something that is not there"])
+def test_a_home_that_is_no_folder_is_named_with_the_variable_that_names_it(what, tmp_path, monkeypatch):
+    place = tmp_path / "home"
+    place.touch() if what == "file" else place.symlink_to(tmp_path / "absent")
+    monkeypatch.setenv("OYSTERBENCH_HOME", str(place))
+    done = CliRunner().invoke(main, ["render", "slam-mini"])
+    assert done.exit_code == 1
+    assert done.stderr.endswith(f"; {place} is a {what}: let OYSTERBENCH_HOME name a folder\n"), done.stderr
+    done = CliRunner().invoke(main, ["doctor"])
+    assert f"broken: home: {place} is a {what}\n" in done.stderr
+
+
 @pytest.mark.parametrize(
     "words",
     [("info", "nosuch"), ("view", "nosuch"), ("render", "nosuch"), ("splits", "nosuch"), ("download", "unet")],

@@ -47,8 +47,10 @@ def test_a_hostile_mirror_cannot_swap_a_manifest(published, tmp_path):
     document = json.loads((published.tree / "index.json").read_bytes())
     document["signed"]["splits"][0]["manifest"] = other.sha256
     (evil / "index.json").write_text(json.dumps(document))
-    with pytest.raises(IntegrityError, match="not signed with the key"):
+    with pytest.raises(IntegrityError, match="not signed with the key") as refused:
         hub_at(published, evil).manifest("fake-val")
+    assert str(refused.value).count(published.public[:16]) == 1
+    assert "the signature is wrong, so it was altered on the way, at the mirror or since" in str(refused.value)
     # 3. the good index as it is, and another manifest under the good one's name
     shutil.copy(published.tree / "index.json", evil / "index.json")
     (evil / "manifests" / f"{published.manifest.sha256}.json").write_bytes(other.data)

@@ -55,6 +55,24 @@ def test_a_report_is_not_forged_by_the_command(tmp_path):
     assert len(json.loads((tmp_path / "stdout.txt").read_text().replace("'", '"'))) == 4, "its streams and the listing"
 
 
+@pytest.mark.parametrize(
+    ("kills", "memory", "why"),
+    [
+        ([4, 4], 2**60, "by itself or from outside: memory was not short"),
+        ([4, 5], 2**60, "out of memory?"),
+        ([4, 4], 2**20, "out of memory?"),
+    ],
+)
+def test_only_a_kill_while_memory_was_short_is_put_down_to_that(kills, memory, why, tmp_path, monkeypatch):
+    known = f"oom_kills, memory_bytes = iter({kills}).__next__, lambda: {memory}"
+    source = processes.SUPERVISOR.read_text().replace("if __name__", f"{known}\n\nif __name__")
+    (tmp_path / "supervise.py").write_text(source)
+    monkeypatch.setattr(processes, "SUPERVISOR", tmp_path / "supervise.py")
+    with pytest.raises(MachineError) as killed:
+        run(tmp_path / "work", "import os; os.kill(os.getpid(), 9)")
+    assert str(killed.value) == f"killed by SIGKILL ({why})"
+
+
 @hides
 def test_a_contained_command_cannot_change_the_code_that_contains_the_next(tmp_path):
     places = [processes.__file__, Path(sys.prefix) / "new", Path.home() / "new", tmp_path / "results" / "new"]

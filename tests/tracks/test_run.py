@@ -256,8 +256,8 @@ def test_a_program_that_the_machine_killed_is_not_scored_and_runs_again(run, ans
     (done,) = run(mine)
     assert done.scored is None
     assert done.failure == (
-        "method 'mine' on hand-made: killed by SIGKILL (out of memory?); the run is not counted, and the same command "
-        "runs it again"
+        "method 'mine' on hand-made: killed by SIGKILL (by itself or from outside: memory was not short); the run is "
+        "not counted, and the same command runs it again"
     )
     (done,) = run(mine)
     assert done.scored.record.failure is None
@@ -267,7 +267,7 @@ def test_a_program_that_the_machine_killed_is_not_scored_and_runs_again(run, ans
 def test_a_shell_tells_that_what_it_ran_was_killed(run, answer, tmp_path):
     (done,) = run(ExternalCommand(command(tmp_path, "killed_in_a_shell", answer), "mine"))
     assert done.scored is None
-    assert "exit status 137 (out of memory?); the run is not counted" in done.failure
+    assert "exit status 137 (by itself or from outside: memory was not short); the run is not counted" in done.failure
 
 
 def test_a_full_disk_ends_all_and_is_no_failure_of_the_method(run, answer, tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from oysterbench.core.errors import OysterbenchError
-from oysterbench.core.files import MODELS, free_bytes, home, models
+from oysterbench.core.files import MODELS, free_bytes, home, home_problem, models
 from oysterbench.core.names import counted, did_you_mean, nearest
 from oysterbench.notebook.doctor.finding import Finding, broken_by, in_bytes
 
@@ -37,10 +37,10 @@ def _checked(section: str, name: str, look: Callable[..., Iterator[Finding]], *o
 def _home() -> Iterator[Finding]:
     folder = home()
     named = f"{folder} ({HOME})" if os.environ.get(HOME) else f"{folder} (the default; {HOME} names another)"
-    there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-    if not there.is_dir():
-        yield Finding("data", "home", "broken", f"{there} is a file", f"let {HOME} name a folder")
+    if problem := home_problem():
+        yield Finding("data", "home", "broken", problem, f"let {HOME} name a folder")
         return
+    there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
     try:
         with tempfile.TemporaryFile(dir=there):
             pass
