@@ -111,6 +111,7 @@ def build_command(context: click.Context, target: Path, folder: Path | None, url
     """
     import sys
 
+    from oysterbench.core.files import closed_to_others
     from oysterbench_leaderboard.site.export import export
     from oysterbench_leaderboard.site.running import site_of
 
@@ -123,6 +124,8 @@ def build_command(context: click.Context, target: Path, folder: Path | None, url
     except OSError as error:
         raise ResultError(f"{target}: cannot be written: {error.strerror or error}") from None
     message(f"{target}: {count} files; open {target / 'index.html'}")
+    if closed := closed_to_others(target, target / "index.html"):
+        message(closed)
 
 
 @click.command("frames", short_help="Render the preview image of each data set.")

@@ -13,6 +13,7 @@ from itertools import permutations
 from pathlib import Path
 
 from oysterbench.core.errors import ResultError
+from oysterbench.core.files import umask
 from oysterbench.hub.canonical import canonical
 from oysterbench_leaderboard.board import BoardInfo, Query
 from oysterbench_leaderboard.site import render
@@ -62,7 +63,7 @@ def export(site: Site, folder: str | os.PathLike[str], progress: Progress = lamb
         for name, data in files(site, progress):
             _write(temporary / name, data, target / name)
             count += 1
-        temporary.chmod(0o755)
+        temporary.chmod(0o777 & ~umask())
         _swap(temporary, target)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

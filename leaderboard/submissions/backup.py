@@ -180,7 +180,7 @@ def _extract(archive: tarfile.TarFile, entry: tarfile.TarInfo, target: Path, sec
     """Extract a file. Raises ValueError where its name is a SHA-256 that does not match its bytes."""
     found = sha256()
     source = archive.extractfile(entry)
-    with appearing(target, mode=0o600 if secret else 0o644) as output:
+    with appearing(target, mode=0o600 if secret else 0o666) as output:
         while chunk := source.read(1 << 20) if source else b"":
             found.update(chunk)
             output.write(chunk)

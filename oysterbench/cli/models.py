@@ -64,6 +64,7 @@ def publish_model(
     Weights of another kind, weights from an unfinished training, and results of other weights are refused: each result
     names its weights by their hash.
     """
+    from oysterbench.core.files import closed_to_others
     from oysterbench.hub.manifest import VERSION_NAME
     from oysterbench.hub.publish_model import build_model, describe_weights
     from oysterbench.hub.publish_model import publish_model as release
@@ -90,6 +91,8 @@ def publish_model(
         return
     message(f"{model.name} {model.version}: {model.file.size / 1e6:.1f} MB, {len(figures)} figures, in {tree}")
     message(f"public key: {public_hex(key)}")
+    if closed := closed_to_others(tree, tree / "index.json"):
+        message(closed)
     echo(model.sha256)
 
 

@@ -78,6 +78,7 @@ def publish(
     if hidden != (truth_out is not None):
         raise click.UsageError("--hidden and --truth-out belong together: expected both or none")
 
+    from oysterbench.core.files import closed_to_others
     from oysterbench.hub.publish import check_made_by, publish
     from oysterbench.hub.sign import load_key, public_hex
     from oysterbench.recipe import load_split
@@ -105,6 +106,8 @@ def publish(
     if manifest.commitment:
         message(f"commitment: {manifest.commitment}")
     message(f"public key: {public_hex(key)}")
+    if closed := closed_to_others(tree, tree / "index.json"):
+        message(closed)
     echo(manifest.sha256)
 
 

@@ -57,10 +57,32 @@ def leads_out(name: str) -> bool:
     return os.path.isabs(name) or os.path.normpath(name).split(os.sep)[0] == os.pardir
 
 
+def umask() -> int:
+    """Permissions that new files do not get. Temporary files do not follow it by themselves."""
+    try:
+        with open("/proc/self/status") as file:
+            return next(int(line.split()[1], 8) for line in file if line.startswith("Umask:"))
+    except (OSError, StopIteration):  # not Linux: the only other way changes it for a moment, for all threads
+        found = os.umask(0o077)
+        os.umask(found)
+        return found
+
+
+def closed_to_others(*paths: Path) -> str:
+    """What to tell whoever made a tree for a web server, if other users cannot read these paths of it; else empty."""
+    if all(path.stat().st_mode & 0o005 == (0o005 if path.is_dir() else 0o004) for path in paths):
+        return ""
+    return (
+        f"{paths[0]}: other users cannot read all of it (umask {umask():03o}), a web server of another user neither: "
+        f"`chmod -R a+rX {paths[0]}`"
+    )
+
+
 @contextlib.contextmanager
-def appearing(path: str | os.PathLike[str], prefix: str | None = None, mode: int = 0o644) -> Iterator[IO[bytes]]:
+def appearing(path: str | os.PathLike[str], prefix: str | None = None, mode: int = 0o666) -> Iterator[IO[bytes]]:
     """Yield a file to write, which appears under its name, synced, when the block succeeds, and leaves nothing behind
-    when it fails. prefix: of its temporary name until then; mode: its permissions after that."""
+    when it fails. prefix: of its temporary name until then; mode: its permissions after that, as far as the umask
+    leaves them."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     prefix = prefix or f".{path.name}."
@@ -71,7 +93,7 @@ def appearing(path: str | os.PathLike[str], prefix: str | None = None, mode: int
             yield file
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, mode)
+        os.chmod(temporary, mode & ~umask())
         os.replace(temporary, path)
     except BaseException:
         os.unlink(temporary)

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from oysterbench.core.errors import OysterbenchError
+from oysterbench.core.files import umask
 
 LEAST_HZ = 4.0
 """Minimum frame rate at which overlays are shown: one frame per second is too slow to watch."""
@@ -34,7 +35,7 @@ def write_film(path: Path, frames: Sequence[Path], rate_hz: float) -> None:
     os.close(handle)
     try:
         _encode(temporary, frames, rate_hz)
-        os.chmod(temporary, 0o644)
+        os.chmod(temporary, 0o666 & ~umask())
         os.replace(temporary, path)
     except BaseException:
         os.unlink(temporary)

@@ -28,7 +28,7 @@ class Draft:
     def __init__(self, part: Path, entry: Pieced) -> None:
         self._entry = entry
         self._path = part.with_name(f"{part.name}.{secrets.token_hex(4)}.draft")
-        self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
         self._on_disk = True
         self._buffer = memoryview(bytearray(min(entry.piece_size, entry.size)))
         self._view = self._buffer[:0]

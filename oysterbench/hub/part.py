@@ -25,7 +25,7 @@ class Part:
         self.path, self.entry = path, entry
         self._writing = threading.Lock()  # the system allows only one write at a time anyway, and waits less well
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         if os.fstat(self._file).st_size != entry.size:
             os.ftruncate(self._file, entry.size)
 

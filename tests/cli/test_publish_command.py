@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import pytest
 
@@ -43,3 +44,17 @@ def test_a_hidden_recipe_is_never_published_with_its_truth(place, tmp_path):
     assert not (tmp_path / "hub").exists()
     failed = place.run("download", recipe, code=1, home=tmp_path / "home")
     assert "cannot be rendered without its salt" in failed.stderr
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o077])
+def test_a_tree_that_a_web_server_of_another_user_cannot_read_is_told_of(place, tmp_path, mask):
+    before = os.umask(mask)
+    try:
+        words = ("publish", place.recipe, tmp_path / "hub", "--key", place.folder / "key.pem", "--data", place.data)
+        done = place.run(*words)
+    finally:
+        os.umask(before)
+    files = [path for path in (tmp_path / "hub").rglob("*") if path.is_file()]
+    assert {path.stat().st_mode & 0o777 for path in files} == {0o666 & ~mask}
+    line = f"{tmp_path}/hub: other users cannot read all of it (umask 077), a web server of another user neither: "
+    assert (line in done.stderr) == (mask == 0o077)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from oysterbench.core.files import appearing, appearing_folder, locked, scratch
+from oysterbench.core.files import appearing, appearing_folder, closed_to_others, locked, scratch, umask
 
 
 def test_a_folder_appears_when_it_is_whole(tmp_path):
@@ -24,6 +24,20 @@ def test_a_folder_appears_when_it_is_whole(tmp_path):
         assert not (tmp_path / "deep" / "out").exists()
     assert sorted(path.name for path in (tmp_path / "deep" / "out").iterdir()) == ["one", "sub"]
     assert [path.name for path in (tmp_path / "deep").iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("mask", [0o000, 0o002, 0o022, 0o027, 0o077])
+def test_files_follow_the_umask(tmp_path, mask):
+    before = os.umask(mask)
+    try:
+        for name, mode in (("open", 0o666), ("private", 0o600)):
+            with appearing(tmp_path / name, mode=mode) as file:
+                file.write(b"1")
+            assert (tmp_path / name).stat().st_mode & 0o777 == mode & ~mask
+        assert umask() == mask
+        assert bool(closed_to_others(tmp_path / "open")) == bool(mask & 0o004)
+    finally:
+        os.umask(before)
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])

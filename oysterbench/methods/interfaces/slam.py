@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError, OysterbenchError, TrajectoryError
-from oysterbench.core.files import link
+from oysterbench.core.files import link, umask
 from oysterbench.core.geometry import Array, transform
 from oysterbench.core.trajectory import Trajectory, read_times, read_trajectory, write_npz
 from oysterbench.methods.health import HEALTH, health_notes, read_health, write_health
@@ -253,7 +253,7 @@ def _write_measurements(path: Path, out: Path) -> None:
     try:
         with os.fdopen(handle, "wb") as file:
             cut_public(path, file)
-        os.chmod(temporary, 0o644)
+        os.chmod(temporary, 0o666 & ~umask())
         os.replace(temporary, out)
     except BaseException:
         os.unlink(temporary)
@@ -268,7 +268,7 @@ def _link_measurements(path: Path, out: Path) -> None:
             place = temporary / "mav0" / sensor.name
             # Where a link leads nowhere, the file is missing, and whoever reads it is told so.
             shutil.copytree(sensor, place, copy_function=link, ignore_dangling_symlinks=True)
-        temporary.chmod(0o755)
+        temporary.chmod(0o777 & ~umask())
         os.replace(temporary, out)
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
