@@ -53,6 +53,16 @@ def test_a_board_keeps_rank_score_and_record_whole_in_80_columns():
     assert any(line.startswith("Left out at this width: team, ") for line in found)
 
 
+def test_a_board_keeps_ranks_names_and_scores_whole_in_40_columns():
+    found = lines("leaderboard", "--split", "slam-val", "--rows", "3", COLUMNS="40")
+    wide = [line.split() for line in lines("leaderboard", "--split", "slam-val", "--rows", "3")]
+    row = next(line.split() for line in found if " dead_reckoning " in line)
+    whole = next(words for words in wide if "dead_reckoning" in words)
+    assert row == [whole[0], whole[1], whole[3]]
+    assert max(map(len, found)) <= 40
+    assert "Left out at this width: team, 95% interval, cover %, " in " ".join(found)
+
+
 def test_every_file_that_is_named_gets_the_folders_that_are_not_there(trajectories, tmp_path):
     truth, estimate = map(str, trajectories)
     files = {form: tmp_path / form / "new" / f"r.{form}" for form in ("csv", "tex", "md")}

@@ -24,13 +24,17 @@ STYLES = {"best": "bold green", "warn": "red"}
 
 def terminal_table(table: Table, colour: bool = True, titled: bool = True, width: int = UNBOUNDED) -> RichTable:
     """Render a table for rich, with its notes below it. width: of the terminal, in characters; if it is too small,
-    `wide` columns are left out, the last of them first, and named below."""
+    `wide` columns are left out and then, if it is too small for names broken into lines, all but the first ones up to
+    the first by which rows are judged; in both cases the last of them first. They are named below."""
     shown = [i for i, _ in table.shown]
-    left_out: list[str] = []
     for i in reversed([i for i in shown if table.columns[i].wide]):
         if sum(min(_width(table, k), PROSE + SPACE) for k in shown) > width:
             shown.remove(i)
-            left_out.insert(0, " ".join(_heading(table.columns[i]).split()))
+    judged = next((i for i in shown if table.columns[i].better), table.heads)
+    for i in reversed([i for i in shown if i > judged >= 0]):
+        if sum(_least_width(table, k) for k in shown) > width:
+            shown.remove(i)
+    left_out = [" ".join(_heading(column).split()) for i, column in table.shown if i not in shown]
     notes = [*table.notes, *([f"Left out at this width: {', '.join(left_out)}."] if left_out else [])]
     from rich.box import SIMPLE_HEAD
     from rich.table import Table as RichTable
@@ -56,7 +60,7 @@ def terminal_table(table: Table, colour: bool = True, titled: bool = True, width
         if column.number:
             made.add_column(_heading(column), justify="right", no_wrap=True)
         else:
-            made.add_column(_heading(column), overflow="fold", min_width=min(LEAST_NAME, _width(table, i) - SPACE))
+            made.add_column(_heading(column), overflow="fold", min_width=_least_width(table, i) - SPACE)
     means = [row.kind == "mean" for row in table.rows]
     ends = [not before and after for before, after in pairwise([*means, False])]
     for row, texts, end in zip(table.rows, table.texts, ends, strict=True):
@@ -71,6 +75,12 @@ def _width(table: Table, i: int) -> int:
 
     lines = [*_heading(table.columns[i]).split("\n"), *(row[i] for row in table.texts)]
     return max(map(cell_len, lines)) + SPACE
+
+
+def _least_width(table: Table, i: int) -> int:
+    """Width in characters that a column needs: all of it for numbers, for text that of a name broken into lines."""
+    width = _width(table, i)
+    return width if table.columns[i].number else min(width, LEAST_NAME + SPACE)
 
 
 def _heading(column: Column) -> str:
