@@ -66,11 +66,11 @@ def _filled_script(script: str, values: Mapping[str, str]) -> str:
                 f"{{{key}}} is in a shell within a shell: write sh -c '... \"$1\"' sh {{{key}}} in the outer one"
             )
     quotes, found = Quotes(), ""
-    for literal, key, form, conversion in Formatter().parse(script):
+    for literal, name, form, conversion in Formatter().parse(script):
         quotes.read(literal)
         found += literal
-        if key is not None:
-            field = f"{{{key}{f'!{conversion}' if conversion else ''}{f':{form}' if form else ''}}}"
+        if name is not None:
+            field = f"{{{name}{f'!{conversion}' if conversion else ''}{f':{form}' if form else ''}}}"
             found += quotes.quoted(field, field.format(**values))
     return found
 

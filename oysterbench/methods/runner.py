@@ -71,8 +71,8 @@ def run_jobs(
                 yield job, known
         if kept:
             announce(
-                f"{root}: {len(kept)} of {len(jobs)} runs are of an earlier command, the last of {max(kept)}, and are "
-                "not run again; `oysterbench run` with --again reruns them"
+                f"{root}: kept {len(kept)} of {len(jobs)} runs from an earlier command, the last of {max(kept)}, "
+                "without running them again; `oysterbench run` with --again reruns them"
             )
         _check(todo)
         if todo and scheduler is not None:

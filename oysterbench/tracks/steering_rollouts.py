@@ -131,8 +131,8 @@ def run_rollouts(
     todo = [job for job in jobs if job not in found]
     if found:
         announce(
-            f"{folder}: {len(found)} of {len(jobs)} rollouts are of an earlier command and are not repeated; --again "
-            "repeats them"
+            f"{folder}: kept {len(found)} of {len(jobs)} rollouts from an earlier command, without repeating them; "
+            "--again repeats them"
         )
     progress(len(found), len(jobs))
     with contextlib.closing(_results(plan, todo, workers)) as results:
