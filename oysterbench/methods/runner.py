@@ -72,7 +72,7 @@ def run_jobs(
         if kept:
             announce(
                 f"{root}: kept {len(kept)} of {len(jobs)} runs from an earlier command, the last of {max(kept)}, "
-                "without running them again; `oysterbench run` with --again reruns them"
+                "and did not run them again; `oysterbench run` with --again reruns them"
             )
         _check(todo)
         if todo and scheduler is not None:

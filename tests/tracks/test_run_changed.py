@@ -106,7 +106,7 @@ def test_a_program_in_a_shell_that_changed_is_refused_and_one_that_did_not_is_to
         assert (done.failure, done.outcome.earlier) == (None, bool(k))
     (told,) = (text for text in said if "earlier" in text)
     assert "out: kept 1 of 1 runs from an earlier command, the last of 20" in told
-    assert "without running them again; `oysterbench run` with --again reruns them" in told
+    assert "and did not run them again; `oysterbench run` with --again reruns them" in told
     program.write_text("#!/bin/sh\nexit 5\n")
     with pytest.raises(MethodError, match=r"has run 1 of another mine \(my_slam changed\)"):
         run(folder, tmp_path, ExternalCommand(line, "mine"))
