@@ -82,8 +82,12 @@ def closed_to_others(*paths: Path) -> str:
 def appearing(path: str | os.PathLike[str], prefix: str | None = None, mode: int = 0o666) -> Iterator[IO[bytes]]:
     """Yield a file to write, which appears under its name, synced, when the block succeeds, and leaves nothing behind
     when it fails. prefix: of its temporary name until then; mode: its permissions after that, as far as the umask
-    leaves them."""
+    leaves them. A device or a pipe is written to as it is: a file in the place of /dev/null would break the machine."""
     path = Path(path)
+    if path.exists() and not path.is_file() and not path.is_dir():
+        with naming(path), open(path, "wb") as file:
+            yield file
+        return
     path.parent.mkdir(parents=True, exist_ok=True)
     prefix = prefix or f".{path.name}."
     with naming(path, path.parent / prefix):

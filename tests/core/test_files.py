@@ -10,11 +10,20 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from oysterbench.core.files import appearing, appearing_folder, closed_to_others, locked, scratch, umask
+from oysterbench.core.files import (
+    appearing,
+    appearing_folder,
+    closed_to_others,
+    locked,
+    scratch,
+    umask,
+    write_atomically,
+)
 
 
 def test_a_folder_appears_when_it_is_whole(tmp_path):
@@ -50,6 +59,17 @@ def test_what_fails_or_is_interrupted_leaves_nothing(tmp_path, error):
     with pytest.raises(error):
         fill()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_pipe_or_device_is_written_to_and_not_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with ThreadPoolExecutor(1) as pool:
+        read = pool.submit(pipe.read_bytes)
+        write_atomically(pipe, b"all of it")
+        assert read.result(timeout=10) == b"all of it"
+    assert pipe.is_fifo()
+    assert list(tmp_path.iterdir()) == [pipe]
 
 
 def test_an_empty_folder_is_filled_and_another_is_left_as_it_is(tmp_path):
