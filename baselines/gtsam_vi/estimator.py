@@ -224,9 +224,8 @@ class Estimator:
         if start is None:
             return
         self.window = start.window
-        self.info |= {
-            "init_s": self.info.get("init_s", (last.stamp_ns - self.keyframes[0].stamp_ns) * 1e-9)
-        } | start.info
+        now = (last.stamp_ns - self.keyframes[0].stamp_ns) * 1e-9
+        self.info |= start.info | {"init_s": self.info.get("init_s", now)}  # the first start's, also after a loss
         self._recovery.accept(last)
         self._fill_back(start.stretch[0].index)
         if any(frame.covariance is None for frame in self.frames):

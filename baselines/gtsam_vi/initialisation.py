@@ -93,7 +93,7 @@ class Initialiser:
             return None
         self._pause_s = limits.retry_s
         info = {} if is_metric(stretch, self.model.settings) else {"init_scale_sigma": scale_sigma(bundle, stretch)}
-        info |= {"init_error_px": float(np.median(bundle.errors_px)), "init_s": now}
+        info["init_error_px"] = float(np.median(bundle.errors_px))
         if stretch[0].index > whole:
             for keyframe in keyframes[: stretch[0].index]:
                 keyframe.distrust_sight()

@@ -45,7 +45,10 @@ class Recovery:
         """Whether speed or biases are implausible, or what is seen repeatedly fits neither landmarks nor, after a time
         by inertia alone, any point at all."""
         limits, model, state = self._model.settings.recovery, self._model, keyframe.estimate
-        if not np.isfinite(state.matrix).all() or np.linalg.norm(state.nav.velocity()) > limits.max_speed:
+        fastest = limits.max_speed
+        if keyframe.blind:
+            fastest = min(fastest, limits.max_blind_speed * model.usual_speed)
+        if not np.isfinite(state.matrix).all() or np.linalg.norm(state.nav.velocity()) > fastest:
             return True
         gyro = np.abs(state.bias.gyroscope()).max() / model.gyro_turn_on
         accel = np.abs(state.bias.accelerometer()).max() / model.accel_turn_on

@@ -202,6 +202,7 @@ class RecoverySettings:
     """When the estimate has diverged, and what is known of the time until it has recovered."""
 
     max_speed: float = 3.0  # m/s; beyond any vehicle meant here
+    max_blind_speed: float = 4.0  # times the usual speed, while it sees next to nothing
     max_bias_sigmas: float = 8.0  # of the turn-on bias
     max_lost_share: float = 0.7  # of the landmarks seen, farther than max_innovation_px from their prediction
     max_misfits: int = 10  # tracks with parallax that no point explains, in a keyframe that sees hardly any landmark
