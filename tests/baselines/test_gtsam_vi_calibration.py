@@ -29,7 +29,7 @@ from oysterbench_baselines.gtsam_vi.frontend import (
     undistort,
 )
 from oysterbench_baselines.gtsam_vi.preintegration import inertial_factor, preintegration_params
-from oysterbench_baselines.gtsam_vi.settings import NoiseSettings
+from oysterbench_baselines.gtsam_vi.settings import NoiseSettings, RecoverySettings
 from oysterbench_baselines.gtsam_vi.states import Rates, State, coast, insert_state, make_state
 from tests.baselines.test_gtsam_vi import position_error
 from tests.helpers import synthetic_dive as dive
@@ -66,9 +66,16 @@ def miscalibrated(camera: CameraCalibration, rng: np.random.Generator) -> Camera
     )
 
 
-def estimate_late(measured: dive.Dive, camera: CameraCalibration, known: CameraUncertainty | None, late_s: float):
+def estimate_late(
+    measured: dive.Dive,
+    camera: CameraCalibration,
+    known: CameraUncertainty | None,
+    late_s: float,
+    settings: GtsamViSettings | None = None,
+) -> Estimator:
     """An estimator that is given a calibration, and pictures whose stamps are late."""
-    estimator, samples = Estimator([camera], measured.inertial, GtsamViSettings(), uncertainty=known), SampleBuffer()
+    settings = settings or GtsamViSettings()
+    estimator, samples = Estimator([camera], measured.inertial, settings, uncertainty=known), SampleBuffer()
     late = round(late_s * 1e9)
     items = [(item.stamp_ns, 0, item) if isinstance(item, ImuMeasurement) else (item[0] + late, 1, item)
              for item in measured.stream()]  # fmt: skip
@@ -347,3 +354,24 @@ def test_it_does_not_run_away_while_there_is_nothing_to_see():
     assert any(keyframe.blind for keyframe in estimator.keyframes)
     assert "restarts" not in estimator.info  # by the unit alone it is faster than any vehicle after 20 s, and given up
     assert np.linalg.norm(path.positions - path.positions[0], axis=1).max() < 8.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 3])
+def test_what_is_seen_again_and_fits_no_point_ends_the_blindness(seed):
+    """After 12 s by a unit whose biases have moved, triangulation fits nothing until the velocity is found anew."""
+    measured = dive.make_dive(seed, duration_s=30.0, blind=(8.0, 20.0))
+    moved_bias = np.array([0.12, -0.09, 0.0])
+    for k, sample in enumerate(measured.samples):
+        if sample.stamp_ns > dive.START_NS + 8_000_000_000:
+            measured.samples[k] = ImuMeasurement(sample.stamp_ns, sample.gyro, sample.accel + moved_bias)
+
+    def seen_again_s(**recovery):
+        settings = GtsamViSettings(recovery=RecoverySettings(**recovery))
+        estimator = estimate_late(measured, measured.camera, None, 0.0, settings)
+        times_s = [(k.stamp_ns - dive.START_NS) * 1e-9 for k in estimator.keyframes if not k.blind]
+        return min((time for time in times_s if time > 20.0), default=np.inf)
+
+    found = seen_again_s()
+    assert found < 24.0
+    assert found < seen_again_s(max_misfits=10**6) - 1.0
