@@ -225,7 +225,7 @@ class Estimator:
             return
         self.window = start.window
         now = (last.stamp_ns - self.keyframes[0].stamp_ns) * 1e-9
-        self.info |= start.info | {"init_s": self.info.get("init_s", now)}  # the first start's, also after a loss
+        self.info |= start.info | {"init_s" if "init_s" not in self.info else "restarted_s": now}
         self._recovery.accept(last)
         self._fill_back(start.stretch[0].index)
         if any(frame.covariance is None for frame in self.frames):

@@ -10,6 +10,7 @@ import pytest
 
 from oysterbench.core.cluster import run_on_cluster
 from oysterbench.core.errors import OysterbenchError
+from oysterbench.simulation.cost import COSTS
 from oysterbench.simulation.generate import PROGRAM, generate_split, make_part
 from oysterbench.simulation.jobs import Job
 from oysterbench.simulation.salt import Salt
@@ -49,7 +50,7 @@ def test_two_dask_workers_give_the_bytes_of_one_process(tiny_file, tmp_path, vic
     subprocess.run([sys.executable, script, recipe, rig, out, str(victims)], check=True, timeout=300)
     made, wanted = (hashlib.sha256(path.read_bytes()).hexdigest() for path in (out / "tiny-01.mcap", tiny_file))
     assert made == wanted
-    assert sorted(path.name for path in out.iterdir()) == [".lock", "tiny-01.mcap"]
+    assert sorted(path.name for path in out.iterdir()) == [".lock", COSTS, "tiny-01.mcap"]
 
 
 def test_a_scheduler_that_does_not_answer_is_named(tiny_split, tmp_path, monkeypatch):
