@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import shutil
@@ -259,7 +260,7 @@ class ExternalCommand(MethodAdapter):
 
 
 def _is_further(path: Path, weights: Mapping[str, Path]) -> bool:
-    return path.is_file() and path not in weights.values()
+    return os.path.isfile(path) and path not in weights.values()
 
 
 def check_name(name: str) -> str:

@@ -6,6 +6,7 @@ import ast
 import hashlib
 import os
 import sys
+import warnings
 from collections.abc import Iterator
 from functools import cache
 from importlib.util import find_spec
@@ -22,8 +23,7 @@ OWN = "oysterbench"
 def file_digest(path: Path) -> str:
     """SHA-256 of a file, or of the Python files of a package; of a file cached until its size or time changes."""
     if path.is_dir():
-        sources = sorted(each for each in path.rglob("*.py") if each.is_file())
-        digests = [f"{each.relative_to(path)} {file_digest(each)}" for each in sources]
+        digests = [f"{each.relative_to(path)} {file_digest(each)}" for each in sorted(_sources(path))]
         return hashlib.sha256("\n".join(digests).encode(errors="surrogateescape")).hexdigest()
     state = path.stat()
     return _file_digest(path.absolute(), state.st_size, state.st_mtime_ns)
@@ -53,6 +53,8 @@ def code_digests(reference: str) -> dict[str, str]:
     if spec is None or not spec.has_location or not spec.origin:
         return {}
     file = Path(spec.origin).absolute()
+    if not file.is_file():  # in a zip archive, which is known as a whole
+        return {each.name: file_digest(each) for each in file.parents if each.is_file()}
     levels = module.count(".") + (file.stem == "__init__")
     root = file.parents[levels]
     files = _files(root, module) or set(_beside(file))
@@ -67,41 +69,55 @@ def search_here() -> None:
 
 def _beside(file: Path) -> list[Path]:
     """Files of the folder of a package whose name is not that of the folder; the file itself if it is in none."""
-    return list(file.parent.rglob("*.py")) if (file.parent / "__init__.py").is_file() else [file]
+    return list(_sources(file.parent)) if (file.parent / "__init__.py").is_file() else [file]
+
+
+def _sources(package: Path) -> Iterator[Path]:
+    """Python files of a package. Folders that Python cannot import from are not entered: `.ipynb_checkpoints`, and the
+    libraries of a virtual environment. Hidden files and broken links, such as the locks of editors, are left out."""
+    for place, folders, names in os.walk(package):
+        folders[:] = [name for name in folders if name.isidentifier() and name != "__pycache__"]
+        for name in names:
+            if name.endswith(".py") and not name.startswith(".") and os.path.isfile(os.path.join(place, name)):
+                yield Path(place, name)
 
 
 def _files(root: Path, module: str) -> set[Path]:
-    found, waiting = set[Path](), _files_of(root, module)
+    alone = not (root / module.partition(".")[0] / "__init__.py").is_file()  # else its package is all that is asked for
+    found, names, waiting = set[Path](), {module}, [module]
     while waiting:
-        path = waiting.pop()
-        if path in found:
+        place = _place(root, waiting.pop())
+        if place is None or place in found:
             continue
-        found.add(path)
-        if root.name in INSTALLED or (path.parent / "__init__.py").is_file():
-            continue
-        package = path.parent.relative_to(root).parts
-        for name in _imported(path, ".".join(package), path.stat().st_mtime_ns):
-            waiting |= _files_of(root, name) if name.partition(".")[0] != OWN else set()
-    return found
+        files = set(_sources(place)) if place.is_dir() else {place}
+        found |= {place, *files}
+        for path in files if alone and root.name not in INSTALLED else ():
+            package = path.parent.relative_to(root).parts
+            new = _imported(path, ".".join(package), path.stat().st_mtime_ns) - names
+            names |= new
+            waiting += [name for name in new if name.partition(".")[0] != OWN]
+    return {path for path in found if not path.is_dir()}
 
 
-def _files_of(root: Path, module: str) -> set[Path]:
-    """Files of a module in a folder: all of its package, or the one that it is; empty if it is elsewhere."""
+def _place(root: Path, module: str) -> Path | None:
+    """Where a module is in a folder: the folder of its package, or the file that it is; None if it is elsewhere."""
     place = root
     for part in module.split("."):
         file, place = place / f"{part}.py", place / part
         if (place / "__init__.py").is_file():
-            return set(place.rglob("*.py"))
+            return place
         if file.is_file():
-            return {file}
-    return set()
+            return file
+    return None
 
 
 @cache
 def _imported(path: Path, package: str, modified_ns: int) -> frozenset[str]:
     """Names that a file imports, wherever in it, each as if it were a module. package: that relative ones start from"""
     try:
-        tree = ast.parse(path.read_bytes())
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # they are given when it is imported
+            tree = ast.parse(path.read_bytes())
     except (SyntaxError, ValueError):
         return frozenset()
     return frozenset(_names(tree, package.split(".") if package else []))

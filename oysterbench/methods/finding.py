@@ -92,12 +92,13 @@ def _check_mentioned(reference: str, module: str, name: str) -> None:
     """Refuse a class whose name does not occur in its module's source, before importing it: its own imports, such as
     PyTorch, can take seconds. Modules that may get names from elsewhere are left to the import."""
     spec = None if module in sys.modules else find_spec(module)
-    if spec is None or not (spec.origin or "").endswith(".py"):
+    file = Path((spec.origin if spec else None) or "")
+    if file.suffix != ".py" or not file.is_file():  # such as a module in a zip archive
         return
-    source = Path(spec.origin or "").read_text(encoding="utf-8", errors="replace")
+    source = file.read_text(encoding="utf-8", errors="replace")
     if not re.search(rf"\b{re.escape(name)}\b|import \*|__getattr__|globals\(|setattr\(|exec\(", source):
         classes = re.findall(r"^class (\w+)", source, re.MULTILINE)
         meant = did_you_mean(nearest(name, classes))
         raise MethodError(
-            f"method {reference!r}: {spec.origin} has no {name!r}; {meant}its classes: {', '.join(classes) or 'none'}"
+            f"method {reference!r}: {file} has no {name!r}; {meant}its classes: {', '.join(classes) or 'none'}"
         )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from importlib import invalidate_caches
+from zipfile import ZipFile
 
 import pytest
 
@@ -13,7 +15,7 @@ from oysterbench.counting.identity import method_identity
 from oysterbench.exploration import rollout_store
 from oysterbench.methods import runner
 from oysterbench.methods.adapters import PythonMethod
-from oysterbench.methods.code import code_digests
+from oysterbench.methods.code import code_digests, file_digest
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.outcomes import Job, Outcome
 from oysterbench.tracks.slam import SlamSequence
@@ -25,6 +27,7 @@ class Net:
     def run(self, sequence):
         import coded_helper
 """
+BARE = NET.replace("import coded_helper", "return None")
 FILES = {
     "coded.py": NET,
     "coded_helper.py": "from coded_nets import blocks\n",
@@ -126,3 +129,62 @@ def test_counts_and_rollouts_are_not_those_of_changed_code(folder):
     assert identities() == before
     change(folder / "coded_helper.py")
     assert all(now != was for now, was in zip(identities(), before, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("reference", "files"),
+    [
+        (
+            "coded_research:Net",
+            {"coded_research.py", "coded_models/__init__.py", "coded_models/net.py", "coded_utils.py"},
+        ),
+        ("coded_models.net:Net", {"coded_models/__init__.py", "coded_models/net.py"}),
+    ],
+)
+def test_what_a_package_imports_from_beside_it_counts_if_it_is_itself_imported(reference, files, folder):
+    (folder / "coded_research.py").write_text("from coded_models import net\n" + BARE)
+    (folder / "coded_models").mkdir()
+    (folder / "coded_models" / "net.py").write_text("import coded_utils\n" + BARE)
+    for name in ("__init__.py", "coded_models/__init__.py", "coded_utils.py"):  # the first makes the folder no package
+        (folder / name).write_text("")
+    assert set(code_digests(reference)) == files
+
+
+def test_of_a_package_only_what_python_can_import_counts(folder):
+    before = code_digests("coded_package.deep:Net")
+    package = folder / "coded_package"
+    (package / ".#deep.py").symlink_to("someone@host.1234")  # an editor's lock
+    for name in (
+        ".ipynb_checkpoints/deep.py",
+        "venv/lib/python3.11/site-packages/a.py",
+        "__pycache__/a.py",
+        "._deep.py",
+    ):
+        (package / name).parent.mkdir(parents=True, exist_ok=True)
+        (package / name).write_text("")
+    assert code_digests("coded_package.deep:Net") == before
+
+
+def test_a_class_in_a_zip_archive_is_known_by_the_archive(tmp_path, monkeypatch):
+    archive = tmp_path / "coded.zip"
+    monkeypatch.syspath_prepend(archive)
+    with ZipFile(archive, "w") as file:
+        file.writestr("coded_zipped.py", NET)
+    try:
+        assert PythonMethod("coded_zipped:Net").identity["files"] == {"coded.zip": file_digest(archive)}
+    finally:
+        sys.modules.pop("coded_zipped", None)
+
+
+def test_what_an_option_says_may_be_longer_than_a_name_of_a_file(folder):
+    (folder / "coded_said.py").write_text(NET + "    def __init__(self, prompt=''):\n        self.prompt = prompt\n")
+    method = PythonMethod(f"coded_said:Net[prompt={'oyster ' * 50}]")
+    assert "file of prompt" not in method.identity["files"]
+
+
+def test_warnings_of_a_methods_source_are_left_to_its_import(folder):
+    (folder / "coded_warns.py").write_text("import coded_utils\nPATTERN = '\\d'\n" + BARE)
+    (folder / "coded_utils.py").write_text("")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert set(code_digests("coded_warns:Net")) == {"coded_warns.py", "coded_utils.py"}
