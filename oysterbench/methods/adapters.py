@@ -215,7 +215,7 @@ class ExternalCommand(MethodAdapter):
         try:
             filled(self._words, dict.fromkeys(known, ""))
         except ValueError as error:
-            raise MethodError(f"--command {template!r}: {error}, as its value may have blanks or quotes") from None
+            raise MethodError(f"--command {template!r}: {error}") from None
         program = shutil.which(self._words[0])
         if program is None:
             raise MethodError(f"--command {template!r}: no program {self._words[0]!r} that can be executed")

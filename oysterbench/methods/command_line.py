@@ -75,11 +75,21 @@ def _filled_script(script: str, values: Mapping[str, str]) -> str:
     return found
 
 
+UNSAFE = {
+    "`": "in backquotes: write $(...)",
+    "#": "in a comment",
+    "<<": "in a here-document or after one",
+    "$'": "in $'...'",
+}
+"""Places in a shell's commands at which no value is put in."""
+
+
 class Quotes:
     """The quotes that are open at a place of a shell's commands, which are read from left to right."""
 
     def __init__(self) -> None:
-        self._open = [""]  # "" and "(": none; quotes, "`", and "#" and "<<" of comments and here-documents
+        # "" and "(": none; quotes; "`"; "((" of arithmetic; "#" and "<<" of comments and here-documents
+        self._open = [""]
         self._last = "\n"
 
     def read(self, text: str) -> None:
@@ -98,16 +108,24 @@ class Quotes:
         if inside in ("'", "#"):
             if one == ("\n" if inside == "#" else inside):
                 self._open.pop()
+        elif inside == "$'" and one == "'":
+            self._open.pop()
         elif one == "\\":
             return 2  # at the end of the text one more than there is, so that `_last` is empty
         elif (one == inside and one in '"`') or (one == ")" and inside == "("):
             self._open.pop()
-        elif inside == "`":
+        elif inside in ("`", "$'"):
             return 1
-        elif ahead.startswith("$("):
-            self._open.append("(")
+        elif inside == "((" and one == ")":
+            self._open[-1:] = [] if ahead.startswith("))") else ["("]  # the latter were commands in two brackets
+            return 2 if ahead.startswith("))") else 1
+        elif ahead == "$((" or (plain and ahead.startswith("((")):
+            self._open.append("((")
+            return 3 if one == "$" else 2
+        elif ahead.startswith("$(") or (plain and ahead.startswith("$'")):
+            self._open.append("(" if ahead[1] == "(" else "$'")
             return 2
-        elif one in '"`' or (plain and one in "'("):
+        elif one in '"`' or ((plain or inside == "((") and one in "'("):
             self._open.append(one)
         elif plain and one == "#" and (self._last.isspace() or self._last in tuple(SIGNS)):
             self._open.append("#")
@@ -120,9 +138,11 @@ class Quotes:
     def quoted(self, field: str, value: str) -> str:
         """Return a value as it is written here. Raises ValueError where no way to write it is safe."""
         inside = self._open[-1]
-        if not self._last or inside in ("`", "#", "<<"):
-            where = {"`": "backquotes: write $(...)", "#": "a comment", "<<": "a here-document"}.get(inside)
-            raise ValueError(f"{field} is in {where}" if where else f"{field} is after a backslash")
+        if not self._last or inside in UNSAFE:
+            raise ValueError(
+                f"{field} is {UNSAFE.get(inside, 'after a backslash')}, where blanks and quotes in its value would do "
+                f"harm: write sh -c '... \"$1\"' sh {field}"
+            )
         self._last = "x"
         if inside == "'":
             return value.replace("'", "'\"'\"'")
@@ -136,17 +156,24 @@ def files_named(words: Sequence[str]) -> set[Path]:
     other files (also as `--config=FILE`), and modules of `python -m`; a package is named by its folder."""
     folders = [Path()]
     found: set[Path] = set()
-    for depth, command in _commands(list(words)):
+    for depth, command in _commands([word.replace("{{", "{").replace("}}", "}") for word in words]):
+        if depth:  # a shell expands them
+            command = [_expanded(word) for word in command]
         if command[:1] == ["cd"] and len(command) > 1:
-            folders += [each / command[1] for each in folders if (each / command[1]).is_dir()]
+            places = (Path(os.path.normpath(each / command[1])) for each in folders)
+            folders = list(dict.fromkeys([*folders, *(place for place in places if os.path.isdir(place))]))
         named = command if depth else command[1:]  # the first word is looked for in PATH only
         parts = {part for word in named for part in (word, word.partition("=")[2]) if part}
-        if depth:  # a shell expands them
-            parts = {os.path.expandvars(os.path.expanduser(part)) for part in parts}
+        if depth:  # such as --config=~/rig.yaml
+            parts = {_expanded(part) for part in parts}
         paths = {folder / part for folder in folders for part in parts}
         found |= {path for path in paths if os.path.isfile(path)}
         found |= set(_programs(command)) | set(_modules(command, folders))
     return found
+
+
+def _expanded(word: str) -> str:
+    return os.path.expandvars(os.path.expanduser(word))
 
 
 def _commands(words: list[str], depth: int = 0) -> Iterator[tuple[int, list[str]]]:
@@ -197,11 +224,25 @@ def _modules(command: Sequence[str], folders: Sequence[Path]) -> Iterator[Path]:
     given = [word.partition("=")[2] for word in command if word.startswith("PYTHONPATH=")]
     given.append(os.environ.get("PYTHONPATH", ""))
     paths = [Path(each) for text in given for each in text.split(os.pathsep) if each]
-    for i, word in enumerate(command[:-1]):
-        if word == "-m" and any(PYTHON.fullmatch(Path(before).name) for before in command[:i]):
-            name = command[i + 1].partition(".")[0]
-            for folder in dict.fromkeys([*folders, *paths]):
-                if os.path.isfile(folder / f"{name}.py"):
-                    yield folder / f"{name}.py"
-                elif name.isidentifier() and (folder / name).is_dir():
-                    yield folder / name
+    for name in _modules_run(command):
+        for folder in dict.fromkeys([*folders, *paths]):
+            if os.path.isfile(folder / f"{name}.py"):
+                yield folder / f"{name}.py"
+            elif name.isidentifier() and os.path.isdir(folder / name):
+                yield folder / name
+
+
+def _modules_run(command: Sequence[str]) -> Iterator[str]:
+    """Names of modules, or of their packages, that `python -m` runs; -m after a script is an option of that."""
+    for i, word in enumerate(command):
+        if not PYTHON.fullmatch(Path(word).name):
+            continue
+        options = iter(command[i + 1 :])
+        for option in options:
+            if option in ("-W", "-X"):
+                next(options, None)
+            elif option.startswith("-") and option.endswith("m"):  # also -um
+                yield next(options, "").partition(".")[0]
+                break
+            elif not option.startswith("-") or option.endswith("c"):
+                break

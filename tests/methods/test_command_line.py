@@ -27,6 +27,9 @@ ODD = ["/a b", "/it's", '/"x"', "/x;echo hi", "/$(echo hi)`echo hi`", "/back\\sl
         ('printf %s "it\'s $(printf %s "{out}")"', "it's P"),
         ("(printf %s a) # don't\nprintf %s \\'{out}\\\\{out}", "a'P\\P"),
         ("printf %s ${{#}}--config={out}/x", "0--config=P/x"),
+        ("printf %s $((1 << 2)){out}", "4P"),
+        ('printf %s "$(( (1 + 1) * 2 ))$( (printf %s {out}) ){out}"', "4PP"),
+        ("((printf %s 'a)'); printf %s '{out}')", "a)P"),
     ],
 )
 def test_a_placeholder_in_a_shells_commands_is_one_word_whatever_its_value(script, said, path, shell):
@@ -34,6 +37,13 @@ def test_a_placeholder_in_a_shells_commands_is_one_word_whatever_its_value(scrip
     done = subprocess.run(words, capture_output=True, text=True, check=True, env={"PATH": "/usr/bin:/bin"})
     assert done.stdout == said.replace("P", path)
     assert done.stderr == ""
+
+
+@pytest.mark.parametrize("path", ODD)
+def test_quotes_with_escapes_end_where_they_end(path):
+    words = filled(["bash", "-c", "printf %s $'it\\'s '{out}"], {"out": path})
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == (f"it's {path}", "")
 
 
 def test_a_placeholder_elsewhere_is_replaced_as_it_is():
@@ -46,6 +56,8 @@ def test_a_placeholder_elsewhere_is_replaced_as_it_is():
     [
         ("prog `dirname {out}` {mcap}", r"\{out\} is in backquotes: write \$\(\.\.\.\)"),
         ("cat <<E\n{mcap} {out}\nE", r"\{mcap\} is in a here-document"),
+        ("prog {mcap} <<E\nx\nE\nmv x {out}", r"\{out\} is in a here-document or after one, .*: write sh -c '"),
+        ("prog $'{mcap}' {out}", r"\{mcap\} is in \$'\.\.\.'"),
         ("prog \\{mcap} {out}", r"\{mcap\} is after a backslash"),
         ("prog {mcap} # {out}", r"\{out\} is in a comment"),
         ("env A=1 bash -c 'prog {mcap}' {out}", r"\{mcap\} is in a shell within a shell: write sh -c"),
@@ -73,6 +85,8 @@ def work(tmp_path, monkeypatch):
         path.chmod(0o755)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PWD", str(tmp_path))  # as a shell has it
+    monkeypatch.setenv("PLACE", str(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("PATH", f"{tmp_path}/bin:/usr/bin:/bin")
     monkeypatch.delenv("PYTHONPATH", raising=False)
     return tmp_path
@@ -86,8 +100,13 @@ def work(tmp_path, monkeypatch):
         ("bash -c 'A=1 tool --config=cfg.yaml {euroc} {out}'", {"bin/tool", "cfg.yaml"}),
         ("""sh -c 'x="$(cat cfg.txt cfg.yaml)"; tool {euroc} {out} # it isn'"'"'t'""", {"bin/tool", "cfg.yaml"}),
         ("sh -c 'bash -c \"./my\\ prog\" && tool {euroc} {out}'", {"bin/tool", "my prog"}),
+        ("sh -c 'cd $PLACE/build && ./slam {euroc} {out}'", {"build/slam"}),
+        ("sh -c 'cd ~/build && ./slam --config=~/cfg.yaml {euroc} {out}'", {"build/slam", "cfg.yaml"}),
+        ("bash -c '\"${{PLACE}}/build/slam\" {euroc} {out}'", {"build/slam"}),
         ("env X=cfg.yaml nice -n 10 tool {euroc} {out}", {"bin/tool", "cfg.yaml"}),
         ("python3 -u -m modprog {euroc} {out}", {"modprog"}),
+        ("python3 -W ignore -Im modprog {euroc} {out}", {"modprog"}),
+        ("python3 cfg.yaml -m modprog {euroc} {out}", {"cfg.yaml"}),
         ("env PYTHONPATH=lib python3 -m local {euroc} {out}", {"lib/local.py"}),
         (f"sh -c '{'long ' * 100}{'x' * 300}; tool {{euroc}} {{out}}'", {"bin/tool"}),
     ],
@@ -107,6 +126,12 @@ def test_a_changed_file_changes_the_identity_and_is_the_only_one(work):
     (work / "build" / "slam").write_text("#!/bin/sh\nexit 5\n")
     last = program.identity["files"]
     assert {name for name in last if last[name] != after[name]} == {"build/slam"}
+
+
+def test_folders_that_a_shell_changes_to_are_no_burden_however_many_and_whatever_their_names(work):
+    there = "; ".join([f"cd {work}/build; cd ..; cd build; cd .."] * 20)
+    words = ["sh", "-c", f"{there}; cd {'x' * 300}; cd build; ./slam"]
+    assert Path("build/slam") in files_named(words)
 
 
 def test_a_program_given_directly_is_identified_by_its_absolute_path_only(work):
