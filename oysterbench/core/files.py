@@ -78,14 +78,21 @@ def closed_to_others(*paths: Path) -> str:
     )
 
 
+def _is_of_system(path: Path) -> bool:
+    if path.exists() and not path.is_file() and not path.is_dir():
+        return True
+    return path.is_symlink() and Path(os.path.realpath(path.parent)).parts[1:2] in (("dev",), ("proc",))
+
+
 @contextlib.contextmanager
 def appearing(path: str | os.PathLike[str], prefix: str | None = None, mode: int = 0o666) -> Iterator[IO[bytes]]:
     """Yield a file to write, which appears under its name, synced, when the block succeeds, and leaves nothing behind
     when it fails. prefix: of its temporary name until then; mode: its permissions after that, as far as the umask
-    leaves them. A device or a pipe is written to as it is: a file in the place of /dev/null would break the machine."""
+    leaves them. A device, a pipe or the system's link to an open file (/dev/stdout) is written to as it is: a file in
+    the place of /dev/null or /dev/stdout would break the machine."""
     path = Path(path)
-    if path.exists() and not path.is_file() and not path.is_dir():
-        with naming(path), open(path, "wb") as file:
+    if _is_of_system(path):
+        with naming(path), open(path, "ab") as file:  # appended to what else goes to an open file
             yield file
         return
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -72,6 +72,15 @@ def test_a_pipe_or_device_is_written_to_and_not_replaced(tmp_path):
     assert list(tmp_path.iterdir()) == [pipe]
 
 
+@pytest.mark.parametrize("folder", ["/dev/fd", "/proc/self/fd"])
+def test_an_open_file_is_written_to_under_the_systems_name_for_it(tmp_path, folder):
+    with open(tmp_path / "all.txt", "wb") as file:
+        file.write(b"first ")
+        file.flush()
+        write_atomically(Path(folder) / str(file.fileno()), b"all of it")
+    assert (tmp_path / "all.txt").read_bytes() == b"first all of it"
+
+
 def test_an_empty_folder_is_filled_and_another_is_left_as_it_is(tmp_path):
     (tmp_path / "empty").mkdir()
     with appearing_folder(tmp_path / "empty") as draft:
