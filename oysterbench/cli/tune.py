@@ -70,7 +70,6 @@ def tune_command(
     from oysterbench.cli.progress import runs_shown
     from oysterbench.cli.render import frames_bar, render_files
     from oysterbench.core.files import home
-    from oysterbench.methods.options import with_options
     from oysterbench.methods.systems import split_reference, track_of
     from oysterbench.methods.tuning import read_ranges, trials
     from oysterbench.recipe import load_split
@@ -103,9 +102,7 @@ def tune_command(
         finished=keep,
     )
     if ranges is not None:
-        _check_values(
-            ranges, known, lambda option: track.adapters(replace(request, methods=[with_options(method, [option])]))
-        )
+        _check_values(ranges, known, references[:2], lambda one: track.adapters(replace(request, methods=[one])))
     names = {adapter.name: reference for adapter, reference in zip(track.adapters(request), references, strict=True)}
     with runs_shown() as told:
         records = track.evaluate(replace(request, told=told)).records
@@ -117,13 +114,22 @@ def tune_command(
         echo(names[best[0]])
 
 
-def _check_values(file: Path, ranges: Mapping[str, OptionRange], make: Callable[[str], object]) -> None:
-    """Refuse ranges and choices with values that the method does not take. make: makes it with one option."""
+def _check_values(
+    file: Path, ranges: Mapping[str, OptionRange], bases: Sequence[str], make: Callable[[str], object]
+) -> None:
+    """Refuse ranges and choices with values that the method takes neither with its other options as they are, nor with
+    those of the first trial: some only go together, such as the ends of an interval. bases: both; make: makes one."""
+    from oysterbench.methods.options import with_options
     from oysterbench.methods.tuning import written
 
     for key, option in ranges.items():
         for value in sorted(option.ends, key=lambda end: isinstance(end, float) and end.is_integer()):  # 2.5 before 1.0
-            try:
-                make(f"{key}={written(value)}")
-            except MethodError as error:
-                raise MethodError(f"{file}: [{key}] {error}") from None
+            refusals = []
+            for base in bases:
+                try:
+                    make(with_options(base, [f"{key}={written(value)}"]))
+                    break
+                except MethodError as error:
+                    refusals.append(error)
+            else:
+                raise MethodError(f"{file}: [{key}] {refusals[0]}")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 
+from oysterbench.cli.tune import _check_values
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.options import LONGEST, split_variant, variant_name
@@ -94,6 +96,23 @@ def test_values_that_a_method_does_not_take_are_refused_before_the_first_run(tab
     assert done.returncode == 1
     assert re.fullmatch(rf"oysterbench: {tmp_path}/ranges\.toml: {why}.*\n", done.stderr), done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_values_that_only_go_together_are_taken(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "tuned_ends.py").write_text(
+        "class Ends:\n    name, track = 'ends', 'slam'\n\n"
+        "    def __init__(self, low: float = 1.0, high: float = 5.0):\n"
+        "        if low >= high:\n            raise ValueError('low is not below high')\n\n"
+        "    def run(self, sequence): ...\n"
+    )
+    ranges = {"low": OptionRange(range=(0.5, 9.0)), "high": OptionRange(range=(10.0, 20.0))}
+    found = trials("tuned_ends:Ends", ranges, 4)
+    _check_values(Path("ranges.toml"), ranges, found[:2], find_method)
+    for one in found:
+        find_method(one)
+    with pytest.raises(MethodError, match=r"^ranges\.toml: \[low\] .*low is not below high"):
+        _check_values(Path("ranges.toml"), {"low": OptionRange(range=(0.5, 50.0))}, found[:2], find_method)
 
 
 def test_the_name_of_many_options_fits_a_folder():
