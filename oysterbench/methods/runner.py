@@ -109,6 +109,8 @@ def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
         if outcome.failure is not None and changed and _but_files(outcome.identity) == _but_files(job.identity):
             return None  # the files that it failed on were mended
         differs = f"{', '.join(changed)} changed" if changed else "method, command, topics or recipe differ"
+        if changed and job.identity["method"].get("files") and not outcome.identity["method"].get("files"):
+            differs = "an earlier version of oysterbench did not record by which files"
         raise MethodError(
             f"{folder}: has run {job.number + 1} of another {job.adapter.name} ({differs}); "
             "it was left unchanged: rerun it with --again, or choose another folder with --out"

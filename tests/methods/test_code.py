@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
+from dataclasses import replace
 from importlib import invalidate_caches
 from zipfile import ZipFile
 
@@ -17,7 +18,7 @@ from oysterbench.methods import runner
 from oysterbench.methods.adapters import PythonMethod
 from oysterbench.methods.code import code_digests, file_digest
 from oysterbench.methods.finding import find_method
-from oysterbench.methods.outcomes import Job, Outcome
+from oysterbench.methods.outcomes import Job, Outcome, read_outcome
 from oysterbench.tracks.slam import SlamSequence
 
 NET = """
@@ -108,6 +109,16 @@ def test_what_failed_is_run_again_once_its_code_has_changed(folder, dive_file, t
     assert kept.failure == "method 'net' failed"
     change(folder / "coded.py")
     assert list(runner.run_jobs([job], root)) == [(job, "run again")]
+
+
+def test_a_result_whose_code_was_not_recorded_is_not_said_to_be_of_changed_code(folder, dive_file, tmp_path):
+    job, root = job_of(dive_file), tmp_path / "out"
+    write_outcome(job, root)
+    kept = read_outcome(job.folder(root))
+    method = {key: value for key, value in kept.identity["method"].items() if key != "files"}
+    replace(kept, identity={**kept.identity, "method": method}).write(job.folder(root))
+    with pytest.raises(MethodError, match=r"run 1 of another net \(an earlier version of oysterbench did not record"):
+        list(runner.run_jobs([job], root))
 
 
 def job_of(dive_file):
