@@ -174,7 +174,7 @@ class DensityTrack(Track):
         found: dict[str, Trajectory | Exception] = {}
         if (folder := request.options.get("poses")) is not None and kept != []:
             there = estimates_in(folder, sequence.name)
-            if not there:
+            if not there and kept is None:
                 raise TrajectoryError(f"{folder}: expected estimates of {sequence.name}, {sequence.name}-METHOD.tum")
             for name in there if kept is None else kept:
                 missing = TrajectoryError(f"{folder} has no {sequence.name}-{name}.tum")

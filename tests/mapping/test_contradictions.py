@@ -125,6 +125,21 @@ def test_a_path_that_does_not_move_is_told():
     assert contradictions(Measured(still), WINDING) == []
 
 
+@pytest.mark.parametrize("dvl", [True, False])
+def test_a_path_of_positions_alone_does_not_turn_but_moves(dvl):
+    level = replace(WINDING, quaternions=np.tile([0, 0, 0, 1.0], (len(WINDING), 1)))
+    (said,) = contradictions(Measured(WINDING, dvl), level)
+    assert said.startswith("the path does not turn, but by its gyroscope the vehicle did")
+
+
+def test_a_file_without_the_topic_of_its_gyroscope_is_not_judged(monkeypatch):
+    def absent(self, start_ns=None, end_ns=None):
+        raise SequenceError("measured has no /imu: it has some of the topics only")
+
+    monkeypatch.setattr(Measured, "imu", absent)
+    assert contradictions(Measured(WINDING), shift(WINDING, 3.0)) == []
+
+
 def test_a_file_without_some_of_the_topics_of_its_dvl_is_judged_by_the_rest():
     odd = replace(WINDING, stamps_ns=WINDING.stamps_ns + 1)
     assert contradictions(Measured(odd), replace(odd, positions=2 * odd.positions)) == []

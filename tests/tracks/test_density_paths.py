@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 import oysterbench
-from oysterbench.core.errors import MethodError
+from oysterbench.core.errors import MethodError, TrajectoryError
 from oysterbench.core.trajectory import write_tum
 from oysterbench.tracks import Request
 from oysterbench.tracks.density import TRACK
@@ -79,3 +79,12 @@ def test_a_method_neither_in_the_folder_nor_known_is_refused(paths_of, name):
 def test_a_sequence_without_an_estimate_is_a_failure_of_the_method(paths_of, tmp_path):
     (tmp_path / "hand-made-mine.tum").rename(tmp_path / "other-mine.tum")
     assert "has no hand-made-mine.tum" in str(paths_of("mine")[0]["mine"])
+
+
+def test_a_sequence_without_any_estimate_is_a_failure_of_the_method_that_was_named(paths_of, tmp_path):
+    """The other sequences of a split are still mapped."""
+    for name in ("mine", "dead_reckoning"):
+        (tmp_path / f"hand-made-{name}.tum").rename(tmp_path / f"other-{name}.tum")
+    assert "has no hand-made-mine.tum" in str(paths_of("mine")[0]["mine"])
+    with pytest.raises(TrajectoryError, match="expected estimates of hand-made, hand-made-METHOD.tum"):
+        paths_of()
