@@ -121,12 +121,12 @@ class Model:
         )
 
     def note_speed(self, speed: float) -> None:
-        """Note a measured speed of the vehicle, m/s."""
+        """Note a measured speed of the moving vehicle, m/s."""
         self._speeds, self._squares = self._speeds + 1, self._squares + speed**2
 
     @property
     def usual_speed(self) -> float:
-        """Root mean square of the speeds measured so far, m/s; `unknown_speed` before there are enough."""
+        """Root mean square of the speeds measured under way so far, m/s; `unknown_speed` before there are enough."""
         if self._speeds < FEWEST_SPEEDS:
             return self.settings.recovery.unknown_speed
         return max(float(np.sqrt(self._squares / self._speeds)), LEAST_SPEED)

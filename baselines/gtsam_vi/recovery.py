@@ -38,7 +38,7 @@ class Recovery:
     def accept(self, keyframe: Keyframe) -> None:
         """Note that all is well at a keyframe."""
         self._good = keyframe.index, keyframe.estimate
-        if not keyframe.blind:
+        if not (keyframe.blind or keyframe.stationary):  # what rests on the bottom may stir up silt as it lifts off
             self._model.note_speed(float(np.linalg.norm(keyframe.estimate.nav.velocity())))
 
     def has_diverged(self, window: Window, keyframe: Keyframe) -> bool:

@@ -164,8 +164,13 @@ def coast_through(state: State, keyframes: list[Keyframe], memory_s: float) -> S
 
 
 def time_missing(segments: Iterable[Segment]) -> float:
-    """Time, s, for which inertial measurements are missing from segments."""
-    return sum(segment.gap_s for segment in segments if segment.has_gap)
+    """Time, s, for which inertial measurements are missing from consecutive segments.
+
+    Of several gaps, it is the root of the sum of squares, as they are independent. A gap may have been cut at frames:
+    what it had lasted before a segment is subtracted, so that all parts together count as the whole.
+    """
+    gaps = [(segment.gap_s, max(segment.gap_s - segment.duration, 0.0)) for segment in segments if segment.has_gap]
+    return float(np.sqrt(sum(since**2 - before**2 for since, before in gaps)))
 
 
 def forward(state: State, segment: Segment, params: gtsam.PreintegrationCombinedParams) -> State:

@@ -22,6 +22,8 @@ from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings
 from oysterbench_baselines.gtsam_vi.cameras import CameraRig
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FeatureTracks, undistort
+from oysterbench_baselines.gtsam_vi.recovery import Recovery
+from oysterbench_baselines.gtsam_vi.states import NOTHING, Keyframe, make_state, time_missing
 from tests.baselines.test_gtsam_vi import FlatBottom, position_error
 from tests.helpers import synthetic_dive as dive
 
@@ -169,6 +171,27 @@ def test_a_filter_knows_nothing_of_a_gap_however_it_is_cut():
     assert 0.2 < sigmas[0][0] < 0.3
 
 
+def test_a_gap_counts_as_long_as_it_is_however_it_is_cut():
+    def piece(duration: float, gap_s: float) -> Segment:
+        return Segment(np.array([duration]), np.zeros((1, 3)), np.zeros((1, 3)), gap_s)
+
+    cut = [piece(0.2, 0.2 * (n + 1)) for n in range(20)]
+    assert time_missing([piece(4.0, 4.0)]) == pytest.approx(4.0)
+    assert time_missing(cut) == pytest.approx(4.0)
+    assert np.sqrt(sum(time_missing([one]) ** 2 for one in cut)) == pytest.approx(4.0), "as variances add up"
+    assert time_missing([piece(3.0, 3.0), piece(1.0, 0.01), piece(4.0, 4.0)]) == pytest.approx(5.0)
+    assert time_missing([piece(1.0, 0.05)] * 9) == 0.0
+
+
+def test_rest_says_nothing_about_the_usual_speed():
+    model = Estimator([dive.camera_calibration()], dive.imu_calibration(), GtsamViSettings()).model
+    still = make_state(np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3))
+    keyframe = Keyframe(0, dive.START_NS, NOTHING, Segment.join([]), stationary=True, state=still)
+    for _ in range(100):
+        Recovery(model).accept(keyframe)
+    assert model.usual_speed == model.settings.recovery.unknown_speed
+
+
 # Whole dives.
 
 
@@ -207,6 +230,19 @@ def test_it_says_what_it_does_not_know_after_a_gap_and_finds_its_place_again():
         assert sigmas_off(measured.truth, trajectory).max() < 3.0
     seconds = (np.array([frame.stamp_ns for frame in estimator.frames]) - dive.START_NS) * 1e-9
     assert (estimator.health()[(seconds > 6.5) & (seconds < 6.8)] == Health.COASTING).all()
+
+
+def test_what_is_not_known_of_a_turn_grows_with_the_gap():
+    measured = dive.make_dive(3, duration_s=11.0)
+    estimator = estimated(measured, lambda seconds: 6.0 < seconds < 9.0)
+    online = estimator.online()
+    assert online.covariances is not None
+    seconds = (online.stamps_ns - dive.START_NS) * 1e-9
+    sigmas = np.sqrt(online.covariances[:, 5, 5])  # of the heading
+    rate = estimator.model.settings.recovery.unknown_rate
+    inside = (seconds > 6.5) & (seconds < 8.95)
+    np.testing.assert_allclose(sigmas[inside], rate * (seconds[inside] - 6.0), rtol=0.1)
+    assert (np.diff(sigmas[inside]) > 0).all()
 
 
 def test_what_was_before_a_gap_before_the_start_is_tied_to_the_rest_as_loosely_as_it_is_known():
