@@ -149,11 +149,12 @@ def read_coco(path: Path, truth: CocoFile | None = None, category: str = "oyster
                 "which maps numbers to images, or an object with 'images' here"
             )
         several, notes = len(truth.categories) > 1, tuple[str, ...]()
-        results = _checked(path, "", content, truth.images, truth.categories if several else None)
+        results = list(_checked(path, "", content, truth.images, truth.categories if several else None))
         if several:
             kept = [one for one in results if truth.categories[one.values["category_id"]] == category]
+            notes = () if kept or not results else (_none_of(category, results, truth.categories),)
         else:
-            kept, notes = _of_single_category(path, list(results), *truth.categories.items())
+            kept, notes = _of_single_category(path, results, *truth.categories.items())
         return _sorted(path, truth.images, iter(kept), truth.categories, notes)
     for key in ("images", "annotations", "categories"):
         if not isinstance(content, dict) or not isinstance(content.get(key), list):
@@ -167,6 +168,15 @@ def read_coco(path: Path, truth: CocoFile | None = None, category: str = "oyster
     own = _images(path, content["images"])
     items = _checked(path, "annotations", content["annotations"], own, categories)
     return _sorted(path, own, (item for item in items if item.values["category_id"] == names[category]), categories)
+
+
+def _none_of(category: str, results: list[CocoItem], categories: Mapping[Any, str]) -> str:
+    """What to say if no result is of a category, as where a program numbers its only class from 0."""
+    number = next(one for one, name in categories.items() if name == category)
+    others = ", ".join(f"{one} {categories[one]}" for one in {item.values["category_id"]: None for item in results})
+    return (
+        f"left out: all {len(results)} results, of category_id {others}; in the ground truth, {category}s are {number}"
+    )
 
 
 def _of_single_category(

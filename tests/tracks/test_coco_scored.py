@@ -27,9 +27,9 @@ def items(**changes):
 
 @pytest.fixture
 def score(tmp_path):
-    def call(truth, estimate, track="detection"):
+    def call(truth, estimate, track="detection", categories=({"id": 2, "name": "oyster"},)):
         images = [{"id": 1, "file_name": "a.png", "width": 60, "height": 20}]
-        document = {"images": images, "categories": [{"id": 2, "name": "oyster"}], "annotations": truth}
+        document = {"images": images, "categories": categories, "annotations": truth}
         places = [tmp_path / "truth.json", tmp_path / "mine.json"]
         for place, content in zip(places, (document, estimate), strict=True):
             place.write_text(json.dumps(content))
@@ -55,6 +55,17 @@ def test_results_of_other_categories_are_left_out_and_counted(score):
     assert metrics["ap_mask"] == 1.0
     assert notes == "all results have category_id 0, taken for the ground truth's 2 oyster"
     assert score(items(), items())[1] == ""
+
+
+def test_results_without_any_of_the_category_of_oysters_are_said_to_be_left_out(score):
+    """As Roboflow exports ground truth: with a category 0 of the whole set, for which a program took its only class."""
+    categories = [{"id": 0, "name": "oysters"}, {"id": 2, "name": "oyster"}]
+    wrong = [{**one, "category_id": 0} for one in items()]
+    metrics, notes = score(items(), wrong, categories=categories)
+    assert metrics["ap_mask"] == 0.0
+    assert notes == "left out: all 5 results, of category_id 0 oysters; in the ground truth, oysters are 2"
+    for given in (items(), [*items(), *wrong], []):
+        assert score(items(), given, categories=categories)[1] == ""
 
 
 def test_an_oyster_of_the_truth_without_a_mask_is_named_as_the_reason_for_missing_metrics(score):
