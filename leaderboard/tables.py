@@ -151,7 +151,8 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
     if any(row.place is not None and row.rank is None for row in rows):
         notes.append(f"{count}: too few for a significant difference; places in brackets are the order of these means.")
     elif rows:
-        notes.append(f"Over {count}; one that is lacking or failed scores 0.")
+        failed_as = TRACKS[board.track].failed_as
+        notes.append(f"Over {count}; one that failed {failed_as}, and one that is lacking counts as failed.")
     if rows and (lost := lost_note(board.track)):
         notes.append(lost)
     if rows and (lacking := lacks(board.split, board.track)):

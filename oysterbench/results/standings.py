@@ -100,18 +100,22 @@ class ScoreTable:
         trusted: Sequence[SequenceScores] | None = None,
     ) -> ScoreTable:
         """Make the table of a track's ranking metric; a sequence that a method lacks counts as failed, weighted as if
-        nothing were predicted there.
+        nothing were predicted there. Where a failure may be worth less than `failed`, as below chance in steering, it
+        counts as the lowest score there: no method gains by leaving out what it is bad at.
 
-        trusted: scores of the methods from which that weight is taken; by default all
+        trusted: scores of the methods from which that weight, or that score, is taken; by default all
         """
         names = sorted(sequences)  # the bootstrap resamples sequences in this order, as in `summarise`
         metric = PRIMARY[track]
         found, failed = find_metric(metric), FAILED[track][metric]
         shape = len(scores), len(names)
-        values = np.array([[one.values.get(name, failed) for name in names] for one in scores], float).reshape(shape)
+        known = scores if trusted is None else trusted
+        lowest = {name: min([failed, *(one.values[name] for one in known if name in one.values)]) for name in names}
+        values = np.array([[one.values.get(name, lowest[name]) for name in names] for one in scores], float)
+        values = values.reshape(shape)
         if found is None or not found.weight:
             return cls(values)
-        lacking = {name: _unpredicted_weight(scores if trusted is None else trusted, name) for name in names}
+        lacking = {name: _unpredicted_weight(known, name) for name in names}
         weights = [[(one.weights or {}).get(name, lacking[name]) for name in names] for one in scores]
         return cls(values, np.array(weights, float).reshape(shape))
 

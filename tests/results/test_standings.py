@@ -142,6 +142,16 @@ def test_a_sequence_that_a_method_lacks_counts_as_failed():
     assert table.values[1].tolist() == [0.0 if name == "03" else scores[1].values[name] for name in names]
 
 
+def test_leaving_out_a_sequence_is_no_better_than_any_answer_to_it():
+    """Skills of steering may be below 0."""
+    bad, lost = SequenceScores({"a": 0.5, "b": -0.4}), SequenceScores({"a": 0.5, "b": -1.9})
+    lacking = SequenceScores({"a": 0.5})
+    table = ScoreTable.of([bad, lost, lacking], ["a", "b"], "steering")
+    assert table.values[:, 1].tolist() == [-0.4, -1.9, -1.9]
+    assert ScoreTable.of([bad, lost, lacking], ["a", "b"], "steering", [bad]).values[2, 1] == -0.4
+    assert ScoreTable.of([lacking, SequenceScores({"b": float("nan")})], ["a", "b"], "steering").values[0, 1] == 0.0
+
+
 def test_a_sequence_that_a_method_lacks_weighs_what_is_true_there():
     whole = SequenceScores({"a": 0.9, "b": 0.8}, {"a": 1000.0, "b": 3000.0}, {"a": 800.0, "b": 700.0})
     lacking = SequenceScores({"a": 0.5}, {"a": 2000.0})

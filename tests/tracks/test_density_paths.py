@@ -86,5 +86,5 @@ def test_a_sequence_without_any_estimate_is_a_failure_of_the_method_that_was_nam
     for name in ("mine", "dead_reckoning"):
         (tmp_path / f"hand-made-{name}.tum").rename(tmp_path / f"other-{name}.tum")
     assert "has no hand-made-mine.tum" in str(paths_of("mine")[0]["mine"])
-    with pytest.raises(TrajectoryError, match="expected estimates of hand-made, hand-made-METHOD.tum"):
+    with pytest.raises(TrajectoryError, match="expected estimates of hand-made, "):
         paths_of()
