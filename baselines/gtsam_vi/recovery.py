@@ -29,6 +29,7 @@ class Recovery:
         self._model = model
         self._bad_keyframes = 0
         self._good: tuple[int, State] | None = None  # a keyframe's index, and its state then
+        self._coasted = 0  # index of the keyframe up to which the path has been coasted since
 
     @property
     def has_begun(self) -> bool:
@@ -37,7 +38,7 @@ class Recovery:
 
     def accept(self, keyframe: Keyframe) -> None:
         """Note that all is well at a keyframe."""
-        self._good = keyframe.index, keyframe.estimate
+        self._good, self._coasted = (keyframe.index, keyframe.estimate), keyframe.index
         if not (keyframe.blind or keyframe.stationary):  # what rests on the bottom may stir up silt as it lifts off
             self._model.note_speed(float(np.linalg.norm(keyframe.estimate.nav.velocity())))
 
@@ -81,9 +82,12 @@ class Recovery:
         assert covariance is not None
         keyframes[index].state = state
         passed, turn_on = keyframes[index + 1 :], self._model.gyro_turn_on
-        last = coast_through(state, passed, limits.memory_s)
+        # It is lost anew at every keyframe within a gap: only what has been added since is coasted.
+        done = next((k.index - 1 for k in passed[: self._coasted - index] if k.state is None), self._coasted)
+        last = coast_through(keyframes[done].estimate, keyframes[done + 1 :], limits.memory_s)
+        self._coasted = keyframes[-1].index
         for frame in frames:
-            if frame.stamp_ns > stamp_ns:
+            if frame.stamp_ns > stamp_ns and frame.keyframe >= done:
                 frame.online = coast(keyframes[frame.keyframe].estimate, frame.since, limits.memory_s).matrix
                 time = (frame.stamp_ns - stamp_ns) * 1e-9
                 gap_s = time_missing([*(k.segment for k in passed if k.index <= frame.keyframe), frame.since])

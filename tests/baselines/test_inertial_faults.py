@@ -18,12 +18,12 @@ from oysterbench.sequence.types import ImuMeasurement
 from oysterbench_baselines.common.checks import check_inertial, on_imu_clock
 from oysterbench_baselines.common.filter import ATTITUDE, InertialNoise, InvariantFilter
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
-from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings
+from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings, recovery
 from oysterbench_baselines.gtsam_vi.cameras import CameraRig
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FeatureTracks, undistort
 from oysterbench_baselines.gtsam_vi.recovery import Recovery
-from oysterbench_baselines.gtsam_vi.states import NOTHING, Keyframe, make_state, time_missing
+from oysterbench_baselines.gtsam_vi.states import NOTHING, Keyframe, State, coast, make_state, time_missing
 from tests.baselines.test_gtsam_vi import FlatBottom, position_error
 from tests.helpers import synthetic_dive as dive
 
@@ -232,9 +232,16 @@ def test_it_says_what_it_does_not_know_after_a_gap_and_finds_its_place_again():
     assert (estimator.health()[(seconds > 6.5) & (seconds < 6.8)] == Health.COASTING).all()
 
 
-def test_what_is_not_known_of_a_turn_grows_with_the_gap():
-    measured = dive.make_dive(3, duration_s=11.0)
+def test_what_is_not_known_of_a_turn_grows_with_the_gap(monkeypatch):
+    measured, coasted = dive.make_dive(3, duration_s=11.0), list[Segment]()
+
+    def counted(state: State, segment: Segment, memory_s: float) -> State:
+        coasted.append(segment)
+        return coast(state, segment, memory_s)
+
+    monkeypatch.setattr(recovery, "coast", counted)
     estimator = estimated(measured, lambda seconds: 6.0 < seconds < 9.0)
+    assert 0 < len(coasted) < len(estimator.frames) / 2, "each frame of the gap once, not at every loss again"
     online = estimator.online()
     assert online.covariances is not None
     seconds = (online.stamps_ns - dive.START_NS) * 1e-9
