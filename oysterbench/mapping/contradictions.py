@@ -35,7 +35,8 @@ STILL = 0.02
 OPPOSITE = -0.5
 """Correlation of the rates about the vertical axis below which the path turns the other way."""
 WINDOW_S = 1.0
-"""Time over which speeds are averaged: long enough for the noise of positions, short enough for a straight line."""
+"""Time over which speeds are averaged, or more where poses are rarer: long enough for the noise of positions, short
+enough for a straight line."""
 LEAST_WINDOWS = 5
 """Number of speeds, or rates, in a comparison."""
 
@@ -121,7 +122,7 @@ def speeds_of(path: Trajectory, sequence: Sequence, stamps_ns: NDArray[np.int64]
     except SequenceError:  # a file with some of the topics only
         return None
     pinged = np.array([ping.stamp_ns for ping in pings], dtype=np.int64)
-    grid = _common_grid(path, pinged, WINDOW_S) if len(pinged) > 1 else pinged
+    grid = _poses_apart(path, pinged) if len(pinged) > 1 else pinged
     if len(grid) <= LEAST_WINDOWS:
         return None
     T_base_dvl = sequence.dvl_calibration.T_base_sensor
@@ -129,10 +130,10 @@ def speeds_of(path: Trajectory, sequence: Sequence, stamps_ns: NDArray[np.int64]
     rates = np.column_stack([np.interp(pinged - stamps_ns[0], stamps_ns - stamps_ns[0], axis) for axis in gyro.T])
     of_base = of_dvl - np.cross(rates, T_base_dvl[:3, 3])
     velocities = _attitudes(stamps_ns, gyro, pinged).apply(of_base)
-    claimed = np.linalg.norm(np.diff(path.at(grid).positions, axis=0), axis=1) / WINDOW_S
+    claimed = np.linalg.norm(np.diff(path.at(grid).positions, axis=0), axis=1) / _seconds(grid)
     measured = np.linalg.norm(_means(pinged, velocities, grid), axis=1)
-    pings_in = np.diff(np.searchsorted(pinged, grid))
-    moving = (measured > LEAST_SPEED) & (pings_in > 0.5 * np.median(pings_in))  # and not without bottom lock
+    pings_hz = np.diff(np.searchsorted(pinged, grid)) / _seconds(grid)
+    moving = (measured > LEAST_SPEED) & (pings_hz > 0.5 * np.median(pings_hz))  # and not without bottom lock
     return Motion(claimed[moving], measured[moving]) if np.count_nonzero(moving) >= LEAST_WINDOWS else None
 
 
@@ -145,6 +146,13 @@ def _common_grid(path: Trajectory, stamps_ns: NDArray[np.int64], step_s: float) 
     first = max(int(path.stamps_ns[0]), int(stamps_ns[0]))
     last = min(int(path.stamps_ns[-1]), int(stamps_ns[-1]))
     return _grid(first, max(first, last), step_s)
+
+
+def _poses_apart(path: Trajectory, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Stamps of poses within both, about `WINDOW_S` apart, or more where poses are: between them, the way is unknown."""
+    grid = _common_grid(path, stamps_ns, WINDOW_S)
+    found = path.stamps_ns[np.minimum(np.searchsorted(path.stamps_ns, grid), len(path) - 1)]
+    return np.unique(found[(found >= stamps_ns[0]) & (found <= stamps_ns[-1])])
 
 
 def _median_step_s(trajectory: Trajectory) -> float:

@@ -78,7 +78,7 @@ WINDING = dive(1)
 
 @pytest.mark.parametrize("truth", [WINDING, survey(30.0)])
 @pytest.mark.parametrize(
-    "change", ["none", "frame", "noise", "scale 1.1", "0.2 s late", "one pose in ten", "its middle"]
+    "change", ["none", "frame", "noise", "scale 1.1", "0.2 s late", "one pose in ten", "a pose in 3 s", "its middle"]
 )
 def test_a_path_that_agrees_is_not_complained_about(truth, change):
     path = {
@@ -88,6 +88,7 @@ def test_a_path_that_agrees_is_not_complained_about(truth, change):
         "scale 1.1": replace(truth, positions=1.1 * truth.positions),
         "0.2 s late": shift(truth, 0.2),
         "one pose in ten": truth.select(slice(None, None, 10)),
+        "a pose in 3 s": truth.select(slice(None, None, 150)),
         "its middle": truth.select(slice(400, 1100)),
     }[change]
     assert contradictions(Measured(truth), path) == []
@@ -100,6 +101,12 @@ def test_a_wrong_scale_is_told_by_the_dvl(scale):
     (said,) = contradictions(Measured(truth), scaled)
     assert f"by the DVL, the path is {scale:g} times as long as it should be" in said
     assert contradictions(Measured(truth, dvl=False), scaled) == []
+
+
+def test_a_wrong_scale_is_told_of_a_sparse_path_too():
+    sparse = WINDING.select(slice(None, None, 150))
+    (said,) = contradictions(Measured(WINDING), replace(sparse, positions=3 * sparse.positions))
+    assert said.startswith("by the DVL, the path is 3.1 times as long as it should be")
 
 
 @pytest.mark.parametrize(("late_s", "side"), [(3.0, "late"), (-1.5, "early")])
