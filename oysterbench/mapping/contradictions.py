@@ -149,7 +149,7 @@ def _common_grid(path: Trajectory, stamps_ns: NDArray[np.int64], step_s: float) 
 
 
 def _poses_apart(path: Trajectory, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Stamps of poses within both, about `WINDOW_S` apart, or more where poses are: between them, the way is unknown."""
+    """Stamps of poses within both, about `WINDOW_S` apart, or more where poses are: what is between is unknown."""
     grid = _common_grid(path, stamps_ns, WINDOW_S)
     found = path.stamps_ns[np.minimum(np.searchsorted(path.stamps_ns, grid), len(path) - 1)]
     return np.unique(found[(found >= stamps_ns[0]) & (found <= stamps_ns[-1])])
