@@ -117,6 +117,7 @@ def test_a_part_begins_where_it_is_asked_to(sequence):
 def test_a_long_sequence_is_shown_by_moments_and_a_short_part_by_frames():
     assert len(moments(0, 600 * 10**9, [], 10.0)) == STEPS
     np.testing.assert_array_equal(np.diff(moments(0, 10 * 10**9, [], 10.0)), 10**8)
+    assert moments(0, 2**63 - 1, [])[-1] == 2**63 - 1
 
 
 def test_a_frame_that_jitter_makes_early_is_shown_once():

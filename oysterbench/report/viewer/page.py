@@ -129,7 +129,8 @@ def moments(start_ns: int, end_ns: int, panels: list[Panel], rate_hz: float = 0.
     frames = int((end_ns - start_ns) * 1e-9 * rate_hz + 1e-6) + 1
     if 2 <= frames <= n:
         return np.asarray(start_ns + np.rint(np.arange(frames) * (1e9 / rate_hz)).astype(np.int64))
-    return np.linspace(start_ns, end_ns, n).astype(np.int64)
+    # Python's integers: floats round large stamps.
+    return np.array([start_ns + (end_ns - start_ns) * k // (n - 1) for k in range(n)], dtype=np.int64)
 
 
 def _fastest_hz(sequence: Sequence) -> float:
@@ -143,6 +144,8 @@ def span_of(sequence: Sequence, begin_s: float, seconds: float | None) -> tuple[
     if first is None:
         raise SequenceError(f"{sequence.name} has no inertial sample: nothing to show")
     last = first.stamp_ns + max(round(sequence.duration_s * 1e9), 1)
+    if last >= 2**63:
+        raise SequenceError(f"{sequence.name} lasts {sequence.duration_s:.3g} s: expected stamps below 2^63 ns")
     start = first.stamp_ns + round(begin_s * 1e9)
     if not first.stamp_ns <= start < last or (seconds is not None and not seconds > 0):
         raise SequenceError(
