@@ -111,7 +111,7 @@ def test_the_demo_renders_what_was_released_and_two_methods_localise_on_it(insta
 def test_the_board_comes_with_its_records(installed):
     boards = json.loads(installed.run("oysterbench", "leaderboard", "--json").stdout)
     assert boards
-    assert "all whole" in installed.run("oysterbench", "leaderboard", "verify").stdout
+    assert "all intact" in installed.run("oysterbench", "leaderboard", "verify").stdout
     assert installed.run("oysterbench", "splits").stdout.count("slam-") >= 4
     assert "openvins" in installed.run("oysterbench", "systems").stdout
     doctor = installed.run("oysterbench", "doctor").stdout

@@ -146,6 +146,9 @@ def _until(server: Server, method: str, path: str, body: Any, token: str, good: 
         except (OSError, http.client.HTTPException):
             NEVER.wait(0.1)  # until another server is there
             continue
+        if status == 503:  # another upload of the team is being received
+            NEVER.wait(0.1)
+            continue
         assert status in good, (status, data)
         return json.loads(data)
     raise AssertionError("no server has answered")
