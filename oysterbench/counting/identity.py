@@ -9,18 +9,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from oysterbench.methods.code import code_digests
+from oysterbench.methods.code import code_digests, file_digest
 from oysterbench.methods.finding import versions_of
 from oysterbench.methods.weights import weights_of
 from oysterbench.version import VERSION
 
 FORMAT = "oysterbench-count/2"
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file, read in pieces."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def method_identity(reference: str, method: object, options: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from oysterbench.core.errors import LabelError, MethodError, OysterbenchError, S
 from oysterbench.core.text import in_one_line
 from oysterbench.counting.copies import Copies, thumbnail
 from oysterbench.counting.film import film_rate, write_film
-from oysterbench.counting.identity import file_digest, key_of
+from oysterbench.counting.identity import key_of
 from oysterbench.counting.least import Least
 from oysterbench.counting.measure import PictureCount, measure
 from oysterbench.counting.overlay import jpeg, overlay
@@ -25,6 +25,7 @@ from oysterbench.counting.reading import Sampling, Video, VideoFrame, decode
 from oysterbench.counting.scale import QuadratScale, Scale
 from oysterbench.counting.sources import Source
 from oysterbench.counting.store import Store
+from oysterbench.methods.code import file_digest
 from oysterbench.methods.images import Picture
 from oysterbench.methods.interfaces import Stopwatch
 from oysterbench.methods.interfaces.images import Prediction, predictions
