@@ -121,13 +121,19 @@ def _one(context: click.Context, parameter: click.Parameter, given: tuple[Path, 
 
 
 class Evaluate(click.Command):
-    """Command that says which tracks have an option that its own track does not have."""
+    """Command that says which tracks, or whether `run`, have an option that its own track does not have."""
 
     def parse_args(self, context: click.Context, args: list[str]) -> list[str]:
         try:
             return super().parse_args(context, args)
         except click.NoSuchOption as error:
+            from oysterbench.cli.run import run_command
+
             foreign_options(self.name or "", {error.option_name: owners(error.option_name)})
+            if any(error.option_name in parameter.opts for parameter in run_command.params):
+                raise click.UsageError(
+                    f"{error.option_name}: an option of `oysterbench run --track {self.name}`, not of eval"
+                ) from None
             raise
 
 

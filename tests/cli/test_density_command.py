@@ -72,6 +72,12 @@ def test_options_of_the_density_track_are_refused_elsewhere(options):
     assert f"{options[0]}: of the track density" in error_of("eval", "--track", "slam", *options)
 
 
+def test_options_of_run_are_said_to_be_its():
+    said = error_of("eval", "density", "--topics", "/imu")
+    assert "--topics: an option of `oysterbench run --track density`, not of eval" in said
+    assert "No such option '--topicality'" in error_of("eval", "density", "--topicality", "3")
+
+
 def test_options_of_other_tracks_are_refused_on_the_density_track():
     assert "--associate: of the track slam" in error_of("eval", "--track", "density", "--associate", "nearest")
     assert "--threshold" in error_of("eval", "--track", "density", "--threshold", "0.4")
