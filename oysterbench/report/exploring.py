@@ -7,9 +7,10 @@ from typing import Literal
 
 from oysterbench.core.html import capital
 from oysterbench.evaluate.statistics import Interval, compare
-from oysterbench.evaluate.steering.dataset import Whole, over_sequences
+from oysterbench.evaluate.steering.dataset import Constant, Whole, over_sequences
 from oysterbench.evaluate.steering.metrics import STEERING
 from oysterbench.evaluate.steering.rollouts import NormalisedScore, normalised_score
+from oysterbench.recipe import SteeringRecipe
 from oysterbench.report.columns import metric_column, metric_columns, name_columns
 from oysterbench.report.steering import PictureRun, RolloutRun
 from oysterbench.report.table import MINUS, Cell, Column, Table, TableRow, interval_column
@@ -21,6 +22,9 @@ INTERVALS = ("yaw_macro_f1", "pitch_macro_f1")
 
 OF_PAIRS = ("oysters_per_min", "covered_share", "contacts_per_min")
 """Metrics that policies are compared by, each on the same reefs."""
+
+CONSTANT = "best constant"
+"""Row of the best command that never changes, which shows what images add."""
 
 LOWER, UPPER = "random", "expert"
 """The policies between which the others are placed."""
@@ -39,14 +43,15 @@ def whole_of(runs: Sequence[PictureRun]) -> dict[str, Whole]:
     return found
 
 
-def pictures_table(wholes: Mapping[str, Whole]) -> Table:
-    """Table with a row per method over all images together, for metrics that are means or counts over images. Skill is
-    left out: everywhere, in standings, ranks and on boards, that of a method is the mean over its sequences."""
+def pictures_table(wholes: Mapping[str, Whole], constant: Constant | None, task: SteeringRecipe) -> Table:
+    """Table with a row per method over all images together, for metrics that are means or counts over images, and one
+    of the best constant answer, if there is one. Skill is left out: everywhere, in standings, ranks and on boards, that
+    of a method is the mean over its sequences; a note gives that of the best constant answer."""
     columns = list(name_columns("method"))
     for column in metric_columns(key for key in STEERING.table if key != "skill"):
         columns += [column, interval_column(column)] if column.key in INTERVALS else [column]
     rows = []
-    for method, whole in wholes.items():
+    for method, whole in {**wholes, **({CONSTANT: constant.whole} if constant is not None else {})}.items():
         values = [whole.score.metrics.get(c.key) if c.kind == "number" else _interval(whole, c) for c in columns[1:]]
         rows.append(TableRow((method, *values)))
     notes = []
@@ -55,7 +60,21 @@ def pictures_table(wholes: Mapping[str, Whole]) -> Table:
         about = f"{pictures:.0f} images of {n} sequence{'' if n == 1 else 's'} together"
         reason = whole.intervals[INTERVALS[0]].reason
         notes.append(f"{about}; {reason or 'sequences are resampled for the interval'}.")
+    if constant is not None:
+        notes.append(
+            f"{CONSTANT}: {_in_words(constant.classes, task)} at every image has a skill of {constant.skill:.3f}"
+            f"{', the mean over sequences' if constant.whole.sequences > 1 else ''}. It is the command with the "
+            "highest skill on these very sequences: an upper bound for answers that never change."
+        )
     return Table("Over all images", tuple(columns), tuple(rows), tuple(notes))
+
+
+def _in_words(classes: tuple[int, int], task: SteeringRecipe) -> str:
+    """A command, such as "30 deg right, 8 deg down"."""
+    yaw, pitch = task.yaw_deg[classes[0]], task.pitch_deg[classes[1]]
+    turns = [f"{abs(yaw):g} deg {'left' if yaw > 0 else 'right'}"] if yaw else []
+    turns += [f"{abs(pitch):g} deg {'down' if pitch > 0 else 'up'}"] if pitch else []
+    return ", ".join(turns) or "straight on"
 
 
 def _interval(whole: Whole, column: Column) -> Interval:

@@ -10,6 +10,7 @@ from typing import Any
 
 from oysterbench.core.errors import MethodError, RecipeError
 from oysterbench.evaluate.steering import EVALUATOR, Commands, failed_metrics, score_pictures
+from oysterbench.evaluate.steering.dataset import best_constant
 from oysterbench.exploration.labelled_views import LabelledViews, labelled_views
 from oysterbench.methods.interfaces import RunSequence
 from oysterbench.methods.interfaces.images import LIMIT_OF_PICTURE_S
@@ -158,7 +159,10 @@ class SteeringTrack(Track):
         wholes = whole_of(runs)
         views = [one.views for one in sequences if isinstance(one, ViewSequence)]
         figures = picture_figures(views, runs, wholes, out) if out is not None else []
-        first = [pictures_table(wholes)] if wholes else []
+        first = []
+        if wholes:
+            constant = best_constant([one.labels for one in views])
+            first.append(pictures_table(wholes, constant, views[0].task))
         return Evaluation(runs, first=first, printed=shown_tables([run.record for run in runs], first), figures=figures)
 
     def _drive(self, request: Request) -> Evaluation:

@@ -68,6 +68,12 @@ def test_pictures_are_scored_printed_and_drawn(recipe, tmp_path):
     assert "Confusions of reader" in page
     assert "Over all images" in page
     assert "Over all images" in (out / "results.md").read_text()
+    for told in (result.stdout, page, (out / "results.md").read_text()):
+        assert re.search(
+            r"best constant: .* (left|right|up|down) at every image has a skill of \S+, the mean over", told
+        )
+    methods = {one["method"] for one in json.loads((out / "results.json").read_text())["results"]}
+    assert methods == {"reader", "straight"}, "it is a reference, not a result"
 
 
 @pytest.mark.slow

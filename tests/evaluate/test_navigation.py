@@ -13,7 +13,7 @@ from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.metrics import FAILED, find_metric
 from oysterbench.evaluate.statistics import resample_counts
 from oysterbench.evaluate.steering import Commands, Labels, labels, normalised_score, score_pictures, score_rollout
-from oysterbench.evaluate.steering.dataset import over_sequences
+from oysterbench.evaluate.steering.dataset import best_constant, over_sequences
 from oysterbench.evaluate.steering.metrics import PICTURES, ROLLOUTS
 from oysterbench.evaluate.steering.rollouts import episodes, seen_so_far
 from tests.helpers.exploring_made import PITCH, YAW, made_log, made_split
@@ -175,6 +175,31 @@ def test_several_sequences_together_are_scored_as_one_and_resampled_whole():
 def _ratio(parts, counts, top, bottom) -> float:
     tops = sum(n * top(truth.action_values, made.classes).sum() for (truth, made), n in zip(parts, counts, strict=True))
     return tops / sum(n * bottom(truth.action_values).sum() for (truth, _), n in zip(parts, counts, strict=True))
+
+
+def test_the_best_constant_answer_is_the_one_command_with_the_highest_mean_skill():
+    """Each sequence has one vote, however many images it has; one where no command matters has none."""
+    truths = [made(n, 60 + n)[0] for n in (4, 30, 9)]
+    truths[1].action_values[:, 2, 3] += 8.0
+    truths.append(Labels(truths[0].classes, np.ones_like(truths[0].action_values), TASK))
+    means = {}
+    for yaw in range(len(YAW)):
+        for pitch in range(len(PITCH)):
+            classes = [np.tile([yaw, pitch], (len(truth.classes), 1)) for truth in truths]
+            skills = [labels.skill(t.action_values, c) for t, c in zip(truths, classes, strict=True)]
+            means[yaw, pitch] = np.nanmean(skills)
+    found = best_constant(truths)
+    assert found is not None
+    assert means[found.classes] == max(means.values()) == pytest.approx(found.skill)
+    metrics = found.whole.score.metrics
+    assert metrics["pictures"] == 4 + 30 + 9 + 4
+    together = np.concatenate([truth.classes for truth in truths])
+    assert metrics["yaw_accuracy"] == (together[:, 0] == found.classes[0]).mean()
+    assert metrics["joint_accuracy"] == (together == found.classes).all(axis=1).mean()
+    assert metrics["yaw_cost_deg"] == pytest.approx(
+        np.abs(np.array(YAW)[together[:, 0]] - YAW[found.classes[0]]).mean()
+    )
+    assert best_constant(truths[-1:]) is None
 
 
 def test_a_macro_f1_of_resamples_is_that_of_their_pictures():

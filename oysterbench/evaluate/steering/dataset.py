@@ -30,6 +30,42 @@ class Whole:
     sequences: int
 
 
+@dataclass(frozen=True)
+class Constant:
+    """A command that is the same at every image. skill: mean over sequences; whole: result over all their images."""
+
+    classes: tuple[int, int]
+    skill: float
+    whole: Whole
+
+
+def best_constant(truths: Sequence[Labels]) -> Constant | None:
+    """Find the one pair of classes with the highest mean skill over sequences of the same task, on these very
+    sequences: an upper bound for answers that never change. None where no command makes a difference."""
+    sizes = truths[0].action_values.shape[1:]
+    skills = {pair: _mean_skill([_constant(truth, pair) for truth in truths], truths) for pair in np.ndindex(*sizes)}
+    known = {pair: skill for pair, skill in skills.items() if not math.isnan(skill)}
+    if not known:
+        return None
+    best = max(known, key=lambda pair: known[pair])
+    whole = over_sequences([(truth, _constant(truth, best)) for truth in truths])
+    return Constant((best[0], best[1]), known[best], whole)
+
+
+def _mean_skill(commands: Sequence[Commands], truths: Sequence[Labels]) -> float:
+    """Mean over the sequences that have a skill; NaN if none has."""
+    skills = [labels.skill(t.action_values, c.classes) for t, c in zip(truths, commands, strict=True)]
+    known = [skill for skill in skills if not math.isnan(skill)]
+    return math.fsum(known) / len(known) if known else math.nan
+
+
+def _constant(truth: Labels, pair: Sequence[int]) -> Commands:
+    """The same command at each image, with probability 1."""
+    n, sizes = len(truth.classes), truth.action_values.shape[1:]
+    yaw, pitch = (np.tile(np.eye(size)[k], (n, 1)) for size, k in zip(sizes, pair, strict=True))
+    return Commands(np.tile(np.array(pair, dtype=np.int64), (n, 1)), yaw, pitch)
+
+
 def over_sequences(parts: Sequence[tuple[Labels, Commands]]) -> Whole:
     """Score the commands for the images of one or more sequences together; all are of the same task."""
     score, scores = score_pictures(*_together(parts)), [score_pictures(*part) for part in parts]
