@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError
+from oysterbench.core.names import listed
 
 Form = Literal["auto", "instances", "mask", "probability", "classes"]
 FORMS: tuple[str, ...] = get_args(Form)
@@ -24,6 +25,9 @@ FAINT = 10
 FEW = 2
 """Number of values other than 0 up to which a map may have levels rather than numbers: unsure and sure."""
 
+MANY = 20
+"""Number of values other than 0 in one map from which on it is one of probabilities, unless they lie in patches."""
+
 PATCHES = 2.5
 """Maximum number of connected parts per number. True oysters have up to 1.7, as others hide parts of them; blocks of an
 enlarged probability map have 5 and more where there are many."""
@@ -31,41 +35,64 @@ JUMPS = 0.2
 """Minimum share of the borders between patches where other values lie in between: probabilities change by degrees."""
 
 
-def judged(planes: Iterable[tuple[str, NDArray[Any]]]) -> Form:
-    """Judge what the values of files are, given as name and plane (H, W). "auto" if they are masks of 0 and 1, or
-    probabilities. Raises LabelError naming a file where they look like numbers of oysters or classes in a form in which
-    integers are probabilities.
+def judged(planes: Iterable[tuple[str, NDArray[Any]]]) -> tuple[Form, tuple[str, ...]]:
+    """Judge what the values of files are, given as name and plane (H, W). Returns the form, and notes on it.
+
+    The form is "auto" if they are masks of 0 and 1, or probabilities. Raises LabelError naming a file where they could
+    be numbers of oysters or of classes in a form in which integers are probabilities, or a mask of 0 and 1 among
+    greater values.
     """
     values, kinds = set[int](), set[np.dtype[Any]]()
+    zero_one, greater, others = list[str](), list[str](), False
     fullest, most_values, greatest = ("", np.zeros((1, 1), np.uint8)), -1, np.zeros((1, 1), np.uint16)
     for name, plane in planes:
         if plane.dtype not in (np.uint8, np.uint16):
-            return "auto"  # it says what it is, or is refused
+            others = True  # it says what it is, or is refused when it is read
+            continue
         own = np.flatnonzero(np.bincount(plane.ravel()))
         values.update(own.tolist())
         kinds.add(plane.dtype)
+        if (most := plane.max(initial=0)) > 0:
+            (zero_one if most == 1 else greater).append(name)
         if len(own) > most_values:
             fullest, most_values = (name, plane), len(own)
-        if plane.max(initial=0) > greatest.max(initial=0):
+        if most > greatest.max(initial=0):
             greatest = plane
     numbers = sorted(values - {0})
     if not numbers or numbers == [1]:
-        return "auto"
+        return "auto", ()
     limit = np.iinfo(greatest.dtype).max
-    if len(numbers) == 1 and 0 in values:
-        return "auto" if numbers == [limit] else "mask"
-    if kinds == {np.dtype(np.uint16)} and numbers[-1] <= NUMBERS * limit and _mostly_uniform(greatest):
-        return "instances"
-    faint = kinds == {np.dtype(np.uint8)} and numbers[-1] <= FAINT
-    if faint or (len(numbers) > FEW and in_patches(fullest[1])):
-        name, plane = fullest
+    shades = len(np.unique(fullest[1][fullest[1] > 0]))
+    if not others:
+        if len(numbers) == 1 and 0 in values:
+            return ("auto" if numbers == [limit] else "mask"), ()
+        if kinds == {np.dtype(np.uint16)} and numbers[-1] <= NUMBERS * limit and _mostly_uniform(greatest):
+            return "instances", ()
+        faint = kinds == {np.dtype(np.uint8)} and numbers[-1] <= FAINT
+        if faint or (len(numbers) > FEW and in_patches(fullest[1])):
+            name, plane = fullest
+            look = "look like numbers of oysters or of classes"
+            if faint:
+                top = f"{numbers[-1] / limit:.1%}"
+                look = (
+                    f"could be numbers of oysters or classes, or probabilities of which none in any file is above {top}"
+                )
+            raise LabelError(
+                f"{name}: expected a mask of 0 and one other value, or probabilities, where {limit} is 1, got {shades} "
+                f"values up to {plane.max()}, which {look}; number oysters from 1 on in 16 bits, store probabilities "
+                "as floating-point numbers; or say what they are: --estimate-kind instances, probability or classes "
+                "(of a map --masks-kind)"
+            )
+    if shades >= MANY:
+        read = f"read as probabilities of 0 and 1/{limit}, as other files have many values: {listed(zero_one, 3)}"
+        return "probability", (read,) if zero_one else ()
+    if zero_one and greater:
         raise LabelError(
-            f"{name}: expected a mask of 0 and one other value, or probabilities, where {limit} is 1, got "
-            f"{len(np.unique(plane[plane > 0]))} values up to {plane.max()}, which look like numbers of oysters or of "
-            "classes; number oysters from 1 on in 16 bits, store probabilities as floating-point numbers; or say what "
-            "they are: --estimate-kind instances, probability or classes (of a map --masks-kind)"
+            f"{zero_one[0]} has only 0 and 1, like a mask, and {greater[0]} greater values, like a probability map "
+            f"with {limit} for 1; say which they are: --estimate-kind mask or probability (of a map --masks-kind), or "
+            "send them as floating-point numbers"
         )
-    return "auto"
+    return "auto", ()
 
 
 def in_patches(plane: NDArray[Any]) -> bool:

@@ -47,7 +47,7 @@ class MaskFiles:
     form: meaning of the values. "auto": floating-point numbers are probabilities; integers of 0 and one other number,
     the same in all files, are masks; other integers are probabilities, as shares of the type's greatest number, or, if
     of 16 bits, small and in patches, the numbers of single oysters. What could be either is refused, as are 8-bit
-    numbers in patches and masks of 0 and 1 among probabilities: then the form must be given.
+    numbers in patches and masks of 0 and 1 among files of a few greater numbers: then the form must be given.
     """
 
     def __init__(
@@ -61,8 +61,6 @@ class MaskFiles:
         self._files = files or {}
         self.form = form
         self._readers = readers
-        self._zero_one = ""
-        self._probability = ""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -84,12 +82,21 @@ class MaskFiles:
             return EstimateImage(name, probability=values)
         return self._integers(name, values, where)
 
-    @cached_property
+    @property
     def kind(self) -> Form:
         """Meaning of the values: `form`, or, if that is "auto", judging by all files; "auto" if they are masks of 0 and
         1, or probabilities. Raises LabelError where it cannot be told (`forms.judged`)."""
+        return self._judged[0]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to tell about how the values are read. Raises LabelError as `kind`."""
+        return self._judged[1]
+
+    @cached_property
+    def _judged(self) -> tuple[Form, tuple[str, ...]]:
         if self.form != "auto":
-            return self.form
+            return self.form, ()
         return judged((self.where(name), self.plane(name)) for name in self._readers)
 
     @property
@@ -129,17 +136,7 @@ class MaskFiles:
                 "probabilities as float32, numbers of oysters as uint16; or say what they are: --estimate-kind mask, "
                 "instances or classes (of a map --masks-kind)"
             )
-        if self.form == "auto" and greatest == 1:
-            self._zero_one = name
-        elif greatest > 1:
-            self._probability = name
-        if self._zero_one and self._probability:
-            raise LabelError(
-                f"{self.place}: {self._zero_one} has only 0 and 1, like a mask, and {self._probability} greater "
-                f"values, like a probability map with {most} for 1; say which they are (--estimate-kind; of a map "
-                "--masks-kind), or send them as floating-point numbers"
-            )
-        if self.form == "auto" and greatest == 1:
+        if self.kind == "auto" and greatest == 1:
             return EstimateImage(name, probability=values.astype(np.float32))
         return EstimateImage(name, probability=values.astype(np.float32) / np.float32(most))
 

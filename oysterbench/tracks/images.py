@@ -186,24 +186,19 @@ class ImageTrack(Track):
     ) -> tuple[Predictor, tuple[str, ...]]:
         """Return a function that reads the prediction for an image from files, and notes on these. Raises LabelError
         where an image has none, or where there is one too many."""
-        notes: tuple[str, ...] = ()
-        if place.suffix.lower() == ".json":
-            coco = next((one.coco for one in labelled if one.coco is not None), None)
-            file = read_coco(place, coco)
-            names, get = file.names, lambda name, shape: self.of_coco(file, name, settings)
-            notes = file.notes
-            outlined = any(one.coco is None or not one.coco.boxes_alone for one in labelled)
-            if self.single and outlined and file.boxes_alone:
-                notes += (f"oysters with a box alone overlap no mask: {file.without_mask}",)
-        else:
+        wanted = [name for one in labelled for name in one.names]
+        if place.suffix.lower() != ".json":
             files = open_predictions(place, form)
-            names = files.names
-
-            def get(name: str, shape: tuple[int, int]) -> Any:
-                return self.of_masks(files, name, shape, settings)
-
-        check_names((name for one in labelled for name in one.names), names, place)
-        return get, notes
+            check_names(wanted, files.names, place)
+            return lambda name, shape: self.of_masks(files, name, shape, settings), files.notes
+        coco = next((one.coco for one in labelled if one.coco is not None), None)
+        file = read_coco(place, coco)
+        check_names(wanted, file.names, place)
+        notes = file.notes
+        outlined = any(one.coco is None or not one.coco.boxes_alone for one in labelled)
+        if self.single and outlined and file.boxes_alone:
+            notes += (f"oysters with a box alone overlap no mask: {file.without_mask}",)
+        return lambda name, shape: self.of_coco(file, name, settings), notes
 
     def of_masks(self, files: MaskFiles, name: str, shape: tuple[int, int], settings: Any) -> Any:
         """Return the prediction for an image of size (H, W) from mask files, in the evaluator's type. Raises LabelError

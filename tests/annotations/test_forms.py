@@ -70,6 +70,37 @@ def test_maps_of_probabilities_remain_so(tmp_path, values, kind):
     assert found.probability == pytest.approx(values, abs=0.6 / most)
 
 
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_faint_maps_are_judged_by_their_folder(tmp_path, kind):
+    """Among maps of probabilities, one of 0 and 1 alone is one too, which is said; among masks nothing is guessed."""
+    most = np.iinfo(kind).max
+    write_png(tmp_path / "a.png", np.round(1.4 * SOFT).astype(kind))
+    write_png(tmp_path / "b.png", np.round(10 * SOFT).astype(kind))
+    write_png(tmp_path / "c.png", np.round(most * SOFT).astype(kind))
+    found = open_predictions(tmp_path)
+    assert [float(found.get(name).probability.max() * most) for name in "abc"] == pytest.approx([1, 10, most], rel=0.02)
+    assert not found.get("a").mask(0.5).any()
+    (note,) = found.notes
+    assert note == f"read as probabilities of 0 and 1/{most}, as other files have many values: {tmp_path}/a.png"
+    assert open_predictions(tmp_path, "probability").notes == ()
+    for levels in (MASK * 1.0, np.round(2 * SOFT) / 2):  # no map of probabilities for sure
+        write_png(tmp_path / "b.png", np.round(levels * most).astype(kind))
+        write_png(tmp_path / "c.png", np.round(levels * most).astype(kind))
+        with pytest.raises(
+            LabelError, match=r"a\.png has only 0 and 1, .* mask or probability \(of a map --masks-kind"
+        ):
+            open_predictions(tmp_path).get("a")
+
+
+def test_faint_maps_alone_are_refused_with_the_option_that_reads_them(tmp_path):
+    faint = np.round(10 * SOFT).astype(np.uint8)
+    write_png(tmp_path / "a.png", faint)
+    said = r"a\.png: .* got 10 values up to 10, which could be .*, or probabilities of which none .* is above 3\.9%; .*"
+    with pytest.raises(LabelError, match=said + "--estimate-kind instances, probability"):
+        open_predictions(tmp_path).get("a")
+    assert open_predictions(tmp_path, "probability").get("a").probability == pytest.approx(faint / 255)
+
+
 @pytest.mark.parametrize(("kind", "number"), [(np.uint8, 2), (np.uint8, 100), (np.uint8, 255), (np.uint16, 100)])
 def test_zero_and_one_other_number_in_all_files_are_a_mask(tmp_path, kind, number):
     write_png(tmp_path / "a.png", MASK.astype(kind) * kind(number))
