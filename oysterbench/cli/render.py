@@ -63,8 +63,9 @@ def render(
     May be interrupted at any time, even killed; the same command resumes at the same frame. Files that are there
     already are kept and not read through: `oysterbench verify FILE` finds damage done later. Any number of workers,
     here or on a cluster, gives the same bytes. With --topics, cameras and sonars that make none of them are not
-    rendered, and the smaller files go to a folder of their own. A hidden split needs its salt, read from a file or from
-    OYSTERBENCH_SALT because others can see the command line; its preview shows the split without the salt.
+    rendered, and the smaller files go to a folder of their own. Frames that files under the home folder already have,
+    complete or rendered with other --topics, are copied from these. A hidden split needs its salt, read from a file or
+    from OYSTERBENCH_SALT because others can see the command line; its preview shows the split without the salt.
     """
     from oysterbench.recipe import load_split, split_names
 

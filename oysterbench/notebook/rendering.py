@@ -31,32 +31,36 @@ def render_files(
 ) -> dict[str, Path]:
     """Return the sequence files of a split, by name, after rendering the missing ones with a progress bar.
 
-    quiet: show nothing. topics: patterns; makes smaller files with no other topics, in a folder of their own, cut from
-    complete ones where those exist. Raises MachineError, which says what to type, where the renderer is not installed,
-    and SequenceError where smaller files would be put among complete ones.
+    quiet: show nothing. topics: patterns; makes smaller files with no other topics, in a folder of their own, where
+    possible from files that have them already (`simulation.reuse`). Raises MachineError, which says what to type, where
+    the renderer is not installed, and SequenceError where smaller files would be put among complete ones.
     """
     from oysterbench.simulation import cost
     from oysterbench.simulation.generate import check_workers, default_workers, generate_split, share_left
+    from oysterbench.simulation.reuse import reuse
 
     folder = _folder(split, folder, salt, topics)
-    if topics:
-        _cut_from_complete(split, folder, names, salt, topics)
+    tell = (lambda line: None) if quiet else say
+    taken = reuse(split, folder, _missing(split, folder, names), topics, salt, tell) if topics else {}
     missing = _missing(split, folder, names)
     if missing and scheduler is None:
         check_renderer(f"{split.name}: {missing[0].name} is not here, and")
 
     def cpu_s(workers: int) -> float:
         return sum(
-            share_left(split, sequence, folder, salt, topics) * cost.estimated(split, sequence, workers, topics)
-            for sequence in missing
+            share_left(split, one, folder, salt, topics, taken.get(one.name, ()))
+            * cost.estimated(split, one, workers, topics, taken.get(one.name, ()))
+            for one in missing
         )
 
     workers = default_workers(cpu_s(1)) if workers is None else check_workers(workers)
     if scheduler is None and device == "cpu" and not quiet:
         _announce(split, missing, workers, cpu_s(workers) / workers)
     with nullcontext() if quiet else frames_bar(f"rendering {split.name}") as progress:
-        waiting, tell = (None, None) if quiet else (partial(_wait, folder), say)
-        return generate_split(split, folder, workers, progress, salt, device, scheduler, names, waiting, topics, tell)
+        waiting = None if quiet else partial(_wait, folder)
+        return generate_split(
+            split, folder, workers, progress, salt, device, scheduler, names, waiting, topics, tell, taken
+        )
 
 
 def _wait(folder: Path) -> None:
@@ -95,22 +99,6 @@ def _folder(split: SplitRecipe, folder: Path | None, salt: bytes, topics: tuple[
             "with --out, or leave it out"
         )
     return folder
-
-
-def _cut_from_complete(
-    split: SplitRecipe, folder: Path, names: tuple[str, ...], salt: bytes, topics: tuple[str, ...]
-) -> None:
-    """Cut smaller files from complete ones that exist: rendering them again would take much longer."""
-    from oysterbench.sequence.cut import cut_to
-    from oysterbench.simulation.generate import check_made_by, digest, sequence_files, split_folder
-    from oysterbench.simulation.jobs import wanted_topics
-
-    complete = sequence_files(split, split_folder(split, salt))
-    for sequence in _missing(split, folder, names):
-        source = complete[sequence.name]
-        if source.is_file():
-            check_made_by(source, split, digest(split, salt))
-            cut_to(folder / source.name, source, wanted_topics(split, sequence, topics))
 
 
 def _announce(split: SplitRecipe, missing: list[SequenceRecipe], workers: int, seconds: float) -> None:

@@ -20,6 +20,9 @@ from oysterbench.sequence.read import CALIBRATION
 from oysterbench.sequence.types import is_measured
 from oysterbench.sequence.write import SequenceWriter
 
+TOPICS = "topics-"
+"""Prefix of the folders of smaller files."""
+
 PUBLIC_METADATA = ("sequence", "split", "split_version", "track", "rig", "generation")
 PUBLIC_ATTACHMENTS = (CALIBRATION, "classes.json")
 """What a hidden split shows besides measurements. These list what may be seen, so that anything new stays hidden until
@@ -104,9 +107,22 @@ def read_chunk(path: Path, index: ChunkIndex, channels: Mapping[int, Channel]) -
         raise SequenceError(damaged(path, str(error))) from None
 
 
+def read_written(path: Path, topics: Collection[str]) -> Iterator[Message]:
+    """Messages of some topics, in the order in which they were written; CRCs are checked."""
+    with Reading(path) as (_, summary):
+        chunks = chunks_with(summary, topics)
+    for chunk in chunks:
+        yield from (message for message in read_chunk(path, chunk, summary.channels) if message.topic in topics)
+
+
+def smaller_files(folder: Path, sequence: str) -> list[Path]:
+    """Smaller files of a sequence in the subfolders of a split's folder, for any choice of topics."""
+    return sorted(folder.glob(f"{TOPICS}*/{sequence}.mcap"))
+
+
 def topics_folder(folder: Path, wanted: Collection[str]) -> Path:
     """Subfolder of a split's folder for smaller files, one for each choice of topics."""
-    return folder / f"topics-{hashlib.sha256(' '.join(sorted(wanted)).encode()).hexdigest()[:8]}"
+    return folder / f"{TOPICS}{hashlib.sha256(' '.join(sorted(wanted)).encode()).hexdigest()[:8]}"
 
 
 def match_topics(known: Collection[str], wanted: Collection[str], what: str) -> list[str]:

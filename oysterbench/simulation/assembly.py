@@ -17,6 +17,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.ros import EPOCH_NS, TF_STATIC, Message
 from oysterbench.recipe import CLASSES, REEF_CLASSES, RigRecipe, SequenceRecipe, SplitRecipe
 from oysterbench.sensors.registry import calibrate_rig, kind_of, rig_frames
+from oysterbench.sequence.cut import read_written
 from oysterbench.sequence.file import read_attachments, read_messages
 from oysterbench.sequence.read import CALIBRATION, METADATA, TRUE_CALIBRATION
 from oysterbench.sequence.truth import static_transforms
@@ -33,13 +34,16 @@ def assemble(
     made_by: str,
     salt: bytes = b"",
     topics: Collection[str] = (),
+    taken: Mapping[str, Path] | None = None,
     stop: threading.Event | None = None,
 ) -> None:
     """Assemble the parts of a sequence in time order; the file appears in one step, or not at all where another thread
-    sets `stop`. With patterns of topics, it is the file that `sequence.cut` would make of the complete one."""
+    sets `stop`. With patterns of topics, it is the file that `sequence.cut` would make of the complete one. taken:
+    topic -> file of the same sequence that its messages are copied from, the same as the parts would give."""
     rig = split.rig_of(recipe)
     calibration = calibrate_rig(rig, recipe.site, recipe.calibration, split.streams_of(recipe, salt))
-    jobs = plan(split, recipe, topics)
+    taken = taken or {}
+    jobs = plan(split, recipe, topics, taken)
     wanted = wanted_topics(split, recipe, topics)
     temporary = parts / "whole.mcap"  # next to the parts, so that what a kill leaves goes with them
     with naming(path, parts), open(temporary, "wb") as file:
@@ -74,8 +78,8 @@ def assemble(
             if topic not in wanted:
                 continue
             files = [parts / job.part for job in jobs if job.source == source]
-            messages = _read_parts(files, topic)
-            if source:
+            messages = _read_parts(files, topic) if topic not in taken else read_written(taken[topic], [topic])
+            if source and topic not in taken:
                 messages = kind_of(bulky[source]).pass_on(bulky[source], topic, messages)
             for message in messages:
                 if stop is not None and stop.is_set():

@@ -36,9 +36,15 @@ ASSEMBLED = 2
 """Sequences whose parts exist at the same time: one is assembled while the next is rendered."""
 
 
-def estimated(split: SplitRecipe, sequence: SequenceRecipe, workers: int = 1, topics: Collection[str] = ()) -> float:
+def estimated(
+    split: SplitRecipe,
+    sequence: SequenceRecipe,
+    workers: int = 1,
+    topics: Collection[str] = (),
+    taken: Collection[str] = (),
+) -> float:
     """Processor time, s, to render a sequence, or some topics of it, with a number of workers, each of which builds
-    the reef."""
+    the reef. taken: topics that are not rendered."""
     rig = split.rig_of(sequence)
     reef = sequence.reef
     shaded = FRAME_S + OYSTERS_S * reef.oyster_count / reef.size_m**2 / 100.0 + PLANTS_S * reef.plant_cover
@@ -49,7 +55,7 @@ def estimated(split: SplitRecipe, sequence: SequenceRecipe, workers: int = 1, to
     total = workers * BUILDING_S * reef.oyster_count
     if split.steering is not None:
         total += EXPERT_S * sum(count(sequence.duration_s, camera.rate_hz) for camera in rig.camera)
-    for recipe in wanted_sensors(split, sequence, topics).values():
+    for recipe in wanted_sensors(split, sequence, topics, taken).values():
         pictures = count(sequence.duration_s, recipe.rate_hz)
         if isinstance(recipe, CameraRecipe):
             total += pictures * shaded * recipe.width * recipe.height / PICTURE_PX

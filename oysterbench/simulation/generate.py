@@ -14,7 +14,7 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -90,6 +90,7 @@ def generate_split(
     before_waiting: Callable[[], None] | None = None,
     topics: Collection[str] = (),
     tell: Callable[[str], None] | None = None,
+    taken: Mapping[str, Mapping[str, Path]] | None = None,
 ) -> dict[str, Path]:
     """Make the missing sequence files of a split (or of these names), and return all of them, by name.
 
@@ -97,7 +98,8 @@ def generate_split(
     make these are rendered; all files of a folder have the same topics. workers: processes on this machine, unless the
     address of a Dask `scheduler` is given. device: Warp device on the machines that render. before_waiting: called
     before waiting for another process that renders into the folder. tell: called with a line for the user where parts
-    that an earlier call left are damaged; they are made again.
+    that an earlier call left are damaged; they are made again. taken: sequence -> topic of a camera or sonar -> whole
+    file of the same recipe with its messages, which are copied instead of rendered.
 
     Raises RecipeError where the recipe cannot be built or a hidden split has no sufficient salt, MachineError where the
     disk has too little room, and SequenceError where the folder holds a damaged file or one of another recipe; existing
@@ -138,7 +140,7 @@ def generate_split(
             with naming(folder, folder / PARTS):
                 _discard_damaged(split, missing, folder, made_by, topics, tell or (lambda line: None))
                 count = progress or (lambda done, total: None)
-                _render(split, missing, folder, made_by, salt, run, elsewhere, count, topics)
+                _render(split, missing, folder, made_by, salt, run, elsewhere, count, topics, taken or {})
         with contextlib.suppress(OSError):  # absent, or holds parts of other recipes
             (folder / PARTS).rmdir()
     return files
@@ -174,11 +176,16 @@ def check_made_by(path: Path, split: SplitRecipe, made_by: str, topics: Collecti
 
 
 def share_left(
-    split: SplitRecipe, sequence: SequenceRecipe, folder: Path, salt: bytes = b"", topics: Collection[str] = ()
+    split: SplitRecipe,
+    sequence: SequenceRecipe,
+    folder: Path,
+    salt: bytes = b"",
+    topics: Collection[str] = (),
+    taken: Collection[str] = (),
 ) -> float:
     """Share, 0 to 1, of a missing sequence that is still to be rendered: an interruption leaves parts behind."""
     there = sum(1 for _ in _parts(folder, sequence.name, digest(split, salt)).glob("*.part"))
-    return max(0.0, 1.0 - there / len(plan(split, sequence, topics)))
+    return max(0.0, 1.0 - there / len(plan(split, sequence, topics, taken)))
 
 
 def _parts(folder: Path, sequence: str, made_by: str) -> Path:
@@ -197,7 +204,7 @@ def _discard_damaged(
     for sequence in sequences:
         parts = _parts(folder, sequence.name, made_by)
         found = [parts / job.part for job in plan(split, sequence, topics)]
-        bad = [part for part in found if part.is_file() and not _is_whole(part)]
+        bad = [part for part in found if part.is_file() and not is_whole(part)]
         for part in bad:
             part.unlink()
         if bad:
@@ -205,8 +212,8 @@ def _discard_damaged(
             tell(f"{parts}: truncated or damaged, rendered again: {which}")
 
 
-def _is_whole(part: Path) -> bool:
-    """Whether all that a part holds can be read, with the right checksums."""
+def is_whole(part: Path) -> bool:
+    """Whether all that a part, or a sequence file, holds can be read, with the right checksums."""
     try:
         for _ in read_messages(part):
             pass
@@ -226,6 +233,7 @@ def _render(
     elsewhere: bool,
     progress: Progress,
     topics: Collection[str],
+    taken: Mapping[str, Mapping[str, Path]],
 ) -> None:
     """Run the jobs whose parts are missing; assemble each sequence as soon as its last part is there.
 
@@ -237,7 +245,7 @@ def _render(
     done = total = 0
     for sequence in sequences:
         parts = _parts(folder, sequence.name, made_by)
-        jobs = plan(split, sequence, topics)
+        jobs = plan(split, sequence, topics, taken.get(sequence.name, ()))
         missing = [job for job in jobs if not (parts / job.part).is_file()]
         waiting[sequence.name] = set(missing)
         todo += missing
@@ -250,7 +258,8 @@ def _render(
 
     def put_together(name: str) -> None:
         parts = _parts(folder, name, made_by)
-        assemble(split, split.find_sequence(name), parts, folder / f"{name}.mcap", made_by, salt, topics, stop)
+        path, copied = folder / f"{name}.mcap", taken.get(name)
+        assemble(split, split.find_sequence(name), parts, path, made_by, salt, topics, copied, stop)
         cost.keep(folder, name, parts)
         shutil.rmtree(parts, ignore_errors=True)
 

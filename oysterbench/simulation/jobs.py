@@ -32,10 +32,13 @@ class Job:
         return 1 if self.source else 0
 
 
-def plan(split: SplitRecipe, sequence: SequenceRecipe, topics: Collection[str] = ()) -> list[Job]:
-    """All jobs of a sequence, or those needed for some topics, by patterns such as `/imu` or `/cam_front/*`."""
+def plan(
+    split: SplitRecipe, sequence: SequenceRecipe, topics: Collection[str] = (), taken: Collection[str] = ()
+) -> list[Job]:
+    """All jobs of a sequence, or those needed for some topics, by patterns such as `/imu` or `/cam_front/*`; taken:
+    topics that need none."""
     jobs = [Job(sequence.name)]
-    for source, recipe in wanted_sensors(split, sequence, topics).items():
+    for source, recipe in wanted_sensors(split, sequence, topics, taken).items():
         jobs += [Job(sequence.name, source, frame) for frame in range(count(sequence.duration_s, recipe.rate_hz))]
     return jobs
 
@@ -55,12 +58,12 @@ def wanted_topics(split: SplitRecipe, sequence: SequenceRecipe, topics: Collecti
 
 
 def wanted_sensors(
-    split: SplitRecipe, sequence: SequenceRecipe, topics: Collection[str] = ()
+    split: SplitRecipe, sequence: SequenceRecipe, topics: Collection[str] = (), taken: Collection[str] = ()
 ) -> dict[str, SensorRecipe]:
-    """Those of `bulky_sensors` whose jobs make topics that match the patterns."""
+    """Those of `bulky_sensors` whose jobs make topics that match the patterns and are not taken from elsewhere."""
     rig = split.rig_of(sequence)
     made_by = sources(rig)
-    needed = {made_by.get(topic) for topic in wanted_topics(split, sequence, topics)}
+    needed = {made_by.get(topic) for topic in wanted_topics(split, sequence, topics) if topic not in taken}
     return {name: recipe for name, recipe in bulky_sensors(rig).items() if name in needed}
 
 
