@@ -32,7 +32,7 @@ def test_who_waits_for_another_process_is_told(tiny_split, tmp_path, monkeypatch
 def test_what_an_interrupted_render_will_still_take_is_said(tiny_split, tmp_path, monkeypatch):
     said: list[str] = []
     monkeypatch.setattr(rendering, "say", said.append)
-    monkeypatch.setattr(cost, "estimated", lambda split, sequence, workers, topics: 1200.0)
+    monkeypatch.setattr(cost, "estimated", lambda split, sequence, workers, topics, taken: 1200.0)
     monkeypatch.setattr("oysterbench.simulation.generate.generate_split", lambda *given: {})
     rendering.render_files(tiny_split, tmp_path, workers=2)
     jobs = plan(tiny_split, tiny_split.sequence[0])
