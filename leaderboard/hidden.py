@@ -32,6 +32,11 @@ split."""
 COSTS = ("wall_s", "cpu_s", "cpu_s_per_s", "realtime_factor", "peak_memory_mb", "images_per_s", "pictures_per_s")
 """Metrics of the run, not of its estimate: published as measured, as they reveal nothing of the ground truth."""
 
+ABOUT = ("method", "run")
+"""What of `info` is published: about the method and its run."""
+
+FAILED = "failed, or left no estimate that can be scored"
+
 NO_VALUE = "has no value for this estimate on this sequence"
 
 
@@ -78,7 +83,9 @@ def _coarse(result: ResultRecord) -> ResultRecord:
         kept["union_px"] = significant(union, DIGITS["split"])
     kept |= {key: metrics[key] for key in COSTS if key in metrics}
     reasons = {key: result.reasons[key] if key in COSTS else NO_VALUE for key, v in kept.items() if math.isnan(v)}
-    return replace(result, metrics=kept, reasons=reasons)
+    failure, info = result.failure and FAILED, {key: result.info[key] for key in ABOUT if key in result.info}
+    # Notes, and what the evaluation adds to `info`, have exact errors of the estimate and of the method's other paths.
+    return replace(result, metrics=kept, reasons=reasons, failure=failure, notes=(), info=info)
 
 
 def _rounded(key: str, track: str, value: float) -> float:

@@ -64,8 +64,9 @@ def render(
     already are kept and not read through: `oysterbench verify FILE` finds damage done later. Any number of workers,
     here or on a cluster, gives the same bytes. With --topics, cameras and sonars that make none of them are not
     rendered, and the smaller files go to a folder of their own. Frames that files under the home folder already have,
-    complete or rendered with other --topics, are copied from these. A hidden split needs its salt, read from a file or
-    from OYSTERBENCH_SALT because others can see the command line; its preview shows the split without the salt.
+    complete or rendered with other --topics, are copied from these, except for complete files with --out. A hidden
+    split needs its salt, read from a file or from OYSTERBENCH_SALT because others can see the command line; its preview
+    shows the split without the salt.
     """
     from oysterbench.recipe import load_split, split_names
 

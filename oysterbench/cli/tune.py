@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 @click.argument("method", metavar="METHOD")
 @click.option("--split", "split_name", help="Split to tune on.  [default: slam-train, or that of its track]")
 @click.option("--sequence", "sequences", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
+@click.option("--topics", multiple=True, metavar="GLOB", help="Render only these and the ground truth; repeatable.")
 @click.option(
     "--trials",
     "count",
@@ -46,6 +47,7 @@ def tune_command(
     method: str,
     split_name: str | None,
     sequences: tuple[str, ...],
+    topics: tuple[str, ...],
     count: int,
     ranges: Path | None,
     seed: int,
@@ -91,6 +93,7 @@ def tune_command(
         out=out,
         split=load_split(split_name or track.default_split.replace("-mini", "-train")),
         sequences=sequences,
+        topics=track.with_truth(topics) if topics else (),
         methods=references,
         jobs=jobs,
         limit_s=limit_s,

@@ -31,17 +31,20 @@ def render_files(
 ) -> dict[str, Path]:
     """Return the sequence files of a split, by name, after rendering the missing ones with a progress bar.
 
-    quiet: show nothing. topics: patterns; makes smaller files with no other topics, in a folder of their own, where
-    possible from files that have them already (`simulation.reuse`). Raises MachineError, which says what to type, where
-    the renderer is not installed, and SequenceError where smaller files would be put among complete ones.
+    quiet: show nothing. topics: patterns; makes smaller files with no other topics, in a folder of their own. Frames
+    that files under the home folder have already are not rendered again (`simulation.reuse`). Raises MachineError,
+    which says what to type, where the renderer is not installed, and SequenceError where smaller files would be put
+    among complete ones.
     """
     from oysterbench.simulation import cost
-    from oysterbench.simulation.generate import check_workers, default_workers, generate_split, share_left
+    from oysterbench.simulation.generate import check_workers, default_workers, generate_split, share_left, split_folder
     from oysterbench.simulation.reuse import reuse
 
     folder = _folder(split, folder, salt, topics)
     tell = (lambda line: None) if quiet else say
-    taken = reuse(split, folder, _missing(split, folder, names), topics, salt, tell) if topics else {}
+    # Complete files elsewhere are rendered as a whole: it is how a release is reproduced.
+    reusing = topics or folder.resolve() == split_folder(split, salt).resolve()
+    taken = reuse(split, folder, _missing(split, folder, names), topics, salt, tell) if reusing else {}
     missing = _missing(split, folder, names)
     if missing and scheduler is None:
         check_renderer(f"{split.name}: {missing[0].name} is not here, and")

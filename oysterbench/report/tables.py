@@ -11,7 +11,7 @@ import numpy as np
 from oysterbench.core.html import capital
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import SPEEDS, TRACKS, find_metric
-from oysterbench.evaluate.statistics import LEAST_SEQUENCES, LEVEL, Interval
+from oysterbench.evaluate.statistics import LEAST_SEQUENCES, LEVEL, Interval, weighed_means
 from oysterbench.report.columns import (
     COSTS_OF_TRACK,
     OF_TRACK,
@@ -24,7 +24,7 @@ from oysterbench.report.columns import (
 from oysterbench.report.table import Cell, Column, Estimate, Table, TableRow, Value, interval_column
 from oysterbench.results.comparison import Board, SequenceRuns, boards
 from oysterbench.results.machines import machines_of
-from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key
+from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key, samples, weights_of
 from oysterbench.results.remarks import remarks
 
 NO_SENSORS = ("truth", "tf", "tf_static")
@@ -34,11 +34,14 @@ COMPLETE = 0.95
 """Share of the highest coverage on a sequence that a run must reach to be called the best there."""
 
 
+SEVERAL = "Of several runs, means are shown; a failed one has a score and coverage of 0, and no errors."
+
+
 def results_table(records: Sequence[ResultRecord]) -> Table:
     """Table with a row per method and sequence, in order of first appearance; aggregates below if there are two or more
     sequences.
 
-    For several runs of a method on a sequence, the medians are shown.
+    Of several runs of a method on a sequence, the means are shown, as they are ranked.
     """
     order = list(dict.fromkeys(record.sequence for record in records))
     groups: dict[tuple[str, ...], list[ResultRecord]] = {}
@@ -47,49 +50,52 @@ def results_table(records: Sequence[ResultRecord]) -> Table:
     columns = OF_TRACK[records[0].track] if records else ()
     costs = COSTS_OF_TRACK[records[0].track] if records else ()
     columns += tuple(column for column in costs if any(column.key in record.metrics for record in records))
-    medians = [{column.key: median(group, column.key) for column in columns} for group in groups.values()]
+    means = [{column.key: _mean(group, column.key) for column in columns} for group in groups.values()]
     several_machines = len(machines_of(records)) > 1
     competing = [column for column in columns if not (several_machines and column.key in SPEEDS)]
-    best = _best([group[0].sequence for group in groups.values()], medians, competing)
+    best = _best([group[0].sequence for group in groups.values()], means, competing)
     rows = []
-    for group, of in zip(groups.values(), medians, strict=True):
+    for group, of in zip(groups.values(), means, strict=True):
         sequence, failures = group[0].sequence, sum(record.failure is not None for record in group)
-        several = f" ({len(group)} runs{f', {failures} failed' if failures else ''})" if len(group) > 1 else ""
-        name = f"{group[0].method}{several}"
+        runs = f" ({len(group)} runs{f', {failures} failed' if failures else ''})" if len(group) > 1 else ""
+        name = f"{group[0].method}{runs}"
         lost = failures == len(group)
         values = [Cell(of[c.key], kind="best" if of[c.key] == best.get((sequence, c.key)) else "") for c in columns]
         method = Cell(name, kind="warn", mark="failed") if lost else name
         rows.append(TableRow((sequence, method, *values), "failed" if lost else ""))
-    means = aggregate(records) if len(order) > 1 else []
-    for mean in means:
+    over_all = aggregate(records) if len(order) > 1 else []
+    for mean in over_all:
         name = f"mean of {mean['sequences']}" + (f", {mean['failures']} failed" if mean["failures"] else "")
         if mean["lost"] is not None:
             name = f"over {mean['sequences']}" + (f", {len(mean['lost'])} lost" if mean["lost"] else "")
         rows.append(TableRow((name, mean["method"], *(mean["metrics"].get(c.key) for c in columns)), "mean"))
-    notes = tuple(filter(None, (lost_note(records[0].track) if means else "", *failures_and_notes(records))))
+    several = SEVERAL if any(len(group) > 1 for group in groups.values()) else ""
+    about = (several, lost_note(records[0].track) if over_all else "")
+    notes = tuple(filter(None, (*about, *failures_and_notes(records))))
     return Table("Results", (*name_columns("sequence", "method"), *columns), tuple(rows), notes)
 
 
-def median(records: Sequence[ResultRecord], key: str) -> float:
-    """Median of a metric over the runs that have a value; NaN if none has."""
-    known = [value for record in records if not math.isnan(value := record.metrics.get(key, math.nan))]
-    return float(np.median(known)) if known else math.nan
+def _mean(records: Sequence[ResultRecord], key: str) -> float:
+    """Mean of a metric over the runs of a method on a sequence that have a value, as in the standings; NaN if none
+    has."""
+    means = weighed_means(samples(records, key), weights_of(records, key))
+    return means.get(records[0].sequence, math.nan)
 
 
 def _best(
-    sequences: Sequence[str], medians: Sequence[dict[str, float]], columns: Sequence[Column]
+    sequences: Sequence[str], means: Sequence[dict[str, float]], columns: Sequence[Column]
 ) -> dict[tuple[str, str], float]:
     """Find the best value for each sequence and column, where methods differ and the metric has a direction.
 
     Only runs with nearly the coverage of the most complete one compete: a low error over the easy part is no record.
     The score accounts for missing coverage, so that all runs compete for it.
     """
-    coverages = [1.0 if math.isnan(covered := of.get("coverage", math.nan)) else covered for of in medians]
+    coverages = [1.0 if math.isnan(covered := of.get("coverage", math.nan)) else covered for of in means]
     most: dict[str, float] = {}
     for sequence, coverage in zip(sequences, coverages, strict=True):
         most[sequence] = max(most.get(sequence, 0.0), coverage)
     values: dict[tuple[str, str], list[float]] = {}
-    for sequence, coverage, of in zip(sequences, coverages, medians, strict=True):
+    for sequence, coverage, of in zip(sequences, coverages, means, strict=True):
         for column in columns:
             complete = column.key == "score" or coverage >= COMPLETE * most[sequence]
             if complete and column.better and not math.isnan(of[column.key]):

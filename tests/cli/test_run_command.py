@@ -315,3 +315,8 @@ def test_tuning_ranks_its_trials_and_goes_on_in_its_folder(tmp_path):
     again = run_here(*words, home=tmp_path / "home")
     assert again.stdout == done.stdout
     assert "running" not in again.stderr
+    some = run_here(*words[:-1], tmp_path / "some", "--topics", "/imu", home=tmp_path / "home")
+    assert some.returncode == 0, some.stderr
+    assert "rendering" not in some.stderr, "copied from the complete file"
+    topics = {tuple(record.info["topics"]) for record in read_results(tmp_path / "some" / "results.json")}
+    assert topics == {("/imu", "/tf_static", "/truth/odometry", "/truth/pose")}

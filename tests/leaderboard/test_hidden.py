@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 
@@ -146,12 +147,20 @@ def test_a_missing_value_keeps_no_reason_that_was_made_in_sight_of_the_truth():
 
 
 def test_our_own_results_on_a_hidden_split_are_published_as_coarsely(tmp_path):
-    results = [replace(result, split="slam-test") for result in record_made().results]
+    exact = {"paths": {"alternatives": {"online": {"ate_rmse_m": 0.123456789}}}, "health": {"lost": 0.987654321}}
+    told = {"notes": ("corrected, the ATE would be 0.456789 m",), "info": exact}
+    results = [replace(result, split="slam-test", **told) for result in record_made().results]
+    failed = replace(results[0], failure="the true path is 7.654321 m long", metrics={"score": 0.0, "coverage": 0.0})
+    results[0] = replace(failed, reasons={})
     write_results(tmp_path / "results.json", results)
     ((record, curves),) = records_of(tmp_path, Attribution("x", "baseline"))
     assert curves is None
     for result in record.results:
         assert set(result.metrics) <= BY_SEQUENCE["slam"] | set(COSTS)
+        assert (result.notes, result.info.keys() - {"method", "run"}) == ((), set())
+    whole = json.dumps([result.to_dict() for result in record.results])
+    assert not [number for number in ("0.1234", "0.9876", "0.4567", "7.654") if number in whole]
+    assert record.results[0].failure
     assert set(record.data_set) == {"method", "metrics", "means"}
 
 

@@ -83,6 +83,16 @@ def test_frames_that_a_file_has_are_taken_into_one_that_needs_more(rendered, job
     )
 
 
+def test_a_complete_file_takes_the_frames_of_smaller_ones_but_not_in_a_folder_of_its_own(rendered, jobs, tmp_path):
+    made = render_files(SPLIT, workers=1)[NAME]
+    assert set(jobs) == {"", "cam_right"}
+    assert made.parent == split_folder(SPLIT)
+    jobs.clear()
+    again = render_files(SPLIT, tmp_path / "reproduced", workers=1)[NAME]
+    assert set(jobs) == {"", "cam_left", "cam_right"}
+    assert made.read_bytes() == again.read_bytes()
+
+
 def test_a_camera_of_which_a_file_has_a_part_is_rendered(rendered, jobs, capsys):
     cut_to(rendered, rendered, ["/cam_left/image"])
     render_files(SPLIT, workers=1, topics=("/cam_left/*",))
