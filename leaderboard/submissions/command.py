@@ -106,6 +106,10 @@ def command(
         message(f"checked: {_described(package.facts)}; {package.size / 1e6:.3g} MB to send")
         if absent := [name for name in chosen["sequences"] if name not in package.facts["sequences"]]:
             message(f"no estimate is sent for {', '.join(absent)}: counted as failed there")
+        if len(found.runs) > 1:
+            others = listed(str(number) for number in found.runs if number != run)
+            mean = "`leaderboard add` puts the mean of all on a board"
+            message(f"run {run} alone is sent, not run {others} (--run); {mean}")
         if found.others:
             message(f"not sent, as named for no sequence of {chosen['split']}: {listed(found.others)}")
         if only_check:

@@ -49,11 +49,12 @@ class Package:
 @dataclass(frozen=True)
 class Found:
     """What is to be sent: one file, or several by their names in an archive. others: names of further files there that
-    match no sequence, and are not sent."""
+    match no sequence, and are not sent. runs: numbers of the runs of which there are estimates; one of them is sent."""
 
     file: Path | None
     files: dict[str, Path]
     others: tuple[str, ...] = ()
+    runs: tuple[int, ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -94,8 +95,14 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
         elif (place / sequence).is_dir():
             images = sorted((place / sequence).rglob(f"*{IMAGE}"))
             files |= {path.relative_to(place).as_posix(): path for path in images}
+    runs: tuple[int, ...] = ()
     if not files and (place / RESULTS).is_file():
-        files = _of_run(place, sequences, method, run)
+        files, runs = _of_run(place, sequences, method, run)
+        if not files and runs:
+            raise ResultError(
+                f"{place}: no estimates of run {run}: it failed, or was not made; expected one of "
+                f"{listed(map(str, runs))} (--run)"
+            )
         if not files:
             raise ResultError(f"{place}: no estimates there, only a {RESULTS}; add --results to send that, as reported")
     if not files:
@@ -108,12 +115,16 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
     of_run = (place / RESULTS).is_file()
     sent = {path.name for path in files.values()}
     others = [path.name for path in place.iterdir() if path.suffix in SUFFIXES and path.name not in sent]
-    return Found(None, files, () if of_run else tuple(sorted(others)))
+    return Found(None, files, () if of_run else tuple(sorted(others)), runs)
 
 
-def _of_run(place: Path, sequences: Sequence[str], method: str, run: int) -> dict[str, Path]:
-    """Find the estimates of a method in a folder of results, SEQUENCE-METHOD.tum, by the names they are sent under."""
-    methods = methods_in(place / RESULTS)
+def _of_run(place: Path, sequences: Sequence[str], method: str, run: int) -> tuple[dict[str, Path], tuple[int, ...]]:
+    """Find the estimates of a method in a folder of results, SEQUENCE-METHOD.tum or, of several runs,
+    SEQUENCE-METHOD-RUN.tum: those of a run by the names they are sent under, and the numbers of all runs."""
+    from oysterbench.results.records import read_results
+
+    records = read_results(place / RESULTS)
+    methods = list(dict.fromkeys(record.method for record in records))
     if not methods:
         raise ResultError(f"{place / RESULTS}: expected results of a method, found none; name the files SEQUENCE.tum")
     if not method and len(methods) > 1:
@@ -121,20 +132,18 @@ def _of_run(place: Path, sequences: Sequence[str], method: str, run: int) -> dic
     chosen = method or methods[0]
     if chosen not in methods:
         raise ResultError(f"{place}: no results of {chosen!r}; it has those of {', '.join(methods)} (--of NAME)")
-    found = {}
-    for sequence in sequences:
-        for name in (f"{sequence}-{chosen}.tum", f"{sequence}-{chosen}-{run}.tum"):
-            if (place / name).is_file():
-                found[f"{sequence}.tum"] = place / name
-                break
-    return found
-
-
-def methods_in(path: Path) -> list[str]:
-    """Names of the methods in a results.json."""
-    from oysterbench.results.records import read_results
-
-    return list(dict.fromkeys(record.method for record in read_results(path)))
+    numbers = sorted({record.run + 1 for record in records if record.method == chosen})
+    alone = {name: place / f"{name}-{chosen}.tum" for name in sequences}
+    found = {f"{name}.tum": path for name, path in alone.items() if path.is_file()}
+    runs = []
+    for number in numbers if len(numbers) > 1 else (run,):
+        own = {name: place / f"{name}-{chosen}-{number}.tum" for name in sequences}
+        own = {name: path for name, path in own.items() if path.is_file() and not alone[name].is_file()}
+        if own:
+            runs.append(number)
+        if number == run:
+            found |= {f"{name}.tum": path for name, path in own.items()}
+    return found, tuple(runs)
 
 
 def split_in(place: Path) -> tuple[str, str]:

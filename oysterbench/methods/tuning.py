@@ -59,7 +59,8 @@ class OptionRange:
 
 
 def trials(method: str, ranges: Mapping[str, OptionRange], count: int, seed: int = 0) -> list[str]:
-    """References of `count` variants of a method, itself the first. Raises MethodError if there is nothing to tune.
+    """References of up to `count` variants of a method, itself the first; one that is drawn again is not repeated.
+    Raises MethodError if there is nothing to tune.
 
     >>> trials("mine", {"gain": OptionRange(range=(1.0, 9.0))}, 3)
     ['mine', 'mine[gain=6.93]', 'mine[gain=3.15]']
@@ -71,7 +72,7 @@ def trials(method: str, ranges: Mapping[str, OptionRange], count: int, seed: int
     for number in range(1, count):
         drawn = {key: option.draw(stream(seed, b"", "tune", key, number)) for key, option in tuned.items()}
         found.append(with_options(method, [f"{key}={written(value)}" for key, value in drawn.items()]))
-    return found
+    return list(dict.fromkeys(found))
 
 
 def written(value: Any) -> str:

@@ -115,16 +115,16 @@ class DensityTrack(Track):
         if "masks" in options and images:
             raise MethodError(f"--masks and {images[0].name}: expected masks from one of them")
         self.have_weights(methods, request)
-        again = replace(request, again=bool(options.get("again")), runs=1)
+        once = replace(request, runs=1)
         runs: list[DensityRun] = []
         sequences = self.run_sequences(request.split, self.rendered(request), options)
         for sequence in sequences:
             opened = open_sequence(sequence.path)
             topics = {topic for topic, _, _ in opened.contents()}
             camera = camera_with_layers(opened.name, opened.cameras, topics)
-            paths = self._paths(sequence, [one for one in methods if one.track == "slam"], kept, again)
+            paths = self._paths(sequence, [one for one in methods if one.track == "slam"], kept, once)
             if (place := options.get("masks")) is None:
-                masks = self._masks(sequence, camera, images, again, settings)
+                masks = self._masks(sequence, camera, images, once, settings)
             else:
                 kind, several = options.get("kind", "auto"), len(sequences) > 1
                 seen = partial(read_seen, place, opened, camera, kind, settings.threshold, several)

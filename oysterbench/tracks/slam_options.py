@@ -106,7 +106,7 @@ def read_options(given: Mapping[str, Any], truth_file: Path) -> tuple[ReadOption
     has to be a sequence if the frame of the estimated poses is given by its name."""
     from oysterbench.core.trajectory import ReadOptions, read_times
 
-    times = read_times(given["times"]) if "times" in given else None
+    times = read_times(given["times"], given.get("time-unit")) if "times" in given else None
     truth: dict[str, Any] = {key.replace("-", "_"): given.get(f"truth-{key}") for key in OF_BOTH}
     estimate: dict[str, Any] = {key.replace("-", "_"): given.get(key) for key in OF_BOTH}
     return (

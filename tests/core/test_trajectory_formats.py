@@ -16,6 +16,7 @@ from oysterbench.core.geometry import invert, transform
 from oysterbench.core.trajectory import Trajectory, read_times, read_trajectory, write_npz, write_tum
 from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL, poses_of_body
 from oysterbench.evaluate.slam.diagnose import diagnose
+from oysterbench.tracks.slam_options import read_options
 from tests.helpers import trajectory_files as files
 from tests.helpers.trajectory_files import Messages, assert_same, dive, written
 
@@ -177,6 +178,16 @@ def test_kitti_poses_take_the_given_times_one_to_one(tmp_path):
     trajectory = read_trajectory(path, times=times)
     assert_same(trajectory, dive(), atol=1e-12)
     assert trajectory.notes == ("poses.dat: its 12 poses carry no timestamps and take the given times one to one",)
+
+
+def test_times_are_in_the_unit_that_is_named_and_all_in_one(tmp_path):
+    path = written(tmp_path, b"0\n100\n200\n", "times.txt")
+    assert read_times(path, "ms").tolist() == [0, 10**8, 2 * 10**8]
+    given = {"times": path, "time-unit": "ms", "truth-time-unit": "ms"}
+    assert read_options(given, path)[1].times.tolist() == [0, 10**8, 2 * 10**8]
+    mixed = written(tmp_path, b"0\n1\n100000000000000000\n", "mixed.txt")
+    with pytest.raises(TrajectoryError, match=r"mixed.txt:3: expected a time in seconds, or nanoseconds .*--time-unit"):
+        read_times(mixed)
 
 
 def test_kitti_poses_without_times_are_refused_with_the_option(tmp_path):

@@ -185,6 +185,16 @@ def test_what_a_run_leaves_is_sent_by_the_name_of_its_method(site, tmp_path, est
     assert sent.exit_code == 0, sent.output
     found = json.loads(sent.stdout)
     assert (found["state"], found["method"], found["split"]) == ("queued", "Perch 2", "pool-test")
+    (out / f"{NAMES[0]}-perch.tum").rename(out / f"{NAMES[0]}-perch-2.tum")
+    (out / f"{NAMES[1]}-perch.tum").rename(out / f"{NAMES[1]}-perch-2.tum")
+    (out / f"{NAMES[0]}-perch-3.tum").write_bytes((estimates / f"{NAMES[0]}.tum").read_bytes())
+    several = [replace(record, run=run) for run in range(3) for record in records if record.method == "perch"]
+    write_results(out / "results.json", several)
+    refused = submit(site, out, "--method", "Perch 3", "--check")
+    assert "no estimates of run 1: it failed, or was not made; expected one of 2, 3 (--run)" in refused.stderr
+    checked = submit(site, out, "--method", "Perch 3", "--run", "2", "--check")
+    assert checked.exit_code == 0, checked.output
+    assert "run 2 alone is sent, not run 3 (--run); `leaderboard add` puts the mean of all" in checked.stderr
     write_results(out / "results.json", [])
     refused = submit(site, out, "--method", "carp", "--split", "pool-test", "--track", "slam")
     assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1)

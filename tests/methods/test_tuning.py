@@ -45,6 +45,11 @@ def test_trials_are_a_prefix_of_more_trials_and_depend_on_the_seed_alone():
         assert split_variant(other)[1].items() >= one.items()  # an option more changes nothing of the others
 
 
+def test_a_variant_that_is_drawn_again_is_tried_once():
+    found = trials("mine", {"loops": OptionRange(choices=(True, False))}, 30)
+    assert sorted(found) == ["mine", "mine[loops=false]", "mine[loops=true]"]
+
+
 def test_nothing_to_try_is_refused():
     with pytest.raises(MethodError, match="no option has a range or choices"):
         trials("mine", {"fixed": OptionRange(default=7)}, 5)

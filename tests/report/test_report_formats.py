@@ -79,12 +79,12 @@ def test_no_runs_are_a_head_without_lines():
     assert r"\bottomrule" in latex_text([])
 
 
-def test_several_runs_are_one_line_with_their_median():
-    records = [record(metrics={"score": s, "coverage": 1.0}, run=k) for k, s in enumerate((0.1, 0.9, 0.8))]
+def test_several_runs_are_one_line_with_their_mean():
+    records = [record(metrics={"score": s, "coverage": 1.0}, run=k) for k, s in enumerate((0.1, 0.9, 0.7))]
     (texts,) = results_table([*records, failed(run=3)]).texts
-    assert texts[1:3] == ("dead_reckoning (4 runs, 1 failed)", "0.450")
+    assert texts[1:3] == ("dead_reckoning (4 runs, 1 failed)", "0.425")
     found = next(table for table in tables(records) if table.title.startswith("Runs"))
-    assert found.texts[0][2:6] == ("3", "0", "0.800", "0.100 to 0.900")
+    assert found.texts[0][2:6] == ("3", "0", "0.700", "0.100 to 0.900")
 
 
 def test_standings_show_coverage_and_failures_beside_the_errors():

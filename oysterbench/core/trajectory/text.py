@@ -67,23 +67,36 @@ def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
 
 def read_times(path: Path, unit: str | None = None) -> NDArray[np.int64]:
     """Read stamps (N,) int64 ns from a file with one number per line, by default in seconds unless they can only be
-    ns."""
+    ns. Raises TrajectoryError where lines are of different units, or can be neither."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise TrajectoryError(
             f"{path}: cannot be read: {error.strerror or error}; expected one time per line"
         ) from None
-    times = []
+    numbers, texts = [], []
     for number, line in enumerate(decoded(path, data).split("\n"), 1):
         if is_comment(line):
             continue
         fields = split(line)
         if len(fields) != 1 or not NUMBER.fullmatch(fields[0]):
             raise TrajectoryError(f"{path}:{number}: expected one time, got {line.strip()[:60]!r}")
-        shift = SHIFTS[unit or ("ns" if abs(float(fields[0])) >= MIN_NANOSECONDS else "s")]
+        numbers.append(number)
+        texts.append(fields[0])
+    sizes = np.abs(np.array(texts, dtype=float))
+    huge = sizes >= MIN_NANOSECONDS
+    if unit is None:
+        unit = "ns" if len(sizes) and huge.all() else "s"
+    if unit == "s" and (wrong := sizes > MAX_SECONDS).any():
+        i = int(np.argmax(wrong))
+        raise TrajectoryError(
+            f"{path}:{numbers[i]}: expected a time in seconds, or nanoseconds since 1970 on every line, got "
+            f"{texts[i]}; say which they are (--time-unit ms, us or ns)"
+        )
+    times = []
+    for number, text in zip(numbers, texts, strict=True):
         try:
-            times.append(scaled_integer(fields[0], shift))
+            times.append(scaled_integer(text, SHIFTS[unit]))
         except ValueError as error:
             raise TrajectoryError(f"{path}:{number}: {error}") from None
     try:
