@@ -118,6 +118,15 @@ def test_the_first_tenth_of_a_dive_has_a_small_error_and_a_small_score():
     assert any("cover only 10% of the sequence" in note for note in result.notes)
 
 
+def test_poses_that_are_often_too_far_apart_are_told_of_and_a_single_loss_is_not():
+    truth = survey()
+    rare = score(truth, noisy(truth).select(slice(None, None, 20)))
+    (note,) = [note for note in rare.notes if "--max-gap" in note]
+    assert note.startswith("100% of the estimate's time lies between poses more than 0.3 s apart (median 0.4 s)")
+    lost = score(truth, noisy(truth).select(np.r_[0:300, 700:1001]))
+    assert not [note for note in lost.notes if "--max-gap" in note]
+
+
 @pytest.mark.parametrize("associate", ["interpolate", "nearest"])
 def test_the_score_asks_all_stamps_whatever_the_association(associate):
     truth, estimate = survey(rate_hz=200), noisy(survey(rate_hz=20), 0.001)

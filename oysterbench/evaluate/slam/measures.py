@@ -209,6 +209,24 @@ def measure_answers(matched: Matched, path_m: float, measures: Measures) -> None
         measures.notes.append(f"the errors cover only {measures['coverage']:.0%} of the sequence")
 
 
+SPARSE = 0.1
+"""Share of an estimate's time within gaps that are too large from which they are told of, if they repeat."""
+
+
+def sparse_note(estimate: Trajectory, settings: SlamSettings) -> str | None:
+    """Say that an estimate's poses are often too rare to be interpolated: what lies between is not covered."""
+    steps = np.diff(estimate.stamps_ns) * 1e-9
+    wide = steps > settings.max_gap_s
+    few = np.count_nonzero(wide) < SPARSE * len(steps)  # single losses are gaps, which have numbers of their own
+    if settings.associate != "interpolate" or few or steps[wide].sum() < SPARSE * steps.sum():
+        return None
+    return (
+        f"{steps[wide].sum() / steps.sum():.0%} of the estimate's time lies between poses more than "
+        f"{settings.max_gap_s:g} s apart (median {np.median(steps):.3g} s) and counts as not covered; give poses more "
+        "often, or allow larger gaps (--max-gap)"
+    )
+
+
 def measure_alignment(fit: Alignment, settings: SlamSettings, measures: Measures) -> None:
     """Measure the scale of the alignment, and how well the path determines its rotation."""
     measures["scale"] = float(fit.similarity.scale)

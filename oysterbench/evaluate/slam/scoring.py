@@ -28,6 +28,7 @@ from oysterbench.evaluate.slam.measures import (
     measure_relative,
     measure_segments,
     measure_velocity,
+    sparse_note,
 )
 from oysterbench.evaluate.slam.metrics import SLAM as METRICS
 from oysterbench.evaluate.slam.pairs import distances
@@ -157,6 +158,8 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
     measure_alignment(fit, settings, measures)
     consistency = measure_consistency(matched, settings, measures)
 
+    if sparse := sparse_note(estimate, settings):
+        notes.append(sparse)
     notes += attitude_notes(met.truth.quaternions, met.estimate.quaternions, fit.similarity)
     seen = poses_of_frame(met.truth, T), poses_of_frame(met.estimate, met.estimate.T_body_estimate)
     notes += alignment_notes(seen[0].positions, seen[1].positions, settings.align, measures["ate_rmse_m"])

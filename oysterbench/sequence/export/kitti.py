@@ -6,6 +6,7 @@ given calibration. image_0 and image_1 are grey. Poses take rectified cam 0 into
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,9 @@ import numpy as np
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array, invert, transform
+from oysterbench.core.names import listed
 from oysterbench.sequence.export.parts import (
+    PAIR_RAD,
     any_camera,
     port_notes,
     rectify,
@@ -42,7 +45,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     stamps = [{image.stamp_ns for image in steps.counted(sequence.images(name))} for name in pair]
     kept = sorted(set.intersection(*stamps))
     notes = [f"image_{index} is {name}" for index, name in enumerate(pair)]
-    notes += port_notes(sequence, pair)
+    notes += [*left_out(names, pair), *port_notes(sequence, pair)]
     if truth:
         path, true = sequence.truth(), sequence.truly_calibrated().cameras[left]
         taken = {true.taken_ns(stamp): stamp for stamp in kept}
@@ -68,6 +71,16 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
         (folder / "poses").mkdir()
         write_lines(folder / "poses" / "00.txt", (_row(pose[:3]) for pose in invert(poses[0]) @ poses))
     return notes
+
+
+def left_out(names: Iterable[str], pair: list[str]) -> list[str]:
+    """Say which cameras are not exported, and why."""
+    others = listed(name for name in names if name not in pair)
+    if others == listed(()):
+        return []
+    why = f"{pair[0]} and {pair[1]} are that pair" if len(pair) > 1 else f"{pair[0]} has none such to its right"
+    limit = f"{np.rad2deg(PAIR_RAD):.0f} deg"
+    return [f"left out: {others}: the layout has one pair, of cameras of one size, parallel to {limit}, and {why}"]
 
 
 def _about(sequence: Sequence, pair: list[str], matrix: Array, first_ns: int, truth: bool) -> list[str]:

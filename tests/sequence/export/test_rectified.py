@@ -12,6 +12,7 @@ from oysterbench.core.geometry import invert
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe, load_split, with_rig
 from oysterbench.sensors.registry import calibrate_rig, read_calibrations
+from oysterbench.sequence.export.kitti import left_out
 from oysterbench.sequence.export.parts import rectify, stereo_partner, undistorting_maps
 
 PAIR = ("cam_left", "cam_right")
@@ -49,6 +50,15 @@ def test_a_pair_as_calibrated_sees_a_point_in_one_row_once_it_is_rectified(rig, 
         assert [maps[0][row, column], maps[1][row, column]] == pytest.approx(shown(camera, near), abs=1e-3)
     assert pixels[0][1] == pytest.approx(pixels[1][1], abs=1e-9)
     assert pixels[0][0] > pixels[1][0]
+
+
+def test_cameras_that_are_not_exported_are_told_of_with_the_reason():
+    assert left_out(PAIR, list(PAIR)) == []
+    (alone,) = left_out(PAIR, ["cam_left"])
+    assert alone.startswith("left out: cam_right: the layout has one pair, of cameras of one size, parallel to 3 deg")
+    assert alone.endswith("cam_left has none such to its right")
+    (third,) = left_out((*PAIR, "cam_front"), list(PAIR))
+    assert third.endswith("cam_left and cam_right are that pair")
 
 
 def test_a_pair_that_is_parallel_is_left_as_it_is():
