@@ -38,6 +38,19 @@ def test_compare_ranks_any_results_and_equal_ones_tie(two_results):
     assert "Pairs on truth.tum" in table
 
 
+def test_paths_are_compared_before_the_maps_that_are_made_along_them(tmp_path):
+    from oysterbench.results.records import ResultRecord, write_results
+
+    common = {"split": "slam-val", "sequence": "val-01", "metrics": {"score": 0.5, "coverage": 1.0}}
+    write_results(
+        tmp_path / "results.json",
+        [ResultRecord(track=track, method=name, **common) for track in ("density", "slam") for name in ("a", "b")],
+    )
+    result = run("compare", tmp_path, "--json")
+    assert result.returncode == 0, result.stderr
+    assert [board["track"] for board in json.loads(result.stdout)["comparisons"]] == ["slam", "density"]
+
+
 def test_compare_writes_all_forms_and_its_json_is_alone_on_stdout(two_results, tmp_path):
     forms = [f"--{form}={tmp_path / form}" for form in ("csv", "tex", "md", "report")]
     result = run("compare", *two_results, *forms, "--json")
