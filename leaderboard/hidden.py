@@ -54,15 +54,18 @@ def is_hidden(split: str) -> bool:
 
 
 def discreet(
-    results: Sequence[ResultRecord], data_set: Mapping[str, Any] | None = None
+    results: Sequence[ResultRecord], data_set: Mapping[str, Any] | None = None, judged: bool = False
 ) -> tuple[list[ResultRecord], dict[str, Any]]:
     """Results of one method on a hidden split, reduced to what may be published, and what is known over all sequences
-    together: in `metrics` the ranking metric of the data set, if there is one, and `means` of the other columns."""
+    together: in `metrics` the ranking metric of the data set, if there is one, and `means` of the other columns.
+
+    judged: the sandbox scored them, whose sentences say nothing of the ground truth.
+    """
     track = TRACKS[results[0].track]
     means = means_over_sequences(results, track.standing)
     value = (data_set or {}).get("metrics", {}).get(track.ranking)
     whole = {} if value is None or math.isnan(value) else {track.ranking: significant(value, DIGITS["split"])}
-    return [_coarse(result) for result in results], {
+    return [_coarse(result, judged) for result in results], {
         "method": results[0].method,
         "metrics": whole,
         "means": {
@@ -73,7 +76,7 @@ def discreet(
     }
 
 
-def _coarse(result: ResultRecord) -> ResultRecord:
+def _coarse(result: ResultRecord, judged: bool) -> ResultRecord:
     ranking, metrics = PRIMARY[result.track], result.metrics
     kept = {key: _rounded(key, result.track, metrics[key]) for key in (ranking, "coverage") if key in metrics}
     if {"truth_px", "estimate_px", ranking} <= metrics.keys():
@@ -83,9 +86,12 @@ def _coarse(result: ResultRecord) -> ResultRecord:
         kept["union_px"] = significant(union, DIGITS["split"])
     kept |= {key: metrics[key] for key in COSTS if key in metrics}
     reasons = {key: result.reasons[key] if key in COSTS else NO_VALUE for key, v in kept.items() if math.isnan(v)}
-    failure, info = result.failure and FAILED, {key: result.info[key] for key in ABOUT if key in result.info}
+    result = replace(result, metrics=kept, reasons=reasons)
+    if judged:
+        return result
     # Notes, and what the evaluation adds to `info`, have exact errors of the estimate and of the method's other paths.
-    return replace(result, metrics=kept, reasons=reasons, failure=failure, notes=(), info=info)
+    info = {key: result.info[key] for key in ABOUT if key in result.info}
+    return replace(result, failure=result.failure and FAILED, notes=(), info=info)
 
 
 def _rounded(key: str, track: str, value: float) -> float:

@@ -36,7 +36,7 @@ CAUSES = {
     "quaternion-order": "its quaternions are not in the order x y z w",
     "frame": "its poses are not those of base_link",
     "turned": "its poses are not those of base_link",
-    "swapped": "its axes are swapped",
+    "inverted": "its poses take points of the world into the body, not of the body into the world",
 }
 """Cause of a finding -> sentence on a path that `oysterbench eval` would refuse (`evaluate.diagnose`)."""
 
@@ -134,7 +134,7 @@ def score_predictions(
     scored = scorer.whole(tuple(results))
     if not wanted.hidden:
         return scored
-    told, over_split = discreet(scored.results, scored.data_set)
+    told, over_split = discreet(scored.results, scored.data_set, judged=True)
     return Scored(tuple(told), over_split)
 
 

@@ -21,13 +21,13 @@ def method_identity(reference: str, method: object, options: Mapping[str, Any]) 
     """Everything about a method that its results depend on: reference, versions, its code (`methods.code`, or of an
     entry point the folder of its module), the weights that it declares (`methods.weights`), and every file that an
     option names."""
-    files = [path for path in weights_of(method).values() if path.is_file()]
-    files += [Path(value) for value in options.values() if isinstance(value, str) and value and Path(value).is_file()]
+    files = {f"weights of {name}": path for name, path in weights_of(method).items()}
+    files |= {f"file of {key}": Path(value) for key, value in options.items() if isinstance(value, str) and value}
     return {
         "method": reference,
         "versions": {"oysterbench": VERSION, **versions_of(reference)},
         "code": key_of(code) if (code := code_digests(reference)) else _code(type(method).__module__),
-        "files": {path.name: file_digest(path) for path in dict.fromkeys(files)},
+        "files": {what: file_digest(path) for what, path in files.items() if path.is_file()},
     }
 
 

@@ -17,8 +17,9 @@ import numpy as np
 
 from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.evaluate.steering import RolloutLog
-from oysterbench.methods.code import code_digests
+from oysterbench.methods.code import code_digests, file_digest
 from oysterbench.methods.finding import find_method, versions_of
+from oysterbench.methods.options import split_variant
 from oysterbench.methods.weights import weights_digests, weights_of
 
 FORMAT = "oysterbench-rollout/1"
@@ -58,17 +59,21 @@ def rollout_file(folder: Path, reef: str, policy: str, identity: Mapping[str, An
 
 def method_identity(reference: str) -> dict[str, Any]:
     """Identity of a method, as far as it determines how it steers: settings, seed, package versions, its code
-    (`methods.code`, or of an entry point the text of the file that defines its class), and its trained weights."""
+    (`methods.code`, or of an entry point the text of the file that defines its class), its trained weights, and the
+    files that its options name."""
     method = find_method(reference)
     try:
         source = Path(inspect.getfile(type(method))).read_bytes()
     except (OSError, TypeError):  # not defined in a file
         source = b""
     weights = weights_digests(weights_of(method))
+    named = {key: Path(value) for key, value in split_variant(reference)[1].items() if value}
+    files = {key: file_digest(path) for key, path in named.items() if path.is_file()}
     return {
         "reference": reference,
         "settings": {**getattr(method, "as_dict", dict)(), **({"weights": weights} if weights else {})},
         "seed": getattr(method, "seed", None),
+        **({"files": files} if files else {}),
         "versions": versions_of(reference),
         "source": code_digests(reference) or hashlib.sha256(source).hexdigest(),
     }

@@ -46,7 +46,7 @@ def score(truth: Poses | Sequence, estimate: Poses, **options: Any) -> SlamResul
     oysterbench.core.errors.TrajectoryError
         The score would be meaningless: no common time, unreadable poses, or an undetermined alignment.
     oysterbench.core.errors.OptionError
-        There is no such option.
+        There is no such option, or it is about a file, and the poses are in memory.
 
     Examples
     --------
@@ -67,9 +67,21 @@ def score(truth: Poses | Sequence, estimate: Poses, **options: Any) -> SlamResul
     _check_poses("estimate", estimate)
     if not isinstance(truth, Sequence | Trajectory) and truth_reading.topic is None:
         truth = _sequence_at(truth) or truth
+    _check_reading(options, truth, estimate)
     if isinstance(truth, Sequence):
         truth = truth.truth()
     return score_poses(*open_pair(truth, estimate, settings, truth_reading, reading), settings)
+
+
+def _check_reading(options: Mapping[str, Any], truth: Poses | Sequence, estimate: Poses) -> None:
+    """Raise OptionError where an option says how to read a file, and there is none to be read."""
+    known = {field.name for field in fields(ReadOptions)}
+    for option in options:
+        of_truth = option.startswith(OF_TRUTH)
+        poses, role = (truth, "ground truth") if of_truth else (estimate, "estimate")
+        if option.removeprefix(OF_TRUTH) in known and isinstance(poses, Trajectory | Sequence):
+            what = "poses in memory" if isinstance(poses, Trajectory) else "a sequence, which says what its poses are"
+            raise OptionError(f"{option}: it says how a file is read, and the {role} is {what}: leave it out")
 
 
 def _check_poses(role: str, poses: object) -> None:

@@ -234,7 +234,15 @@ def test_changed_weights_options_and_code_change_a_methods_identity(tmp_path, mo
     (tmp_path / "my.pt").write_bytes(b"3")
     assert method_identity("my_net", method, {}) != first
     named = method_identity("my_net", Discs(), {"checkpoint": str(tmp_path / "other.pt"), "size": 3})
-    assert "other.pt" in named["files"]
+    assert "file of checkpoint" in named["files"]
+    alike = {"coarse": tmp_path / "a" / "net.pt", "fine": tmp_path / "b" / "net.pt"}
+    for path in alike.values():
+        path.parent.mkdir()
+        path.write_bytes(b"1")
+    options = {key: str(path) for key, path in alike.items()}
+    both = method_identity("my_net", Discs(), options)
+    alike["coarse"].write_bytes(b"2")
+    assert method_identity("my_net", Discs(), options) != both, "files of one name are told apart"
 
 
 def test_changed_code_of_a_method_changes_its_identity(tmp_path, monkeypatch):

@@ -182,6 +182,15 @@ def test_the_curve_is_the_score_at_every_threshold(levels, true, k):
     assert result.metrics["best_iou"] == pytest.approx(result.curve.iou.max())
 
 
+def test_the_best_iou_is_no_less_than_that_at_a_threshold_between_those_of_the_curve():
+    scorer = ClipScorer(SegmentationSettings(threshold=0.4))
+    probability = np.full((4, 4), 0.3995, dtype=np.float32)
+    probability[:2] = 0.4005
+    scorer.add(truth_of(probability > 0.4), EstimateImage("a", probability=probability))
+    metrics = scorer.result().metrics
+    assert (metrics["iou"], metrics["best_iou"], metrics["best_threshold"]) == (1.0, 1.0, 0.4)
+
+
 def test_a_data_set_is_its_counts_together_and_its_interval_resamples_clips():
     rng = stream(5, b"", "clips")
     clips = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -12,12 +13,13 @@ import pytest
 
 from oysterbench.annotations import labelled_sequence
 from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage, SegmentationSettings
+from oysterbench.evaluate.slam.diagnose import Cause
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from oysterbench.results.plausible import BOUNDING
 from oysterbench.results.records import ResultRecord, document, read_results, write_results
 from oysterbench_leaderboard.submissions.catalogue import SCORED, Catalogue, serve_split
 from oysterbench_leaderboard.submissions.refusals import Refusal
-from oysterbench_leaderboard.submissions.scoring import MISSING, evaluator, score_predictions
+from oysterbench_leaderboard.submissions.scoring import CAUSES, MISSING, evaluator, score_predictions
 from tests.helpers.pool import IMAGES, NAMES, answers, estimate, image_names, lay_split, path, tum, zipped
 from tests.helpers.submissions_read import LIMITS, as_coco, as_png, masks, npz, opened, wanted_of
 
@@ -353,3 +355,8 @@ def test_a_catalogue_says_what_there_is(served):
     told = json.dumps(catalogue.public())
     assert "mcap" not in told
     assert "truth" not in told
+
+
+def test_every_finding_that_refuses_a_path_has_a_sentence_of_its_own():
+    notes_alone = {"swapped", "truth-length-unit"}
+    assert set(CAUSES) == set(get_args(Cause)) - notes_alone

@@ -64,6 +64,19 @@ def change(path, text="# other\n"):
     os.utime(path, ns=(before + 10**9, before + 10**9))
 
 
+def test_rollouts_are_not_those_of_a_changed_file_that_an_option_names(folder):
+    (folder / "tabled.py").write_text(
+        "class Net:\n    name, track = 'net', 'steering'\n"
+        "    def __init__(self, table: str = ''): ...\n    def run(self, view): ...\n"
+    )
+    (folder / "table.csv").write_text("1")
+    reference = f"tabled:Net[table={folder / 'table.csv'}]"
+    before = rollout_store.method_identity(reference)
+    assert rollout_store.method_identity(reference) == before
+    (folder / "table.csv").write_text("22")
+    assert rollout_store.method_identity(reference) != before
+
+
 @pytest.mark.parametrize(
     ("reference", "files"),
     [

@@ -53,6 +53,16 @@ def test_a_folder_in_euroc_layout_is_its_truth(dive_file, truth, tmp_path):
     assert oysterbench.score(tmp_path / "euroc", euroc).metrics["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("option", [{"unit": "mm"}, {"quaternion": "wxyz"}, {"truth_time_unit": "ms"}])
+def test_how_a_file_is_read_is_refused_for_poses_in_memory(truth, estimate, files, dive_file, option):
+    (name,) = option
+    with pytest.raises(OptionError, match=f"{name}: it says how a file is read, and the .* is poses in memory"):
+        oysterbench.score(truth, estimate, **option)
+    if name.startswith("truth_"):
+        with pytest.raises(OptionError, match=f"{name}: .* is a sequence, which says what its poses are"):
+            oysterbench.score(dive_file, files[1], **option)
+
+
 def test_numbers_are_plain(truth, estimate):
     result = oysterbench.score(truth, estimate)
     assert {type(value) for value in result.metrics.values()} <= {float, int}

@@ -95,7 +95,9 @@ def finish(
     """Compute the result from counts."""
     metrics, reasons = measure(tally)
     if counts is not None:
-        metrics["best_iou"], metrics["best_threshold"] = curve(counts).best
+        own = (metrics["iou"], settings.threshold)  # may lie between the thresholds of the curve
+        best = curve(counts).best
+        metrics["best_iou"], metrics["best_threshold"] = own if own[0] > best[0] else best
     return ClipResult({**metrics, **weights(tally)}, reasons, tally, counts, images, settings)
 
 
