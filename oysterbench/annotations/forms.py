@@ -89,7 +89,7 @@ def judged(planes: Iterable[tuple[str, NDArray[Any]]]) -> tuple[Form, tuple[str,
     if zero_one and greater:
         raise LabelError(
             f"{zero_one[0]} has only 0 and 1, like a mask, and {greater[0]} greater values, like a probability map "
-            f"with {limit} for 1: say which they are: --estimate-kind mask or probability (of a map --masks-kind), or "
+            f"with {limit} for 1: say which they are (--estimate-kind mask or probability, of a map --masks-kind), or "
             "send them as floating-point numbers"
         )
     return "auto", ()

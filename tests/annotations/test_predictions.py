@@ -95,7 +95,7 @@ def test_masks_of_0_and_1_among_probability_maps_are_not_guessed_at(tmp_path):
     predictions = open_predictions(tmp_path)
     for name in "ab":  # whichever is read, alone or first
         with pytest.raises(
-            LabelError, match=r"a\.png has only 0 and 1.*b\.png greater.*say which they are: --estimate-kind"
+            LabelError, match=r"a\.png has only 0 and 1.*b\.png greater.*say which they are \(--estimate-kind"
         ):
             predictions.get(name)
 
