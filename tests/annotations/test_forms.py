@@ -86,9 +86,7 @@ def test_faint_maps_are_judged_by_their_folder(tmp_path, kind):
     for levels in (MASK * 1.0, np.round(2 * SOFT) / 2):  # no map of probabilities for sure
         write_png(tmp_path / "b.png", np.round(levels * most).astype(kind))
         write_png(tmp_path / "c.png", np.round(levels * most).astype(kind))
-        with pytest.raises(
-            LabelError, match=r"a\.png has only 0 and 1, .* mask or probability \(of a map --masks-kind"
-        ):
+        with pytest.raises(LabelError, match=r"a\.png has only 0 and 1, .* mask or probability, of a map --masks-kind"):
             open_predictions(tmp_path).get("a")
 
 
