@@ -239,11 +239,13 @@ def _has_estimates(folder: Path, method: str) -> bool:
 
 def estimates_in(folder: Path, sequence: str) -> dict[str, Path]:
     """Files SEQUENCE-METHOD.tum in a folder by method, as `oysterbench run` writes them; further paths of a method
-    (SEQUENCE-METHOD.NAME.tum) and the ground truth are left out."""
+    (SEQUENCE-METHOD.NAME.tum), the ground truth, and what is of sequences whose names begin alike are left out."""
+    named = {path.stem.removesuffix("-truth") for path in folder.glob("*-truth.tum")}
+    others = tuple(f"{name}-" for name in named if name.startswith(f"{sequence}-"))
     found = {}
     for path in sorted(folder.glob(f"{sequence}-*.tum")):
         method = path.stem.removeprefix(f"{sequence}-")
-        if "." not in method and method != "truth":
+        if "." not in method and method != "truth" and not path.stem.startswith(others):
             found[method] = path
     return found
 

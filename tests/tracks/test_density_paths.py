@@ -10,7 +10,7 @@ import oysterbench
 from oysterbench.core.errors import MethodError, TrajectoryError
 from oysterbench.core.trajectory import write_tum
 from oysterbench.tracks import Request
-from oysterbench.tracks.density import TRACK
+from oysterbench.tracks.density import TRACK, estimates_in
 from oysterbench.tracks.slam import TRACK as SLAM
 
 
@@ -88,3 +88,10 @@ def test_a_sequence_without_any_estimate_is_a_failure_of_the_method_that_was_nam
     assert "has no hand-made-mine.tum" in str(paths_of("mine")[0]["mine"])
     with pytest.raises(TrajectoryError, match="expected estimates of hand-made, "):
         paths_of()
+
+
+def test_estimates_of_a_sequence_whose_name_begins_alike_are_not_taken(tmp_path):
+    for name in ("dive-mine", "dive-truth", "dive-2-mine", "dive-2-truth", "dive-mine.online"):
+        (tmp_path / f"{name}.tum").touch()
+    assert estimates_in(tmp_path, "dive") == {"mine": tmp_path / "dive-mine.tum"}
+    assert estimates_in(tmp_path, "dive-2") == {"mine": tmp_path / "dive-2-mine.tum"}
