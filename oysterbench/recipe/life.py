@@ -54,11 +54,6 @@ class LifeRecipe:
         """Whether anything but plants moves by itself."""
         return bool(self.schools or self.fish or self.crabs or self.debris or self.tether)
 
-    @property
-    def fish_count(self) -> int:
-        """Number of all fish, in schools and solitary."""
-        return self.schools * self.school_size + self.fish
-
     def school_half_axes_m(self) -> tuple[float, float, float]:
         """Half axes of a school along its course, across and up, m."""
         radius = 0.5 * SCHOOL_SPACING * self.school_fish_cm * 1e-2 * self.school_size ** (1 / 3)

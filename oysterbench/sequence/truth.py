@@ -116,17 +116,6 @@ def read_truth(messages: list[bytes]) -> Trajectory:
     return Trajectory(times, place, turn)
 
 
-def read_twist(data: bytes) -> tuple[int, Array, Array]:
-    """Stamp, true velocity (3,) m/s and rate (3,) rad/s, both in base_link, from an odometry message."""
-    message = decode(data, TRUTH_TYPES[TRUTH])
-    linear, angular = message.twist.twist.linear, message.twist.twist.angular
-    return (
-        stamp_of(message.header),
-        np.array([linear.x, linear.y, linear.z]),
-        np.array([angular.x, angular.y, angular.z]),
-    )
-
-
 def pose_row(pose: Any) -> Row:
     """Columns of a pose: position and quaternion."""
     return columns_of("", pose.position) | columns_of("q", pose.orientation, "xyzw")

@@ -114,13 +114,6 @@ def test_four_dives_to_compare_on_are_of_real_length():
     assert sum(q.duration_s >= 300.0 for q in load_split("slam-val").sequence) >= 4
 
 
-def load_secchi(water):
-    from oysterbench.recipe import WaterRecipe
-    from oysterbench.render.spectra import secchi_depth, water_constituents
-
-    return secchi_depth(water_constituents(WaterRecipe(type=water)))
-
-
 def test_the_stress_split_has_each_disturbance_at_three_strengths_of_the_same_dive():
     calm, *others = load_split("slam-stress").sequence
     assert (calm.name, calm.disturbance, calm.strength) == ("calm", "", 0)

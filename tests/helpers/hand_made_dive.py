@@ -317,8 +317,3 @@ def write_dive(path: Path, seconds: float = 2.0, image_format: str = "png", comp
             writer.section()
         writer.finish()
     return path
-
-
-def arm_velocity(T_map_base: np.ndarray, arm: np.ndarray) -> np.ndarray:
-    """Velocity in map of a point at `arm` in base_link."""
-    return T_map_base[:3, :3] @ (np.array([SPEED, 0, 0]) + np.cross([0, 0, RATE], arm))

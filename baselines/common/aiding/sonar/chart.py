@@ -32,10 +32,6 @@ class Chart:
         self.values, self.fans = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         self._origin = np.zeros(2, dtype=np.int64)  # of the first cell, in cells
 
-    @property
-    def is_empty(self) -> bool:
-        return not self.fans.any()
-
     def points(self, cells: NDArray[np.int64]) -> Array:
         """Centres (N, 2) m of cells (N,), which are given by their index in `values.ravel()`."""
         n = self.settings.cells
