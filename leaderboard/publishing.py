@@ -140,8 +140,10 @@ def _text(one: Record, other: Record) -> bool:
 
 
 def without_places(result: ResultRecord) -> ResultRecord:
-    """Remove the folders of the machine that a result was run on from the file names in its command: they mean nothing
-    to others, and may reveal more than their owner wants."""
+    """Remove the folders of the machine that a result was run on from the file names in its command and in why it
+    failed: they mean nothing to others, and may reveal more than their owner wants."""
+    if result.failure is not None:
+        result = replace(result, failure=_FOLDERS.sub("", result.failure))
     run = result.info.get("run")
     if not isinstance(run, Mapping) or not isinstance(run.get("command"), list):
         return result

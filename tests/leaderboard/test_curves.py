@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 
@@ -106,5 +107,8 @@ def test_paths_beside_the_results_are_drawn_and_those_of_another_run_are_not(tmp
 
 def test_no_folder_of_the_machine_is_published():
     truth = loop(200, 10.0)
+    told = "wrote no readable trajectory: /home/me/runs/mine/1/trajectory.tum:575: expected times that increase, m/s"
+    failed = replace(results_of(truth, moved(truth, np.zeros(3))), failure=told)
+    assert without_places(failed).failure == told.replace("/home/me/runs/mine/1/", "")
     command = without_places(results_of(truth, moved(truth, np.zeros(3)))).info["run"]["command"]
     assert command == ["python3", "-m", "wave", "--out=out.tum", "rate=1/2"]
