@@ -132,18 +132,18 @@ def _of_run(place: Path, sequences: Sequence[str], method: str, run: int) -> tup
     chosen = method or methods[0]
     if chosen not in methods:
         raise ResultError(f"{place}: no results of {chosen!r}; it has those of {', '.join(methods)} (--of NAME)")
+
+    def of(number: int) -> dict[str, Path]:
+        files = {}
+        for sequence in sequences:
+            for name in (f"{sequence}-{chosen}.tum", f"{sequence}-{chosen}-{number}.tum"):
+                if (place / name).is_file():
+                    files[f"{sequence}.tum"] = place / name
+                    break
+        return files
+
     numbers = sorted({record.run + 1 for record in records if record.method == chosen})
-    alone = {name: place / f"{name}-{chosen}.tum" for name in sequences}
-    found = {f"{name}.tum": path for name, path in alone.items() if path.is_file()}
-    runs = []
-    for number in numbers if len(numbers) > 1 else (run,):
-        own = {name: place / f"{name}-{chosen}-{number}.tum" for name in sequences}
-        own = {name: path for name, path in own.items() if path.is_file() and not alone[name].is_file()}
-        if own:
-            runs.append(number)
-        if number == run:
-            found |= {f"{name}.tum": path for name, path in own.items()}
-    return found, tuple(runs)
+    return of(run), tuple(number for number in numbers if of(number))
 
 
 def split_in(place: Path) -> tuple[str, str]:

@@ -113,7 +113,7 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
     """Write all files, print tables, and report failures; exits with an error if anything failed."""
     from oysterbench.core.files import write_atomically
     from oysterbench.core.text import as_unicode
-    from oysterbench.results.records import add_results, document, dump, output_place
+    from oysterbench.results.records import add_results, document, dump, lost_in, output_place
     from oysterbench.tracks.track import Kept
 
     records, data_set = found.records, [row.as_plain() for row in found.data_set]
@@ -121,6 +121,9 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
     kept: list[ResultRecord] = []
     if out is not None:
         _check_folder(out)
+        for one in lost_in(out / "results.json", records):
+            what = "another ground truth, evaluator or settings"
+            message(f"{out}: replaced the result of {one.method} on {one.sequence}, of {what}: --out keeps them apart")
         kept = add_results(out / "results.json", records, data_set)
         for name, text in found.files.items():
             write_atomically(out / name, as_unicode(text).encode())

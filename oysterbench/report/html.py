@@ -34,6 +34,7 @@ from oysterbench.report.stress import stress_group, stress_table
 from oysterbench.report.table import Table
 from oysterbench.report.tables import (
     COMPLETE,
+    SEVERAL,
     failures_and_notes,
     pairs_table,
     results_tables,
@@ -54,6 +55,7 @@ SHOWN_VALUES = 8  # records whose values are shown beside a definition; the JSON
 
 LIMITS = {
     "COMPLETE": COMPLETE,
+    "SEVERAL": SEVERAL,
     "LEGEND": LEGEND,
     "OPEN_SEQUENCES": 3,  # if there are more, all but the first are folded away
     "SHOWN_SAMPLES": 12,  # sequences with sample images; more would make a report of many megabytes

@@ -33,7 +33,6 @@ NO_SENSORS = ("truth", "tf", "tf_static")
 COMPLETE = 0.95
 """Share of the highest coverage on a sequence that a run must reach to be called the best there."""
 
-
 SEVERAL = "Of several runs, means are shown; a failed one has a score and coverage of 0, and no errors."
 
 

@@ -338,6 +338,18 @@ def add_results(
     return kept
 
 
+def lost_in(path: Path, records: Iterable[ResultRecord]) -> list[ResultRecord]:
+    """Results in a file, if there is one, that these would replace although they are of another ground truth,
+    evaluator or setting."""
+
+    def made_by(record: ResultRecord) -> tuple[str, ...]:
+        return record.truth_digest, *comparable_key(record)
+
+    new = {_place(record): made_by(record) for record in records}
+    before = _read(path)[0] if path.exists() else []
+    return [one for one in before if _place(one) in new and new[_place(one)] != made_by(one)]
+
+
 def _place(record: ResultRecord) -> tuple[str, ...]:
     """Key that is equal for results of which only the latest counts."""
     return record.track, record.split, record.sequence, record.method

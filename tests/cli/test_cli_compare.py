@@ -38,6 +38,19 @@ def test_compare_ranks_any_results_and_equal_ones_tie(two_results):
     assert "Pairs on truth.tum" in table
 
 
+def test_a_result_of_another_truth_or_setting_that_is_replaced_is_told_of(trajectories, tmp_path):
+    truth, estimate = trajectories
+    words = ("eval", "--track", "slam", "--estimate", estimate, "--out", tmp_path / "out")
+    first = run(*words, "--truth", truth, "--align", "none")
+    again = run(*words, "--truth", truth, "--align", "none")
+    assert (first.returncode, again.returncode) == (0, 0), first.stderr + again.stderr
+    assert "replaced" not in first.stderr + again.stderr, "the same again is no loss"
+    assert f"replaced the result of {estimate.name} on {truth.name}" in run(*words, "--truth", truth).stderr
+    other = tmp_path / truth.name
+    other.write_text("\n".join(truth.read_text().splitlines()[:-5]) + "\n")
+    assert "of another ground truth, evaluator or settings" in run(*words, "--truth", other).stderr
+
+
 def test_paths_are_compared_before_the_maps_that_are_made_along_them(tmp_path):
     from oysterbench.results.records import ResultRecord, write_results
 

@@ -138,3 +138,13 @@ def test_attitudes_that_are_merely_bad_raise_no_suspicion():
     rng = stream(6, b"", "bad")
     bad = replace(walk(), quaternions=Rotation.random(200, rng=rng).as_quat())
     assert score(walk(), bad, SlamSettings(align="none")).notes == ()
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("seconds", 10**9), ("milliseconds", 10**6), ("microseconds", 10**3)])
+def test_timestamps_in_memory_that_are_not_nanoseconds_are_told_so(unit, factor):
+    truth = walk()
+    once_a_second = truth.select(slice(None, None, 20))
+    with pytest.raises(
+        TrajectoryError, match=f"within the truth as {unit}: .* in nanoseconds; multiply them by {factor}"
+    ):
+        score(truth, replace(once_a_second, stamps_ns=once_a_second.stamps_ns // factor))

@@ -8,8 +8,10 @@ from dataclasses import replace
 import pytest
 
 import oysterbench
-from oysterbench.core.trajectory import write_tum
+from oysterbench.core.errors import MethodError
+from oysterbench.core.trajectory import read_trajectory, write_npz, write_tum
 from oysterbench.methods.adapters import ExternalCommand
+from oysterbench.methods.interfaces.slam import ESTIMATE, read_estimate
 from tests.helpers.programs import PROGRAMS, command
 
 OTHERS = {
@@ -52,6 +54,13 @@ def test_what_is_no_trajectory_is_said_to_be_what_it_is(program, failure, run, a
     (done,) = run(ExternalCommand(command(tmp_path, "mine", answer), "mine"))
     assert re.fullmatch(f"method 'mine' on hand-made: {failure}.*", done.failure), done.failure
     assert "--" not in done.failure
+
+
+def test_unsorted_poses_of_a_python_method_are_its_own_to_sort(answer, tmp_path):
+    found = read_trajectory(answer)
+    write_npz(tmp_path / ESTIMATE, replace(found, stamps_ns=found.stamps_ns[::-1]))
+    with pytest.raises(MethodError, match=r"sort the poses by time; the method itself has to do so$"):
+        read_estimate(tmp_path)
 
 
 def test_poses_in_millimetres_are_said_to_be_in_them(run, dive_file, answer, tmp_path):

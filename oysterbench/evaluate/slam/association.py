@@ -166,6 +166,10 @@ def match_notes(truth: Trajectory, estimate: Trajectory, met: Association, setti
     ]
 
 
+UNITS_NS = {"seconds": 10**9, "milliseconds": 10**6, "microseconds": 10**3}
+"""Units that timestamps are given in by mistake -> nanoseconds."""
+
+
 def check_overlap(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -> None:
     """Refuse two trajectories whose time spans do not overlap."""
     allowed_ns = round(settings.max_difference_s * 1e9) if settings.associate == "nearest" else 0
@@ -173,6 +177,12 @@ def check_overlap(truth: Trajectory, estimate: Trajectory, settings: SlamSetting
     begin, end = int(estimate.stamps_ns[0]), int(estimate.stamps_ns[-1])
     if begin <= last + allowed_ns and end >= first - allowed_ns:
         return
+    for unit, factor in UNITS_NS.items():
+        if first - factor <= begin * factor <= last:
+            raise TrajectoryError(
+                f"truth and estimate do not overlap in time: the estimate begins at {begin} ns, which is within the "
+                f"truth as {unit}: timestamps in memory are in nanoseconds; multiply them by {factor}"
+            )
     offset = ns_to_seconds(abs(begin - first))
     raise TrajectoryError(
         f"truth and estimate do not overlap in time: the truth spans {ns_to_seconds(first)} to {ns_to_seconds(last)} "

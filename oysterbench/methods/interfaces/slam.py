@@ -149,14 +149,14 @@ class SlamInterface(Interface):
         try:
             found = _read_path(folder / self.out, T_base_frame, times)
         except TrajectoryError as error:
-            raise MethodError(f"wrote no readable trajectory: {_for_a_program(error)}") from None
+            raise MethodError(f"wrote no readable trajectory: {_in_a_run(error, 'program')}") from None
         estimate = Estimate(found)
         if (folder / ONLINE).exists():
             try:
                 path = _read_path(folder / ONLINE, T_base_frame, times)
                 estimate = Estimate(found, scored="final", alternatives={"online": path})
             except (TrajectoryError, MethodError) as error:
-                note = f"its online path cannot be read and was left out: {_for_a_program(error)}"
+                note = f"its online path cannot be read and was left out: {_in_a_run(error, 'program')}"
                 estimate = Estimate(replace(found, notes=(*found.notes, note)))
         return keep(estimate, folder)
 
@@ -170,10 +170,10 @@ def _read_path(file: Path, T_base_frame: Array, times: NDArray[np.int64] | None)
     return found
 
 
-def _for_a_program(error: Exception) -> str:
-    """What is wrong with a file, without the options of `eval`, which runs of a program do not have."""
+def _in_a_run(error: Exception, whose: str) -> str:
+    """What is wrong with a path, without the options of `eval`, which runs do not have."""
     plain, options = re.subn(r" \([^()]*--[^()]*\)", "", str(error))
-    return f"{plain}; the program itself has to do so" if options else plain
+    return f"{plain}; the {whose} itself has to do so" if options else plain
 
 
 def keep(estimate: Estimate, folder: Path) -> Predicted:
@@ -227,7 +227,7 @@ def _read_npz(path: Path) -> Trajectory:
     try:
         return read_trajectory(path)
     except TrajectoryError as error:
-        raise MethodError(f"wrote no readable trajectory: {error}") from None
+        raise MethodError(f"wrote no readable trajectory: {_in_a_run(error, 'method')}") from None
 
 
 def write_input(path: Path, form: str, out: Path) -> None:

@@ -75,12 +75,13 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
 
 def left_out(names: Iterable[str], pair: list[str]) -> list[str]:
     """Say which cameras are not exported, and why."""
-    others = listed(name for name in names if name not in pair)
-    if others == listed(()):
+    others = [name for name in names if name not in pair]
+    if not others:
         return []
     why = f"{pair[0]} and {pair[1]} are that pair" if len(pair) > 1 else f"{pair[0]} has none such to its right"
     limit = f"{np.rad2deg(PAIR_RAD):.0f} deg"
-    return [f"left out: {others}: the layout has one pair, of cameras of one size, parallel to {limit}, and {why}"]
+    pairs = f"the layout has one pair, of cameras of one size, parallel to {limit}"
+    return [f"left out: {listed(others)}: {pairs}, and {why}"]
 
 
 def _about(sequence: Sequence, pair: list[str], matrix: Array, first_ns: int, truth: bool) -> list[str]:
