@@ -12,7 +12,7 @@ from oysterbench.core.geometry import Array, invert
 from oysterbench.core.streams import stream
 from oysterbench.sequence.types import CameraCalibration
 from oysterbench_baselines.gtsam_vi.frontend import follow, homogeneous, undistort
-from oysterbench_baselines.gtsam_vi.places import GRID, Place, heading_of, heading_pose, project, upsample, warp
+from oysterbench_baselines.gtsam_vi.places import Place, heading_of, heading_pose, nodes, project, upsample, warp
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 
 
@@ -125,6 +125,9 @@ class Verifier:
         self.calibration = calibration
         self.settings = settings
         self.focal = float(calibration.matrix[0, 0] + calibration.matrix[1, 1]) / 2
+        x, y = nodes(calibration.height, calibration.width)
+        self._nodes = x.shape
+        self._node_rays = undistort(np.column_stack([x.ravel(), y.ravel()]), calibration)
         self._generator = stream(0, b"", "gtsam_vi", "loops")
 
     def align(self, first: Place, second: Place) -> tuple[Array, int]:
@@ -183,12 +186,10 @@ class Verifier:
         if len(expected) < 3:
             return expected, *nothing
         # Where the first image shows the ground that a pixel of the second sees.
-        x, y = np.meshgrid(np.linspace(0, width - 1, GRID), np.linspace(0, height - 1, GRID))
-        nodes = undistort(np.column_stack([x.ravel(), y.ravel()]), calibration)
-        ground = _on_ground(nodes, T_first_cam, first.plane)
+        ground = _on_ground(self._node_rays, T_first_cam, first.plane)
         source, seen = project(ground, first.T_level_cam, calibration)
         source[(seen <= 0.05) | ~np.isfinite(ground).all(axis=1)] = -1e4
-        warped = warp(there, upsample(source.reshape(GRID, GRID, 2), height, width))
+        warped = warp(there, upsample(source.reshape(*self._nodes, 2), height, width))
         # A landmark off the ground is elsewhere in the warped image than in the second.
         on_ground = _on_ground(first.rays[expected], first.T_level_cam, first.plane)
         start, ahead = project(on_ground, T_first_cam, calibration)
