@@ -12,9 +12,8 @@ from oysterbench_baselines.gtsam_vi.settings import FrontEndSettings
 def without_veil(grey: NDArray[np.uint8], settings: FrontEndSettings) -> NDArray[np.float32]:
     """Subtract from a grey image (H, W) the mean around each pixel: the veil of scattered light, the slow part of
     caustics, and a lamp's cone."""
-    picture = grey.astype(np.float32)
-    picture -= cv2.blur(picture, (settings.veil_px, settings.veil_px))
-    return picture
+    mean = cv2.boxFilter(grey, cv2.CV_32F, (settings.veil_px, settings.veil_px))
+    return np.subtract(grey, mean, out=mean)
 
 
 def even_contrast(detail: NDArray[np.float32], settings: FrontEndSettings) -> NDArray[np.uint8]:
@@ -25,10 +24,8 @@ def even_contrast(detail: NDArray[np.float32], settings: FrontEndSettings) -> ND
     # where all is black.
     spread = np.sqrt(np.maximum(square, 0.0, out=square), out=square)
     spread += settings.contrast_floor_grey
-    even = settings.contrast_grey * detail
-    even /= spread
-    even += 128
-    return np.asarray(cv2.convertScaleAbs(np.maximum(even, 0.0, out=even)), dtype=np.uint8)
+    even = np.asarray(cv2.divide(detail, spread, scale=settings.contrast_grey, dst=spread), dtype=np.float32)
+    return np.asarray(cv2.convertScaleAbs(np.maximum(even, -128.0, out=even), beta=128.0), dtype=np.uint8)
 
 
 class FixedPattern:

@@ -76,7 +76,7 @@ class NoiseSettings:
     """Noise models of observations and of inertial measurements."""
 
     pixel_sigma_px: float = 1.0  # of a tracked corner, drift over the track's life included
-    correlation: float = 2.5  # times that sigma, in covariances of the smoothed path: views err alike, mostly in silt
+    correlation: float = 3.0  # times that sigma, in covariances of the smoothed path: views err alike, mostly in silt
     views_alike: float = 10.0  # number that say no more about a camera's calibration than one, as errors are correlated
     loss_power: float = 1.0  # of the share of tracks kept per frame: caustics that kill tracks shift those they leave
     max_inflation: float = 4.0  # due to lost tracks, times pixel_sigma_px
