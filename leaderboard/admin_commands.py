@@ -34,6 +34,7 @@ def notify(text: str) -> None:
 @click.option("--url", default="", help="Address of the method's description.")
 @click.option("--summary", default="", help="One sentence about the method.")
 @click.option("--reason", default="", help="Why they replace earlier results.")
+@click.option("--split", "recipe", metavar="FILE.toml", help="Recipe of a split that is not shipped with oysterbench.")
 @click.option(
     "--keep-estimates",
     "estimates",
@@ -50,6 +51,7 @@ def add_command(
     url: str,
     summary: str,
     reason: str,
+    recipe: str | None,
     estimates: Path | None,
     as_json: bool,
 ) -> None:
@@ -61,9 +63,9 @@ def add_command(
       oysterbench leaderboard --board board add runs --team "reef lab" \\
         --summary "Smooths a window of 4 s."
 
-    Paths beside the results are drawn on the record's page, unless the split is hidden. The current record of the same
-    method, team and board is superseded, but kept; reported results never supersede scored ones or a baseline's.
-    Identical results are stored once.
+    Of results on a hidden split only what a board needs is published, rounded; for other splits, paths beside the
+    results are drawn on the record's page. The current record of the same method, team and board is superseded, but
+    kept; reported results never supersede scored ones or a baseline's. Identical results are stored once.
     """
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.index import open_index  # if what it needs is missing, nothing has been written yet
@@ -71,7 +73,7 @@ def add_command(
 
     place = find_place(context)
     by = Attribution(team, tier, url, summary, reason)
-    found = records_of(results, by, notify)
+    found = records_of(results, by, notify, recipe)
     if estimates is not None:
         folder = results if results.is_dir() else results.parent
         found = [(keep_estimates(record, folder, estimates), curves) for record, curves in found]

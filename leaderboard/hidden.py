@@ -45,12 +45,17 @@ def significant(value: float, digits: int) -> float:
     return float(f"{value:.{digits}g}") if abs(value) >= 1e-6 else 0.0
 
 
-def is_hidden(split: str) -> bool:
-    """Whether a split, given by name or recipe, is a hidden split of this version."""
+def is_hidden(results: Sequence[ResultRecord], recipe: str | None = None) -> bool | None:
+    """Whether results of one split are of a hidden one, by what they or its recipe say; None where neither is known.
+
+    recipe: name or .toml file, by default the name in the results
+    """
     try:
-        return load_split(split).hidden
+        known = load_split(recipe or results[0].split).hidden
     except RecipeError:
-        return False
+        known = None
+    said = {known, *(result.hidden for result in results)}
+    return True if True in said else None if said == {None} else False
 
 
 def discreet(

@@ -53,12 +53,15 @@ class Attribution:
     reason: str = ""
 
 
-def records_of(path: Path, by: Attribution, notify: Notify = lambda text: None) -> list[Drawn]:
+def records_of(
+    path: Path, by: Attribution, notify: Notify = lambda text: None, recipe: str | None = None
+) -> list[Drawn]:
     """Make records from a results.json, or a folder with one, each with the curves for its page, if any.
 
     There is one for each method and split, in order of first appearance. Curves are made from the paths that
-    `oysterbench run` left beside the results; hidden splits have none, and only few metrics (`hidden.discreet`). Raises
-    ResultError, in one line, where results are of no split, or those of a method may not be averaged.
+    `oysterbench run` left beside the results; hidden splits have none, and only few metrics (`hidden.discreet`).
+    recipe: .toml file of a split that is not shipped with oysterbench. Raises ResultError, in one line, where results
+    are of no split, or of one that may be hidden for all that is known, or those of a method may not be averaged.
     """
     path = path / "results.json" if path.is_dir() else path
     results = read_results(path)
@@ -68,13 +71,23 @@ def records_of(path: Path, by: Attribution, notify: Notify = lambda text: None) 
         groups.setdefault((result.method, result.split), []).append(result)
     if not groups:
         raise ResultError(f"{path}: holds no result; expected what `oysterbench run` or `oysterbench eval` writes")
+    recipes = {} if recipe is None else {_name(recipe): recipe}
+    if lacking := recipes.keys() - {split for _, split in groups}:
+        raise ResultError(f"{path}: expected results on {lacking.pop()}, the split of {recipe}, got none")
     found = []
     for (method, split), group in groups.items():
         _check(path, method, split, group)
-        known = _recipe(split, group[0], notify)
+        source = recipes.get(split, split)
+        hidden = is_hidden(group, source)
+        if hidden is None:
+            raise ResultError(
+                f"{path}: neither the results on {split} nor this version say whether the split is hidden, so whether "
+                "their numbers may be published: name its recipe with --split FILE.toml, or evaluate again"
+            )
+        known = _recipe(source, group[0], notify)
         if known is not None:
             _check_sequences(path, method, group, known, notify)
-        hidden, data_set = is_hidden(split), data_sets.get(method)
+        data_set = data_sets.get(method)
         curves = _curves(path.parent, method, group, notify) if known is not None and not hidden else None
         if hidden:
             group, data_set = discreet(group, data_set)
@@ -171,9 +184,15 @@ def _check(path: Path, method: str, split: str, group: Sequence[ResultRecord]) -
     aggregate(group)  # raises where results cannot be averaged
 
 
+def _name(recipe: str) -> str:
+    from oysterbench.recipe import load_split
+
+    return load_split(recipe).name
+
+
 def _recipe(split: str, result: ResultRecord, notify: Notify) -> Any:
-    """Return the split's recipe in this version; None, and notify the user, where the split is unknown or the results
-    are of another recipe."""
+    """Return the recipe of a split, given by name or file; None, and notify the user, where the split is unknown or the
+    results are of another recipe."""
     from oysterbench.recipe import load_split
     from oysterbench.simulation.generate import digest
 
@@ -184,7 +203,7 @@ def _recipe(split: str, result: ResultRecord, notify: Notify) -> Any:
         return None
     if digest(recipe) != result.split_digest:
         notify(
-            f"the results are of another recipe of {split} ({result.split_digest[:12]}) than the one here "
+            f"the results are of another recipe of {recipe.name} ({result.split_digest[:12]}) than the one here "
             f"({digest(recipe)[:12]}): they go on a separate board, and no paths are drawn"
         )
         return None

@@ -72,7 +72,7 @@ def score_again(
         else:
             truths = _truths(record, truth, recipe or record.split)
             results, data_set, curves = _score_paths(record, files, truths)
-            if is_hidden(recipe or record.split):
+            if is_hidden(record.results, recipe):
                 told, data_set = discreet(results)
                 results = tuple(told)
     except OysterbenchError as error:

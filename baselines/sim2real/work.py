@@ -248,6 +248,7 @@ def records_of(
         ResultRecord(
             track="segmentation",
             split=bench.real.test.name,
+            hidden=False,
             sequence=clip,
             method=method,
             method_settings={} if cell is None else {"real_images": amount or 0, "asked": size},

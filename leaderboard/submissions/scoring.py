@@ -109,6 +109,7 @@ def score_predictions(
         "track": wanted.track,
         "split": wanted.split,
         "split_digest": wanted.split_digest,
+        "hidden": wanted.hidden,
         "method": method,
         "hardware": {},
         "created": created,

@@ -59,6 +59,8 @@ class ResultRecord:
     """One run of a method on one sequence, scored.
 
     track, split, sequence:  what the method was run on; split_digest identifies the exact recipe that it was made from
+    hidden:                  whether the split is a hidden one, of whose numbers a board publishes few; None where this
+                             is unknown: results of no split, or of versions that did not say
     truth_digest:            SHA-256 of the ground truth that it was scored against, if known
     conditions:              conditions of the sequence (`evaluate.conditions.CONDITIONS`)
     run, seed:               number of the run, from 0, and the seed given to the method; None if it takes none
@@ -81,6 +83,7 @@ class ResultRecord:
     reasons: Mapping[str, str] = field(default_factory=dict)
     failure: str | None = None
     split_digest: str = ""
+    hidden: bool | None = None
     truth_digest: str = ""
     conditions: Mapping[str, int | float | str] = field(default_factory=dict)
     run: Annotated[int, msgspec.Meta(ge=0)] = 0
@@ -116,6 +119,8 @@ class ResultRecord:
     def to_dict(self) -> dict[str, Any]:
         """Convert to plain values for JSON; a metric that is NaN becomes None."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
+        if self.hidden is None:
+            del values["hidden"]  # so that records which never had the key keep their bytes, and so their names
         values["metrics"] = {k: None if math.isnan(v) else plain(v) for k, v in self.metrics.items()}
         return {"format": FORMAT, **{key: plain(value) for key, value in values.items()}}
 
@@ -126,9 +131,10 @@ class ResultRecord:
     @classmethod
     def from_dict(cls, values: Any, where: str = "result") -> ResultRecord:
         """Make a record from plain values. Raises ResultError naming `where` and the key."""
-        if isinstance(values, Mapping) and isinstance(values.get("metrics"), Mapping):
-            metrics = {key: math.nan if value is None else value for key, value in values["metrics"].items()}
-            values = {**values, "metrics": metrics}
+        if isinstance(values, Mapping):
+            values = {"hidden": None, **values}
+            if isinstance(metrics := values.get("metrics"), Mapping):
+                values["metrics"] = {key: math.nan if value is None else value for key, value in metrics.items()}
         return checked(values, cls, FORMAT, where, "; evaluate again with this version of oysterbench")
 
 

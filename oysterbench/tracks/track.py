@@ -318,6 +318,7 @@ def about_sequence(
         "track": track,
         "split": "" if split is None else split.name,
         "split_digest": "" if split is None else digest(split),
+        "hidden": None if split is None else split.hidden,
         "sequence": sequence,
         "truth_digest": truth_digest,
         "conditions": {} if split is None else conditions(split, sequence),

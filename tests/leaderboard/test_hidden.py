@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 import pytest
 
+from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.results.plausible import check_plausible
 from oysterbench.results.records import ResultRecord, write_results
@@ -162,6 +164,49 @@ def test_our_own_results_on_a_hidden_split_are_published_as_coarsely(tmp_path):
     assert not [number for number in ("0.1234", "0.9876", "0.4567", "7.654") if number in whole]
     assert record.results[0].failure
     assert set(record.data_set) == {"method", "metrics", "means"}
+
+
+def of_own_split(tmp_path, hidden, name="reef-test"):
+    write_results(
+        tmp_path / "results.json",
+        [replace(one, split=name, split_digest="ef" * 32, hidden=hidden) for one in record_made().results],
+    )
+    return tmp_path
+
+
+def test_results_say_themselves_that_their_split_is_hidden(tmp_path):
+    ((hidden, _),) = records_of(of_own_split(tmp_path, True), Attribution("x", "reported"))
+    assert all(set(result.metrics) <= BY_SEQUENCE["slam"] | set(COSTS) for result in hidden.results)
+    ((public, _),) = records_of(of_own_split(tmp_path, False), Attribution("x", "reported"))
+    assert "ate_rmse_m" in public.results[0].metrics
+
+
+def test_no_result_can_make_a_hidden_split_of_this_version_public(tmp_path):
+    ((record, _),) = records_of(of_own_split(tmp_path, False, "slam-test"), Attribution("x", "reported"))
+    assert "ate_rmse_m" not in record.results[0].metrics
+
+
+def test_older_results_on_an_unknown_split_are_published_only_with_its_recipe(tmp_path):
+    folder = of_own_split(tmp_path, None)
+    with pytest.raises(ResultError, match=r"whether the split is hidden.*--split FILE\.toml") as raised:
+        records_of(folder, Attribution("x", "reported"))
+    assert "\n" not in str(raised.value)
+    recipe = tmp_path / "reef.toml"
+    mini = resources.files("oysterbench_datasets") / "splits" / "slam-mini.toml"
+    recipe.write_text(mini.read_text().replace('name = "slam-mini"', 'name = "reef-test"\nhidden = true', 1))
+    ((record, _),) = records_of(folder, Attribution("x", "reported"), recipe=str(recipe))
+    assert "ate_rmse_m" not in record.results[0].metrics
+    recipe.write_text(recipe.read_text().replace("reef-test", "other-test"))
+    with pytest.raises(ResultError, match="expected results on other-test, the split of"):
+        records_of(folder, Attribution("x", "reported"), recipe=str(recipe))
+
+
+def test_a_record_without_the_key_hidden_keeps_its_bytes_and_one_with_it_comes_back():
+    old = record_made()
+    assert b'"hidden"' not in old.data
+    assert Record.from_dict(old.to_dict()).digest == old.digest
+    new = replace(old, results=tuple(replace(one, hidden=True) for one in old.results))
+    assert [one.hidden for one in Record.from_dict(new.to_dict()).results] == [True] * len(new.results)
 
 
 def test_a_hundred_submissions_learn_all_labels_from_full_numbers_and_few_from_what_is_told():

@@ -80,7 +80,7 @@ def record_page(site: Site, digest: str) -> Page:
         "bar": numbers.bar(row.low, row.score, row.high),
         "data_set": metric.text(row.data_set) if has_data_set(info, [row]) else "",
         "coverage": numbers.text("coverage", row.coverage),
-        "hidden": not record.curves and is_hidden(info.split),
+        "hidden": not record.curves and bool(is_hidden(record.results)),
         "lost_below": TRACKS[info.track].lost_below,
         "tier_about": TIERS.get(row.tier, ""),
         "notes": notes,
