@@ -40,7 +40,7 @@ from oysterbench.sequence.write import pack
 from oysterbench.simulation import cost
 from oysterbench.simulation.assembly import assemble
 from oysterbench.simulation.jobs import Job, bulky_sensors, plan, sources, wanted_topics
-from oysterbench.simulation.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, is_strong
+from oysterbench.simulation.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, how_to_take_part, is_strong
 from oysterbench.simulation.scheduling import run_alone, run_here, run_in_processes
 from oysterbench.version import GENERATION, VERSION
 
@@ -108,7 +108,7 @@ def generate_split(
     if split.hidden and not is_strong(salt):
         raise RecipeError(
             f"split {split.name} is hidden: it needs a secret salt, of at least {LEAST_BYTES} mixed bytes, "
-            f"and got {len(salt)}; {HOW_TO_MAKE}"
+            f"and got {len(salt)}; {how_to_take_part(split.name)}; to host it: {HOW_TO_MAKE}"
         )
     wanted = [split.find_sequence(name) for name in names] or split.sequence
     made_by = digest(split, salt)

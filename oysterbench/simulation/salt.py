@@ -15,6 +15,11 @@ LEAST_DISTINCT = 8  # different byte values: with fewer it was typed, not drawn 
 HOW_TO_MAKE = "`head -c 32 /dev/urandom | base64 > FILE` makes a good one"
 
 
+def how_to_take_part(name: str) -> str:
+    """What participants type to get a hidden split; a salt of their own would give them other data than the board's."""
+    return f"to take part: `oysterbench download {name} --from URL --key KEY`, from the hub of the board that scores it"
+
+
 class Salt(bytes):
     """Bytes that never show in a message, log or traceback."""
 
@@ -70,7 +75,7 @@ def salt_for(name: str, hidden: bool, file: Path | None = None) -> bytes:
     salt = read_salt(file)
     if salt is None:
         raise RecipeError(
-            f"split {name} is hidden: it needs a secret salt, and none is given; expected --salt-file, or "
-            f"{SALT_FILE} or {SALT} in the environment; {HOW_TO_MAKE}"
+            f"split {name} is hidden: it needs a secret salt, and none is given; {how_to_take_part(name)}; to host it: "
+            f"--salt-file, or {SALT_FILE} or {SALT} in the environment; {HOW_TO_MAKE}"
         )
     return salt

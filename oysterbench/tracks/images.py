@@ -64,8 +64,10 @@ class PictureSequence(RunSequence):
 
     @property
     def origin(self) -> str:
-        """Split, digest of its recipe, and name for a sequence of a split; else the digest of the files."""
-        return self.labelled.digest if self.split is None else f"{self.split.name} {digest(self.split)} {self.name}"
+        """Split, digest of its recipe, and name for a sequence of a public split; else the digest of the files."""
+        if self.split is None or self.split.hidden:
+            return self.labelled.digest
+        return f"{self.split.name} {digest(self.split)} {self.name}"
 
     @property
     def hidden(self) -> tuple[Path, ...]:

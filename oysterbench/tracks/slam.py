@@ -70,9 +70,9 @@ class SlamSequence(SequencePath):
 
     @property
     def origin(self) -> str:
-        """Split, digest of its recipe, name, and the topics of a reduced file for a sequence of a split; else the
-        file."""
-        if self.split is not None:
+        """Split, digest of its recipe, name, and the topics of a reduced file for a sequence of a public split; else
+        the file, as the recipe of a hidden split does not determine it."""
+        if self.split is not None and not self.split.hidden:
             return " ".join((self.split.name, digest(self.split), self.name, *self.topics))
         return super().origin
 

@@ -120,8 +120,7 @@ class SteeringTrack(Track):
         split = request.split
         assert split is not None
         names = list(request.sequences) or [one.name for one in split.sequence]
-        salt = salt_for(split.name, split.hidden)
-        files = request.render(split, workers=request.workers, names=tuple(names), salt=salt)
+        files = super().rendered(replace(request, sequences=names))
         return {name: files[name] for name in names}
 
     def run_sequences(

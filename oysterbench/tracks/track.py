@@ -266,12 +266,18 @@ class Track(ABC):
         return Evaluation(**{**vars(found), "unscored": unscored, "earlier": earlier})
 
     def rendered(self, request: Request) -> dict[str, Path]:
-        """Files of the split by sequence name, rendered where missing; the user's own by their paths."""
-        if request.split is None:
+        """Files of the split by sequence name, rendered where missing; the user's own by their paths. A hidden split is
+        rendered where its salt is set, and is otherwise taken as it was downloaded."""
+        from oysterbench.simulation.salt import read_salt
+
+        split = request.split
+        if split is None:
             return {str(path): path.absolute() for place in request.places for path in sequences_in(place)}
-        files = request.render(
-            request.split, names=tuple(request.sequences), workers=request.workers, topics=request.topics
-        )
+        salt = read_salt() if split.hidden else b""
+        if salt is None:
+            return _downloaded(split, request)
+        names = tuple(request.sequences)
+        files = request.render(split, names=names, workers=request.workers, topics=request.topics, salt=salt)
         return {name: path for name, path in files.items() if not request.sequences or name in request.sequences}
 
     def run(
@@ -305,6 +311,28 @@ class Track(ABC):
             own = job.adapter.evaluation
             judged = self.settings({**own, **request.options}) if own else settings
             yield Finished(job, outcome, self.score(job, outcome, request.out, judged) if outcome.finished else None)
+
+
+def _downloaded(split: SplitRecipe, request: Request) -> dict[str, Path]:
+    """Files of a hidden split under the home folder, as a hub gave them. Raises RecipeError, with what to type, where
+    they are not there."""
+    from oysterbench.hub.download import choose, find_here
+    from oysterbench.simulation.salt import SALT_FILE, how_to_take_part
+
+    found = find_here(split.name, split.version, request.sequences)
+    if found is None:
+        raise RecipeError(
+            f"split {split.name} is hidden, and was not downloaded here; {how_to_take_part(split.name)}; to host it: "
+            f"set {SALT_FILE} to the file of its salt"
+        )
+    folder, manifest = found
+    if request.topics:
+        raise RecipeError(
+            f"--topics: split {split.name} was downloaded with all its topics; `oysterbench download {split.name} "
+            "--topics GLOB --out FOLDER` makes smaller files, for --on FOLDER"
+        )
+    request.announce(f"{split.name}: as downloaded to {folder}")
+    return {entry.sequence: folder / entry.name for entry in choose(manifest, request.sequences)}
 
 
 def about_sequence(
