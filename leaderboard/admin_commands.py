@@ -11,20 +11,15 @@ import click
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.options import find_place
+from oysterbench_leaderboard.record import TIERS
 from oysterbench_leaderboard.terminal import AS_JSON
 
 if TYPE_CHECKING:
     from oysterbench_leaderboard.board import Row
     from oysterbench_leaderboard.index import BoardIndex
 
-TIERS = ("baseline", "scored", "reported")
 DAMAGED = 3
 """Exit code of `verify` where a file is damaged, as for all damaged data."""
-
-
-def notify(text: str) -> None:
-    """Print a message to the user on stderr."""
-    message(text)
 
 
 @click.command("add", short_help="Put results on the board.")
@@ -73,7 +68,7 @@ def add_command(
 
     place = find_place(context)
     by = Attribution(team, tier, url, summary, reason)
-    found = records_of(results, by, notify, recipe)
+    found = records_of(results, by, message, recipe)
     if estimates is not None:
         folder = results if results.is_dir() else results.parent
         found = [(keep_estimates(record, folder, estimates), curves) for record, curves in found]
@@ -179,7 +174,7 @@ def rebuild_command(context: click.Context, as_json: bool) -> None:
         echo(dump({"index": index.name, "revision": index.revision, **facts}))
         return
     for file, why in problems.items():
-        notify(f"left out: {file[:12]}: {why}")
+        message(f"left out: {file[:12]}: {why}")
     echo(f"records: {len(store.digests())}, current ones: {entries}, boards: {len(boards)}, index: {index.name}")
 
 
@@ -262,7 +257,8 @@ def rescore_command(
     from dataclasses import replace
 
     from oysterbench.results.records import dump
-    from oysterbench_leaderboard.rescoring import evaluator_of, is_outdated, score_again
+    from oysterbench_leaderboard.rescoring import is_outdated, score_again
+    from oysterbench_leaderboard.submissions.scoring import evaluator
 
     if truth is not None and split is None:
         raise click.UsageError("--truth: expected --split with it: the truth is of one split")
@@ -282,11 +278,11 @@ def rescore_command(
             raise ResultError(f"{before.digest[:8]} is of the split {record.split}, not of {split}")
         if not again and not is_outdated(record):
             continue
-        notify(f"scoring {record.method} by {record.team} on {record.split}")
-        why = reason or f"Rescored by {evaluator_of(record.track)[0]}, earlier by {record.evaluator_version}."
+        message(f"scoring {record.method} by {record.team} on {record.split}")
+        why = reason or f"Rescored by {evaluator(record.track)[0]}, earlier by {record.evaluator_version}."
         done = score_again(record, estimates, truth, why, recipe)
         if done.record is None:
-            notify(f"{before.digest[:8]} ({record.method} on {record.split}) was not rescored: {done.why}")
+            message(f"{before.digest[:8]} ({record.method} on {record.split}) was not rescored: {done.why}")
             continue
         made = done.record
         if not dry_run and done.curves is not None:

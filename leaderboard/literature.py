@@ -21,26 +21,26 @@ def literature(track: str | None = None) -> list[Literature]:
     return [row for row in parse_literature(text) if track is None or row.track == track]
 
 
-def parse_literature(text: str, where: str = "literature.toml") -> list[Literature]:
+def parse_literature(text: str) -> list[Literature]:
     """Parse the rows of such a file: [[group]] has what its rows share, `row` has method, value and other own keys.
     Raises ResultError naming the group."""
     try:
         groups = tomllib.loads(text)["group"]
     except (tomllib.TOMLDecodeError, KeyError) as error:
-        raise ResultError(f"{where}: expected TOML with [[group]]: {error}") from None
+        raise ResultError(f"literature.toml: expected TOML with [[group]]: {error}") from None
     found = []
     for k, group in enumerate(groups, start=1):
         shared = {key: value for key, value in group.items() if key != "row"}
         for row in group.get("row", []):
             values = {**shared, **row}
             if odd := (shared.keys() - _SHARED) | (row.keys() - _OWN):
-                raise ResultError(f"{where}: group {k}: unknown keys {', '.join(sorted(odd))}")
+                raise ResultError(f"literature.toml: group {k}: unknown keys {', '.join(sorted(odd))}")
             if missing := [
                 key for key in ("track", "method", "metric", "value", "data", "source") if key not in values
             ]:
-                raise ResultError(f"{where}: group {k}: missing keys {', '.join(missing)}")
+                raise ResultError(f"literature.toml: group {k}: missing keys {', '.join(missing)}")
             if values["track"] not in PRIMARY:
-                raise ResultError(f"{where}: group {k}: expected a track of {', '.join(PRIMARY)}")
+                raise ResultError(f"literature.toml: group {k}: expected a track of {', '.join(PRIMARY)}")
             notes = [text for text in (row.get("note"), shared.get("note")) if text]
             found.append(Literature(**{**values, "note": "; ".join(notes)}))
     return found

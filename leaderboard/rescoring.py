@@ -28,22 +28,15 @@ class Again:
     curves: dict[str, Any] | None = None
 
 
-def evaluator_of(track: str) -> tuple[str, dict[str, Any]]:
-    """Version and settings of the evaluator with which this version of oysterbench scores for the board. Raises Refusal
-    for a track whose estimates are never kept."""
-    from oysterbench_leaderboard.submissions.scoring import evaluator
-
-    return evaluator(track)
-
-
 def is_outdated(record: Record) -> bool:
     """Whether a record was scored by another evaluator, or with other settings; False for tracks that cannot be
     rescored."""
     from oysterbench_leaderboard.submissions.catalogue import SCORED
+    from oysterbench_leaderboard.submissions.scoring import evaluator
 
     if record.track not in SCORED:
         return False
-    version, settings = evaluator_of(record.track)
+    version, settings = evaluator(record.track)
     return record.evaluator_version != version or dict(record.results[0].settings) != settings
 
 
@@ -53,7 +46,6 @@ def score_again(
     truth: Path | None,
     reason: str,
     recipe: str | None = None,
-    created: str | None = None,
 ) -> Again:
     """Rescore the estimates that a record was made from.
 
@@ -84,7 +76,7 @@ def score_again(
         curves="",
         supersedes=record.digest,
         reason=reason,
-        created=created or now(),
+        created=now(),
     )
     return Again(record.digest, made, curves=curves)
 
@@ -157,10 +149,11 @@ def _score_paths(record: Record, files: Mapping[str, Path], truths: Mapping[str,
     """Score kept paths, one file per run; a run without a path counts as failed, and costs stay as measured."""
     from oysterbench.evaluate.slam.scoring import SlamSettings, score
     from oysterbench_leaderboard.submissions.catalogue import KIND_OF
+    from oysterbench_leaderboard.submissions.scoring import evaluator
 
     if KIND_OF.get(record.track) != "poses":
         raise ResultError(f"expected paths, got estimates of the track {record.track}; run the method again")
-    version, settings = evaluator_of(record.track)
+    version, settings = evaluator(record.track)
     results: list[ResultRecord] = []
     curves: dict[str, Any] = {}
     for old in record.results:

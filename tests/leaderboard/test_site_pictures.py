@@ -90,9 +90,9 @@ def test_a_heat_map_has_the_score_of_every_record_on_every_sequence(site):
 
 
 def test_what_is_worse_than_chance_is_drawn_in_a_colour_of_its_own(site):
-    assert [heat_kind(value, -0.2, 0.8) for value in (-0.1, 0.0, 0.4, 0.8)] == ["below", "heat-0", "heat-5", "heat-10"]
-    assert heat_kind(math.nan, 0.0, 1.0) == "soft"
-    assert heat_kind(1.0, 0.0, 2.0, lower_is_better=True) == "heat-5"
+    assert [heat_kind(value, 0.8) for value in (-0.1, 0.0, 0.4, 0.8)] == ["below", "heat-0", "heat-5", "heat-10"]
+    assert heat_kind(math.nan, 1.0) == "soft"
+    assert heat_kind(1.0, 2.0, lower_is_better=True) == "heat-5"
 
 
 def test_intervals_below_zero_are_drawn_with_a_mark_at_zero():

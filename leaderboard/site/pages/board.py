@@ -13,13 +13,12 @@ from oysterbench.report.columns import STANDING_OF_TRACK, lost_column, lost_note
 from oysterbench.report.table import Cell, Column, Table, TableRow, interval_column
 from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row, State
-from oysterbench_leaderboard.record import RANKED
-from oysterbench_leaderboard.record import TIERS as ALL_TIERS
+from oysterbench_leaderboard.record import RANKED, TIERS
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Later, Page, PageError
 from oysterbench_leaderboard.site.pages.compare import PAIRED
 from oysterbench_leaderboard.site.pages.heat import classes_heat, scores_of, sequences_heat
-from oysterbench_leaderboard.site.pages.ranks import RANK, TIERS, UNRANKED, rank_cells, state_mark
+from oysterbench_leaderboard.site.pages.ranks import ABOUT_TIERS, RANK, UNRANKED, rank_cells, state_mark
 from oysterbench_leaderboard.site.pages.speed import speed_card
 from oysterbench_leaderboard.site.pages.stress import stress_drawing
 from oysterbench_leaderboard.site.paths import board_path, record_path, slug, split_path
@@ -108,14 +107,14 @@ def parse_query(asked: Mapping[str, Sequence[str]], size: int = 50) -> Query:
         sort=last("sort", "rank") or "rank",
         descending=order == "desc",
         text=text,
-        tiers=chosen("tier", ALL_TIERS),
+        tiers=chosen("tier", TIERS),
         states=states,
         page=whole("page", 1, 10**6),
         size=whole("size", size, MOST_ROWS),
     )
 
 
-def asked_by(query: Query, size: int = 50) -> dict[str, str | list[str]]:
+def asked_by(query: Query) -> dict[str, str | list[str]]:
     """Query as the parameters of an address, without those at their defaults."""
     found: dict[str, str | list[str]] = {
         "sort": "" if query.sort == "rank" else query.sort,
@@ -124,7 +123,7 @@ def asked_by(query: Query, size: int = 50) -> dict[str, str | list[str]]:
         "tier": list(query.tiers),
         "state": [] if query.states == ("current",) else list(query.states),
         "page": "" if query.page == 1 else str(query.page),
-        "size": "" if query.size == size else str(query.size),
+        "size": "" if query.size == Query().size else str(query.size),
     }
     return {key: value for key, value in found.items() if value}
 
@@ -146,7 +145,7 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
         raise PageError(f"page: expected 1 to {found.pages}, got {query.page}", 404, {path: "the first page"})
     name = numbers.track_name(info.track)
     title = f"{name} on {info.split}" + ("" if board is None else f", {info.evaluator_version}")
-    table = board_table(site, found, f"{title}: {_counted(found)}")
+    table = page_table(found, f"{title}: {_counted(found)}")
     others = [other for other in site.index.boards(info.track) if other.split == info.split and other.id != info.id]
     context = {
         "info": info,
@@ -156,7 +155,7 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
         "found": found,
         "asked": asked_by(query),
         "sorting": _sorting(table, query),
-        "all_tiers": TIERS,
+        "all_tiers": ABOUT_TIERS,
         "states": STATES,
         "others": [(board_path(other), other) for other in others],
         "permalink": board_path(info),
@@ -212,7 +211,7 @@ def _sorting(table: Table, query: Query) -> dict[str, dict[str, Any]]:
     return found
 
 
-def board_table(site: Site, found: BoardPage, title: str) -> Table:
+def page_table(found: BoardPage, title: str) -> Table:
     """Table of a board: rank, method, score with interval, coverage beside errors, failures, tier; digests in CSV."""
     info, rows = found.board, found.rows
     whole = has_data_set(info, rows)
@@ -273,7 +272,7 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
                     Cell(row.failures, failed, kind="warn" if row.failures else ""),
                     Cell(row.sensors or None, kind="few", small=row.mode),
                     work_cell(row.code, row.paper),
-                    Cell(row.created, row.created[:10], about=TIERS.get(row.tier, ""), small=row.tier),
+                    Cell(row.created, row.created[:10], about=ABOUT_TIERS.get(row.tier, ""), small=row.tier),
                     *(row.digest if key == "record" else getattr(row, key) for key in HIDDEN),
                 ),
                 row.state if row.state != "current" else "",

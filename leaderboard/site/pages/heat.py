@@ -103,11 +103,11 @@ def _heat(
     values: Mapping[str, Sequence[float]],
     notes: tuple[str, ...],
 ) -> Table:
-    metric, (low, high) = metric_column(scores.info.metric), scores.ends
+    metric, (_, high) = metric_column(scores.info.metric), scores.ends
     lines = []
     for row in scores.rows:
         cells = [
-            Cell(value, metric.text(value), heat_kind(value, low, high, metric.better == "lower"))
+            Cell(value, metric.text(value), heat_kind(value, high, metric.better == "lower"))
             for value in values[row.digest]
         ]
         lines.append(TableRow((Cell(row.method, path=record_path(row.digest)), *cells)))
@@ -119,11 +119,11 @@ def _number(column: Column) -> Column:
     return Column(column.key, column.heading, column.unit, "number", about=column.about)
 
 
-def heat_kind(value: float, low: float, high: float, lower_is_better: bool = False) -> str:
+def heat_kind(value: float, high: float, lower_is_better: bool = False) -> str:
     """CSS class of a cell: from heat-0 for 0, or the worst, to heat-10 for the best; "below" for values below 0, unless
     lower is better; "soft" for no value.
 
-    >>> heat_kind(0.5, 0.0, 1.0), heat_kind(-0.1, -0.2, 1.0), heat_kind(math.nan, 0.0, 1.0)
+    >>> heat_kind(0.5, 1.0), heat_kind(-0.1, 1.0), heat_kind(math.nan, 1.0)
     ('heat-5', 'below', 'soft')
     """
     if not math.isfinite(value):

@@ -11,7 +11,7 @@ from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo, Row
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Page, PageError
-from oysterbench_leaderboard.site.pages.ranks import TIERS, rank_cells, state_mark
+from oysterbench_leaderboard.site.pages.ranks import ABOUT_TIERS, rank_cells, state_mark
 from oysterbench_leaderboard.site.paths import board_path, method_path, record_path
 from oysterbench_leaderboard.site.site import Site
 
@@ -36,9 +36,9 @@ def method_page(site: Site, slug: str) -> Page:
     rows = [row for row in rows if row.board in boards]
     current = sorted((row for row in rows if row.state == "current"), key=lambda row: order[row.board])
     past = [row for row in rows if row.state != "current"]
-    tables = [_table(site, boards, current, f"Current records of {name}", "current")]
+    tables = [_table(boards, current, f"Current records of {name}", "current")]
     if past:
-        tables.append(_table(site, boards, past, f"Superseded and withdrawn records of {name}", "past"))
+        tables.append(_table(boards, past, f"Superseded and withdrawn records of {name}", "past"))
     teams = list(dict.fromkeys(row.team for row in rows))
     newest = current[0] if current else rows[0]
     return Page(
@@ -51,7 +51,7 @@ def method_page(site: Site, slug: str) -> Page:
     )
 
 
-def _table(site: Site, boards: dict[str, BoardInfo], rows: list[Row], title: str, name: str) -> Table:
+def _table(boards: dict[str, BoardInfo], rows: list[Row], title: str, name: str) -> Table:
     columns = (
         Column("board", "Board"),
         Column("rank", "Rank", "of records", "number"),
@@ -90,7 +90,7 @@ def _table(site: Site, boards: dict[str, BoardInfo], rows: list[Row], title: str
                     Cell(row.failures, f"{row.failures} of {row.runs}", kind="warn" if row.failures else ""),
                     Cell(info.evaluator_version),
                     Cell(row.team),
-                    Cell(row.tier, about=TIERS.get(row.tier, "")),
+                    Cell(row.tier, about=ABOUT_TIERS.get(row.tier, "")),
                     Cell(row.created, row.created[:10], path=record_path(row.digest), mark=state_mark(row)),
                     Cell(row.digest),
                     Cell(row.state),

@@ -13,7 +13,7 @@ from oysterbench.results.records import plain
 from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.site import datasets, numbers
 from oysterbench_leaderboard.site.page import Page
-from oysterbench_leaderboard.site.pages.ranks import TIERS
+from oysterbench_leaderboard.site.pages.ranks import ABOUT_TIERS
 from oysterbench_leaderboard.site.paths import data_path
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.submissions.catalogue import ELSEWHERE, TRACKS_OF
@@ -72,7 +72,7 @@ def submit_page(site: Site) -> Page:
     )
     table = Table("What can be sent", columns, tuple(lines), notes, "submit")
     data = plain({"form": site.form or None, "splits": json_rows(table), "elsewhere": ELSEWHERE})
-    context = {"form": site.form, "tiers": TIERS, "split": next(scored, SHOWN)}
+    context = {"form": site.form, "tiers": ABOUT_TIERS, "split": next(scored, SHOWN)}
     return Page("/submit", "How to submit", "submit.html", context, (table,), data)
 
 
@@ -109,7 +109,7 @@ def about_page(site: Site) -> Page:
             data.append({"track": track, "key": key, "ranks": key == PRIMARY[track], **asdict(metric)})
     table = Table("Metrics", columns, tuple(lines), name="metrics")
     context = {
-        "tiers": TIERS,
+        "tiers": ABOUT_TIERS,
         "level": numbers.LEVEL,
         "resamples": f"{RESAMPLES:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
         "least": LEAST_SEQUENCES,
@@ -120,5 +120,10 @@ def about_page(site: Site) -> Page:
         ],
     }
     return Page(
-        "/about", "What the numbers mean", "about.html", context, (table,), plain({"tiers": TIERS, "metrics": data})
+        "/about",
+        "What the numbers mean",
+        "about.html",
+        context,
+        (table,),
+        plain({"tiers": ABOUT_TIERS, "metrics": data}),
     )

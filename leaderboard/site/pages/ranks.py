@@ -8,7 +8,7 @@ from oysterbench.report.table import ABSENT, Cell
 from oysterbench_leaderboard.board import Row
 from oysterbench_leaderboard.tables import rank_text
 
-TIERS = {
+ABOUT_TIERS = {
     "baseline": "Run and scored by us, from this project's source.",
     "scored": "Estimates by others, scored by a server against ground truth that they may never have seen.",
     "reported": "Results computed by their authors: shown, but not ranked.",

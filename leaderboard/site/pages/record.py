@@ -25,7 +25,7 @@ from oysterbench_leaderboard.site.charts import drawings
 from oysterbench_leaderboard.site.history import successor
 from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.pages.compare import PAIRED
-from oysterbench_leaderboard.site.pages.ranks import TIERS, rank_cells
+from oysterbench_leaderboard.site.pages.ranks import ABOUT_TIERS, rank_cells
 from oysterbench_leaderboard.site.paths import board_path, method_path, record_path
 from oysterbench_leaderboard.site.site import Site, curves_of
 from oysterbench_leaderboard.site.works import code_cell, paper_address
@@ -82,7 +82,7 @@ def record_page(site: Site, digest: str) -> Page:
         "coverage": numbers.text("coverage", row.coverage),
         "hidden": not record.curves and bool(is_hidden(record.results)),
         "lost_below": TRACKS[info.track].lost_below,
-        "tier_about": TIERS.get(row.tier, ""),
+        "tier_about": ABOUT_TIERS.get(row.tier, ""),
         "notes": notes,
         "rivals": rivals(site, info, row),
         "drawings": drawings({record.method: curves_of(site, record)}),
