@@ -19,7 +19,7 @@ from oysterbench.report.columns import (
     metric_columns,
     name_columns,
 )
-from oysterbench.report.renderers import csv_text
+from oysterbench.report.renderers import csv_table
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow, interval_column
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Literature, Row
 from oysterbench_leaderboard.record import RANKED
@@ -182,7 +182,7 @@ def boards_csv(pages: Sequence[BoardPage]) -> str:
         about = (board.id, board.track, board.split, board.evaluator_version, board.metric)
         for row in page.rows:
             rows.append(TableRow((*about, *(getattr(row, key) for key in facts), *map(row.metrics.get, columns))))
-    return csv_text(Table("Boards", tuple(map(Column, keys)), tuple(rows)))
+    return csv_table(Table("Boards", tuple(map(Column, keys)), tuple(rows)))
 
 
 def page_plain(page: BoardPage) -> dict[str, Any]:

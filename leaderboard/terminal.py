@@ -38,7 +38,7 @@ def show_boards(
     md_file: Path | None,
 ) -> None:
     """Print boards, or write them to files: what `oysterbench leaderboard` does without a command."""
-    from oysterbench.report.renderers import latex_text, markdown_table
+    from oysterbench.report.renderers import latex_tables, markdown_table
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.board import Query
     from oysterbench_leaderboard.tables import board_name, board_table, boards_csv, page_plain
@@ -53,7 +53,7 @@ def show_boards(
     tables = [board_table(page) for page in pages]
     makers = {
         "csv": lambda: boards_csv(pages),
-        "tex": lambda: latex_text(tables),
+        "tex": lambda: latex_tables(tables),
         "md": lambda: "\n".join(map(markdown_table, tables)),
     }
     for form, path in files.items():

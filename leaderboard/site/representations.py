@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import orjson
 
-from oysterbench.report.renderers import csv_text, latex_text
+from oysterbench.report.renderers import csv_table, latex_tables
 from oysterbench_leaderboard.site.page import Page
 
 
@@ -14,5 +14,5 @@ def represent(page: Page, suffix: str) -> bytes:
         about = {"path": page.path, "title": page.title}
         return orjson.dumps({**about, **page.data}, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
     if suffix == ".csv":
-        return csv_text(page.tables[0]).encode() if page.tables else b""
-    return latex_text(page.tables, page.title).encode()
+        return csv_table(page.tables[0]).encode() if page.tables else b""
+    return latex_tables(page.tables, page.title).encode()

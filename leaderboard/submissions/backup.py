@@ -27,7 +27,7 @@ from oysterbench.core.files import appearing
 from oysterbench.core.text import in_one_line
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.database import open_engine
-from oysterbench_leaderboard.submissions.database import Database, metadata, sessions
+from oysterbench_leaderboard.submissions.database import SubmissionDatabase, metadata, sessions
 from oysterbench_leaderboard.submissions.estimates import Estimates, Upload
 from oysterbench_leaderboard.submissions.migrations import upgrade
 from oysterbench_leaderboard.submissions.settings import FILE, SubmissionSettings, load_settings
@@ -55,7 +55,7 @@ class Backup:
 
 def backup(settings: SubmissionSettings, file: Path, board: Path | None = None) -> Backup:
     """Write a whole server into a file that only its owner can read. board: folder of records to include."""
-    database = Database(settings)
+    database = SubmissionDatabase(settings)
     rows: Counter[str] = Counter()
     files = 0
     try:

@@ -241,9 +241,9 @@ def _show_backup(file: Path, made: Any, as_json: bool) -> None:
 
 
 def _database(folder: Path, must_exist: bool = False) -> Any:
-    from oysterbench_leaderboard.submissions.database import Database
+    from oysterbench_leaderboard.submissions.database import SubmissionDatabase
     from oysterbench_leaderboard.submissions.settings import load_settings
 
     if must_exist and not folder.is_dir():
         raise ResultError(f"--submissions {folder}: no such folder; `oysterbench leaderboard team add` makes it")
-    return Database(load_settings(folder))
+    return SubmissionDatabase(load_settings(folder))

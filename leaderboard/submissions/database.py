@@ -138,7 +138,7 @@ def utc(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-class Database:
+class SubmissionDatabase:
     """The database, upgraded when it is opened. `writing` and `reading` give a connection in a transaction."""
 
     def __init__(self, settings: SubmissionSettings) -> None:

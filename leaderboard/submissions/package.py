@@ -18,7 +18,7 @@ from oysterbench.core.names import did_you_mean, listed, nearest
 from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench_leaderboard.submissions.archive import Limits, pack
 from oysterbench_leaderboard.submissions.catalogue import Wanted, local_wanted
-from oysterbench_leaderboard.submissions.predictions import IMAGE, OPENERS, check_predictions, open_predictions
+from oysterbench_leaderboard.submissions.predictions import IMAGE, OPENERS, check_predictions, open_upload
 
 RESULTS = "results.json"
 KINDS = {".zip": "application/zip", ".json": "application/json", ".txt": "text/plain", ".tum": "text/plain"}
@@ -190,7 +190,7 @@ def packed(found: Found, wanted: Wanted, limits: dict[str, int]) -> Iterator[Pac
         known = wanted
         if not wanted.split_digest:  # then the digest is known from the results alone
             known = replace(wanted, split_digest=str(_first_result(path).get("split_digest", "")))
-        facts = check_predictions(open_predictions(path, known, within), known)
+        facts = check_predictions(open_upload(path, known, within), known)
         with open(path, "rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         yield Package(path, kind, digest, size, wanted, facts)

@@ -72,7 +72,7 @@ class Predictions:
         return [name for name in wanted.sequences if name in found]
 
 
-def open_predictions(path: Path, wanted: Wanted, limits: Limits) -> Predictions:
+def open_upload(path: Path, wanted: Wanted, limits: Limits) -> Predictions:
     """Open an upload: a zip archive, or one file. Its type is found from its content; names are only compared with
     those of the split. Raises Refusal."""
     with open(path, "rb") as file:
@@ -98,9 +98,9 @@ def open_predictions(path: Path, wanted: Wanted, limits: Limits) -> Predictions:
         except ValueError as error:
             raise Refusal("format", f"upload.json: not valid JSON: {in_one_line(error, 120)}") from None
         if isinstance(content, dict) and "results" in content:
-            from oysterbench_leaderboard.submissions.reported import read_results
+            from oysterbench_leaderboard.submissions.reported import read_reported
 
-            return Predictions("results", results=read_results(data, content, wanted, limits))
+            return Predictions("results", results=read_reported(data, content, wanted, limits))
     opener = OPENERS[wanted.kind].get(suffix)
     if opener is None:
         got = {".npz": "arrays", ".json": "JSON without 'results'"}.get(suffix, "text")

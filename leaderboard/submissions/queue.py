@@ -206,7 +206,10 @@ class Dispatcher:
 def dispatch(
     service: Service, connection: Connection, with_engine: AbstractContextManager[Engine], enough: Callable[[], bool]
 ) -> None:
-    """Hand out queued submissions and record their outcomes, until `enough()`. connection: from `Database.alone`"""
+    """Hand out queued submissions and record their outcomes, until `enough()`.
+
+    connection: from `SubmissionDatabase.alone`
+    """
     recover(service, connection)
     running: dict[Future[Ended], Submission] = {}
     with with_engine as engine:

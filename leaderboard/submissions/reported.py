@@ -28,7 +28,7 @@ EARLIEST, TOLERANCE = datetime(2020, 1, 1, tzinfo=UTC), timedelta(days=1)
 """Earliest plausible date of results (before the benchmark existed), and tolerance for clocks that differ."""
 
 
-def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: Limits) -> tuple[ResultRecord, ...]:
+def read_reported(data: bytes, content: dict[str, Any], wanted: Wanted, limits: Limits) -> tuple[ResultRecord, ...]:
     """Read reported results. They must be of this split and this version's evaluator, with known metrics only, the
     metrics that bound others, and plausible values. Raises Refusal.
 

@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from oysterbench_leaderboard.submissions.fork_server import serve
-from oysterbench_leaderboard.submissions.predictions import check_predictions, open_predictions
+from oysterbench_leaderboard.submissions.predictions import check_predictions, open_upload
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.sandbox import Job
 
@@ -27,7 +27,7 @@ MOST_REASON = 1000  # characters
 def do(job: Job) -> dict[str, Any]:
     """Do a job and return its answer."""
     try:
-        predictions = open_predictions(Path(job.path), job.wanted, job.limits)
+        predictions = open_upload(Path(job.path), job.wanted, job.limits)
         if job.truth is None:
             return check_predictions(predictions, job.wanted)
     except Refusal as refusal:

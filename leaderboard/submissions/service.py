@@ -26,8 +26,8 @@ from oysterbench_leaderboard.store import RecordStore, StatusChange
 from oysterbench_leaderboard.submissions import namespaces, sandbox
 from oysterbench_leaderboard.submissions.catalogue import Catalogue, Wanted
 from oysterbench_leaderboard.submissions.database import (
-    Database,
     Submission,
+    SubmissionDatabase,
     change,
     find,
     log_event,
@@ -60,7 +60,7 @@ class Service:
         clock: Callable[[], float] = time.time,
     ) -> None:
         self.settings, self.catalogue, self.store, self.changed, self.clock = settings, catalogue, store, changed, clock
-        self.database = Database(settings)
+        self.database = SubmissionDatabase(settings)
         self.incoming, self.estimates = settings.folder / "incoming", Estimates(settings.place)
         self.incoming.mkdir(exist_ok=True)
         self.scored = RecordStore(settings.folder / "scored")

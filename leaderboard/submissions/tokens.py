@@ -18,7 +18,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench.core.text import alike
 from oysterbench.hub.addresses import network
 from oysterbench_leaderboard.record import MOST_TEXT, check_text
-from oysterbench_leaderboard.submissions.database import Database, log_event, teams, tokens, utc
+from oysterbench_leaderboard.submissions.database import SubmissionDatabase, log_event, teams, tokens, utc
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
@@ -39,7 +39,7 @@ class Holder:
     token: str
 
 
-def issue(database: Database, team: str, held: Literal["refuse", "revoke", "keep"] = "refuse") -> str:
+def issue(database: SubmissionDatabase, team: str, held: Literal["refuse", "revoke", "keep"] = "refuse") -> str:
     """Issue a new token for a team, which is created if it is new. The token itself is not stored: a team that loses it
     has to ask for another one.
 
@@ -84,7 +84,7 @@ def _check_new(team: str, known: Iterable[str]) -> None:
         )
 
 
-def revoke(database: Database, name: str) -> list[str]:
+def revoke(database: SubmissionDatabase, name: str) -> list[str]:
     """Revoke a token by its id, or all tokens of a team; return the ids of those that were still valid. Raises
     ResultError where there is no such token or team."""
     at = utc(time.time())
@@ -100,7 +100,7 @@ def revoke(database: Database, name: str) -> list[str]:
     return revoked
 
 
-def listed(database: Database) -> list[dict[str, str]]:
+def listed(database: SubmissionDatabase) -> list[dict[str, str]]:
     """Return the tokens of all teams, without their secrets."""
     columns = (tokens.c.team, tokens.c.id, tokens.c.created, tokens.c.revoked)
     with database.reading() as connection:

@@ -49,14 +49,14 @@ def csv_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> st
         values = [getattr(record, key) for key in RUN_COLUMNS]
         values += [record.conditions.get(key) for key in conditions]
         lines.append((*values, *(record.metrics.get(key) for key in metrics), settings))
-    return renderers.csv_text(Table("Runs", tuple(map(Column, columns)), tuple(map(TableRow, lines))))
+    return renderers.csv_table(Table("Runs", tuple(map(Column, columns)), tuple(map(TableRow, lines))))
 
 
 def csv_of(lines: Sequence[Mapping[str, Any]]) -> str:
     """Write rows, given as column -> value, with all digits; columns in order of first appearance."""
     keys = tuple(dict.fromkeys(key for line in lines for key in line))
     rows: list[tuple[Value, ...]] = [tuple(line.get(key) for key in keys) for line in lines]
-    return renderers.csv_text(Table("", tuple(map(Column, keys)), tuple(map(TableRow, rows))))
+    return renderers.csv_table(Table("", tuple(map(Column, keys)), tuple(map(TableRow, rows))))
 
 
 def markdown_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> str:
@@ -66,4 +66,4 @@ def markdown_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) 
 
 def latex_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> str:
     """Write the tables for a paper; they need only the packages stated at the head of the file."""
-    return renderers.latex_text(tables(records, first))
+    return renderers.latex_tables(tables(records, first))

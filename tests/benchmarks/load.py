@@ -25,7 +25,7 @@ from urllib.parse import urlencode
 import numpy as np
 
 from oysterbench.core.streams import stream
-from oysterbench_leaderboard.submissions.database import Database, find, log, submissions
+from oysterbench_leaderboard.submissions.database import SubmissionDatabase, find, log, submissions
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.tokens import issue
 from tests.helpers import pool, served
@@ -216,7 +216,7 @@ async def run(load: Load, pid: int, tokens: list[str]) -> None:
     await asyncio.gather(*attackers, return_exceptions=True)
 
 
-def report(load: Load, database: Database) -> None:
+def report(load: Load, database: SubmissionDatabase) -> None:
     """Print what was seen, and what the database holds of it."""
     seen = load.seen
     for page, took in sorted(seen.took.items()):
@@ -247,7 +247,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="oysterbench-load-") as temporary:
         folder = Path(temporary)
         served.lay(folder)
-        database = Database(load_settings(folder / "private"))
+        database = SubmissionDatabase(load_settings(folder / "private"))
         tokens = [issue(database, f"team {k}") for k in range(TEAMS + ATTACKERS)]
         with served.running(folder) as server:
             load = Load(server.port, time.monotonic() + 60 * given.minutes, folder)

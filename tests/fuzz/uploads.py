@@ -30,7 +30,7 @@ from oysterbench_leaderboard.hidden import STEP
 from oysterbench_leaderboard.submissions import sandbox
 from oysterbench_leaderboard.submissions.catalogue import Served
 from oysterbench_leaderboard.submissions.database import Submission
-from oysterbench_leaderboard.submissions.predictions import open_predictions
+from oysterbench_leaderboard.submissions.predictions import open_upload
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.sandbox import Job
 from oysterbench_leaderboard.submissions.sandbox_worker import do
@@ -255,7 +255,7 @@ class Uploads:
         split it is told in steps."""
         told = STEP / 2 if self.service.catalogue.splits[self.samples[kind].split].any.hidden else 0.0
         job = self.job(kind, path, scored=False)
-        readers = open_predictions(path, job.wanted, job.limits).readers
+        readers = open_upload(path, job.wanted, job.limits).readers
         for sequence, result in enumerate(results):
             if result.failure is not None:
                 continue

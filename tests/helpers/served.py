@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
-from oysterbench_leaderboard.submissions.database import Database, log
+from oysterbench_leaderboard.submissions.database import SubmissionDatabase, log
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.tokens import issue
 from tests.helpers.paths import ROOT
@@ -46,7 +46,7 @@ def lay(folder: Path, **settings: Any) -> dict[str, str]:
     private.mkdir()
     lines = [f"{key} = {value!r}" for key, value in {**FAST, **settings}.items()]
     (private / "settings.toml").write_text("\n".join(lines))
-    database = Database(load_settings(private))
+    database = SubmissionDatabase(load_settings(private))
     tokens = {team: issue(database, team) for team in ("reef lab", "others")}
     database.close()
     return tokens
@@ -202,7 +202,7 @@ class Site:
 
     def events(self) -> list[dict[str, Any]]:
         """The log."""
-        database = Database(load_settings(self.folder / "private"))
+        database = SubmissionDatabase(load_settings(self.folder / "private"))
         with database.reading() as connection:
             found = log(connection, limit=10_000)
         database.close()

@@ -13,7 +13,7 @@ import numpy as np
 
 from oysterbench_leaderboard.submissions.archive import Limits
 from oysterbench_leaderboard.submissions.catalogue import Wanted
-from oysterbench_leaderboard.submissions.predictions import check_predictions, open_predictions
+from oysterbench_leaderboard.submissions.predictions import check_predictions, open_upload
 from tests.helpers.pool import classes, image_names
 
 LIMITS = Limits(4_000_000, 1_000_000, 200, 20_000_000, 100.0)
@@ -28,7 +28,7 @@ def wanted_of(served, split: str, track: str = "slam") -> Wanted:
 def opened(tmp_path: Path, data: bytes, wanted: Wanted):
     file = tmp_path / "upload"
     file.write_bytes(data)
-    predictions = open_predictions(file, wanted, LIMITS)
+    predictions = open_upload(file, wanted, LIMITS)
     return predictions, check_predictions(predictions, wanted)
 
 

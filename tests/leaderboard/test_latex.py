@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 
-from oysterbench.report.renderers.latex import NEEDS, latex_escape, latex_text, needs
+from oysterbench.report.renderers.latex import NEEDS, latex_escape, latex_tables, needs
 from oysterbench_leaderboard.board import Query
 from oysterbench_leaderboard.index import open_index
 from oysterbench_leaderboard.site.export import _work
@@ -88,7 +88,7 @@ def test_tables_of_the_terminal_are_whole_latex(site):
     tables = [board_table(site.index.page(info.id, Query(size=100))) for info in boards]
     tables += [history_table(site.index.method(name), {info.id: info for info in boards}) for name in NAMES]
     tables += literature_tables(site.literature)
-    found = read(latex_text(tables))
+    found = read(latex_tables(tables))
     assert [len(table.columns) for table in found] == [len(table.columns) for table in tables]
     assert [len(table.rows) for table in found] == [
         1 + any(column.unit for column in table.columns) + len(table.rows) for table in tables

@@ -14,7 +14,7 @@ import pytest
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.submissions import sandbox, sandbox_worker
 from oysterbench_leaderboard.submissions.backup import backup, restore
-from oysterbench_leaderboard.submissions.database import Database, find, log
+from oysterbench_leaderboard.submissions.database import SubmissionDatabase, find, log
 from oysterbench_leaderboard.submissions.estimates import upload_of
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.tokens import issue, recognise
@@ -54,7 +54,7 @@ def saved(tmp_path_factory):
 
 
 def all_of(folder):
-    with closing(Database(load_settings(folder))) as database, database.reading() as connection:
+    with closing(SubmissionDatabase(load_settings(folder))) as database, database.reading() as connection:
         return {one.method: one for one in find(connection)}
 
 
@@ -83,7 +83,7 @@ def test_it_goes_from_sqlite_to_postgresql(saved, tmp_path, postgres):
     (private / "settings.toml").write_text(f"database = {postgres!r}\n")
     assert restore(folder / "all.tar", private).rows == made.rows
     assert all_of(private)["carp"] == all_of(folder / "private")["carp"]
-    with closing(Database(load_settings(private))) as database:
+    with closing(SubmissionDatabase(load_settings(private))) as database:
         issue(database, "others")  # numbers of events go on
     shutil.rmtree(private / "estimates")
     for path in ("scored", "key"):

@@ -12,7 +12,7 @@ from sqlalchemy import text
 
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.submissions import database
-from oysterbench_leaderboard.submissions.database import Database
+from oysterbench_leaderboard.submissions.database import SubmissionDatabase
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
 BEFORE_STEPS = """
@@ -70,21 +70,21 @@ def lay(settings: SubmissionSettings, script: str) -> None:
         connection.executescript(script)
 
 
-def differences(opened: Database) -> list[object]:
+def differences(opened: SubmissionDatabase) -> list[object]:
     """What the tables have otherwise than the code says."""
     with opened.reading() as connection:
         return compare_metadata(MigrationContext.configure(connection), database.metadata)
 
 
 def test_a_new_database_has_the_tables_that_the_code_knows(settings):
-    with closing(Database(settings)) as opened:
+    with closing(SubmissionDatabase(settings)) as opened:
         assert differences(opened) == []
 
 
 def test_a_database_from_before_there_were_steps_is_upgraded_with_its_rows(settings):
     lay(settings, BEFORE_STEPS + ROWS)
     for _ in range(2):
-        with closing(Database(settings)) as opened, opened.reading() as connection:
+        with closing(SubmissionDatabase(settings)) as opened, opened.reading() as connection:
             assert differences(opened) == []
             tench, carp = database.find(connection)
             assert (carp.id, carp.team, carp.method, carp.digest, carp.size) == ("1a", "reef lab", "carp", "cd", 12)
@@ -97,13 +97,13 @@ def test_a_database_from_before_there_were_steps_is_upgraded_with_its_rows(setti
 def test_a_step_that_fails_leaves_the_database_as_it_was(settings):
     lay(settings, "CREATE TABLE submissions (id INTEGER)")  # which cannot get the index of the first step
     with pytest.raises(ResultError, match="the database of submissions cannot be opened"):
-        Database(settings)
+        SubmissionDatabase(settings)
     lay(settings, "DROP TABLE submissions; CREATE TABLE teams (name INTEGER)")  # so no step has left its own
 
 
 def test_a_database_of_a_later_version_is_refused_in_a_line(settings):
-    Database(settings).close()
+    SubmissionDatabase(settings).close()
     lay(settings, "UPDATE alembic_version SET version_num = '9999'")
     with pytest.raises(ResultError, match=r"made by a later version of oysterbench.*9999") as refused:
-        Database(settings)
+        SubmissionDatabase(settings)
     assert "\n" not in str(refused.value)

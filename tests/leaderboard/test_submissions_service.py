@@ -10,7 +10,7 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 from oysterbench_leaderboard.submissions import queue, sandbox
-from oysterbench_leaderboard.submissions.database import Database, find, submissions
+from oysterbench_leaderboard.submissions.database import SubmissionDatabase, find, submissions
 from oysterbench_leaderboard.submissions.estimates import upload_of
 from oysterbench_leaderboard.submissions.rates import DailyReads
 from oysterbench_leaderboard.submissions.refusals import FAILED, Refusal
@@ -215,7 +215,7 @@ def test_the_database_keeps_what_it_has_said(service, tmp_path):
     with service.database.reading() as connection:
         assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
         assert connection.exec_driver_sql("PRAGMA synchronous").scalar() == 2
-    database = Database(service.settings)
+    database = SubmissionDatabase(service.settings)
     with database.reading() as connection:
         assert [one.id for one in find(connection, submissions.c.team == "reef lab")] == [made.id]
     database.close()
@@ -247,7 +247,7 @@ def test_two_hosts_share_a_queue_in_postgresql(laid, tmp_path, here, postgres):
 
 
 def test_a_token_with_odd_characters_is_unknown_in_postgresql(tmp_path, postgres):
-    database = Database(load_settings(tmp_path, database=postgres.replace("+psycopg", "")))
+    database = SubmissionDatabase(load_settings(tmp_path, database=postgres.replace("+psycopg", "")))
     with database.reading() as connection:
         for odd in ("oyb_\0_x", "oyb_\u00e9_x", "oyb_1_\udc80"):
             assert recognise(connection, odd) is None

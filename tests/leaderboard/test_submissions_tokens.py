@@ -7,14 +7,14 @@ from sqlalchemy import insert
 
 from oysterbench.core.errors import ResultError
 from oysterbench.hub.addresses import network
-from oysterbench_leaderboard.submissions.database import Database, teams
+from oysterbench_leaderboard.submissions.database import SubmissionDatabase, teams
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 from oysterbench_leaderboard.submissions.tokens import Guesses, issue, listed, recognise, revoke
 
 
 def test_a_token_is_shown_once_and_only_its_hash_is_kept(tmp_path):
-    database = Database(SubmissionSettings(folder=tmp_path / "private"))
+    database = SubmissionDatabase(SubmissionSettings(folder=tmp_path / "private"))
     one, two = issue(database, "reef lab"), issue(database, "reef lab", "keep")
     assert one != two
     with database.reading() as connection:
@@ -29,7 +29,7 @@ def test_a_token_is_shown_once_and_only_its_hash_is_kept(tmp_path):
 
 
 def test_tokens_are_revoked_one_by_one_or_with_their_team(tmp_path):
-    database = Database(SubmissionSettings(folder=tmp_path))
+    database = SubmissionDatabase(SubmissionSettings(folder=tmp_path))
     one, two = issue(database, "reef lab"), issue(database, "reef lab", "keep")
     assert revoke(database, one.split("_")[1]) == [one.split("_")[1]]
     with database.reading() as connection:
@@ -45,7 +45,7 @@ def test_tokens_are_revoked_one_by_one_or_with_their_team(tmp_path):
 
 @pytest.mark.parametrize("name", ["", " x", "a\nb", "x" * 81])
 def test_a_team_has_a_plain_name(tmp_path, name):
-    database = Database(SubmissionSettings(folder=tmp_path))
+    database = SubmissionDatabase(SubmissionSettings(folder=tmp_path))
     with pytest.raises(ResultError):
         issue(database, name)
     database.close()
@@ -70,7 +70,7 @@ def test_guesses_are_counted_by_address_and_all_together(tmp_path):
 
 
 def test_a_second_token_is_made_only_where_it_is_said_what_becomes_of_the_first(tmp_path):
-    database = Database(SubmissionSettings(folder=tmp_path))
+    database = SubmissionDatabase(SubmissionSettings(folder=tmp_path))
     first = issue(database, "reef lab")
     why = r"has a token already \([0-9a-f]{12} of 20.*--replace to revoke it .*--another for one more; nothing was"
     with pytest.raises(ResultError, match=why):
@@ -90,7 +90,7 @@ TWINS = ["Reef Lab 10", "reeflab 10", "r\N{LATIN SMALL LETTER E WITH ACUTE}ef la
 
 @pytest.mark.parametrize("twin", [*TWINS, "reef Iab I0"])
 def test_a_name_that_looks_like_a_teams_is_refused_with_that_teams(tmp_path, twin):
-    database = Database(SubmissionSettings(folder=tmp_path))
+    database = SubmissionDatabase(SubmissionSettings(folder=tmp_path))
     issue(database, "reef lab 10")
     with pytest.raises(ResultError, match="looks like 'reef lab 10', a team that there is"):
         issue(database, twin)
@@ -100,7 +100,7 @@ def test_a_name_that_looks_like_a_teams_is_refused_with_that_teams(tmp_path, twi
 
 
 def test_two_spaces_in_a_name_are_refused_but_of_a_team_that_has_them(tmp_path):
-    database = Database(SubmissionSettings(folder=tmp_path))
+    database = SubmissionDatabase(SubmissionSettings(folder=tmp_path))
     with pytest.raises(ResultError, match="'reef  lab': expected single spaces in the name of a team, got two"):
         issue(database, "reef  lab")
     with database.writing() as connection:

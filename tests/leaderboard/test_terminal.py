@@ -19,7 +19,7 @@ from oysterbench.cli.main import main
 from oysterbench.results.records import read_results, write_results
 from oysterbench_leaderboard import command as group
 from oysterbench_leaderboard.store import RecordStore
-from oysterbench_leaderboard.submissions.database import Database, log_event
+from oysterbench_leaderboard.submissions.database import SubmissionDatabase, log_event
 from oysterbench_leaderboard.submissions.settings import load_settings
 from tests.helpers.records_made import fill, record_made
 
@@ -278,7 +278,7 @@ def test_help_imports_nothing_heavy():
 def test_the_log_of_submissions_obeys_no_stranger(board, tmp_path):
     private = tmp_path / "private"
     typed("leaderboard", "team", "add", "reef lab", "--submissions", private)
-    with Database(load_settings(private)).writing() as connection:
+    with SubmissionDatabase(load_settings(private)).writing() as connection:
         log_event(connection, "2026-11-01T00:00:00Z", "stranger\x1b[2J", "refused", why="archive: \x9b2J\u202e.png\r!")
     printed = typed("leaderboard", "submissions", "log", "--submissions", private).output
     assert "stranger\\u001b[2J  refused    archive: \\u009b2J\\u202e.png\\r!\n" in printed

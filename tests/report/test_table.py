@@ -16,11 +16,11 @@ from rich.console import Console
 
 from oysterbench.evaluate.statistics import Interval
 from oysterbench.report.renderers import (
-    csv_text,
+    csv_table,
     html_table,
     json_table,
     latex_escape,
-    latex_text,
+    latex_tables,
     markdown_table,
     terminal_table,
 )
@@ -71,7 +71,7 @@ def test_a_signed_number_has_a_sign():
 
 
 def test_csv_has_every_digit_and_nothing_that_a_spreadsheet_would_run():
-    read = list(csv.DictReader(io.StringIO(csv_text(TABLE))))
+    read = list(csv.DictReader(io.StringIO(csv_table(TABLE))))
     assert list(read[0]) == [
         "method",
         "score",
@@ -108,14 +108,14 @@ def test_markdown_holds_every_shown_cell():
 
 
 def test_latex_is_read_back_as_it_is_shown():
-    (read,) = latex.read(latex_text([TABLE], "of a test"))
+    (read,) = latex.read(latex_tables([TABLE], "of a test"))
     assert read.columns == "lrrrr"
     assert read.caption == TABLE.title
     assert read.rows[0] == ["Method", "Score", "95%", "ATE", "Coverage"]
     assert read.rows[2][:3] == [NASTY, "0.333", "0.250 to 0.500"]
     assert read.rows[4][0] == "mean (of 2)"
-    assert r"\textbf{0.333}" in latex_text([TABLE])
-    assert r"\label{tab:results}" in latex_text([TABLE])
+    assert r"\textbf{0.333}" in latex_tables([TABLE])
+    assert r"\label{tab:results}" in latex_tables([TABLE])
 
 
 @pytest.mark.parametrize("text", ["\\", "&%$#_{}", "~^", "<>|", "[2cm]", "–", "a\nb", "*", "--", "``"])
@@ -129,7 +129,7 @@ def test_nothing_in_latex_is_a_command(text):
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
 def test_latex_compiles(tmp_path):
-    body = rf"\usepackage{{booktabs,graphicx}}\begin{{document}}{latex_text([TABLE])}\end{{document}}"
+    body = rf"\usepackage{{booktabs,graphicx}}\begin{{document}}{latex_tables([TABLE])}\end{{document}}"
     (tmp_path / "t.tex").write_text(rf"\documentclass{{article}}{body}")
     command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "t.tex"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -14,7 +14,7 @@ FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """Characters that a spreadsheet takes for the start of a formula."""
 
 
-def csv_text(table: Table) -> str:
+def csv_table(table: Table) -> str:
     """Write a table, including hidden columns; an interval has a column for each end. Text that a spreadsheet would run
     as a formula is quoted."""
     text = io.StringIO()

@@ -62,7 +62,7 @@ LATIN = re.compile("[\u00a1-\u017f]")
 OTHER = re.compile("[^\x00-\x7f\u00a1-\u017f]")
 
 
-def latex_text(tables: Sequence[Table], about: str = "") -> str:
+def latex_tables(tables: Sequence[Table], about: str = "") -> str:
     """Write a file of tables, which needs only what is stated at its head; about: a comment before them."""
     written = [_table(table) for table in tables]
     return "\n".join([*needs("\n".join(written)), *([f"% {_comment(about)}"] if about else []), *written])
