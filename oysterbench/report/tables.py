@@ -24,7 +24,7 @@ from oysterbench.report.columns import (
 from oysterbench.report.table import Cell, Column, Estimate, Table, TableRow, Value, interval_column
 from oysterbench.results.comparison import Board, SequenceRuns, boards
 from oysterbench.results.machines import machines_of
-from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key, samples, weights_of
+from oysterbench.results.records import ResultRecord, aggregate, comparable_key, mean_weights, method_key, samples
 from oysterbench.results.remarks import remarks
 
 NO_SENSORS = ("truth", "tf", "tf_static")
@@ -77,7 +77,7 @@ def results_table(records: Sequence[ResultRecord]) -> Table:
 def _mean(records: Sequence[ResultRecord], key: str) -> float:
     """Mean of a metric over the runs of a method on a sequence that have a value, as in the standings; NaN if none
     has."""
-    means = weighed_means(samples(records, key), weights_of(records, key))
+    means = weighed_means(samples(records, key), mean_weights(records, key))
     return means.get(records[0].sequence, math.nan)
 
 

@@ -29,10 +29,10 @@ from oysterbench.results.records import (
     ResultRecord,
     comparable_key,
     lost_of,
+    mean_weights,
     method_key,
     plain,
     samples,
-    weights_of,
 )
 from oysterbench.results.standings import PRIMARY, ScoreTable, SequenceScores, Standing, direction
 
@@ -59,7 +59,7 @@ class MethodRuns:
 
     def weights(self, key: str, sequences: Iterable[str]) -> Sample | None:
         """Weights of the same values in a mean; None where each sequence has one vote."""
-        found = weights_of(self.records, key)
+        found = mean_weights(self.records, key)
         return None if found is None else {name: found[name] for name in sequences if name in found}
 
     def summary(self, key: str, sequences: Iterable[str]) -> Summary:

@@ -236,7 +236,7 @@ def samples(records: Sequence[ResultRecord], key: str) -> dict[str, list[float]]
     return values
 
 
-def weights_of(records: Sequence[ResultRecord], key: str) -> dict[str, list[float]] | None:
+def mean_weights(records: Sequence[ResultRecord], key: str) -> dict[str, list[float]] | None:
     """Weights of a metric's values in a mean over sequences, shaped like `samples`; None if all count equally.
 
     Raises ResultError where a record has a value but not its weight.
@@ -278,7 +278,7 @@ def aggregate(records: Iterable[ResultRecord]) -> list[dict[str, Any]]:
 def _aggregate_group(group: list[ResultRecord]) -> dict[str, Any]:
     first = group[0]
     summaries = {
-        key: summarise(samples(group, key), weights_of(group, key))
+        key: summarise(samples(group, key), mean_weights(group, key))
         for key in dict.fromkeys(key for record in group for key in record.metrics)
     }
     reasons: dict[str, str] = {}

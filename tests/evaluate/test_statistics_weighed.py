@@ -10,7 +10,7 @@ from oysterbench.core.streams import stream
 from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage
 from oysterbench.evaluate.segmentation.dataset import over_dataset
 from oysterbench.evaluate.statistics import compare, summarise
-from oysterbench.results.records import ResultRecord, aggregate, weights_of
+from oysterbench.results.records import ResultRecord, aggregate, mean_weights
 from tests.helpers.masks import truth_of
 
 A, OF_A = {"a": [0.5], "b": [1.0]}, {"a": [2.0], "b": [6.0]}
@@ -82,4 +82,4 @@ def test_a_failed_run_pulls_the_data_set_down_by_what_it_missed():
 def test_a_value_without_its_weight_is_refused():
     record = ResultRecord(track="segmentation", split="s", sequence="1", method="m", metrics={"iou": np.float64(0.5)})
     with pytest.raises(ResultError, match="m on 1 has iou, but not union_px"):
-        weights_of([record], "iou")
+        mean_weights([record], "iou")

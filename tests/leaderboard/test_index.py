@@ -12,7 +12,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.evaluate.statistics import summarise
 from oysterbench.hub.canonical import canonical, sha256
-from oysterbench.results.records import samples, weights_of
+from oysterbench.results.records import mean_weights, samples
 from oysterbench.results.standings import ScoreTable
 from oysterbench_leaderboard.board import BoardInfo, Query
 from oysterbench_leaderboard.database import open_engine
@@ -39,11 +39,11 @@ def test_rows_hold_the_means_of_the_statistics_and_the_medians_of_errors(store):
     for name in ("carp2", "unet"):
         record, row = store.record(digests[name]), index.row(digests[name])
         for key, value in row.metrics.items():
-            of = summarise(samples(record.results, key), weights_of(record.results, key))
+            of = summarise(samples(record.results, key), mean_weights(record.results, key))
             expected = of.median if key in TRACKS[record.track].errors else of.mean
             assert value == pytest.approx(expected, rel=1e-14), key
         board = board_of(index, record.track, record.split)
-        expected = summarise(samples(record.results, board.metric), weights_of(record.results, board.metric))
+        expected = summarise(samples(record.results, board.metric), mean_weights(record.results, board.metric))
         assert row.score == expected.mean
         assert (row.low, row.high) == pytest.approx((expected.interval.low, expected.interval.high), rel=1e-11)
     assert index.row(digests["carp2"]).coverage == index.row(digests["carp2"]).metrics["coverage"]
