@@ -11,7 +11,7 @@ import click
 from oysterbench.cli.outputs import TEXTS
 from oysterbench.core.errors import ResultError
 
-TERMINAL, ADMIN = "oysterbench_leaderboard.terminal", "oysterbench_leaderboard.admin_commands"
+TERMINAL, ADMIN = "oysterbench_leaderboard.commands.terminal", "oysterbench_leaderboard.commands.admin"
 SERVER, TEAMS = "oysterbench_leaderboard.site.command", "oysterbench_leaderboard.submissions.command_admin"
 
 COMMANDS: dict[str, tuple[str, str, str]] = {
@@ -107,11 +107,11 @@ def command(context: click.Context, /, folder: Path | None, url: str | None, **a
     A rank is 1 + the number of methods that are significantly better (95 %, paired bootstrap over sequences), or better
     than one placed above; "=" marks shared ranks. Places in brackets: too few sequences for a rank.
     """
-    from oysterbench_leaderboard.options import Place
+    from oysterbench_leaderboard.commands.options import Place
 
     context.obj = Place(folder, url)
     if context.invoked_subcommand is None:
-        from oysterbench_leaderboard.terminal import show_boards
+        from oysterbench_leaderboard.commands.terminal import show_boards
 
         show_boards(context.obj, **asked)
     elif given := [key for key, value in asked.items() if value]:

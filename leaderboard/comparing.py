@@ -9,9 +9,9 @@ from dataclasses import replace
 from oysterbench.core.errors import ResultError
 from oysterbench.core.names import did_you_mean, listed, nearest
 from oysterbench.results.records import ResultRecord
-from oysterbench_leaderboard.board import LEAST_DIGITS, BoardReader, Query, Row
-from oysterbench_leaderboard.options import Place
-from oysterbench_leaderboard.tables import SHORT
+from oysterbench_leaderboard.boards.board import LEAST_DIGITS, BoardReader, Query, Row
+from oysterbench_leaderboard.boards.tables import SHORT
+from oysterbench_leaderboard.commands.options import Place
 
 MOST_NAMED = 20
 """Number of first methods of a board that are listed to a user who names an unknown one."""

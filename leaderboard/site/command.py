@@ -9,7 +9,7 @@ import click
 from oysterbench.cli.echo import message
 from oysterbench.cli.publish import PROXY
 from oysterbench.core.errors import ResultError
-from oysterbench_leaderboard.options import Place, find_place
+from oysterbench_leaderboard.commands.options import Place, find_place
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
@@ -86,7 +86,7 @@ def serve_command(
     listening = listen(host, port)
     app = whole(_place(context, folder, url).index(), submissions, truths, workers, root, scheduler, metrics)
     if submissions is not None:
-        from oysterbench_leaderboard.submissions.sandbox import in_force
+        from oysterbench_leaderboard.submissions.sandbox.sandbox import in_force
 
         message(f"uploads are read and scored in a sandbox: {in_force()}")
     message(f"serving {address(host, listening, root)} (stop with Ctrl-C)")

@@ -12,7 +12,7 @@ from oysterbench.hub.canonical import sha256
 from oysterbench.hub.manifest import released_manifest
 from oysterbench.recipe import SplitRecipe, load_split, split_names
 from oysterbench.simulation.generate import digest
-from oysterbench_leaderboard.board import Query, State
+from oysterbench_leaderboard.boards.board import Query, State
 from oysterbench_leaderboard.site.site import Site
 
 STATES: tuple[State, ...] = ("current", "superseded", "withdrawn")

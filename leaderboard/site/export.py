@@ -15,7 +15,7 @@ from pathlib import Path
 from oysterbench.core.errors import ResultError
 from oysterbench.core.files import umask
 from oysterbench.hub.canonical import canonical
-from oysterbench_leaderboard.board import BoardInfo, Query
+from oysterbench_leaderboard.boards.board import BoardInfo, Query
 from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.datasets import all_data_sets
 from oysterbench_leaderboard.site.links import FileLinks, file_of, numbered, pair_path

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from oysterbench.core.errors import ResultError
-from oysterbench_leaderboard.board import Query, Row
+from oysterbench_leaderboard.boards.board import Query, Row
 from oysterbench_leaderboard.site.site import Site
 
 MOST = 200

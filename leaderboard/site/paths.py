@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import re
 
-from oysterbench_leaderboard.board import BoardInfo
+from oysterbench_leaderboard.boards.board import BoardInfo
 
 SLUG = "[a-z0-9][a-z0-9_+~-]{0,79}"
 """Pattern of a slug: lower case, as some file systems ignore case; no dot, which starts a suffix."""

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from oysterbench.evaluate.statistics import Comparison
-from oysterbench_leaderboard.board import BoardInfo, Literature, Query, Row
-from oysterbench_leaderboard.record import TIERS
+from oysterbench_leaderboard.boards.board import BoardInfo, Literature, Query, Row
 from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.pages.board import LONGEST_TEXT, MOST_ROWS, STATES, board_page, parse_query
 from oysterbench_leaderboard.site.pages.compare import compare_page
@@ -22,7 +21,8 @@ from oysterbench_leaderboard.site.pages.prose import about_page, submit_page
 from oysterbench_leaderboard.site.pages.record import record_page
 from oysterbench_leaderboard.site.paths import SLUG
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.store import StatusChange
+from oysterbench_leaderboard.storage.record import TIERS
+from oysterbench_leaderboard.storage.store import StatusChange
 
 Given = Mapping[str, str]
 Objects = list[dict[str, Any]]

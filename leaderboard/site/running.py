@@ -13,8 +13,8 @@ import anyio.to_thread
 from starlette.applications import Starlette
 
 from oysterbench.core.errors import OysterbenchError
-from oysterbench_leaderboard.index import BoardIndex
-from oysterbench_leaderboard.literature import literature
+from oysterbench_leaderboard.boards.index import BoardIndex
+from oysterbench_leaderboard.boards.literature import literature
 from oysterbench_leaderboard.site import datasets, render
 from oysterbench_leaderboard.site.server import application
 from oysterbench_leaderboard.site.site import Site

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from oysterbench.core.errors import OysterbenchError, ResultError
-from oysterbench_leaderboard.board import Literature, Row
-from oysterbench_leaderboard.index import BoardIndex
-from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.boards.board import Literature, Row
+from oysterbench_leaderboard.boards.index import BoardIndex
 from oysterbench_leaderboard.site.page import PageError
 from oysterbench_leaderboard.site.paths import slug
-from oysterbench_leaderboard.store import RecordStore, StatusChange
+from oysterbench_leaderboard.storage.record import Record
+from oysterbench_leaderboard.storage.store import RecordStore, StatusChange
 
 Known = TypeVar("Known")
 

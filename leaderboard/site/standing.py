@@ -11,7 +11,7 @@ from oysterbench.evaluate.statistics import sequence_means
 from oysterbench.results.comparison import Board, boards
 from oysterbench.results.records import ResultRecord, samples
 from oysterbench.results.standings import UNPREDICTED_WEIGHT
-from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.storage.record import Record
 
 NOT_ANSWERED = "was not answered"
 

@@ -11,9 +11,9 @@ from starlette.routing import Route
 
 from oysterbench.results.records import aggregate
 from oysterbench.results.standings import PRIMARY
-from oysterbench_leaderboard.submissions.auth import Auth
+from oysterbench_leaderboard.submissions.accounts.auth import Auth
 from oysterbench_leaderboard.submissions.database import Submission
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.service import Service
 
 MOST_BODY = 4000

@@ -26,7 +26,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench.core.files import appearing
 from oysterbench.core.text import in_one_line
 from oysterbench.version import VERSION
-from oysterbench_leaderboard.database import open_engine
+from oysterbench_leaderboard.boards.database import open_engine
 from oysterbench_leaderboard.submissions.database import SubmissionDatabase, metadata, sessions
 from oysterbench_leaderboard.submissions.estimates import Estimates, Upload
 from oysterbench_leaderboard.submissions.migrations import upgrade

@@ -17,7 +17,7 @@ from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.core.files import write_atomically
 from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.recipe.steering import SteeringRecipe
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 
 if TYPE_CHECKING:
     from oysterbench.recipe import SplitRecipe

@@ -81,8 +81,8 @@ def command(
         raise ResultError(f"{place}: no such file or folder; expected results, or estimates as `run` writes them")
     from oysterbench.cli.progress import bytes_bar
     from oysterbench_leaderboard.submissions.catalogue import why
-    from oysterbench_leaderboard.submissions.client import Client
-    from oysterbench_leaderboard.submissions.package import find_package, packed, split_in, wanted_of
+    from oysterbench_leaderboard.submissions.sending.client import Client
+    from oysterbench_leaderboard.submissions.sending.package import find_package, packed, split_in, wanted_of
     from oysterbench_leaderboard.submissions.words import Form
 
     client = Client(url, _token(team_token_file), notify=message)

@@ -12,7 +12,7 @@ import click
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import ResultError
 from oysterbench.core.names import counted
-from oysterbench_leaderboard.options import find_place
+from oysterbench_leaderboard.commands.options import find_place
 
 FOLDER = click.option(
     "--submissions",
@@ -61,7 +61,7 @@ def add(name: str, folder: Path, replace: bool, another: bool, file: Path | None
     --replace is for a token that was lost, or that others have seen.
     """
     from oysterbench.core.files import appearing
-    from oysterbench_leaderboard.submissions.tokens import issue
+    from oysterbench_leaderboard.submissions.accounts.tokens import issue
 
     if replace and another:
         raise click.UsageError("--replace and --another: expected one of them")
@@ -84,7 +84,7 @@ def add(name: str, folder: Path, replace: bool, another: bool, file: Path | None
 @AS_JSON
 def list_teams(folder: Path, as_json: bool) -> None:
     """List the tokens of all teams, without their secrets."""
-    from oysterbench_leaderboard.submissions.tokens import listed
+    from oysterbench_leaderboard.submissions.accounts.tokens import listed
 
     rows = listed(_database(folder, must_exist=True))
     if as_json:
@@ -99,7 +99,7 @@ def list_teams(folder: Path, as_json: bool) -> None:
 @AS_JSON
 def revoke_token(name: str, folder: Path, as_json: bool) -> None:
     """Revoke a token by its id (`team list`), or all tokens of a team."""
-    from oysterbench_leaderboard.submissions.tokens import revoke
+    from oysterbench_leaderboard.submissions.accounts.tokens import revoke
 
     gone = revoke(_database(folder, must_exist=True), name)
     echo(

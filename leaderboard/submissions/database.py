@@ -39,7 +39,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench.core.files import locked
 from oysterbench.core.text import in_one_line
 from oysterbench.version import VERSION
-from oysterbench_leaderboard.database import open_engine
+from oysterbench_leaderboard.boards.database import open_engine
 from oysterbench_leaderboard.submissions.migrations import upgrade
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 

@@ -14,16 +14,16 @@ from starlette.routing import Route
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.results.records import aggregate
 from oysterbench.results.standings import PRIMARY
-from oysterbench_leaderboard.record import MOST_TEXT
 from oysterbench_leaderboard.site.links import Links
 from oysterbench_leaderboard.site.render import environment, html
+from oysterbench_leaderboard.storage.record import MOST_TEXT
+from oysterbench_leaderboard.submissions.accounts.auth import Auth
+from oysterbench_leaderboard.submissions.accounts.sessions import Sessions, check_origin, set_cookie
+from oysterbench_leaderboard.submissions.accounts.tokens import Holder
 from oysterbench_leaderboard.submissions.api import small_body
-from oysterbench_leaderboard.submissions.auth import Auth
 from oysterbench_leaderboard.submissions.catalogue import ELSEWHERE
 from oysterbench_leaderboard.submissions.database import Submission
-from oysterbench_leaderboard.submissions.refusals import Refusal
-from oysterbench_leaderboard.submissions.sessions import Sessions, check_origin, set_cookie
-from oysterbench_leaderboard.submissions.tokens import Holder
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 
 TEMPLATES = Path(__file__).with_name("templates")
 NEW = "/submit/new"

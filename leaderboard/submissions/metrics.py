@@ -17,8 +17,8 @@ from sqlalchemy import func, select
 from oysterbench.core.errors import ResultError
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.submissions.database import submissions
-from oysterbench_leaderboard.submissions.refusals import FAILED
-from oysterbench_leaderboard.submissions.sandbox import in_force
+from oysterbench_leaderboard.submissions.reading.refusals import FAILED
+from oysterbench_leaderboard.submissions.sandbox.sandbox import in_force
 from oysterbench_leaderboard.submissions.service import Service
 
 CAUSES = {reason: cause for cause, reason in FAILED.items()}

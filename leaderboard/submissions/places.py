@@ -10,8 +10,8 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 
 from oysterbench.hub.addresses import network
-from oysterbench_leaderboard.submissions.rates import DAY_S
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.accounts.rates import DAY_S
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
 RETRY_S = 60

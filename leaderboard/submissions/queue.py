@@ -20,11 +20,11 @@ from oysterbench.core.cluster import AHEAD, connect, find_withdrawn
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.core.names import listed
 from oysterbench.version import VERSION
-from oysterbench_leaderboard.submissions import sandbox
 from oysterbench_leaderboard.submissions.database import Submission, change, find, log_event, submissions
 from oysterbench_leaderboard.submissions.estimates import Estimates
-from oysterbench_leaderboard.submissions.refusals import FAILED
-from oysterbench_leaderboard.submissions.sandbox import Allowance, Ended, Job, Stopped
+from oysterbench_leaderboard.submissions.reading.refusals import FAILED
+from oysterbench_leaderboard.submissions.sandbox import sandbox
+from oysterbench_leaderboard.submissions.sandbox.sandbox import Allowance, Ended, Job, Stopped
 from oysterbench_leaderboard.submissions.service import Service
 
 POLL_S = 1.0

@@ -15,10 +15,10 @@ from typing import Any
 from oysterbench.core.errors import LabelError, MethodError, TrajectoryError
 from oysterbench.results.records import ResultRecord, plain
 from oysterbench.tracks import TRACKS
-from oysterbench_leaderboard.hidden import discreet
+from oysterbench_leaderboard.publishing.hidden import discreet
 from oysterbench_leaderboard.submissions.catalogue import SCORED, Kind, Wanted, why
-from oysterbench_leaderboard.submissions.predictions import Predictions, Reader, image_track
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.reading.predictions import Predictions, Reader, image_track
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 
 MISSING = "no estimate was sent for this sequence"
 NOT_SCORED: dict[Kind, str] = {
@@ -170,7 +170,7 @@ class PathScorer(Scorer):
 
     def score(self, readers: Mapping[str, Reader]) -> Found:
         from oysterbench.evaluate.slam.scoring import score
-        from oysterbench_leaderboard.curves import sequence_curve
+        from oysterbench_leaderboard.storage.curves import sequence_curve
 
         estimate, notes = self._read(readers[self._sequence])
         found = score(self._truth, estimate, TRACKS[self.wanted.track].settings({}))
@@ -197,7 +197,7 @@ class PathScorer(Scorer):
         return replace(estimate, notes=()), tuple(dict.fromkeys(notes))
 
     def whole(self, results: tuple[ResultRecord, ...]) -> Scored:
-        from oysterbench_leaderboard.curves import curves_document
+        from oysterbench_leaderboard.storage.curves import curves_document
 
         align = results[0].settings["align"]
         return Scored(results, curves=curves_document(self._curves, align) if self._curves else None)

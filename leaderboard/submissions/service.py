@@ -20,10 +20,10 @@ from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.hub.addresses import network
 from oysterbench.hub.canonical import parse
 from oysterbench.results.records import ResultRecord
-from oysterbench_leaderboard.publishing import ranked_instead
-from oysterbench_leaderboard.record import Record
-from oysterbench_leaderboard.store import RecordStore, StatusChange
-from oysterbench_leaderboard.submissions import namespaces, sandbox
+from oysterbench_leaderboard.publishing.publish import ranked_instead
+from oysterbench_leaderboard.storage.record import Record
+from oysterbench_leaderboard.storage.store import RecordStore, StatusChange
+from oysterbench_leaderboard.submissions.accounts.rates import DAY_S, DailyReads, Sampler, hours_and_minutes
 from oysterbench_leaderboard.submissions.catalogue import Catalogue, Wanted
 from oysterbench_leaderboard.submissions.database import (
     Submission,
@@ -36,8 +36,8 @@ from oysterbench_leaderboard.submissions.database import (
     utc,
 )
 from oysterbench_leaderboard.submissions.estimates import Estimates, Upload
-from oysterbench_leaderboard.submissions.rates import DAY_S, DailyReads, Sampler, hours_and_minutes
-from oysterbench_leaderboard.submissions.refusals import SERVER_FAULTS, Refusal
+from oysterbench_leaderboard.submissions.reading.refusals import SERVER_FAULTS, Refusal
+from oysterbench_leaderboard.submissions.sandbox import namespaces, sandbox
 from oysterbench_leaderboard.submissions.settings import FILE, SubmissionSettings
 from oysterbench_leaderboard.submissions.words import Form, check_words
 

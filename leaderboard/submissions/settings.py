@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import msgspec
 
 from oysterbench.core.errors import ResultError
-from oysterbench_leaderboard.submissions.archive import Limits
+from oysterbench_leaderboard.submissions.reading.archive import Limits
 
 FILE = "settings.toml"
 """File in the private folder, with any of the keys below except `folder`."""

@@ -19,9 +19,9 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
-from oysterbench_leaderboard.submissions.archive import is_zip, pack
 from oysterbench_leaderboard.submissions.estimates import Upload, upload_of
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.reading.archive import is_zip, pack
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
 KINDS = {

@@ -11,9 +11,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.routing import Route
 
 from oysterbench_leaderboard.site.links import Links
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.storage.store import RecordStore
+from oysterbench_leaderboard.submissions.accounts.auth import Auth
 from oysterbench_leaderboard.submissions.api import routes as api_routes
-from oysterbench_leaderboard.submissions.auth import Auth
 from oysterbench_leaderboard.submissions.catalogue import served_splits
 from oysterbench_leaderboard.submissions.form import NEW, TEMPLATES, WebForm
 from oysterbench_leaderboard.submissions.queue import Dispatcher

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from oysterbench.core.errors import ResultError
-from oysterbench_leaderboard.record import MOST_TEXT, check_text
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.storage.record import MOST_TEXT, check_text
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 
 
 @dataclass(frozen=True)

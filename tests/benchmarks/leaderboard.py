@@ -28,10 +28,10 @@ from oysterbench.evaluate.slam.metrics import SLAM
 from oysterbench.evaluate.slam.settings import SlamSettings
 from oysterbench.hub.canonical import sha256
 from oysterbench.results.records import ResultRecord
-from oysterbench_leaderboard.board import Query
-from oysterbench_leaderboard.index import BoardIndex
-from oysterbench_leaderboard.record import Record
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.boards.board import Query
+from oysterbench_leaderboard.boards.index import BoardIndex
+from oysterbench_leaderboard.storage.record import Record
+from oysterbench_leaderboard.storage.store import RecordStore
 
 SEQUENCES = tuple(f"val-{k:02d}" for k in range(1, 9))
 BOARDS = 8

@@ -25,9 +25,9 @@ from urllib.parse import urlencode
 import numpy as np
 
 from oysterbench.core.streams import stream
+from oysterbench_leaderboard.submissions.accounts.tokens import issue
 from oysterbench_leaderboard.submissions.database import SubmissionDatabase, find, log, submissions
 from oysterbench_leaderboard.submissions.settings import load_settings
-from oysterbench_leaderboard.submissions.tokens import issue
 from tests.helpers import pool, served
 
 READERS, TEAMS, ATTACKERS = 50, 5, 5

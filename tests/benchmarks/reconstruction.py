@@ -4,8 +4,8 @@
 
 An attacker who knows how everything is scored sends one chosen answer after the other and reads the truth off what is
 told. Two ways of telling: `full`, all metrics of each sequence at four digits and counts as they are; and `told`, what
-`leaderboard/hidden.py` leaves. Of the latter each attack is tried on all sequences at once, by their scores, and on
-one sequence after the other, by the means that are then of that one; the better counts.
+`leaderboard/publishing/hidden.py` leaves. Of the latter each attack is tried on all sequences at once, by their
+scores, and on one sequence after the other, by the means that are then of that one; the better counts.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from oysterbench.evaluate.slam.scoring import score
 from oysterbench.evaluate.steering import Commands, Labels, score_pictures
 from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench.results.records import ResultRecord
-from oysterbench_leaderboard.hidden import discreet
+from oysterbench_leaderboard.publishing.hidden import discreet
 from tests.helpers.pool import path
 
 SUBMISSIONS = 100

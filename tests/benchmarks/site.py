@@ -25,9 +25,9 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.streams import stream
-from oysterbench_leaderboard.index import BoardIndex
+from oysterbench_leaderboard.boards.index import BoardIndex
 from oysterbench_leaderboard.site.paths import split_path
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.storage.store import RecordStore
 from tests.benchmarks import leaderboard as made
 
 CLIENTS = 50

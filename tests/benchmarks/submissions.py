@@ -26,9 +26,10 @@ from unittest.mock import patch
 from urllib.parse import urlencode
 
 from oysterbench.version import VERSION
-from oysterbench_leaderboard.submissions import queue, sandbox
+from oysterbench_leaderboard.submissions import queue
+from oysterbench_leaderboard.submissions.accounts.tokens import issue
 from oysterbench_leaderboard.submissions.database import change, find, submissions
-from oysterbench_leaderboard.submissions.tokens import issue
+from oysterbench_leaderboard.submissions.sandbox import sandbox
 from tests.helpers import pool, served
 from tests.helpers.clusters import two_workers
 from tests.helpers.postgres import running_postgres

@@ -26,14 +26,14 @@ from oysterbench.core.errors import OysterbenchError
 from oysterbench.core.streams import stream
 from oysterbench.results.plausible import check_plausible
 from oysterbench.results.records import ResultRecord, document
-from oysterbench_leaderboard.hidden import STEP
-from oysterbench_leaderboard.submissions import sandbox
+from oysterbench_leaderboard.publishing.hidden import STEP
 from oysterbench_leaderboard.submissions.catalogue import Served
 from oysterbench_leaderboard.submissions.database import Submission
-from oysterbench_leaderboard.submissions.predictions import open_upload
-from oysterbench_leaderboard.submissions.refusals import Refusal
-from oysterbench_leaderboard.submissions.sandbox import Job
-from oysterbench_leaderboard.submissions.sandbox_worker import do
+from oysterbench_leaderboard.submissions.reading.predictions import open_upload
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
+from oysterbench_leaderboard.submissions.sandbox import sandbox
+from oysterbench_leaderboard.submissions.sandbox.sandbox import Job
+from oysterbench_leaderboard.submissions.sandbox.sandbox_worker import do
 from oysterbench_leaderboard.submissions.scoring import score_predictions
 from oysterbench_leaderboard.submissions.words import Form
 from tests.fuzz.archives import archive, zipped

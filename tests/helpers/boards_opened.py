@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from oysterbench_leaderboard.board import BoardPage, Query
-from oysterbench_leaderboard.index import BoardIndex, open_index
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.boards.board import BoardPage, Query
+from oysterbench_leaderboard.boards.index import BoardIndex, open_index
+from oysterbench_leaderboard.storage.store import RecordStore
 
 ALL = Query(states=("current", "superseded", "withdrawn"))
 

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.streams import stream
-from oysterbench_leaderboard.submissions import sandbox, sandbox_worker
 from oysterbench_leaderboard.submissions.database import Submission, find, log, submissions
+from oysterbench_leaderboard.submissions.sandbox import sandbox, sandbox_worker
 from tests.helpers.pool import answers
 from tests.helpers.served import Server, lay, make_service
 from tests.helpers.waiting import NEVER, run_for

@@ -15,9 +15,9 @@ from oysterbench.evaluate.segmentation import SegmentationSettings
 from oysterbench.evaluate.slam.settings import SlamSettings
 from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.results.records import ResultRecord
-from oysterbench_leaderboard.curves import curves_document
-from oysterbench_leaderboard.record import Record, Tier
-from oysterbench_leaderboard.store import RecordStore, StatusChange
+from oysterbench_leaderboard.storage.curves import curves_document
+from oysterbench_leaderboard.storage.record import Record, Tier
+from oysterbench_leaderboard.storage.store import RecordStore, StatusChange
 
 STREAMS = Streams(20261120).at("tests", "leaderboard")
 

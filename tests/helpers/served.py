@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
+from oysterbench_leaderboard.submissions.accounts.tokens import issue
 from oysterbench_leaderboard.submissions.database import SubmissionDatabase, log
 from oysterbench_leaderboard.submissions.settings import load_settings
-from oysterbench_leaderboard.submissions.tokens import issue
 from tests.helpers.paths import ROOT
 from tests.helpers.waiting import until
 
@@ -54,7 +54,7 @@ def lay(folder: Path, **settings: Any) -> dict[str, str]:
 
 def make_service(folder: Path, **changes: Any) -> Any:
     """The service that was laid out there."""
-    from oysterbench_leaderboard.store import RecordStore
+    from oysterbench_leaderboard.storage.store import RecordStore
     from oysterbench_leaderboard.submissions.catalogue import Catalogue, serve_split
     from oysterbench_leaderboard.submissions.service import Service
 
@@ -88,7 +88,7 @@ def serve(folder: Path, port: int) -> None:
     import uvicorn
 
     from oysterbench.hub.connections import server_settings
-    from oysterbench_leaderboard.index import open_index
+    from oysterbench_leaderboard.boards.index import open_index
     from oysterbench_leaderboard.site.render import server_links
     from oysterbench_leaderboard.site.server import application
     from oysterbench_leaderboard.site.site import Site

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from oysterbench_leaderboard.board import Literature
-from oysterbench_leaderboard.index import open_index
+from oysterbench_leaderboard.boards.board import Literature
+from oysterbench_leaderboard.boards.index import open_index
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.records_made import fill
 
 LITERATURE = (

@@ -11,9 +11,9 @@ import cv2
 import msgspec
 import numpy as np
 
-from oysterbench_leaderboard.submissions.archive import Limits
 from oysterbench_leaderboard.submissions.catalogue import Wanted
-from oysterbench_leaderboard.submissions.predictions import check_predictions, open_upload
+from oysterbench_leaderboard.submissions.reading.archive import Limits
+from oysterbench_leaderboard.submissions.reading.predictions import check_predictions, open_upload
 from tests.helpers.pool import classes, image_names
 
 LIMITS = Limits(4_000_000, 1_000_000, 200, 20_000_000, 100.0)

@@ -7,7 +7,7 @@ import pytest
 from oysterbench.core.errors import HubError
 from oysterbench.hub.pool import open_pool
 from oysterbench.hub.sources import Patience, open_source
-from oysterbench_leaderboard.submissions.client import Client
+from oysterbench_leaderboard.submissions.sending.client import Client
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from oysterbench_leaderboard.store import RecordStore
-from oysterbench_leaderboard.submissions import sandbox, sandbox_worker
+from oysterbench_leaderboard.storage.store import RecordStore
+from oysterbench_leaderboard.submissions.accounts.tokens import issue
 from oysterbench_leaderboard.submissions.catalogue import serve_split
-from oysterbench_leaderboard.submissions.tokens import issue
+from oysterbench_leaderboard.submissions.sandbox import sandbox, sandbox_worker
 from tests.helpers.pool import lay_split
 from tests.helpers.postgres import running_postgres
 from tests.helpers.served import FAST, make_service

@@ -8,15 +8,15 @@ import pytest
 
 from oysterbench.report.renderers import html_table
 from oysterbench.report.table import Column, Table, TableRow
-from oysterbench_leaderboard.board import Query
-from oysterbench_leaderboard.index import open_index
+from oysterbench_leaderboard.boards.board import Query
+from oysterbench_leaderboard.boards.index import open_index
+from oysterbench_leaderboard.boards.tables import board_table
 from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.pages.board import board_page
 from oysterbench_leaderboard.site.pages.record import record_page
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.site.works import code_cell, paper_cell
-from oysterbench_leaderboard.store import RecordStore
-from oysterbench_leaderboard.tables import board_table
+from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.records_made import record_made
 
 

@@ -11,9 +11,9 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory, write_tum
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from oysterbench.results.records import ResultRecord, write_results
-from oysterbench_leaderboard.curves import MOST_POINTS, curves_document, sequence_curve
-from oysterbench_leaderboard.publishing import Attribution, publish, records_of, without_places
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.publishing.publish import Attribution, publish, records_of, without_places
+from oysterbench_leaderboard.storage.curves import MOST_POINTS, curves_document, sequence_curve
+from oysterbench_leaderboard.storage.store import RecordStore
 
 EPOCH = 1_600_000_000_000_000_000
 

@@ -14,11 +14,11 @@ from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.results.plausible import check_plausible
 from oysterbench.results.records import ResultRecord, write_results
-from oysterbench_leaderboard.hidden import COSTS, STEP, discreet
-from oysterbench_leaderboard.publishing import Attribution, records_of
-from oysterbench_leaderboard.record import Record
-from oysterbench_leaderboard.record_summary import COLUMNS, column_means, data_set_value, summarise_record
+from oysterbench_leaderboard.publishing.hidden import COSTS, STEP, discreet
+from oysterbench_leaderboard.publishing.publish import Attribution, records_of
 from oysterbench_leaderboard.site.pages.record import metrics_table
+from oysterbench_leaderboard.storage.record import Record
+from oysterbench_leaderboard.storage.record_summary import COLUMNS, column_means, data_set_value, summarise_record
 from oysterbench_leaderboard.submissions.catalogue import SCORED
 from oysterbench_leaderboard.submissions.scoring import score_predictions
 from tests.benchmarks import reconstruction

@@ -18,7 +18,7 @@ from starlette.responses import JSONResponse
 from starlette.routing import Route
 
 from oysterbench.hub.connections import server_settings
-from oysterbench_leaderboard.submissions.auth import address_of
+from oysterbench_leaderboard.submissions.accounts.auth import address_of
 from tests.helpers.paths import ROOT
 from tests.helpers.served import free_port
 from tests.helpers.waiting import PATIENCE_S, until

@@ -14,12 +14,12 @@ from oysterbench.evaluate.statistics import summarise
 from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.results.records import mean_weights, samples
 from oysterbench.results.standings import ScoreTable
-from oysterbench_leaderboard.board import BoardInfo, Query
-from oysterbench_leaderboard.database import open_engine
-from oysterbench_leaderboard.index import BoardIndex, open_index
-from oysterbench_leaderboard.ranking import evaluator_order
-from oysterbench_leaderboard.store import StatusChange
-from oysterbench_leaderboard.tables import board_table
+from oysterbench_leaderboard.boards.board import BoardInfo, Query
+from oysterbench_leaderboard.boards.database import open_engine
+from oysterbench_leaderboard.boards.index import BoardIndex, open_index
+from oysterbench_leaderboard.boards.ranking import evaluator_order
+from oysterbench_leaderboard.boards.tables import board_table
+from oysterbench_leaderboard.storage.store import StatusChange
 from tests.helpers.boards_opened import ALL, opened, pages
 from tests.helpers.records_made import fill, record_made, records_made
 

@@ -10,7 +10,7 @@ import pytest
 
 from oysterbench.core.geometry import Array
 from oysterbench.results.standings import ScoreTable
-from oysterbench_leaderboard.memory import MemoryIndex
+from oysterbench_leaderboard.boards.memory import MemoryIndex
 from tests.helpers.boards_opened import opened, pages
 from tests.helpers.records_made import fill, record_made
 

@@ -11,7 +11,7 @@ import pytest
 
 from oysterbench.core.errors import ResultError
 from oysterbench.core.streams import stream
-from oysterbench_leaderboard.index import BoardIndex
+from oysterbench_leaderboard.boards.index import BoardIndex
 from tests.helpers.boards_opened import opened, pages
 from tests.helpers.records_made import fill
 from tests.helpers.waiting import run_for
@@ -43,8 +43,8 @@ def test_readers_see_one_whole_index_while_it_is_made_anew(store):
 
 REBUILD = """
 import sys
-from oysterbench_leaderboard.index import BoardIndex
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.boards.index import BoardIndex
+from oysterbench_leaderboard.storage.store import RecordStore
 index = BoardIndex(sys.argv[2], RecordStore(sys.argv[1]))
 print("begun", flush=True)
 while True:

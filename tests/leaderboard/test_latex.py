@@ -8,13 +8,13 @@ import subprocess
 import pytest
 
 from oysterbench.report.renderers.latex import NEEDS, latex_escape, latex_tables, needs
-from oysterbench_leaderboard.board import Query
-from oysterbench_leaderboard.index import open_index
+from oysterbench_leaderboard.boards.board import Query
+from oysterbench_leaderboard.boards.index import open_index
+from oysterbench_leaderboard.boards.tables import board_table, history_table, literature_tables
 from oysterbench_leaderboard.site.export import _work
 from oysterbench_leaderboard.site.representations import represent
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.store import RecordStore
-from oysterbench_leaderboard.tables import board_table, history_table, literature_tables
+from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.latex import Wrong, needed, read, shown
 from tests.helpers.records_made import NASTY, fill, record_made
 from tests.helpers.site_made import make_site

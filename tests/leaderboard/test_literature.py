@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from oysterbench.core.errors import ResultError
-from oysterbench_leaderboard.literature import literature, parse_literature
+from oysterbench_leaderboard.boards.literature import literature, parse_literature
 
 
 def test_every_number_names_its_data_metric_and_source():

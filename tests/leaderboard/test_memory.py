@@ -7,9 +7,9 @@ import subprocess
 import pytest
 
 from oysterbench.core.errors import ResultError
-from oysterbench_leaderboard.board import Query
-from oysterbench_leaderboard.memory import MemoryIndex
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.boards.board import Query
+from oysterbench_leaderboard.boards.memory import MemoryIndex
+from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.boards_opened import ALL, opened
 from tests.helpers.extras import only
 from tests.helpers.paths import COMMAND

@@ -10,8 +10,8 @@ import pytest
 
 from oysterbench.core.errors import ResultError
 from oysterbench.hub.canonical import canonical, sha256
-from oysterbench_leaderboard.record import MOST_TEXT, Record
-from oysterbench_leaderboard.record_summary import RecordSummary, read_record, summarise_record
+from oysterbench_leaderboard.storage.record import MOST_TEXT, Record
+from oysterbench_leaderboard.storage.record_summary import RecordSummary, read_record, summarise_record
 from tests.helpers.records_made import record_made
 
 

@@ -13,10 +13,10 @@ from oysterbench.cli.main import main
 from oysterbench.core.trajectory import write_tum
 from oysterbench.hub.canonical import sha256
 from oysterbench.results.records import ResultRecord, write_results
-from oysterbench_leaderboard.publishing import Attribution, keep_estimates, records_of
-from oysterbench_leaderboard.record import Record
-from oysterbench_leaderboard.rescoring import score_again
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.publishing.publish import Attribution, keep_estimates, records_of
+from oysterbench_leaderboard.publishing.rescoring import score_again
+from oysterbench_leaderboard.storage.record import Record
+from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.pool import answers, lay_split
 from tests.leaderboard.test_curves import loop, moved, results_of
 
@@ -30,7 +30,7 @@ def test_kept_paths_are_scored_again_into_a_record_in_place_of_the_old_one(tmp_p
     write_results(tmp_path / "results.json", [old_result])
     ((old, _),) = records_of(tmp_path, Attribution("x", "baseline"))
     old = keep_estimates(old, tmp_path, tmp_path / "estimates")
-    monkeypatch.setattr("oysterbench_leaderboard.rescoring._truths", lambda *_: {"mini-01": truth})
+    monkeypatch.setattr("oysterbench_leaderboard.publishing.rescoring._truths", lambda *_: {"mini-01": truth})
     done = score_again(old, tmp_path / "estimates", None, "A new evaluator.")
     assert done.record is not None, done.why
     (result,) = done.record.results

@@ -9,10 +9,11 @@ from dataclasses import replace
 import pytest
 
 from oysterbench.results.records import aggregate
-from oysterbench_leaderboard.board import Query
-from oysterbench_leaderboard.index import open_index
-from oysterbench_leaderboard.memory import MemoryIndex
-from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.boards.board import Query
+from oysterbench_leaderboard.boards.index import open_index
+from oysterbench_leaderboard.boards.memory import MemoryIndex
+from oysterbench_leaderboard.boards.tables import board_table, history_table
+from oysterbench_leaderboard.boards.vehicle import lacks
 from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.pages.board import board_page
 from oysterbench_leaderboard.site.pages.compare import compare_page
@@ -22,9 +23,8 @@ from oysterbench_leaderboard.site.pages.home import home_page
 from oysterbench_leaderboard.site.pages.record import record_page
 from oysterbench_leaderboard.site.representations import represent
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.store import RecordStore
-from oysterbench_leaderboard.tables import board_table, history_table
-from oysterbench_leaderboard.vehicle import lacks
+from oysterbench_leaderboard.storage.record import Record
+from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.records_made import record_made
 from tests.helpers.site_made import Reading
 

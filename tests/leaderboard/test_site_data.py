@@ -6,11 +6,11 @@ from dataclasses import replace
 
 from oysterbench.recipe import load_split
 from oysterbench.simulation.generate import digest
-from oysterbench_leaderboard.index import open_index
+from oysterbench_leaderboard.boards.index import open_index
 from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.pages.data import split_page
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.records_made import record_made
 
 

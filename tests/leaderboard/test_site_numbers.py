@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from oysterbench.evaluate.statistics import Comparison, Interval
-from oysterbench_leaderboard.index import open_index
+from oysterbench_leaderboard.boards.index import open_index
 from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.pages.board import board_page
 from oysterbench_leaderboard.site.pages.compare import _compared_cells
@@ -11,7 +11,7 @@ from oysterbench_leaderboard.site.pages.compare_several import several_page
 from oysterbench_leaderboard.site.pages.home import home_page
 from oysterbench_leaderboard.site.pages.record import metrics_table, record_page
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.records_made import record_made
 from tests.helpers.site_made import Reading
 

@@ -11,8 +11,8 @@ import pytest
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.results.comparison import boards
 from oysterbench.results.records import ResultRecord
-from oysterbench_leaderboard.board import Query
-from oysterbench_leaderboard.index import open_index
+from oysterbench_leaderboard.boards.board import Query
+from oysterbench_leaderboard.boards.index import open_index
 from oysterbench_leaderboard.site import render, standing
 from oysterbench_leaderboard.site.page import Page, PageError
 from oysterbench_leaderboard.site.pages.board import board_page, parse_query
@@ -27,7 +27,7 @@ from oysterbench_leaderboard.site.pages.record import record_page
 from oysterbench_leaderboard.site.paths import slug
 from oysterbench_leaderboard.site.representations import represent
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.records_made import NASTY, records_made
 from tests.helpers.site_made import LITERATURE, Reading, make_site
 

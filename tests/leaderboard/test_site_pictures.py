@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from oysterbench.recipe import split_names
-from oysterbench_leaderboard.board import Query
+from oysterbench_leaderboard.boards.board import Query
 from oysterbench_leaderboard.site import frames, numbers, render
 from oysterbench_leaderboard.site.page import PageError
 from oysterbench_leaderboard.site.pages.board import board_page

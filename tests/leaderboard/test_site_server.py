@@ -27,7 +27,7 @@ from oysterbench_leaderboard.site.paths import method_path
 from oysterbench_leaderboard.site.render import page_html
 from oysterbench_leaderboard.site.running import Watch
 from oysterbench_leaderboard.site.server import SECURITY, application
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.records_made import NASTY, record_made
 from tests.helpers.site_made import Client, Reading, crawl, make_site
 

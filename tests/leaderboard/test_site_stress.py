@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from oysterbench_leaderboard.index import open_index
-from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.boards.index import open_index
 from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.pages.board import board_page
 from oysterbench_leaderboard.site.render import page_html, server_links
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.storage.record import Record
+from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.records_made import record_made
 
 DIVES = {"val-01": ("none", 0), **{f"val-0{k + 1}": ("silt <b>", k) for k in (1, 2, 3)}}

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from oysterbench_leaderboard.index import open_index
+from oysterbench_leaderboard.boards.index import open_index
 from oysterbench_leaderboard.site.export import export
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.browser import CHROMIUM
 from tests.helpers.records_made import record_made
 

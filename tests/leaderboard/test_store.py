@@ -8,11 +8,11 @@ import pytest
 
 from oysterbench.core.errors import ResultError
 from oysterbench.hub.canonical import canonical, sha256
-from oysterbench_leaderboard.curves import FORMAT as CURVES
-from oysterbench_leaderboard.curves import curves_document
-from oysterbench_leaderboard.memory import MemoryIndex
-from oysterbench_leaderboard.store import FORMAT, KINDS, RecordStore, StatusChange
-from oysterbench_leaderboard.verifying import verify
+from oysterbench_leaderboard.boards.memory import MemoryIndex
+from oysterbench_leaderboard.publishing.verifying import verify
+from oysterbench_leaderboard.storage.curves import FORMAT as CURVES
+from oysterbench_leaderboard.storage.curves import curves_document
+from oysterbench_leaderboard.storage.store import FORMAT, KINDS, RecordStore, StatusChange
 from tests.helpers.records_made import fill, record_made
 
 

@@ -20,7 +20,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from starlette.requests import Request
 
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.uploads import check_headers
 from tests.helpers.pool import NAMES, answers, estimate, path, tum, zipped

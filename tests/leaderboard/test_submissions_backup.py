@@ -12,12 +12,12 @@ from contextlib import closing
 import pytest
 
 from oysterbench.core.errors import ResultError
-from oysterbench_leaderboard.submissions import sandbox, sandbox_worker
+from oysterbench_leaderboard.submissions.accounts.tokens import issue, recognise
 from oysterbench_leaderboard.submissions.backup import backup, restore
 from oysterbench_leaderboard.submissions.database import SubmissionDatabase, find, log
 from oysterbench_leaderboard.submissions.estimates import upload_of
+from oysterbench_leaderboard.submissions.sandbox import sandbox, sandbox_worker
 from oysterbench_leaderboard.submissions.settings import load_settings
-from oysterbench_leaderboard.submissions.tokens import issue, recognise
 from oysterbench_leaderboard.submissions.words import Form
 from tests.helpers.command import assert_one_line, run
 from tests.helpers.pool import answers, lay_split

@@ -12,9 +12,9 @@ import pytest
 from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.submissions import queue
+from oysterbench_leaderboard.submissions.accounts.tokens import issue
 from oysterbench_leaderboard.submissions.database import log
 from oysterbench_leaderboard.submissions.estimates import Estimates, upload_of
-from oysterbench_leaderboard.submissions.tokens import issue
 from oysterbench_leaderboard.submissions.words import Form
 from tests.helpers.clusters import two_workers, workers_of
 from tests.helpers.kills import scored_again

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.scoring import MISSING, evaluator, score_predictions
 from tests.helpers.pool import IMAGES, NAMES, image_names, steered, zipped
 from tests.helpers.submissions_read import npz, opened, wanted_of

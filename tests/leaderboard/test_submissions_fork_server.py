@@ -10,9 +10,9 @@ from contextlib import closing
 
 import pytest
 
-from oysterbench_leaderboard.submissions import namespaces, sandbox
-from oysterbench_leaderboard.submissions.fork_server import ForkServer
-from oysterbench_leaderboard.submissions.sandbox import Ended, never
+from oysterbench_leaderboard.submissions.sandbox import namespaces, sandbox
+from oysterbench_leaderboard.submissions.sandbox.fork_server import ForkServer
+from oysterbench_leaderboard.submissions.sandbox.sandbox import Ended, never
 from tests.helpers.pool import lay_split
 from tests.helpers.served import make_service
 from tests.helpers.waiting import until
@@ -141,7 +141,7 @@ def test_a_server_that_died_is_started_again(forks, tmp_path):
 
 
 HINDERED = """
-from oysterbench_leaderboard.submissions import fork_server
+from oysterbench_leaderboard.submissions.sandbox import fork_server
 def refuse(result):
     raise OSError("no mounts here")
 fork_server._done = refuse

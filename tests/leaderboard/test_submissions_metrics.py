@@ -13,7 +13,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.submissions.database import submissions
 from oysterbench_leaderboard.submissions.estimates import upload_of
 from oysterbench_leaderboard.submissions.metrics import serve_metrics
-from oysterbench_leaderboard.submissions.refusals import FAILED
+from oysterbench_leaderboard.submissions.reading.refusals import FAILED
 from oysterbench_leaderboard.submissions.words import Form
 from tests.helpers.pool import answers, lay_split
 from tests.helpers.served import free_port, make_service

@@ -8,9 +8,9 @@ from contextlib import AsyncExitStack, asynccontextmanager
 
 import pytest
 
+from oysterbench_leaderboard.submissions.accounts.rates import DAY_S
 from oysterbench_leaderboard.submissions.places import Place, Places
-from oysterbench_leaderboard.submissions.rates import DAY_S
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.settings import load_settings
 
 

@@ -11,13 +11,14 @@ import pytest
 from sqlalchemy import text
 
 from oysterbench.results.records import ResultRecord, write_results
-from oysterbench_leaderboard.ranking import withdrawn
-from oysterbench_leaderboard.store import StatusChange
-from oysterbench_leaderboard.submissions import queue, sandbox, sandbox_worker
+from oysterbench_leaderboard.boards.ranking import withdrawn
+from oysterbench_leaderboard.storage.store import StatusChange
+from oysterbench_leaderboard.submissions import queue
+from oysterbench_leaderboard.submissions.accounts.tokens import issue
 from oysterbench_leaderboard.submissions.database import change
 from oysterbench_leaderboard.submissions.estimates import upload_of
-from oysterbench_leaderboard.submissions.refusals import Refusal
-from oysterbench_leaderboard.submissions.tokens import issue
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
+from oysterbench_leaderboard.submissions.sandbox import sandbox, sandbox_worker
 from oysterbench_leaderboard.submissions.words import Form
 from tests.helpers.served import FAST, drain, make_service
 from tests.helpers.serving import done, events, send

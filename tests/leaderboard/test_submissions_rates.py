@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from oysterbench_leaderboard.submissions.rates import DAY_S, WINDOW_S, DailyReads, Sampler, hours_and_minutes
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.accounts.rates import DAY_S, WINDOW_S, DailyReads, Sampler, hours_and_minutes
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 
 OF_ONE, OF_STRANGERS = 10, 30
 

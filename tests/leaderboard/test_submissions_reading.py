@@ -18,7 +18,7 @@ from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from oysterbench.results.plausible import BOUNDING
 from oysterbench.results.records import ResultRecord, document, read_results, write_results
 from oysterbench_leaderboard.submissions.catalogue import SCORED, Catalogue, serve_split
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.scoring import CAUSES, MISSING, evaluator, score_predictions
 from tests.helpers.pool import IMAGES, NAMES, answers, estimate, image_names, lay_split, path, tum, zipped
 from tests.helpers.submissions_read import LIMITS, as_coco, as_png, masks, npz, opened, wanted_of
@@ -201,7 +201,7 @@ def test_more_annotations_than_an_image_may_have_are_refused_unread(served, tmp_
     found = json.loads(as_coco(masks(0)))
     first, *_ = found["annotations"]
     found["annotations"] = [{**first, "id": k} for k in range(LIMITS.annotations + 1)]
-    monkeypatch.setattr("oysterbench_leaderboard.submissions.predictions.image_track", lambda name: None)
+    monkeypatch.setattr("oysterbench_leaderboard.submissions.reading.predictions.image_track", lambda name: None)
     for track in ("segmentation", "detection"):
         with pytest.raises(Refusal, match=r"^upload\.json: pool-01/\S+: expected at most 5000 annotations of an image"):
             opened(tmp_path, json.dumps(found).encode(), wanted_of(served, "pool-masks", track))

@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 from oysterbench.methods.sandbox import can_hide
-from oysterbench_leaderboard.submissions import namespaces, sandbox
-from oysterbench_leaderboard.submissions.archive import Limits
 from oysterbench_leaderboard.submissions.catalogue import Wanted
-from oysterbench_leaderboard.submissions.sandbox import Allowance, Job, Stopped
+from oysterbench_leaderboard.submissions.reading.archive import Limits
+from oysterbench_leaderboard.submissions.sandbox import namespaces, sandbox
+from oysterbench_leaderboard.submissions.sandbox.sandbox import Allowance, Job, Stopped
 from tests.helpers.paths import ROOT
 
 ALLOWED = Allowance(wall_s=30.0, cpu_s=10, memory_bytes=1_000_000_000, file_bytes=1_000_000)
@@ -154,7 +154,7 @@ RUNS = """
 import sys
 from pathlib import Path
 from tests.leaderboard.test_submissions_sandbox import job
-from oysterbench_leaderboard.submissions import sandbox
+from oysterbench_leaderboard.submissions.sandbox import sandbox
 sandbox.WORKER = Path(sys.argv[1])
 sandbox.run(job(sys.argv[2]), sandbox.Allowance(60.0, 60, 1_000_000_000, 1_000_000))
 """

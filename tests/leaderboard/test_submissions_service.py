@@ -9,13 +9,14 @@ import msgspec
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from oysterbench_leaderboard.submissions import queue, sandbox
+from oysterbench_leaderboard.submissions import queue
+from oysterbench_leaderboard.submissions.accounts.rates import DailyReads
+from oysterbench_leaderboard.submissions.accounts.tokens import issue, recognise
 from oysterbench_leaderboard.submissions.database import SubmissionDatabase, find, submissions
 from oysterbench_leaderboard.submissions.estimates import upload_of
-from oysterbench_leaderboard.submissions.rates import DailyReads
-from oysterbench_leaderboard.submissions.refusals import FAILED, Refusal
+from oysterbench_leaderboard.submissions.reading.refusals import FAILED, Refusal
+from oysterbench_leaderboard.submissions.sandbox import sandbox
 from oysterbench_leaderboard.submissions.settings import load_settings
-from oysterbench_leaderboard.submissions.tokens import issue, recognise
 from tests.helpers.pool import NAMES, answers, estimate, tum, zipped
 from tests.helpers.served import FAST, drain, make_service
 from tests.helpers.serving import FORM, events, send

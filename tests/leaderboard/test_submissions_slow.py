@@ -9,7 +9,7 @@ from contextlib import ExitStack, closing
 
 import pytest
 
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.uploads import paced
 from tests.helpers.pool import answers

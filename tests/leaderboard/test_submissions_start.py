@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from oysterbench.core.errors import ResultError
-from oysterbench_leaderboard.store import RecordStore
-from oysterbench_leaderboard.submissions import namespaces
+from oysterbench_leaderboard.storage.store import RecordStore
+from oysterbench_leaderboard.submissions.accounts.tokens import issue
 from oysterbench_leaderboard.submissions.estimates import upload_of
+from oysterbench_leaderboard.submissions.sandbox import namespaces
 from oysterbench_leaderboard.submissions.settings import load_settings
-from oysterbench_leaderboard.submissions.tokens import issue
 from oysterbench_leaderboard.submissions.web import open_service
 from oysterbench_leaderboard.submissions.words import Form
 from tests.helpers.pool import answers, lay_split

@@ -9,8 +9,8 @@ import pytest
 
 from oysterbench.core.ros import EPOCH_NS
 from oysterbench.core.trajectory import Trajectory
-from oysterbench_leaderboard.submissions.refusals import Refusal
-from oysterbench_leaderboard.submissions.times import check_times, outside_notes
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
+from oysterbench_leaderboard.submissions.reading.times import check_times, outside_notes
 from tests.helpers.pool import NAMES, estimate, tum, zipped
 from tests.helpers.submissions_read import opened, wanted_of
 

@@ -7,10 +7,10 @@ from sqlalchemy import insert
 
 from oysterbench.core.errors import ResultError
 from oysterbench.hub.addresses import network
+from oysterbench_leaderboard.submissions.accounts.tokens import Guesses, issue, listed, recognise, revoke
 from oysterbench_leaderboard.submissions.database import SubmissionDatabase, teams
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
-from oysterbench_leaderboard.submissions.tokens import Guesses, issue, listed, recognise, revoke
 
 
 def test_a_token_is_shown_once_and_only_its_hash_is_kept(tmp_path):

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from oysterbench.cli.main import main
 from oysterbench.core.errors import HubError, NetworkError
 from oysterbench.hub.sources import Patience
-from oysterbench_leaderboard.submissions.client import Client, Refused
+from oysterbench_leaderboard.submissions.sending.client import Client, Refused
 from tests.helpers.pool import NAMES, answers, estimate, image_names, steered, tum, zipped
 from tests.helpers.served import Site, lay, running
 from tests.helpers.waiting import until

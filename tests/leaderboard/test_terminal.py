@@ -18,7 +18,7 @@ from click.testing import CliRunner, Result
 from oysterbench.cli.main import main
 from oysterbench.results.records import read_results, write_results
 from oysterbench_leaderboard import command as group
-from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.storage.store import RecordStore
 from oysterbench_leaderboard.submissions.database import SubmissionDatabase, log_event
 from oysterbench_leaderboard.submissions.settings import load_settings
 from tests.helpers.records_made import fill, record_made

@@ -12,7 +12,7 @@ from oysterbench.core.errors import MethodError
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Estimate, LandmarkMap, Method, find_method, method_names, run_method
 from oysterbench.methods.options import with_options
-from oysterbench_leaderboard.record_summary import SENSORS
+from oysterbench_leaderboard.storage.record_summary import SENSORS
 from tests.helpers.paths import ROOT
 
 

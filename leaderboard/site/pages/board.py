@@ -12,8 +12,9 @@ from oysterbench.evaluate.metrics import SPEEDS, TRACKS, find_metric
 from oysterbench.report.columns import STANDING_OF_TRACK, lost_column, lost_note, metric_column, standing_column
 from oysterbench.report.table import Cell, Column, Table, TableRow, interval_column
 from oysterbench.results.records import plain
-from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row, State
-from oysterbench_leaderboard.record import RANKED, TIERS
+from oysterbench_leaderboard.boards.board import BoardInfo, BoardPage, Query, Row, State
+from oysterbench_leaderboard.boards.tables import DATA_SET, NOT_RANKED, has_data_set, learnt_on, machines_note
+from oysterbench_leaderboard.boards.vehicle import carried, lacks
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Later, Page, PageError
 from oysterbench_leaderboard.site.pages.compare import PAIRED
@@ -24,8 +25,7 @@ from oysterbench_leaderboard.site.pages.stress import stress_drawing
 from oysterbench_leaderboard.site.paths import board_path, record_path, slug, split_path
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.site.works import work_cell
-from oysterbench_leaderboard.tables import DATA_SET, NOT_RANKED, has_data_set, learnt_on, machines_note
-from oysterbench_leaderboard.vehicle import carried, lacks
+from oysterbench_leaderboard.storage.record import RANKED, TIERS
 
 MOST_ROWS = 1000
 LONGEST_TEXT = 100

@@ -16,14 +16,14 @@ from oysterbench.results.comparison import Board, MethodPair, per_sequence
 from oysterbench.results.comparison import boards as boards_of
 from oysterbench.results.records import ResultRecord, lost_of, plain
 from oysterbench.results.remarks import remarks
-from oysterbench_leaderboard.board import BoardInfo, Row
-from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.boards.board import BoardInfo, Row
+from oysterbench_leaderboard.boards.tables import machines_note
 from oysterbench_leaderboard.site import numbers, standing
 from oysterbench_leaderboard.site.charts import drawings
 from oysterbench_leaderboard.site.page import Page, PageError
 from oysterbench_leaderboard.site.paths import board_path, record_path
 from oysterbench_leaderboard.site.site import Site, curves_of
-from oysterbench_leaderboard.tables import machines_note
+from oysterbench_leaderboard.storage.record import Record
 
 PAIRED = 10
 """Number of first records of each newest board of which the exported site compares every two."""

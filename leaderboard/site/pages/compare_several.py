@@ -18,7 +18,8 @@ from oysterbench.report.columns import (
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow
 from oysterbench.results.comparison import Board, as_plain
 from oysterbench.results.records import plain
-from oysterbench_leaderboard.board import BoardInfo, Row
+from oysterbench_leaderboard.boards.board import BoardInfo, Row
+from oysterbench_leaderboard.boards.tables import LEADING, machines_note, role_of
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.charts import drawings
 from oysterbench_leaderboard.site.page import Page, PageError
@@ -27,7 +28,6 @@ from oysterbench_leaderboard.site.pages.heat import classes_heat, scores_of, seq
 from oysterbench_leaderboard.site.pages.ranks import rank_cells
 from oysterbench_leaderboard.site.paths import board_path, record_path
 from oysterbench_leaderboard.site.site import Site, curves_of
-from oysterbench_leaderboard.tables import LEADING, machines_note, role_of
 
 MOST = 50
 """Maximum number of records that one page compares, every two of them."""

@@ -9,7 +9,7 @@ from typing import Any
 from oysterbench.evaluate.conditions import CONDITIONS
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow
 from oysterbench.results.records import plain
-from oysterbench_leaderboard.board import BoardInfo
+from oysterbench_leaderboard.boards.board import BoardInfo
 from oysterbench_leaderboard.site.datasets import Conditions, DataSet, all_data_sets, classes_note, conditions_of
 from oysterbench_leaderboard.site.frames import file_name
 from oysterbench_leaderboard.site.page import Page, PageError

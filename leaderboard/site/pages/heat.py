@@ -10,7 +10,7 @@ from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import FAILED, find_metric
 from oysterbench.report.columns import metric_column
 from oysterbench.report.table import Cell, Column, Table, TableRow
-from oysterbench_leaderboard.board import BoardInfo, Row
+from oysterbench_leaderboard.boards.board import BoardInfo, Row
 from oysterbench_leaderboard.site.paths import record_path
 from oysterbench_leaderboard.site.site import Site
 

@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass
 from oysterbench.report.columns import metric_column
 from oysterbench.report.table import ABSENT, Bar, Cell, Column, Table, TableRow
 from oysterbench.results.records import plain
-from oysterbench_leaderboard.board import BoardInfo, Query, Row
+from oysterbench_leaderboard.boards.board import BoardInfo, Query, Row
+from oysterbench_leaderboard.boards.tables import LEADING, role_of
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.datasets import known
 from oysterbench_leaderboard.site.frames import file_name, pictures
@@ -16,7 +17,6 @@ from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.pages.ranks import rank_cells
 from oysterbench_leaderboard.site.paths import board_path, record_path, split_path
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.tables import LEADING, role_of
 
 LEADERS = 5
 """Number of records shown of each board."""

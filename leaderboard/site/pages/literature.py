@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 
 from oysterbench.report.table import Cell, Column, Table, TableRow
 from oysterbench.results.records import plain
-from oysterbench_leaderboard.board import Literature
+from oysterbench_leaderboard.boards.board import Literature
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.site import Site

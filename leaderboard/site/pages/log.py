@@ -8,7 +8,7 @@ from dataclasses import asdict
 from oysterbench.report.columns import metric_column
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow
 from oysterbench.results.records import plain
-from oysterbench_leaderboard.board import Row
+from oysterbench_leaderboard.boards.board import Row
 from oysterbench_leaderboard.site.history import MOST, Event, events
 from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.paths import board_path, record_path

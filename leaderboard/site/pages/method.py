@@ -8,7 +8,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench.report.columns import metric_column
 from oysterbench.report.table import Cell, Column, Table, TableRow
 from oysterbench.results.records import plain
-from oysterbench_leaderboard.board import BoardInfo, Row
+from oysterbench_leaderboard.boards.board import BoardInfo, Row
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Page, PageError
 from oysterbench_leaderboard.site.pages.ranks import ABOUT_TIERS, rank_cells, state_mark

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from oysterbench.report.table import ABSENT, Cell
-from oysterbench_leaderboard.board import Row
-from oysterbench_leaderboard.tables import rank_text
+from oysterbench_leaderboard.boards.board import Row
+from oysterbench_leaderboard.boards.tables import rank_text
 
 ABOUT_TIERS = {
     "baseline": "Run and scored by us, from this project's source.",

@@ -17,9 +17,9 @@ from oysterbench.report.tables import failures_and_notes
 from oysterbench.results.comparison import MethodRuns
 from oysterbench.results.records import ResultRecord, lost_of, plain
 from oysterbench.results.standings import PRIMARY
-from oysterbench_leaderboard.board import BoardInfo, Query, Row
-from oysterbench_leaderboard.hidden import is_hidden
-from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.boards.board import BoardInfo, Query, Row
+from oysterbench_leaderboard.boards.tables import DATA_SET, has_data_set
+from oysterbench_leaderboard.publishing.hidden import is_hidden
 from oysterbench_leaderboard.site import numbers, standing
 from oysterbench_leaderboard.site.charts import drawings
 from oysterbench_leaderboard.site.history import successor
@@ -29,7 +29,7 @@ from oysterbench_leaderboard.site.pages.ranks import ABOUT_TIERS, rank_cells
 from oysterbench_leaderboard.site.paths import board_path, method_path, record_path
 from oysterbench_leaderboard.site.site import Site, curves_of
 from oysterbench_leaderboard.site.works import code_cell, paper_address
-from oysterbench_leaderboard.tables import DATA_SET, has_data_set
+from oysterbench_leaderboard.storage.record import Record
 
 HIDDEN = "The split is hidden: most metrics are shown only as a mean, and values by sequence only in steps, if at all."
 

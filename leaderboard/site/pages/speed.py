@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from oysterbench.report.columns import metric_column
 from oysterbench.report.labelled import Point, labelled_plot
-from oysterbench_leaderboard.board import BoardInfo, Row
+from oysterbench_leaderboard.boards.board import BoardInfo, Row
 from oysterbench_leaderboard.site.charts import Card
 
 SPEEDS = {"slam": "realtime_factor", "exploration": "steps_per_s"}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from markupsafe import Markup
 
 from oysterbench.report.stress import stress_group
-from oysterbench_leaderboard.board import BoardInfo, Row
+from oysterbench_leaderboard.boards.board import BoardInfo, Row
 from oysterbench_leaderboard.site import charts, standing
 from oysterbench_leaderboard.site.site import Site
 

@@ -1,0 +1,1 @@
+"""From records to boards: ranks, the index that answers queries, and tables."""

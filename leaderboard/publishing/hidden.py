@@ -1,0 +1,108 @@
+"""What is published of results on a hidden split: only what a board needs, because a hundred exact numbers for chosen
+predictions would reveal the ground truth.
+
+For each sequence: the ranking metric, the coverage, and the weight in the ranking, in steps that a single image or pose
+does not change; for the other columns of the board: the means over the split.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from oysterbench.core.errors import RecipeError
+from oysterbench.evaluate.metrics import TRACKS, find_metric
+from oysterbench.recipe import load_split
+from oysterbench.results.records import ResultRecord
+from oysterbench.results.standings import PRIMARY
+from oysterbench_leaderboard.storage.record_summary import means_over_sequences
+
+STEP = 0.01
+"""Step of dimensionless values of a sequence, such as shares and its score."""
+
+LEAST = -1.0
+"""Lowest score that is published: a lower skill is reported as this."""
+
+DIGITS = {"sequence": 2, "split": 3}
+"""Significant digits: "sequence" of values of a sequence with a unit, and of medians; "split" of means over the
+split."""
+
+COSTS = ("wall_s", "cpu_s", "cpu_s_per_s", "realtime_factor", "peak_memory_mb", "images_per_s", "pictures_per_s")
+"""Metrics of the run, not of its estimate: published as measured, as they reveal nothing of the ground truth."""
+
+ABOUT = ("method", "run")
+"""What of `info` is published: about the method and its run."""
+
+FAILED = "failed, or left no estimate that can be scored"
+
+NO_VALUE = "has no value for this estimate on this sequence"
+
+
+def significant(value: float, digits: int) -> float:
+    """Round a finite number to `digits` significant digits; 0 where its magnitude is below 1e-6."""
+    return float(f"{value:.{digits}g}") if abs(value) >= 1e-6 else 0.0
+
+
+def is_hidden(results: Sequence[ResultRecord], recipe: str | None = None) -> bool | None:
+    """Whether results of one split are of a hidden one, by what they or its recipe say; None where neither is known.
+
+    recipe: name or .toml file, by default the name in the results
+    """
+    try:
+        known = load_split(recipe or results[0].split).hidden
+    except RecipeError:
+        known = None
+    said = {known, *(result.hidden for result in results)}
+    return True if True in said else None if said == {None} else False
+
+
+def discreet(
+    results: Sequence[ResultRecord], data_set: Mapping[str, Any] | None = None, judged: bool = False
+) -> tuple[list[ResultRecord], dict[str, Any]]:
+    """Results of one method on a hidden split, reduced to what may be published, and what is known over all sequences
+    together: in `metrics` the ranking metric of the data set, if there is one, and `means` of the other columns.
+
+    judged: the sandbox scored them, whose sentences say nothing of the ground truth.
+    """
+    track = TRACKS[results[0].track]
+    means = means_over_sequences(results, track.standing)
+    value = (data_set or {}).get("metrics", {}).get(track.ranking)
+    whole = {} if value is None or math.isnan(value) else {track.ranking: significant(value, DIGITS["split"])}
+    return [_coarse(result, judged) for result in results], {
+        "method": results[0].method,
+        "metrics": whole,
+        "means": {
+            # A median is the value of a single sequence.
+            key: None if mean is None else significant(mean, DIGITS["sequence" if key in track.errors else "split"])
+            for key, mean in means.items()
+        },
+    }
+
+
+def _coarse(result: ResultRecord, judged: bool) -> ResultRecord:
+    ranking, metrics = PRIMARY[result.track], result.metrics
+    kept = {key: _rounded(key, result.track, metrics[key]) for key in (ranking, "coverage") if key in metrics}
+    if {"truth_px", "estimate_px", ranking} <= metrics.keys():
+        # The union as implied by the published values: it reveals nothing more to one who knows the estimate.
+        kept["truth_px"] = significant(metrics["truth_px"], DIGITS["sequence"])
+        union = (kept["truth_px"] + metrics["estimate_px"]) / (1.0 + kept[ranking])
+        kept["union_px"] = significant(union, DIGITS["split"])
+    kept |= {key: metrics[key] for key in COSTS if key in metrics}
+    reasons = {key: result.reasons[key] if key in COSTS else NO_VALUE for key, v in kept.items() if math.isnan(v)}
+    result = replace(result, metrics=kept, reasons=reasons)
+    if judged:
+        return result
+    # Notes, and what the evaluation adds to `info`, have exact errors of the estimate and of the method's other paths.
+    info = {key: result.info[key] for key in ABOUT if key in result.info}
+    return replace(result, failure=result.failure and FAILED, notes=(), info=info)
+
+
+def _rounded(key: str, track: str, value: float) -> float:
+    metric = find_metric(key, track)
+    if math.isnan(value):
+        return value
+    if metric is not None and not metric.unit:
+        return max(LEAST, round(round(value / STEP) * STEP, 6))
+    return significant(value, DIGITS["sequence"])

@@ -1,0 +1,1 @@
+"""Records and what belongs to them, as files named by their hash."""

@@ -1,0 +1,1 @@
+"""Teams and tokens, sign-in, and limits of rates."""

@@ -1,0 +1,1 @@
+"""Uploads, read in place and checked."""

@@ -1,0 +1,1 @@
+"""Reading and scoring uploads in processes that can do nothing else."""

@@ -1,0 +1,1 @@
+"""The side of the sender: `oysterbench submit`."""

@@ -1,0 +1,196 @@
+"""What a client sends: found in a file or folder, packed into one file, and checked before it is sent."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from oysterbench.core.documents import read_json
+from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.core.files import scratch
+from oysterbench.core.names import did_you_mean, listed, nearest
+from oysterbench.recipe.steering import SteeringRecipe
+from oysterbench_leaderboard.submissions.catalogue import Wanted, local_wanted
+from oysterbench_leaderboard.submissions.reading.archive import Limits, pack
+from oysterbench_leaderboard.submissions.reading.predictions import IMAGE, OPENERS, check_predictions, open_upload
+
+RESULTS = "results.json"
+KINDS = {".zip": "application/zip", ".json": "application/json", ".txt": "text/plain", ".tum": "text/plain"}
+KINDS |= {".csv": "text/csv", ".npz": "application/octet-stream"}
+"""Suffix of a file that is sent as it is -> its content type."""
+
+SUFFIXES = tuple(dict.fromkeys(suffix for openers in OPENERS.values() for suffix in openers if suffix != IMAGE))
+"""Suffixes of files named by a sequence."""
+
+OF_A_SEQUENCE = (".tum", ".txt", ".csv")
+"""Suffixes of files that each hold a single sequence."""
+
+NO_RATIO = 1e9  # the client's own files need no limit on their compression ratio
+
+
+@dataclass(frozen=True)
+class Package:
+    """A file to be sent. facts: what it holds (`check_predictions`)."""
+
+    path: Path
+    content_type: str
+    digest: str
+    size: int
+    wanted: Wanted
+    facts: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What is to be sent: one file, or several by their names in an archive. others: names of further files there that
+    match no sequence, and are not sent. runs: numbers of the runs of which there are estimates; one of them is sent."""
+
+    file: Path | None
+    files: dict[str, Path]
+    others: tuple[str, ...] = ()
+    runs: tuple[int, ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the sequences that the file names refer to, sorted."""
+        return sorted({name.split("/")[0].rpartition(".")[0] or name.split("/")[0] for name in self.files})
+
+
+def find_package(place: Path, sequences: Sequence[str], method: str = "", run: int = 1, results: bool = False) -> Found:
+    """Find what a path holds for these sequences: a file; a folder with a file or an image folder for each sequence; or
+    the output of `oysterbench run` and `eval`. method, run: which of the estimates in that output. results: send its
+    results.json instead. Raises ResultError."""
+    if place.is_file():
+        if place.suffix.lower() not in KINDS:
+            raise ResultError(f"{place}: expected a file that ends in {', '.join(KINDS)}, got {place.suffix or 'none'}")
+        if place.suffix in OPENERS["poses"] and place.stem in sequences and len(sequences) > 1:
+            return Found(None, {place.name: place})
+        if place.suffix in OF_A_SEQUENCE and len(sequences) > 1:
+            meant = did_you_mean(nearest(place.stem, sequences)).strip()
+            raise ResultError(
+                f"{place}: its name is of no sequence of the split: expected SEQUENCE{place.suffix}, the sequences "
+                f"being {listed(sequences)}" + (f"; {meant}" if meant else "")
+            )
+        return Found(place, {})
+    if not place.is_dir():
+        raise ResultError(f"{place}: no such file or folder; expected results.json, or estimates")
+    if results:
+        if not (place / RESULTS).is_file():
+            raise ResultError(f"{place}: has no {RESULTS}; `oysterbench eval` writes it")
+        return Found(place / RESULTS, {})
+    files: dict[str, Path] = {}
+    for sequence in sequences:
+        own = [place / f"{sequence}{suffix}" for suffix in SUFFIXES]
+        own = [path for path in own if path.is_file()]
+        if len(own) > 1:
+            raise ResultError(f"{place}: both {own[0].name} and {own[1].name} are of {sequence}; keep one of them")
+        if own:
+            files[own[0].name] = own[0]
+        elif (place / sequence).is_dir():
+            images = sorted((place / sequence).rglob(f"*{IMAGE}"))
+            files |= {path.relative_to(place).as_posix(): path for path in images}
+    runs: tuple[int, ...] = ()
+    if not files and (place / RESULTS).is_file():
+        files, runs = _of_run(place, sequences, method, run)
+        if not files and runs:
+            raise ResultError(
+                f"{place}: no estimates of run {run}: it failed, or was not made; expected one of "
+                f"{listed(map(str, runs))} (--run)"
+            )
+        if not files:
+            raise ResultError(f"{place}: no estimates there, only a {RESULTS}; add --results to send that, as reported")
+    if not files:
+        first = sequences[0] if sequences else "SEQUENCE"
+        raise ResultError(
+            f"{place}: expected a file for each sequence, e.g. {first}.tum or {first}.csv, masks "
+            f"{first}/CAMERA/STAMP.png, or what `oysterbench run` leaves; found "
+            f"{listed(sorted(path.name for path in place.iterdir())).replace('none', 'an empty folder')}"
+        )
+    of_run = (place / RESULTS).is_file()
+    sent = {path.name for path in files.values()}
+    others = [path.name for path in place.iterdir() if path.suffix in SUFFIXES and path.name not in sent]
+    return Found(None, files, () if of_run else tuple(sorted(others)), runs)
+
+
+def _of_run(place: Path, sequences: Sequence[str], method: str, run: int) -> tuple[dict[str, Path], tuple[int, ...]]:
+    """Find the estimates of a method in a folder of results, SEQUENCE-METHOD.tum or, of several runs,
+    SEQUENCE-METHOD-RUN.tum: those of a run by the names they are sent under, and the numbers of all runs."""
+    from oysterbench.results.records import read_results
+
+    records = read_results(place / RESULTS)
+    methods = list(dict.fromkeys(record.method for record in records))
+    if not methods:
+        raise ResultError(f"{place / RESULTS}: expected results of a method, found none; name the files SEQUENCE.tum")
+    if not method and len(methods) > 1:
+        raise ResultError(f"{place} has results of {', '.join(methods)}; say whose estimates to send (--of NAME)")
+    chosen = method or methods[0]
+    if chosen not in methods:
+        raise ResultError(f"{place}: no results of {chosen!r}; it has those of {', '.join(methods)} (--of NAME)")
+
+    def of(number: int) -> dict[str, Path]:
+        files = {}
+        for sequence in sequences:
+            for name in (f"{sequence}-{chosen}.tum", f"{sequence}-{chosen}-{number}.tum"):
+                if (place / name).is_file():
+                    files[f"{sequence}.tum"] = place / name
+                    break
+        return files
+
+    numbers = sorted({record.run + 1 for record in records if record.method == chosen})
+    return of(run), tuple(number for number in numbers if of(number))
+
+
+def split_in(place: Path) -> tuple[str, str]:
+    """Split and track of a results.json, or of the one in a folder; empty where there is none."""
+    path = place / RESULTS if place.is_dir() else place
+    found = _first_result(path) if path.name.endswith(".json") and path.is_file() else {}
+    return str(found.get("split", "")), str(found.get("track", ""))
+
+
+def _first_result(path: Path) -> dict[str, Any]:
+    """First row of a results.json, unchecked; empty where the file is not one."""
+    try:
+        return dict(read_json(path.read_bytes())["results"][0])
+    except (ValueError, LookupError, TypeError):
+        return {}
+
+
+def wanted_of(split: str, track: str, known: dict[str, Any]) -> Wanted:
+    """What the split requires, as this installation knows it, or else as the server describes it in `known`."""
+    spans = {name: (int(begin), int(end)) for name, (begin, end) in known.get("spans", {}).items()}
+    try:
+        return replace(local_wanted(split, track), spans=spans)
+    except OysterbenchError:
+        task = msgspec.convert(known.get("task"), SteeringRecipe | None)
+        return Wanted(track, split, "", bool(known["hidden"]), tuple(known["sequences"]), task=task, spans=spans)
+
+
+@contextmanager
+def packed(found: Found, wanted: Wanted, limits: dict[str, int]) -> Iterator[Package]:
+    """Pack what was found into one file, and check it as the server will. Raises Refusal naming file and line, and
+    ResultError where it is larger than the server accepts."""
+    with scratch() as folder:
+        if found.file is not None:
+            path, kind = found.file, KINDS[found.file.suffix.lower()]
+        else:
+            path, kind = folder / "predictions.zip", KINDS[".zip"]
+            with open(path, "wb") as target:
+                pack(found.files, target)
+        size = path.stat().st_size
+        if size > limits["upload_bytes"]:
+            most = limits["upload_bytes"] // 1_000_000
+            raise ResultError(f"{path.name}: {size / 1e6:.0f} MB to send; the server takes at most {most} MB")
+        within = Limits(limits["file_bytes"], limits["file_bytes"], 1 << 30, 1 << 40, NO_RATIO)
+        known = wanted
+        if not wanted.split_digest:  # then the digest is known from the results alone
+            known = replace(wanted, split_digest=str(_first_result(path).get("split_digest", "")))
+        facts = check_predictions(open_upload(path, known, within), known)
+        with open(path, "rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        yield Package(path, kind, digest, size, wanted, facts)
