@@ -16,7 +16,7 @@ ALIVE = 0.5
 """Probability from which an oyster counts as live, and below which as dead."""
 
 NO_STATES = "the truth does not tell live oysters from dead ones"
-NOT_TOLD = "the estimate does not tell live oysters from dead ones"
+NOT_PREDICTED = "the estimate does not tell live oysters from dead ones"
 
 
 @dataclass(frozen=True)
@@ -24,20 +24,18 @@ class StateCounts:
     """Sums over images.
 
     live, dead:         true ones that are visible in an image
-    said_live, said_dead: estimated ones, except those that are excused or matched to a truth of unknown state
-    live_as_live ...:   matches, by true and estimated state; `_untold` if no state was estimated
+    predicted_live, predicted_dead: estimated ones, except those that are excused or matched to a truth of unknown state
+    live_as_live ...:   matches, by true and estimated state
     """
 
     live: int = 0
     dead: int = 0
-    said_live: int = 0
-    said_dead: int = 0
+    predicted_live: int = 0
+    predicted_dead: int = 0
     live_as_live: int = 0
     live_as_dead: int = 0
-    live_untold: int = 0
     dead_as_live: int = 0
     dead_as_dead: int = 0
-    dead_untold: int = 0
 
     def __add__(self, other: StateCounts) -> StateCounts:
         return StateCounts(*map(add, astuple(self), astuple(other)))
@@ -48,31 +46,30 @@ def states_of(pairing: Pairing) -> StateCounts:
     true = np.array([one.live for one in pairing.truths], dtype=float)
     said = np.array([one.live for one in pairing.estimates], dtype=float)
     live, dead = true >= ALIVE, true < ALIVE  # neither for NaN
-    said_live, said_dead = said >= ALIVE, said < ALIVE
+    predicted_live, predicted_dead = said >= ALIVE, said < ALIVE
     matches = pairing.overlap > 0
     seen = matches.any(axis=1) | pairing.missed
-    asked = matches[live | dead].any(axis=0) | pairing.extra
-    untold = ~(said_live | said_dead)
+    judged = matches[live | dead].any(axis=0) | pairing.extra
     by_truth = [
         int((matches & rows[:, None] & columns[None, :]).sum())
         for rows in (live, dead)
-        for columns in (said_live, said_dead, untold)
+        for columns in (predicted_live, predicted_dead)
     ]
-    totals = [int(part.sum()) for part in (live & seen, dead & seen, said_live & asked, said_dead & asked)]
+    totals = [int(part.sum()) for part in (live & seen, dead & seen, predicted_live & judged, predicted_dead & judged)]
     return StateCounts(*totals, *by_truth)
 
 
 def state_metrics(counts: StateCounts) -> tuple[dict[str, float], dict[str, str]]:
     """Compute the values of `STATE_METRICS`, and the reasons for those that are NaN."""
-    if counts.live + counts.dead == 0 or counts.said_live + counts.said_dead == 0:
-        why = NO_STATES if counts.live + counts.dead == 0 else NOT_TOLD
+    if counts.live + counts.dead == 0 or counts.predicted_live + counts.predicted_dead == 0:
+        why = NO_STATES if counts.live + counts.dead == 0 else NOT_PREDICTED
         return dict.fromkeys(STATE_METRICS, math.nan), dict.fromkeys(STATE_METRICS, why)
     found_live = counts.live_as_live + counts.live_as_dead
     found_dead = counts.dead_as_live + counts.dead_as_dead
     metrics, reasons = {}, {}
     for key, value, over, why in (
-        ("f1_live", 2 * counts.live_as_live, counts.live + counts.said_live, "nothing is alive, nor said to be"),
-        ("f1_dead", 2 * counts.dead_as_dead, counts.dead + counts.said_dead, "nothing is dead, nor said to be"),
+        ("f1_live", 2 * counts.live_as_live, counts.live + counts.predicted_live, "nothing is alive, nor said to be"),
+        ("f1_dead", 2 * counts.dead_as_dead, counts.dead + counts.predicted_dead, "nothing is dead, nor said to be"),
     ):
         metrics[key] = value / over if over else math.nan
         if not over:
@@ -82,5 +79,5 @@ def state_metrics(counts: StateCounts) -> tuple[dict[str, float], dict[str, str]
     else:
         metrics["state_accuracy"] = math.nan
         reasons["state_accuracy"] = "no match of a live oyster and one of a dead one, of which the estimate tells"
-    metrics["live_error"] = float(counts.said_live - counts.live)
+    metrics["live_error"] = float(counts.predicted_live - counts.live)
     return metrics, reasons
