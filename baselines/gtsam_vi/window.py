@@ -55,7 +55,7 @@ class Window:
             stamps[L(landmark)] = float(self._observations[landmark][-1].keyframe)
         stamps |= dict.fromkeys(model.calibration_keys(), float(last))
         self._smoother.update(bundle.graph, bundle.values, stamps, self._newest(last))
-        self._read(keyframes, last)
+        self._read(keyframes)
 
     def add(self, keyframes: list[Keyframe], predicted: State) -> None:
         """Add the last of `keyframes`, whose state is `predicted`, and bring all states in the window up to date."""
@@ -79,7 +79,7 @@ class Window:
         if keyframe.blind:
             graph.push_back(self.model.drag(keyframe))
         self._smoother.update(graph, values, stamps, self._newest(k))
-        self._read(keyframes, k)
+        self._read(keyframes)
         self._landmarks = {i for i in self._landmarks if self._observations[i][-1].keyframe > k - self._lag}
         self._observations = {i: o for i, o in self._observations.items() if o[-1].keyframe > k - self._lag}
         self._rejected &= self._observations.keys()
@@ -195,7 +195,7 @@ class Window:
         ):
             graph.push_back(factor)
 
-    def _read(self, keyframes: list[Keyframe], last: int) -> None:
+    def _read(self, keyframes: list[Keyframe]) -> None:
         """Write the smoother's estimate into the keyframes, and into the model of the cameras."""
         values = self._smoother.estimate
         self.model.rig.read(values)

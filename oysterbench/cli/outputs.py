@@ -62,7 +62,7 @@ class Outputs:
         from oysterbench.core.text import as_unicode
         from oysterbench.report import csv_text, dataset_tables, latex_text, markdown_text, write_html_report
 
-        makers = {"csv": csv_text, "tex": latex_text, "md": markdown_text}
+        makers = {"tex": latex_text, "md": markdown_text}
         every: Any = [*beside, *runs]
         places = [(form, path, runs) for form, path in self.texts.items()]
         reports = [(self.report, runs)] if self.report is not None else []
@@ -70,7 +70,9 @@ class Outputs:
             places += [(form, folder / f"results.{form}", every) for form in TEXTS]
             reports.append((folder / "report.html", every))
         for form, path, shown in places:
-            text = makers[form]([run.record for run in shown], [*first, *dataset_tables(data_set)])
+            records = [run.record for run in shown]
+            tables = [*first, *dataset_tables(data_set)]
+            text = csv_text(records) if form == "csv" else makers[form](records, tables)
             if path == Path("-"):
                 echo(text, nl=False)
             else:

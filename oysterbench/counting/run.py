@@ -26,7 +26,7 @@ from oysterbench.counting.scale import QuadratScale, Scale
 from oysterbench.counting.sources import Source
 from oysterbench.counting.store import Store
 from oysterbench.methods.code import file_digest
-from oysterbench.methods.images import Picture
+from oysterbench.methods.images import DetectionMethod, Picture, SegmentationMethod
 from oysterbench.methods.interfaces import Stopwatch
 from oysterbench.methods.interfaces.images import Prediction, predictions
 
@@ -86,7 +86,7 @@ class Counting:
     def __init__(
         self,
         sources: Sequence[Source],
-        method: Any,
+        method: SegmentationMethod | DetectionMethod,
         identity: Mapping[str, Any],
         store: Store,
         settings: Settings,

@@ -36,9 +36,8 @@ def tables(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> list
     return [*first, *results_tables(records), *comparison_tables(records)]
 
 
-def csv_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> str:
-    """Write one line per run with all conditions and metrics, all digits; an empty field where there is no value. The
-    tables `first` are left out."""
+def csv_text(records: Sequence[ResultRecord]) -> str:
+    """Write one line per run with all conditions and metrics, all digits; an empty field where there is no value."""
     conditions = [key for key in CONDITIONS if any(key in record.conditions for record in records)]
     conditions += sorted({key for record in records for key in record.conditions} - set(conditions))
     metrics = list(dict.fromkeys(key for record in records for key in record.metrics))

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError, SequenceError
-from oysterbench.methods.images import Detections, Picture, Segmentation
+from oysterbench.methods.images import DetectionMethod, Detections, Picture, Segmentation, SegmentationMethod
 from oysterbench.methods.interfaces.interface import Interface, Predicted, RunSequence, Stopwatch
 
 LIST = "images.txt"
@@ -92,7 +92,7 @@ def read_picture(folder: Path, name: str) -> NDArray[np.uint8]:
 
 
 def predictions(
-    method: Any, pictures: Iterable[Picture], where: str, count: int, watch: Stopwatch
+    method: SegmentationMethod | DetectionMethod, pictures: Iterable[Picture], where: str, count: int, watch: Stopwatch
 ) -> Iterator[Prediction]:
     """Yield a method's predictions for the `count` images of a sequence, in order.
 

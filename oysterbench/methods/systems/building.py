@@ -38,7 +38,7 @@ Announce = Callable[[str], None]
 @dataclass(frozen=True)
 class Build:
     """A finished build of a system. compiler: first line of its version output; cpu_s: CPU time that the build took;
-    size_bytes: total size of its files"""
+    size_bytes: total size of its files; built_by: version of oysterbench, for readers of its built.json"""
 
     commit: str
     recipe: str

@@ -22,7 +22,7 @@ STYLES = {"best": "bold green", "warn": "red"}
 """Kind of a cell -> its style in colour."""
 
 
-def terminal_table(table: Table, colour: bool = True, titled: bool = True, width: int = UNBOUNDED) -> RichTable:
+def terminal_table(table: Table, titled: bool = True, width: int = UNBOUNDED) -> RichTable:
     """Render a table for rich, with its notes below it. width: of the terminal, in characters; if it is too small,
     `wide` columns are left out and then, if it is too small for names broken into lines, all but the first ones up to
     the first by which rows are judged; in both cases the last of them first. They are named below."""
@@ -41,13 +41,13 @@ def terminal_table(table: Table, colour: bool = True, titled: bool = True, width
     from rich.text import Text
 
     def styled(text: str, style: str) -> Text:
-        return Text(printable(text), style=style if colour else "")
+        return Text(printable(text), style=style)
 
     made = RichTable(
         title=styled(table.title, "bold") if titled else None,
         title_style="",
         title_justify="left",
-        header_style="bold" if colour else "",
+        header_style="bold",
         caption=styled("\n".join(notes), "yellow") if notes else None,
         caption_style="",
         caption_justify="left",
@@ -65,7 +65,7 @@ def terminal_table(table: Table, colour: bool = True, titled: bool = True, width
     ends = [not before and after for before, after in pairwise([*means, False])]
     for row, texts, end in zip(table.rows, table.texts, ends, strict=True):
         cells = [styled(texts[i], STYLES.get(row.cells[i].kind, "")) for i in shown]
-        made.add_row(*cells, style="bold" if colour and row.kind == "mean" else "", end_section=end)
+        made.add_row(*cells, style="bold" if row.kind == "mean" else "", end_section=end)
     return made
 
 
