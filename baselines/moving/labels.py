@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from oysterbench.annotations import OYSTER, Entry, LabelledImage, LabelledSet
+from oysterbench.annotations import Entry, LabelledImage, LabelledSet
 from oysterbench.core.errors import LabelError
-from oysterbench.recipe import CLASSES
+from oysterbench.recipe import CLASSES, OYSTER
 
 MOVING = ("plant", "fish", "crab", "tether")
 """Classes that move by themselves or with the water. To a front end, debris and sinking particles are marine snow."""

@@ -19,10 +19,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations.image import OYSTER, Entry, LabelledImage, LabelledSet, read_picture, read_plane
+from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, read_picture, read_plane
 from oysterbench.annotations.manifest import FILE, files_of, images_with
 from oysterbench.core.errors import LabelError
 from oysterbench.core.files import write_atomically
+from oysterbench.recipe import OYSTER
 
 
 def mask_set(folder: Path) -> LabelledSet:

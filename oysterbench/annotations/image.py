@@ -14,10 +14,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import decode_picture
-from oysterbench.recipe import CLASSES
-
-OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
-"""Number of the class oyster in `recipe.CLASSES`."""
+from oysterbench.recipe import OYSTER
 
 
 @dataclass(frozen=True, repr=False)

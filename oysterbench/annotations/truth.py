@@ -21,8 +21,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.evaluate.detection import ImageInstances
 from oysterbench.evaluate.detection.instances import from_planes
 from oysterbench.evaluate.segmentation import TruthImage
-from oysterbench.evaluate.segmentation.images import OYSTER
-from oysterbench.recipe import CLASSES
+from oysterbench.recipe import CLASSES, OYSTER
 from oysterbench.sequence import CameraCalibration, Sequence, open_sequence
 from oysterbench.sequence.countable import countable
 from oysterbench.sequence.export.parts import frames_with_layers, labelled_cameras, sensor_poses

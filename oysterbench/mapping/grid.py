@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
+from oysterbench.evaluate.density.restoration import RESTORATION_CLASSES, restoration_class
 from oysterbench.mapping.cover import Cover, covered_m2
 from oysterbench.mapping.intervals import clumping, count_interval, doubt_variance
-from oysterbench.mapping.settings import CLASSES, TARGET_PER_M2, THRESHOLD_PER_M2, MapSettings
+from oysterbench.mapping.settings import MapSettings
 
 STATES = ("live", "dead", "unknown")
 
@@ -66,7 +67,7 @@ class Grid:
 
     @property
     def classes(self) -> NDArray[np.int64]:
-        """Index of each cell's class in `settings.CLASSES`, -1 in cells without a value."""
+        """Index of each cell's class in `RESTORATION_CLASSES`, -1 in cells without a value."""
         return restoration_class(self.density)
 
     @property
@@ -80,14 +81,8 @@ class Grid:
         found = self.classes
         return {
             name: float(self.area_m2[found == k].sum() / area) if area > 0 else math.nan
-            for k, name in enumerate(CLASSES)
+            for k, name in enumerate(RESTORATION_CLASSES)
         }
-
-
-def restoration_class(per_m2: Array) -> NDArray[np.int64]:
-    """Restoration class: 0 below the threshold, 1 from the threshold, 2 from the target upwards; -1 for NaN."""
-    classes = (per_m2 >= THRESHOLD_PER_M2).astype(np.int64) + (per_m2 >= TARGET_PER_M2)
-    return np.where(np.isnan(per_m2), -1, classes)
 
 
 @dataclass(frozen=True)

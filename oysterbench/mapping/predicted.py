@@ -20,10 +20,9 @@ from oysterbench.evaluate.detection import ImageInstances
 from oysterbench.evaluate.detection.instances import mask_tools
 from oysterbench.evaluate.detection.states import ALIVE
 from oysterbench.mapping.projection import Seen
-from oysterbench.recipe import CLASSES
+from oysterbench.recipe import OYSTER
 from oysterbench.sequence.types import Sequence
 
-OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
 COCO_STATES = {"oyster": "unknown", "live": "live", "live oyster": "live", "dead": "dead", "dead oyster": "dead"}
 """COCO category -> state; an annotation of an oyster may also give its own state under the key `state`."""
 

@@ -7,12 +7,6 @@ from typing import Any
 
 from oysterbench.core.errors import OysterbenchError
 
-THRESHOLD_PER_M2, TARGET_PER_M2 = 15.0, 50.0
-"""Live oysters per square metre of a restored reef: minimum and target (Oyster Metrics Workgroup, 2011)."""
-
-CLASSES = ("below threshold", "threshold", "target")
-"""Classes of restoration: fewer than 15 live oysters per square metre, 15 to 50, and 50 or more."""
-
 
 @dataclass(frozen=True)
 class MapSettings:

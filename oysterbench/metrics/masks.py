@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage, SegmentationSettings, TruthImage
-from oysterbench.evaluate.segmentation.images import OYSTER
+from oysterbench.recipe import OYSTER
 
 Masks = ArrayLike | Iterable[ArrayLike]
 

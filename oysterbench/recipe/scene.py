@@ -15,6 +15,9 @@ LIFE_CLASSES = {8: "fish", 9: "crab", 10: "debris", 11: "tether"}
 CLASSES = REEF_CLASSES | LIFE_CLASSES
 """Meaning of the numbers in a class image; hash is broken shell. LIFE_CLASSES are those of `SequenceRecipe.life`."""
 
+OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
+"""Number of the class oyster."""
+
 UNDISTURBED = "none"
 """Disturbance of a dive with which others of its split are compared."""
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from oysterbench.core.files import write_atomically
 from oysterbench.core.html import environment
+from oysterbench.evaluate.density.restoration import RESTORATION_CLASSES, TARGET_PER_M2, THRESHOLD_PER_M2
 from oysterbench.mapping.intervals import LEVEL
-from oysterbench.mapping.settings import CLASSES, TARGET_PER_M2, THRESHOLD_PER_M2
 from oysterbench.mapping.survey import OysterMap
 from oysterbench.report.density_figure import density_pixels, figure, mosaic, notes, numbers, panels, titles
 from oysterbench.report.figures import encoded, png_of, svg_of
@@ -119,7 +119,7 @@ def grid_rows(found: OysterMap) -> Iterable[dict[str, Any]]:
             density: round(float(grid.density[at]), 3) if known else "",
             "low_per_m2": round(float(grid.low[at]), 3) if known else "",
             "high_per_m2": round(float(grid.high[at]), 3) if known else "",
-            "class": CLASSES[int(grid.classes[at])] if known else "",
+            "class": RESTORATION_CLASSES[int(grid.classes[at])] if known else "",
             "class_sure": ("yes" if grid.sure[at] else "no") if known else "",
         }
 

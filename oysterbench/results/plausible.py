@@ -8,6 +8,7 @@ from itertools import pairwise
 
 from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.slam.metrics import RECALL_PERCENTS
 from oysterbench.results.records import ResultRecord
 
 RELATIVE, ABSOLUTE = 1e-6, 1e-6
@@ -139,10 +140,7 @@ RELATIONS: dict[str, tuple[tuple[tuple[str, ...], Callable[..., bool], str], ...
 }
 """Track -> keys, the relation that their values must fulfil, and its wording."""
 
-RECALLS = (0.5, 1.0, 2.0, 5.0)
-"""Error thresholds, % of the path length, of the recalls that bound the score."""
-
-BOUNDING = {"slam": ("score", "coverage", *(f"recall_{percent:g}percent" for percent in RECALLS))}
+BOUNDING = {"slam": ("score", "coverage", *(f"recall_{percent:g}percent" for percent in RECALL_PERCENTS))}
 """Track -> keys without which the score of a run cannot be checked."""
 
 
@@ -159,7 +157,7 @@ def _check_recalls(record: ResultRecord, known: Metrics, where: str) -> None:
             raise ResultError(f"{where}: expected {less} <= {greater}, got {got}")
     steps = [b - a for a, b in pairwise([0.0, *(known[name] for name in names)])]
     scale = float(record.settings.get("recall_scale_percent", 1.0))
-    worth = [1.0 / (1.0 + percent / scale) for percent in (0.0, *RECALLS)] + [0.0]
+    worth = [1.0 / (1.0 + percent / scale) for percent in (0.0, *RECALL_PERCENTS)] + [0.0]
     high = sum(step * most for step, most in zip(steps, worth, strict=False))
     low = sum(step * least for step, least in zip(steps, worth[1:], strict=True))
     if not _above(known[score], low) or not _above(high, known[score]):

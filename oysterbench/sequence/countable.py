@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.recipe import CLASSES
+from oysterbench.recipe import OYSTER
 
-OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
 LEAST_VISIBILITY = 0.1
 """Minimum visible share of an oyster for it to count; with less, not even a person could tell what it is."""
 LEAST_PIXELS = 16

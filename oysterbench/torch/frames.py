@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from oysterbench.annotations.image import OYSTER
 from oysterbench.core.errors import SequenceError
+from oysterbench.recipe import OYSTER
 from oysterbench.sensors.camera_messages import LAYERS, read_layer
 from oysterbench.sequence import Sequence
 from oysterbench.sequence.countable import countable

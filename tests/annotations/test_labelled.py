@@ -10,9 +10,9 @@ import pytest
 
 import oysterbench
 from oysterbench.annotations import LabelledSet, joined, open_labelled, write_folder
-from oysterbench.annotations.image import OYSTER
 from oysterbench.core.errors import LabelError
 from oysterbench.core.polygons import mask_polygons, rasterise
+from oysterbench.recipe import OYSTER
 from oysterbench.sequence.countable import LEAST_PIXELS, LEAST_VISIBILITY, countable
 from oysterbench.sequence.export import export_sequence
 from tests.helpers.labelled_folders import HEIGHT, WIDTH, image, picture, write_png, yolo_folder

@@ -13,9 +13,10 @@ torch = pytest.importorskip("torch")
 
 import cv2  # noqa: E402
 
-from oysterbench.annotations import OYSTER, Entry, LabelledImage, LabelledSet  # noqa: E402
+from oysterbench.annotations import Entry, LabelledImage, LabelledSet  # noqa: E402
 from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
 from oysterbench.core.streams import stream  # noqa: E402
+from oysterbench.recipe import OYSTER  # noqa: E402
 from oysterbench_baselines.cut.colour import (  # noqa: E402
     TRANSFERS,
     lab,

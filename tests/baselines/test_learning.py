@@ -15,9 +15,9 @@ from tests.helpers.paths import ROOT
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
 from oysterbench.annotations import LabelledImage, LabelledSet  # noqa: E402
-from oysterbench.annotations.image import OYSTER  # noqa: E402
 from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
 from oysterbench.core.streams import Streams, stream  # noqa: E402
+from oysterbench.recipe import OYSTER  # noqa: E402
 from oysterbench_baselines.learning.augment import Augmentation, augmented  # noqa: E402
 from oysterbench_baselines.learning.batches import Mixture, make_batch  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint  # noqa: E402

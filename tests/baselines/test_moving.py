@@ -12,10 +12,10 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
-from oysterbench.annotations import OYSTER, Entry, LabelledImage, LabelledSet  # noqa: E402
+from oysterbench.annotations import Entry, LabelledImage, LabelledSet  # noqa: E402
 from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
 from oysterbench.methods.adapters import PythonMethod  # noqa: E402
-from oysterbench.recipe import CLASSES  # noqa: E402
+from oysterbench.recipe import CLASSES, OYSTER  # noqa: E402
 from oysterbench_baselines.gtsam_full import GtsamFull  # noqa: E402
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings  # noqa: E402
 from oysterbench_baselines.gtsam_vi.frontend import FrontEnd  # noqa: E402

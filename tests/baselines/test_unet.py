@@ -13,11 +13,11 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip insta
 from click.testing import CliRunner  # noqa: E402
 
 from oysterbench.annotations import Entry, LabelledImage, LabelledSet, open_labelled  # noqa: E402
-from oysterbench.annotations.image import OYSTER  # noqa: E402
 from oysterbench.cli.main import main  # noqa: E402
 from oysterbench.core.errors import MethodError  # noqa: E402
 from oysterbench.methods import find_method  # noqa: E402
 from oysterbench.methods.images import Picture  # noqa: E402
+from oysterbench.recipe import OYSTER  # noqa: E402
 from oysterbench_baselines.learning import masks  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.efficientnet import weights_file  # noqa: E402

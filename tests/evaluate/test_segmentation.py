@@ -18,10 +18,10 @@ from oysterbench.evaluate.segmentation import SEGMENTATION, ClipScorer, Estimate
 from oysterbench.evaluate.segmentation.boundary import boundary_depth, inner_boundary
 from oysterbench.evaluate.segmentation.clip import join
 from oysterbench.evaluate.segmentation.dataset import over_dataset
-from oysterbench.evaluate.segmentation.images import OYSTER, check_size
+from oysterbench.evaluate.segmentation.images import check_size
 from oysterbench.evaluate.segmentation.settings import class_names
 from oysterbench.evaluate.segmentation.thresholds import STEPS
-from oysterbench.recipe import CLASSES
+from oysterbench.recipe import CLASSES, OYSTER
 from tests.helpers.masks import border, counted, pictures, truth_of
 
 EMPTY, FULL = np.zeros((4, 4), bool), np.ones((4, 4), bool)

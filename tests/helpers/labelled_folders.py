@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from oysterbench.annotations import LabelledImage
-from oysterbench.annotations.image import OYSTER
+from oysterbench.recipe import OYSTER
 
 HEIGHT, WIDTH = 48, 64
 

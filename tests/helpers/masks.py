@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from oysterbench.evaluate.segmentation import TruthImage
-from oysterbench.evaluate.segmentation.images import OYSTER
+from oysterbench.recipe import OYSTER
 
 SHAPES = st.tuples(st.integers(4, 9), st.integers(4, 9))
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import poisson
 
+from oysterbench.evaluate.density.restoration import restoration_class
 from oysterbench.mapping.depth import carried_on, fit_plane
-from oysterbench.mapping.grid import Oyster, live_share, restoration_class
+from oysterbench.mapping.grid import Oyster, live_share
 from oysterbench.mapping.intervals import clumping, count_interval, doubt_variance
 from oysterbench.report.figures import figure_style, new_figure, png_of, svg_of
 

@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oysterbench.core.errors import ResultError
-from oysterbench.results.plausible import RECALLS, check_plausible
+from oysterbench.evaluate.slam.metrics import RECALL_PERCENTS
+from oysterbench.results.plausible import check_plausible
 from oysterbench.results.records import ResultRecord
 
 RECORDS = sorted((Path(__file__).parents[2] / "leaderboard" / "records").glob("*.json"))
@@ -88,7 +89,7 @@ def test_a_run_that_failed_may_have_cost_nothing(scored):
 def test_scores_of_any_errors_lie_between_the_bounds_of_their_recalls(errors, silent, scale):
     percent = np.array(errors)
     stamps = len(errors) + silent
-    metrics = {f"recall_{limit:g}percent": float((percent <= limit).sum() / stamps) for limit in RECALLS}
+    metrics = {f"recall_{limit:g}percent": float((percent <= limit).sum() / stamps) for limit in RECALL_PERCENTS}
     metrics |= {"coverage": len(errors) / stamps, "score": float((1 / (1 + percent / scale)).sum() / stamps)}
     settings = {"recall_scale_percent": scale}
     check_plausible(

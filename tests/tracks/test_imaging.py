@@ -14,8 +14,8 @@ from oysterbench.cli.main import main
 from oysterbench.core.errors import LabelError, MethodError
 from oysterbench.core.streams import stream
 from oysterbench.evaluate.segmentation import TruthImage
-from oysterbench.evaluate.segmentation.images import OYSTER
 from oysterbench.methods.images import Detections, Segmentation
+from oysterbench.recipe import OYSTER
 from oysterbench.report import dataset_tables, html_report, images_csv
 from oysterbench.results.records import ResultRecord
 from oysterbench.tracks import TRACKS

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations.image import OYSTER, Entry, LabelledImage, LabelledSet
+from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import decode_picture
-from oysterbench.recipe import CLASSES
+from oysterbench.recipe import CLASSES, OYSTER
 from oysterbench.sequence import Sequence as OpenSequence
 from oysterbench.sequence import open_sequence
 from oysterbench.sequence.pictures import encoded_pictures, png_bytes

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.export.examples import TRAIN, VAL, Example, Parts, examples
-from oysterbench.annotations.image import OYSTER, Entry
+from oysterbench.annotations.image import Entry
 from oysterbench.core.files import link
 from oysterbench.core.geometry import Array
 from oysterbench.core.polygons import mask_polygons
 from oysterbench.core.streams import stream
+from oysterbench.recipe import OYSTER
 
 SEGMENT, DETECT = "segment", "detect"
 VAL_SHARE = 0.2  # of the clips, if no set for validation was given

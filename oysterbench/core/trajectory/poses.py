@@ -73,7 +73,7 @@ class Trajectory:
         """Interpolated poses (lerp, slerp) at stamps within the time span; covariances are the nearest pose's."""
         stamps_ns = np.asarray(stamps_ns, dtype=np.int64)
         positions, quaternions = interpolate_poses(self.stamps_ns, self.positions, self.quaternions, stamps_ns)
-        covariances = None if self.covariances is None else self.covariances[_nearest(self.stamps_ns, stamps_ns)]
+        covariances = None if self.covariances is None else self.covariances[nearest_stamps(self.stamps_ns, stamps_ns)]
         return replace(self, stamps_ns=stamps_ns, positions=positions, quaternions=quaternions, covariances=covariances)
 
     def select(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Trajectory:
@@ -87,7 +87,7 @@ class Trajectory:
         )
 
 
-def _nearest(stamps_ns: NDArray[np.int64], wanted_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+def nearest_stamps(stamps_ns: NDArray[np.int64], wanted_ns: NDArray[np.int64]) -> NDArray[np.intp]:
     """Indices (M,) of the increasing stamps (N,) that are nearest to the wanted ones (M,)."""
     after = np.clip(np.searchsorted(stamps_ns, wanted_ns), 1, max(len(stamps_ns) - 1, 1))
     before = after - 1

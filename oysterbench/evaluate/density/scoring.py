@@ -6,16 +6,16 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from oysterbench.evaluate.density.metrics import DENSITY as METRICS
+from oysterbench.evaluate.density.restoration import restoration_class
 from oysterbench.evaluate.measures import Measures, Score
 
 __all__ = ["EVALUATOR", "METRICS", "Cell", "MapCount", "TrueCount", "score_density"]
 
 EVALUATOR = "density 3"
 """Name and version of this evaluator; the version rises whenever a number may change."""
-
-CLASS_EDGES_PER_M2 = (15.0, 50.0)
-"""Live oysters per m^2 of a restored reef, minimum and target (Oyster Metrics Workgroup, 2011)."""
 
 
 @dataclass(frozen=True)
@@ -66,15 +66,17 @@ class MapCount:
 def score_density(truth: TrueCount, estimate: MapCount) -> Score:
     """Score a map on the cells that were truly seen, and no others."""
     measures = Measures()
-    asked = len(truth.cells)
+    true_cells = len(truth.cells)
     errors = {at: estimate.cells[at].per_m2 - cell.per_m2 for at, cell in truth.cells.items() if at in estimate.cells}
     none_seen, none_met = "no cell was seen enough to have a number", "no cell that was truly seen has a number"
     measures.ratio("map_score", *_in_common(truth.cells, estimate.cells), none_seen)
     measures.ratio("cell_mae_per_m2", sum(map(abs, errors.values())), len(errors), none_met)
     measures.ratio("cell_bias_per_m2", sum(errors.values()), len(errors), none_met)
-    right = sum(_class(estimate.cells[at].per_m2) == _class(truth.cells[at].per_m2) for at in errors)
-    measures.ratio("right_class", right, asked, none_seen)
-    measures.ratio("coverage", len(errors), asked, none_seen)
+    true_class, mapped_class = (
+        restoration_class(np.array([cells[at].per_m2 for at in errors])) for cells in (truth.cells, estimate.cells)
+    )
+    measures.ratio("right_class", int((true_class == mapped_class).sum()), true_cells, none_seen)
+    measures.ratio("coverage", len(errors), true_cells, none_seen)
 
     none_true = "no image shows an oyster"
     measures.ratio("count_error_percent", 100.0 * (estimate.count - truth.shown), truth.shown, none_true)
@@ -108,7 +110,3 @@ def _in_common(truth: Cells, estimate: Cells) -> tuple[float, float]:
     if either == 0:
         return float(len(truth.keys() & estimate.keys())), float(len(truth))
     return sum(area * min(true, found) for area, true, found in pairs), either
-
-
-def _class(per_m2: float) -> int:
-    return sum(per_m2 >= edge for edge in CLASS_EDGES_PER_M2)

@@ -68,8 +68,8 @@ class ClipScorer:
         oyster = np.ascontiguousarray(estimate.mask(self.settings.threshold))
         tally = tally_image(truth, estimate, oyster, self.settings)
         if estimate.probability is not None:
-            asked = None if truth.ignore is None else ~truth.ignore
-            self._histogram += histogram(estimate.probability, truth.oyster, asked)
+            scored = None if truth.ignore is None else ~truth.ignore
+            self._histogram += histogram(estimate.probability, truth.oyster, scored)
         self._kinds.add(estimate.kind)
         if len(self._kinds) > 1:
             raise LabelError(f"{truth.name}: expected estimates of one kind, got {' and '.join(sorted(self._kinds))}")

@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError
-from oysterbench.recipe import CLASSES
-
-OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
-"""Number of the class oyster in class images."""
+from oysterbench.recipe import CLASSES, OYSTER
 
 
 @dataclass(frozen=True)

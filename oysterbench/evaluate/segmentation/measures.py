@@ -58,7 +58,7 @@ def _of_all(tally: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
     """Numerator and denominator of each metric over all pixels or images."""
     hit, extra, missed = (tally[f"{part}_px"] for part in _PARTS)
     union = hit + extra + missed
-    asked = union + tally["true_negative_px"]
+    scored = union + tally["true_negative_px"]
     return {
         "iou": (hit, union),
         "dice": (2 * hit, 2 * hit + extra + missed),
@@ -69,8 +69,8 @@ def _of_all(tally: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
         "image_dice": (tally["image_dice_sum"], tally["scored_images"]),
         "empty_false_positive_rate": (tally["empty_called_px"], tally["empty_px"]),
         "empty_images_called": (tally["empty_images_called"], tally["empty_images"]),
-        "cover": (hit + missed, asked),
-        "cover_error": (extra - missed, asked),
+        "cover": (hit + missed, scored),
+        "cover_error": (extra - missed, scored),
     }
 
 

@@ -31,13 +31,13 @@ class ThresholdCurve:
 
 
 def histogram(
-    probability: NDArray[np.floating], true: NDArray[np.bool_], asked: NDArray[np.bool_] | None
+    probability: NDArray[np.floating], true: NDArray[np.bool_], scored: NDArray[np.bool_] | None
 ) -> NDArray[np.int64]:
     """Number of pixels (2, STEPS) by truth (0 no, 1 yes) and floor(STEPS * probability); probability 1 falls into the
-    last bin. asked (H, W): the pixels that are counted; None: all."""
+    last bin. scored (H, W): the pixels that are counted; None: all."""
     level = np.minimum(probability * np.float32(STEPS), np.float32(STEPS - 1)).astype(np.uint16)
     level += true.view(np.uint8) * np.uint16(STEPS)
-    return np.bincount(level.ravel() if asked is None else level[asked], minlength=2 * STEPS).reshape(2, STEPS)
+    return np.bincount(level.ravel() if scored is None else level[scored], minlength=2 * STEPS).reshape(2, STEPS)
 
 
 def curve(counts: NDArray[np.int64]) -> ThresholdCurve:

@@ -14,6 +14,7 @@ from oysterbench.evaluate.measures import Measures
 from oysterbench.evaluate.slam.alignment import Alignment
 from oysterbench.evaluate.slam.association import Association, find_gaps
 from oysterbench.evaluate.slam.consistency import Nees, nees
+from oysterbench.evaluate.slam.metrics import RECALL_PERCENTS
 from oysterbench.evaluate.slam.pairs import (
     Index,
     between,
@@ -26,7 +27,7 @@ from oysterbench.evaluate.slam.pairs import (
     turned,
 )
 from oysterbench.evaluate.slam.pose_errors import MIN_PATH_M, STILL, PoseErrors, relative_errors, rms
-from oysterbench.evaluate.slam.recall import PERCENTS, Recall, recall
+from oysterbench.evaluate.slam.recall import Recall, recall
 from oysterbench.evaluate.slam.settings import SlamSettings
 
 SUBPATH_PERCENTS = (10, 20, 30, 40, 50)
@@ -60,14 +61,14 @@ def measure_recall(matched: Matched, settings: SlamSettings, path_m: float, meas
 
     path_m: length of the true path
     """
-    shares = [f"recall_{percent:g}percent" for percent in PERCENTS]
+    shares = [f"recall_{percent:g}percent" for percent in RECALL_PERCENTS]
     if path_m < MIN_PATH_M:
         measures.missing(STILL, "score", *shares)
         return None
     stamps = len(matched.truth)
     curve = recall(matched.covered_m, stamps, settings.recall_scale_percent / 100 * path_m)
     measures["score"] = curve.area
-    for key, percent in zip(shares, PERCENTS, strict=True):
+    for key, percent in zip(shares, RECALL_PERCENTS, strict=True):
         measures[key] = float(np.count_nonzero(matched.covered_m <= percent / 100 * path_m) / stamps)
     return curve
 

@@ -8,6 +8,9 @@ from dataclasses import replace
 
 from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, counted, higher, lower, neutral
 
+RECALL_PERCENTS = (0.5, 1.0, 2.0, 5.0)
+"""Position errors, % of the true path, at which recall is a metric of its own."""
+
 
 def _consistency(part: str, freedom: int, of: str) -> dict[str, Metric]:
     """Metrics of one part of the pose, for estimates with covariances."""
@@ -35,11 +38,11 @@ SLAM: dict[str, Metric] = {
         "ten times its error."
     ),
     **{
-        f"recall_{percent}percent": higher(f"Recall {percent} %")(
-            f"Share (0 to 1) of all ground-truth poses with a position error of at most {percent} % of the true path; "
-            "missing ones are failures."
+        f"recall_{percent:g}percent": higher(f"Recall {percent:g} %")(
+            f"Share (0 to 1) of all ground-truth poses with a position error of at most {percent:g} % of the true "
+            "path; missing ones are failures."
         )
-        for percent in ("0.5", "1", "2", "5")
+        for percent in RECALL_PERCENTS
     },
     "ate_rmse_m": lower("ATE", "m", Column("ATE", "m", small=0.01))(
         "Absolute trajectory error: root mean square distance between true and aligned estimated positions over all "

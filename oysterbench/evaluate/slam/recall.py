@@ -8,9 +8,6 @@ import numpy as np
 
 from oysterbench.core.geometry import Array
 
-PERCENTS = (0.5, 1.0, 2.0, 5.0)
-"""Position errors, % of the true path, at which recall is a metric of its own."""
-
 
 @dataclass(frozen=True)
 class Recall:

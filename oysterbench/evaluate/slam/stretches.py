@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core.trajectory.poses import nearest_stamps
 from oysterbench.evaluate.slam.pose_errors import rms
 from oysterbench.evaluate.slam.scoring import SlamResult
 
@@ -16,11 +17,7 @@ def states_at(
     stamps_ns: NDArray[np.int64], states: NDArray[np.uint8], wanted_ns: NDArray[np.int64]
 ) -> NDArray[np.uint8]:
     """States (M,) at wanted stamps (M,): of states (N,) at increasing stamps (N,), N > 0, those nearest in time."""
-    after = np.clip(np.searchsorted(stamps_ns, wanted_ns), 1, max(1, len(stamps_ns) - 1))
-    before = after - 1
-    after = np.minimum(after, len(stamps_ns) - 1)
-    nearer = wanted_ns - stamps_ns[before] <= stamps_ns[after] - wanted_ns
-    return np.asarray(states[np.where(nearer, before, after)])
+    return np.asarray(states[nearest_stamps(stamps_ns, wanted_ns)])
 
 
 def errors_by_state(

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.polygons import mask_polygons
-from oysterbench.recipe import CLASSES
-from oysterbench.sequence.countable import OYSTER, countable
+from oysterbench.recipe import CLASSES, OYSTER
+from oysterbench.sequence.countable import countable
 from oysterbench.sequence.export.parts import frames_with_layers, labelled_cameras, write_png
 from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.types import Sequence

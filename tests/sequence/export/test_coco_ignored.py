@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from oysterbench.evaluate.detection.instances import from_planes
-from oysterbench.sequence.countable import OYSTER, countable
+from oysterbench.recipe import OYSTER
+from oysterbench.sequence.countable import countable
 from oysterbench.sequence.export.coco import annotate
 from oysterbench.tracks import TRACKS
 
