@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from oysterbench.annotations import LabelledImage
-from oysterbench.core.files import write_atomically
+from oysterbench.core.atomic import write_atomically
 from oysterbench.simulation.gallery import sheet
 from oysterbench_baselines.cut.colour import lab
 from oysterbench_baselines.cut.pictures import Picture

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from oysterbench.annotations import LabelledImage, LabelledSet, remove_image, write_folder
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import MethodError
-from oysterbench.core.files import write_atomically
 from oysterbench_baselines.cut.drift import Drift, mask_drift
 from oysterbench_baselines.cut.judge import Judge, Verdict, together
 

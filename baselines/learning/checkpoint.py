@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import MethodError
-from oysterbench.core.files import write_atomically
 from oysterbench.core.text import in_one_line
 from oysterbench.version import VERSION
 

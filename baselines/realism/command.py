@@ -45,7 +45,8 @@ def command(real: str, names: tuple[str, ...], out: Path | None, most: int) -> N
     from oysterbench.cli.labelled import named_places, open_all, open_data
     from oysterbench.cli.outputs import print_rich
     from oysterbench.cli.render import frames_bar
-    from oysterbench.core.files import home, write_atomically
+    from oysterbench.core.atomic import write_atomically
+    from oysterbench.core.places import home
     from oysterbench.report.renderers import terminal_table
     from oysterbench.simulation.gallery import write_picture
 

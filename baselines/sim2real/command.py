@@ -103,7 +103,7 @@ def command(
     from oysterbench.cli.echo import message
     from oysterbench.cli.outputs import print_rich
     from oysterbench.cli.render import frames_bar
-    from oysterbench.core.files import home
+    from oysterbench.core.places import home
     from oysterbench.report.renderers import terminal_table
     from oysterbench_baselines.learning.checkpoint import read_checkpoint
     from oysterbench_baselines.sim2real.experiment import run, run_sites

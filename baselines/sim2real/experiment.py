@@ -9,8 +9,9 @@ from functools import partial
 from pathlib import Path
 
 from oysterbench.annotations import LabelledSet
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import LabelError
-from oysterbench.core.files import locked, write_atomically
+from oysterbench.core.locks import locked
 from oysterbench.report.renderers import markdown_table
 from oysterbench.report.table import Table
 from oysterbench.results.records import ResultRecord, write_results

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations import LabelledSet
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import MethodError, ResultError
-from oysterbench.core.files import locked, write_atomically
+from oysterbench.core.locks import locked
 from oysterbench.core.streams import Streams
 from oysterbench.results.records import ResultRecord, read_results, write_results
 from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_batch

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import LabelError, MethodError
-from oysterbench.core.files import write_atomically
 from oysterbench.recipe import SplitRecipe
 from oysterbench.sequence import open_sequence
 from oysterbench.simulation.scheduling import run_here, run_in_processes

@@ -32,7 +32,7 @@ from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from oysterbench.core.errors import ResultError
-from oysterbench.core.files import locked
+from oysterbench.core.locks import locked
 from oysterbench_leaderboard.boards.board import Row
 
 METADATA = MetaData()

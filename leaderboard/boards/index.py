@@ -16,7 +16,7 @@ import msgspec
 from sqlalchemy import Connection, RowMapping, func, select
 
 from oysterbench.core.errors import ResultError
-from oysterbench.core.files import home
+from oysterbench.core.places import home
 from oysterbench.evaluate.statistics import sequence_means
 from oysterbench.results.records import samples
 from oysterbench_leaderboard.boards.board import LEAST_DIGITS, BoardInfo, BoardPage, Query, Row

@@ -107,7 +107,7 @@ def _meant(name: str | None, known: set[str]) -> list[str]:
 
 
 def _write(path: Path, text: str) -> None:
-    from oysterbench.core.files import write_atomically
+    from oysterbench.core.atomic import write_atomically
 
     if path == Path("-"):
         echo(text, nl=False)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import RecipeError, ResultError, TrajectoryError
-from oysterbench.core.files import write_atomically
 from oysterbench.core.names import listed
 from oysterbench.evaluate.metrics import FAILED
 from oysterbench.hub.canonical import sha256

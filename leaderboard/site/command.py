@@ -111,7 +111,7 @@ def build_command(context: click.Context, target: Path, folder: Path | None, url
     """
     import sys
 
-    from oysterbench.core.files import closed_to_others
+    from oysterbench.core.permissions import closed_to_others
     from oysterbench_leaderboard.site.export import export
     from oysterbench_leaderboard.site.running import site_of
 
@@ -143,7 +143,7 @@ def frames_command(splits: tuple[str, ...], out: Path | None) -> None:
     rendered without the secret.
     """
     from oysterbench.cli.render import frames_bar
-    from oysterbench.core.files import write_atomically
+    from oysterbench.core.atomic import write_atomically
     from oysterbench_leaderboard.site.frames import SUFFIX, choices, folder, render_picture
 
     known = choices()

@@ -13,7 +13,7 @@ from itertools import permutations
 from pathlib import Path
 
 from oysterbench.core.errors import ResultError
-from oysterbench.core.files import umask
+from oysterbench.core.permissions import umask
 from oysterbench.hub.canonical import canonical
 from oysterbench_leaderboard.boards.board import BoardInfo, Query
 from oysterbench_leaderboard.site import render

@@ -9,8 +9,8 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import OysterbenchError, ResultError
-from oysterbench.core.files import write_atomically
 from oysterbench.hub.canonical import SHA256, canonical, parse, sha256
 from oysterbench.results.records import checked, now
 from oysterbench_leaderboard.storage.record import Record, check_time

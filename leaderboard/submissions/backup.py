@@ -22,8 +22,8 @@ from alembic.migration import MigrationContext
 from alembic.util.exc import CommandError
 from sqlalchemy import Connection, MetaData, insert, inspect, select, text
 
+from oysterbench.core.atomic import appearing
 from oysterbench.core.errors import ResultError
-from oysterbench.core.files import appearing
 from oysterbench.core.text import in_one_line
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.boards.database import open_engine

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import OysterbenchError, ResultError
-from oysterbench.core.files import write_atomically
 from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench_leaderboard.submissions.reading.refusals import Refusal

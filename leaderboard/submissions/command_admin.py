@@ -60,7 +60,7 @@ def add(name: str, folder: Path, replace: bool, another: bool, file: Path | None
 
     --replace is for a token that was lost, or that others have seen.
     """
-    from oysterbench.core.files import appearing
+    from oysterbench.core.atomic import appearing
     from oysterbench_leaderboard.submissions.accounts.tokens import issue
 
     if replace and another:

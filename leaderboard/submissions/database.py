@@ -36,7 +36,7 @@ from sqlalchemy import (
 from sqlalchemy.exc import SQLAlchemyError
 
 from oysterbench.core.errors import ResultError
-from oysterbench.core.files import locked
+from oysterbench.core.locks import locked
 from oysterbench.core.text import in_one_line
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.boards.database import open_engine

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from oysterbench.core.atomic import appearing
 from oysterbench.core.errors import ResultError
-from oysterbench.core.files import appearing
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.core import documents
+from oysterbench.core import text
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import LARGEST_IMAGE_PX
 from oysterbench.evaluate.detection import ImageInstances, Instance
@@ -210,7 +210,7 @@ def _first(places: list[str]) -> str:
 def read_json(path: Path) -> Any:
     """Read a JSON file. Raises LabelError if it is none."""
     try:
-        return documents.read_json(path.read_bytes())
+        return text.read_json(path.read_bytes())
     except FileNotFoundError:
         raise LabelError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:

@@ -9,7 +9,7 @@ from pathlib import Path
 from oysterbench.annotations.coco import CocoFile, CocoImage, read_coco
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
 from oysterbench.core.errors import LabelError
-from oysterbench.core.files import leads_out
+from oysterbench.core.places import leads_out
 
 
 def coco_set(path: Path) -> LabelledSet:

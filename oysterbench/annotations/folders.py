@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, read_picture, read_plane
 from oysterbench.annotations.manifest import FILE, files_of, images_with
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import LabelError
-from oysterbench.core.files import write_atomically
 from oysterbench.recipe import OYSTER
 
 

@@ -173,7 +173,7 @@ def _known_split(name: str, version: str) -> SplitRecipe | None:
 
 def _folder(split: SplitRecipe | None, manifest: Manifest) -> Path:
     """Folder where a split is kept: that of rendered splits if rendering here would give the same files."""
-    from oysterbench.core.files import home
+    from oysterbench.core.places import home
     from oysterbench.simulation.generate import digest, split_folder
 
     if split is not None and manifest.recipe_digest == digest(split):

@@ -80,7 +80,7 @@ def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
 
     from oysterbench.cli.progress import runs_shown
     from oysterbench.cli.render import frames_bar, render_files
-    from oysterbench.core.files import home
+    from oysterbench.core.places import home
     from oysterbench.results.records import add_results
 
     results = request.out / "results.json"
@@ -111,7 +111,7 @@ def _check_folder(out: Path) -> None:
 
 def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
     """Write all files, print tables, and report failures; exits with an error if anything failed."""
-    from oysterbench.core.files import write_atomically
+    from oysterbench.core.atomic import write_atomically
     from oysterbench.core.text import as_unicode
     from oysterbench.results.records import add_results, document, dump, lost_in, output_place
     from oysterbench.tracks.track import Kept

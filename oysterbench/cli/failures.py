@@ -6,7 +6,7 @@ import errno
 import os
 from pathlib import Path
 
-from oysterbench.core.files import home, home_problem
+from oysterbench.core.places import home, home_problem
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 NO_FOLDER = (errno.EEXIST, errno.ENOTDIR, errno.ENOENT)

@@ -64,7 +64,7 @@ def publish_model(
     Weights of another kind, weights from an unfinished training, and results of other weights are refused: each result
     names its weights by their hash.
     """
-    from oysterbench.core.files import closed_to_others
+    from oysterbench.core.permissions import closed_to_others
     from oysterbench.hub.manifest import VERSION_NAME
     from oysterbench.hub.publish_model import build_model, describe_weights
     from oysterbench.hub.publish_model import publish_model as release

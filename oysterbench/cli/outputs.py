@@ -58,7 +58,7 @@ class Outputs:
         data_set: for image tracks, a row for each method over all clips together; first: tables that come before all
         others; figures: figures of the report; beside: earlier runs, which the files in the folder also include.
         """
-        from oysterbench.core.files import write_atomically
+        from oysterbench.core.atomic import write_atomically
         from oysterbench.core.text import as_unicode
         from oysterbench.report import csv_text, dataset_tables, latex_text, markdown_text, write_html_report
 

@@ -78,7 +78,7 @@ def publish(
     if hidden != (truth_out is not None):
         raise click.UsageError("--hidden and --truth-out belong together: expected both or none")
 
-    from oysterbench.core.files import closed_to_others
+    from oysterbench.core.permissions import closed_to_others
     from oysterbench.hub.publish import check_made_by, publish
     from oysterbench.hub.sign import load_key, public_hex
     from oysterbench.recipe import load_split

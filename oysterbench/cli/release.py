@@ -34,7 +34,7 @@ def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Pat
 
     from oysterbench.cli.progress import bytes_bar
     from oysterbench.core.errors import HubError
-    from oysterbench.core.files import home
+    from oysterbench.core.places import home
     from oysterbench.hub.publish import check_made_by
     from oysterbench.hub.release import keep_read, not_read, put_together, write_release
     from oysterbench.recipe import load_split

@@ -157,7 +157,7 @@ def _known(splits: dict[Path, SplitRecipe]) -> Iterator[SplitRow]:
 
 def _kept(rendered: Collection[Path]) -> Iterator[SplitRow]:
     """Yield downloaded splits that this version would render differently, or not at all."""
-    from oysterbench.core.files import home
+    from oysterbench.core.places import home
     from oysterbench.hub.verify import kept_manifest
 
     for folder in sorted((home() / "splits").glob("*/*")):

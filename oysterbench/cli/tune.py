@@ -71,7 +71,7 @@ def tune_command(
     """
     from oysterbench.cli.progress import runs_shown
     from oysterbench.cli.render import frames_bar, render_files
-    from oysterbench.core.files import home
+    from oysterbench.core.places import home
     from oysterbench.methods.systems import split_reference, track_of
     from oysterbench.methods.tuning import read_ranges, trials
     from oysterbench.recipe import load_split

@@ -80,7 +80,7 @@ def view(
 
 
 def _write_layout(opened: Sequence, path: Path) -> None:
-    from oysterbench.core.files import write_atomically
+    from oysterbench.core.atomic import write_atomically
     from oysterbench.sequence.export.foxglove import layout_text
 
     write_atomically(path, layout_text(opened).encode())
@@ -117,7 +117,7 @@ def _show(
 
 def _write_page(opened: Sequence, paths: list[EstimatedPath], begin_s: float, seconds: float | None, out: Path) -> None:
     from oysterbench.cli.progress import late_bar
-    from oysterbench.core.files import write_atomically
+    from oysterbench.core.atomic import write_atomically
     from oysterbench.report.viewer import view_page
 
     with late_bar(f"drawing {opened.name}", "images") as progress:

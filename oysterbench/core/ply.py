@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import OysterbenchError
-from oysterbench.core.files import write_atomically
 
 TYPES = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<u2": "ushort", "<i4": "int"}
 """Type of a field -> its name in the header."""

@@ -1,10 +1,11 @@
-"""Untrusted text: what may be printed as it is, and what makes one name look like another."""
+"""Untrusted text: JSON, what may be printed as it is, and what makes one name look like another."""
 
 from __future__ import annotations
 
 import json
 import re
 import unicodedata
+from typing import Any
 from urllib.parse import urlsplit
 
 IGNORABLE = re.compile(
@@ -18,6 +19,23 @@ LIKE_LATIN = re.compile("[ΑΒΕΖΗΙΚΜΝΟΡΤΥΧινορυ\u03f2\u03f3\u03
 to Latin ones in formulas."""
 
 LATIN = re.compile("[A-Za-z]")
+
+
+def read_json(data: bytes | str) -> Any:
+    """Parse a JSON document in UTF-8. Raises ValueError for anything wrong with it, including nesting too deep for the
+    parser, a number with too many digits, and text that is not valid Unicode and so could not be written again."""
+    text = data if isinstance(data, str) else data.decode("utf-8-sig")
+    try:
+        value = json.loads(text)
+        if "\\ud" in text or "\\uD" in text:  # surrogates, which may be unpaired
+            json.dumps(value, ensure_ascii=False).encode()
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    except ValueError as error:
+        if "integer string conversion" in str(error):  # the message goes on with advice to whoever runs Python
+            raise ValueError("it has a number of too many digits") from None
+        raise
+    return value
 
 
 def printable(text: str) -> str:

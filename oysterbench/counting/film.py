@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from oysterbench.core.errors import OysterbenchError
-from oysterbench.core.files import umask
+from oysterbench.core.permissions import umask
 
 LEAST_HZ = 4.0
 """Minimum frame rate at which overlays are shown: one frame per second is too slow to watch."""

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.parts import connected_parts
-from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array
+from oysterbench.core.masks import as_mask
 from oysterbench.evaluate.detection.instances import instance_numbers, pieces
 from oysterbench.evaluate.detection.states import ALIVE
 from oysterbench.evaluate.segmentation import EstimateImage
@@ -127,7 +127,7 @@ def _masked(prediction: Detections, where: str, shape: tuple[int, int], threshol
     numbers = np.zeros(shape, np.int32)
     found = {}
     for number, k in enumerate(order, start=1):
-        mask = truth_values(masks[k], where)
+        mask = as_mask(masks[k], where)
         numbers[mask] = number
         if whole := pieces(mask.view(np.uint8)):
             found[number] = whole[1]

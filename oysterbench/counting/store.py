@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.folders import write_picture
-from oysterbench.core.files import write_atomically
+from oysterbench.core.atomic import write_atomically
 from oysterbench.counting.copies import SIDE
 from oysterbench.counting.measure import OysterRow, PictureCount
 

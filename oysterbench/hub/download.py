@@ -11,9 +11,12 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TypeVar
 
+from oysterbench.core.atomic import naming, write_atomically
+from oysterbench.core.disk_space import free_bytes
 from oysterbench.core.errors import HubError, IntegrityError
-from oysterbench.core.files import free_bytes, home, locked, naming, write_atomically
+from oysterbench.core.locks import locked
 from oysterbench.core.names import instead
+from oysterbench.core.places import home
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.draft import remove_drafts
 from oysterbench.hub.index import LARGEST, Index, R, check_not_older, read_index

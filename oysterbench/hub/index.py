@@ -13,8 +13,10 @@ from typing import Any, Literal, TypeVar
 import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import IntegrityError
-from oysterbench.core.files import home, locked, write_atomically
+from oysterbench.core.locks import locked
+from oysterbench.core.places import home
 from oysterbench.hub.canonical import Sha256, canonical, decode, sha256
 from oysterbench.hub.manifest import SplitName, SplitVersion
 from oysterbench.hub.model import ModelName, ModelVersion

@@ -12,8 +12,9 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from oysterbench.core.atomic import appearing, write_atomically
 from oysterbench.core.errors import HubError
-from oysterbench.core.files import appearing, locked, write_atomically
+from oysterbench.core.locks import locked
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.croissant import croissant
 from oysterbench.hub.index import Index, Release, read_own_index

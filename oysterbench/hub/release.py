@@ -13,8 +13,8 @@ from pathlib import Path
 
 import msgspec
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import HubError
-from oysterbench.core.files import write_atomically
 from oysterbench.hub.canonical import canonical, decode
 from oysterbench.hub.manifest import FileEntry, Manifest, describe_file
 from oysterbench.version import GENERATION, VERSION

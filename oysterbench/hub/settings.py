@@ -9,7 +9,7 @@ from importlib import resources
 from typing import Any
 
 from oysterbench.core.errors import HubError
-from oysterbench.core.files import home
+from oysterbench.core.places import home
 from oysterbench.hub.sign import check_public
 
 FILE = "hub.toml"

@@ -11,7 +11,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from oysterbench.core.files import home, write_atomically
+from oysterbench.core.atomic import write_atomically
+from oysterbench.core.places import home
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.manifest import Manifest, released_manifest
 

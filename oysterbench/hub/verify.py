@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from oysterbench.core.errors import HubError, IntegrityError, SequenceError
-from oysterbench.core.files import home, models
 from oysterbench.core.mcap import MAGIC
+from oysterbench.core.places import home, models
 from oysterbench.hub.canonical import decode, sha256
 from oysterbench.hub.index import IndexBody, SignedIndex
 from oysterbench.hub.manifest import NAME, VERSION_NAME, FileEntry, Manifest, read_manifest, released_manifest

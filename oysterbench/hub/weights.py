@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import HubError
-from oysterbench.core.files import write_atomically
 from oysterbench.hub.download import Hub, Progress, check_space, fetch_file, locked_if_possible, part_path
 from oysterbench.hub.model import Model
 from oysterbench.hub.pieces import Pieced

@@ -22,8 +22,8 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import MethodError
-from oysterbench.core.files import write_atomically
 from oysterbench.methods.interfaces import RunSequence
 from oysterbench.version import VERSION
 

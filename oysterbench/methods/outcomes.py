@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import MethodError
-from oysterbench.core.files import write_atomically
 from oysterbench.methods.adapters import MethodAdapter
 from oysterbench.methods.interfaces import RunSequence
 

@@ -20,7 +20,7 @@ from typing import IO, Any
 import numpy as np
 
 from oysterbench.core.errors import MethodError, OysterbenchError
-from oysterbench.core.files import scratch
+from oysterbench.core.locks import scratch
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.interfaces.steering import task_of
 from oysterbench.methods.policy import commands

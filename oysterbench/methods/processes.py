@@ -17,8 +17,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from oysterbench.core.disk_space import free_bytes
 from oysterbench.core.errors import MachineError
-from oysterbench.core.files import MODELS, SCRATCH, free_bytes, home, models
+from oysterbench.core.locks import SCRATCH
+from oysterbench.core.places import MODELS, home, models
 from oysterbench.methods.sandbox import Sandbox, can_hide
 from oysterbench.methods.supervise import KILLING_S
 from oysterbench.simulation.salt import SALT_FILE

@@ -16,9 +16,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.cluster import Results, find_withdrawn, run_on_cluster
 from oysterbench.core.errors import MethodError, OysterbenchError
-from oysterbench.core.files import scratch, write_atomically
+from oysterbench.core.locks import scratch
 from oysterbench.methods.inputs import Inputs
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome
 from oysterbench.methods.processes import Processes

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import LabelError, MachineError, MethodError, SequenceError
-from oysterbench.core.files import scratch
+from oysterbench.core.locks import scratch
 from oysterbench.methods.hearing import Told, hear
 from oysterbench.methods.inputs import Announce, Inputs
 from oysterbench.methods.interfaces import Predicted

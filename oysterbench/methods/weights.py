@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import HubError, MethodError
-from oysterbench.core.files import models
 from oysterbench.core.names import instead
+from oysterbench.core.places import models
 from oysterbench.hub.manifest import LICENCE
 from oysterbench.hub.model import Training
 from oysterbench.methods.code import file_digest

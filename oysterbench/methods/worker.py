@@ -17,9 +17,9 @@ from typing import Any
 
 import msgspec
 
-from oysterbench.core.documents import read_json
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import OysterbenchError
-from oysterbench.core.files import write_atomically
+from oysterbench.core.text import read_json
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.interfaces import Predicted, Stopwatch, interface_of
 

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError
+from oysterbench.core.masks import as_mask
 from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage, SegmentationSettings, TruthImage
 from oysterbench.recipe import OYSTER
 
@@ -139,8 +139,8 @@ def _metric(key: str, truth: Masks, estimate: Masks, ignore: Masks | None, thres
         left_out = next(ignored, None) if ignored is not None else None
         if ignored is not None and (left_out is None or left_out.shape != true.shape):
             raise LabelError(f"{where}: ignore: expected an array of shape {true.shape}, as truth has")
-        classes = np.where(truth_values(true, f"{where}: truth"), np.uint8(OYSTER), np.uint8(0))
-        asked = None if left_out is None else truth_values(left_out, f"{where}: ignore")
+        classes = np.where(as_mask(true, f"{where}: truth"), np.uint8(OYSTER), np.uint8(0))
+        asked = None if left_out is None else as_mask(left_out, f"{where}: ignore")
         given = {"probability" if said.dtype.kind == "f" else "oyster": said}
         scorer.add(TruthImage(where, classes, named=False, ignore=asked), EstimateImage(where, **given))
     return float(scorer.result().metrics[key])

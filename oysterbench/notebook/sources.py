@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from oysterbench.core.errors import HubError, SequenceError
-from oysterbench.core.files import home
+from oysterbench.core.places import home
 from oysterbench.notebook.progress import frames_bar, say
 from oysterbench.notebook.rendering import render_files
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from oysterbench.core.atomic import appearing, write_atomically
 from oysterbench.core.errors import LabelError
-from oysterbench.core.files import appearing, write_atomically
 from oysterbench.counting.coco import coco_document
 from oysterbench.counting.measure import OysterRow, PictureCount
 from oysterbench.counting.run import Counted

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.core.files import write_atomically
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.html import environment
 from oysterbench.evaluate.density.restoration import RESTORATION_CLASSES, TARGET_PER_M2, THRESHOLD_PER_M2
 from oysterbench.mapping.intervals import LEVEL

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from oysterbench.core.files import write_atomically
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.html import environment
 from oysterbench.core.page import STYLES
 from oysterbench.core.text import as_unicode

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from oysterbench.core.files import write_atomically
+from oysterbench.core.atomic import write_atomically
 from oysterbench.evaluate.steering import RolloutLog
 from oysterbench.evaluate.steering.dataset import Whole
 from oysterbench.exploration.labelled_views import LabelledViews

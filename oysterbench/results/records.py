@@ -16,10 +16,9 @@ from typing import Annotated, Any, TypeVar, cast
 
 import msgspec
 
-from oysterbench.core.documents import read_json
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import ResultError
-from oysterbench.core.files import write_atomically
-from oysterbench.core.text import as_unicode
+from oysterbench.core.text import as_unicode, read_json
 from oysterbench.evaluate.metrics import FAILED, SPEEDS, TRACKS, find_metric
 from oysterbench.evaluate.statistics import summarise
 from oysterbench.results.lost import kept_median, lost_sequences

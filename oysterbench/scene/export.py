@@ -9,8 +9,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import RecipeError
-from oysterbench.core.files import write_atomically
 from oysterbench.core.streams import Streams
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.oyster import STATES, build_oyster

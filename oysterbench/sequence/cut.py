@@ -10,8 +10,8 @@ from typing import IO
 from mcap.records import Channel, ChunkIndex
 from mcap.summary import Summary
 
+from oysterbench.core.atomic import appearing
 from oysterbench.core.errors import SequenceError
-from oysterbench.core.files import appearing
 from oysterbench.core.mcap import read_chunk as records_of
 from oysterbench.core.ros import TF_STATIC, Message
 from oysterbench.sensors.registry import sensor_kinds

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 
 from oysterbench.core.errors import SequenceError
-from oysterbench.core.files import leads_out
 from oysterbench.core.geometry import Array, is_rigid
 from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.core.pictures import decode_picture
+from oysterbench.core.places import leads_out
 from oysterbench.core.text import as_unicode
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.sensors.camera import KIND as CAMERA

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from oysterbench.core.documents import read_json
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.measurements import Cloud, Image
 from oysterbench.core.names import PLAIN, is_plain
 from oysterbench.core.ros import decode, stamp_of
+from oysterbench.core.text import read_json
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.recipe.split import rig_tables
 from oysterbench.sensors.camera_messages import LAYERS, read_layer

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from oysterbench.core.atomic import naming
 from oysterbench.core.errors import OysterbenchError
-from oysterbench.core.files import naming
 from oysterbench.core.geometry import Array
 from oysterbench.core.ros import EPOCH_NS, TF_STATIC, Message
 from oysterbench.recipe import CLASSES, REEF_CLASSES, RigRecipe, SequenceRecipe, SplitRecipe

@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from oysterbench.core.files import write_atomically
+from oysterbench.core.atomic import write_atomically
 from oysterbench.recipe import CameraRecipe, SequenceRecipe, SplitRecipe, count
 from oysterbench.simulation.jobs import wanted_sensors
 

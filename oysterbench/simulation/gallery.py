@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import RecipeError
-from oysterbench.core.files import write_atomically
 from oysterbench.recipe import CameraRecipe, RigRecipe, SplitRecipe, count, load_split, vary_split, with_rig
 
 Picture = NDArray[np.uint8]

@@ -19,10 +19,13 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
+from oysterbench.core.atomic import naming, write_atomically
 from oysterbench.core.cluster import Results, run_on_cluster
+from oysterbench.core.disk_space import free_bytes
 from oysterbench.core.errors import MachineError, OysterbenchError, RecipeError, SequenceError
-from oysterbench.core.files import free_bytes, home, locked, naming, write_atomically
+from oysterbench.core.locks import locked
 from oysterbench.core.names import listed
+from oysterbench.core.places import home
 from oysterbench.recipe import SequenceRecipe, SplitRecipe
 from oysterbench.sequence.read import (
     FAULTS,

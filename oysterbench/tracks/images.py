@@ -15,8 +15,8 @@ from oysterbench.annotations import LabelledSequence, labelled_sequence, open_pr
 from oysterbench.annotations.forms import FORMS, Form
 from oysterbench.annotations.masks import MaskFiles, check_names
 from oysterbench.annotations.parts import connected_parts
-from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError, MethodError
+from oysterbench.core.masks import as_mask
 from oysterbench.evaluate.detection import ImageInstances
 from oysterbench.evaluate.detection.instances import Instance, from_mask, from_planes, instance_numbers
 from oysterbench.evaluate.segmentation import EstimateImage, check_size
@@ -292,7 +292,7 @@ def _detections(prediction: Detections, where: str, shape: tuple[int, int]) -> I
         if given[0].ndim != 3:
             raise MethodError(f"{where}: expected masks (N, H, W), got an array of shape {given[0].shape}")
         _check_shape(given[0].shape[1:], name, shape)
-        masks = truth_values(given[0], where)
+        masks = as_mask(given[0], where)
         found = [from_mask(m, s, live=a) for m, s, a in zip(masks, scores.tolist(), live, strict=True) if m.any()]
     else:
         boxes = given[0].reshape(0, 4) if not given[0].size else given[0]

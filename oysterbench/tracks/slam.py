@@ -12,8 +12,8 @@ from typing import Any
 
 import cv2
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import MethodError, OysterbenchError, SequenceError, TrajectoryError
-from oysterbench.core.files import write_atomically
 from oysterbench.core.measurements import Image
 from oysterbench.core.ros import TF_STATIC
 from oysterbench.core.text import as_unicode

@@ -15,9 +15,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.cluster import Results
 from oysterbench.core.errors import MethodError, RecipeError
-from oysterbench.core.files import write_atomically
 from oysterbench.evaluate.steering import EVALUATOR, RolloutLog, score_rollout
 from oysterbench.exploration.rollout_store import (
     method_identity,

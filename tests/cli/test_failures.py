@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from oysterbench.cli.failures import told
 from oysterbench.cli.main import main
-from oysterbench.core import files, room
+from oysterbench.core import atomic, disk_space
 
 
 @pytest.mark.parametrize(
@@ -69,8 +69,8 @@ def test_a_disk_that_fills_up_in_an_export_is_named_by_its_folder_and_nothing_is
 
 @pytest.mark.parametrize("form", ["mcap", "yolo"])
 def test_an_export_for_which_there_is_no_room_ends_at_once(dive_file, tmp_path, monkeypatch, form):
-    monkeypatch.setattr(room, "free_bytes", lambda folder: 10)
-    monkeypatch.setattr(room, "FIRST", 1)
+    monkeypatch.setattr(disk_space, "free_bytes", lambda folder: 10)
+    monkeypatch.setattr(disk_space, "FIRST", 1)
     done = export(dive_file, tmp_path / "out", form)
     assert done.exit_code == 1
     assert f"oysterbench: {tmp_path / 'out'}: not enough room: this needs some" in done.stderr
@@ -81,7 +81,7 @@ def test_a_place_that_cannot_be_written_to_is_named_and_not_what_was_to_be_in_it
     def forbidden(dir, prefix):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), f"{dir}/{prefix}x7yq")
 
-    monkeypatch.setattr(files.tempfile, "mkstemp", forbidden)
+    monkeypatch.setattr(atomic.tempfile, "mkstemp", forbidden)
     done = CliRunner().invoke(main, ["oyster", "--out", str(tmp_path / "o.glb")])
     assert done.stderr == (
         f"oysterbench: {tmp_path / 'o.glb'}: Read-only file system; choose another place that you may write to\n"

@@ -60,7 +60,7 @@ SLOW_EXPORT = """
 import time
 import oysterbench.sequence.export as export
 from oysterbench.__main__ import main
-export.Room = lambda *folders: time.sleep(60)
+export.SpaceCheck = lambda *folders: time.sleep(60)
 main()
 """
 

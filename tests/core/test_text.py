@@ -1,4 +1,4 @@
-"""Text of strangers: what reaches a terminal, and names that look like others."""
+"""Text of strangers: JSON, what reaches a terminal, and names that look like others."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oysterbench.core.text import disguised, mixed_word, printable, unseen
+from oysterbench.core.text import disguised, mixed_word, printable, read_json, unseen
 from oysterbench.report.renderers.csv import field
 
 HOSTILE = "a\x1b]0;title\x07\x9b2Jb\r\u202ec\u3164\U000e0041"
@@ -54,3 +54,24 @@ def test_no_cell_begins_a_formula(text):
 @pytest.mark.parametrize("name", ["\uff23arp", "\U0001d402arp", "pro\ufb01le", "\u24b8arp", "carp \uff11"])
 def test_common_letters_in_another_cut_are_found(name):
     assert disguised(name) is not None
+
+
+def test_json_is_read():
+    assert read_json(b'\xef\xbb\xbf{"a": [1, "\\ud83e\\uddaa"]}') == read_json('{"a": [1, "\U0001f9aa"]}')
+
+
+@pytest.mark.parametrize(
+    ("data", "cause"),
+    [
+        (b"[" * 100_000 + b"]" * 100_000, "nested too deep"),
+        (b"9" * 5000, "^it has a number of too many digits$"),
+        (b'{"a": "\\ud800"}', "surrogates not allowed"),
+        (b'{"\\uDfff": 1}', "surrogates not allowed"),
+        (b'"\xed\xa0\x80"', "can't decode byte"),
+        (b"{", "Expecting property name"),
+        (b"", "Expecting value"),
+    ],
+)
+def test_what_is_wrong_with_a_document_is_a_value_error(data, cause):
+    with pytest.raises(ValueError, match=cause):
+        read_json(data)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from oysterbench.core.files import locked
+from oysterbench.core.locks import locked
 from oysterbench.notebook import rendering
 from oysterbench.simulation import cost
 from oysterbench.simulation.generate import PARTS, digest, generate_split

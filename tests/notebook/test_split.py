@@ -10,7 +10,7 @@ import pytest
 
 import oysterbench
 from oysterbench.core.errors import HubError, MachineError, RecipeError, SequenceError
-from oysterbench.core.files import home as home_folder
+from oysterbench.core.places import home as home_folder
 from oysterbench.hub.manifest import build_manifest
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 from tests.helpers.trees import FACTS, a_key, publish_split, write_sequence, write_split

@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import MachineError, OysterbenchError, SequenceError
-from oysterbench.core.files import locked, write_atomically
+from oysterbench.core.locks import locked
 from oysterbench.recipe import count, parse_split
 from oysterbench.sequence.cut import cut_to, match_topics
 from oysterbench.sequence.truth import rig_topics

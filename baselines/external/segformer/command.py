@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from oysterbench.core.files import home
+from oysterbench.core.places import home
 from oysterbench.methods.systems import find_system
 from oysterbench_baselines.learning.trained import device_option, run_training, training_options
 

@@ -12,9 +12,8 @@ from functools import cache, partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from oysterbench.core.documents import read_json
 from oysterbench.core.errors import OysterbenchError
-from oysterbench.core.text import in_one_line
+from oysterbench.core.text import in_one_line, read_json
 from oysterbench_leaderboard.submissions.catalogue import Kind, Wanted
 from oysterbench_leaderboard.submissions.reading.archive import (
     Archive,

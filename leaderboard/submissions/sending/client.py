@@ -12,9 +12,8 @@ from typing import IO, Any
 
 import urllib3
 
-from oysterbench.core.documents import read_json
 from oysterbench.core.errors import HubError, NetworkError
-from oysterbench.core.text import in_one_line
+from oysterbench.core.text import in_one_line, read_json
 from oysterbench.hub.pool import open_pool
 from oysterbench.hub.sources import HOST, RETRIED, Patience, has_host, retry_after_s
 from oysterbench.hub.transfer import pause_s

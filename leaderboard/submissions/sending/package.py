@@ -11,10 +11,10 @@ from typing import Any
 
 import msgspec
 
-from oysterbench.core.documents import read_json
 from oysterbench.core.errors import OysterbenchError, ResultError
-from oysterbench.core.files import scratch
+from oysterbench.core.locks import scratch
 from oysterbench.core.names import did_you_mean, listed, nearest
+from oysterbench.core.text import read_json
 from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench_leaderboard.submissions.catalogue import Wanted, local_wanted
 from oysterbench_leaderboard.submissions.reading.archive import Limits, pack

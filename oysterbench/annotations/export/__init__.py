@@ -9,9 +9,9 @@ from pathlib import Path
 
 from oysterbench.annotations.export.examples import Parts, parted
 from oysterbench.annotations.image import LabelledSet
+from oysterbench.core.atomic import appearing_folder
+from oysterbench.core.disk_space import SpaceCheck
 from oysterbench.core.errors import LabelError
-from oysterbench.core.files import appearing_folder
-from oysterbench.core.room import Room
 
 SET_FORMATS = {
     "yolo": "YOLO: segment/ and detect/, each with data.yaml, images/ and labels/ for train and val; oysters",
@@ -51,13 +51,13 @@ def export_set(
     progress(done, total)
 
     with appearing_folder(folder) as draft:
-        room = Room(draft, folder)
+        space = SpaceCheck(draft, folder)
 
         def step() -> None:
             nonlocal done
             done += 1
             progress(done, total)
-            room.check(done, total)
+            space.check(done, total)
 
         notes = write("+".join(one.name for one in sets), parts, draft, step)
     return folder, notes

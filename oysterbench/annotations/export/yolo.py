@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from oysterbench.annotations.export.examples import TRAIN, VAL, Example, Parts, examples
 from oysterbench.annotations.image import Entry
-from oysterbench.core.files import link
+from oysterbench.core.disk_space import link
 from oysterbench.core.geometry import Array
 from oysterbench.core.polygons import mask_polygons
 from oysterbench.core.streams import stream

@@ -7,7 +7,7 @@ import os
 
 import numpy as np
 
-from oysterbench.core.files import write_atomically
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.trajectory.poses import Trajectory
 from oysterbench.core.trajectory.stamps import ns_to_seconds
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError
+from oysterbench.core.masks import as_mask
 
 OUTSIDE = 1.0
 """Distance by which a box may extend beyond the image, as after a crop, in widths or heights of the image."""
@@ -106,7 +106,7 @@ def from_mask(
     """Make an instance from a mask (H, W) with at least one pixel."""
     tools = mask_tools()
     with numpy_2():
-        runs = tools.encode(np.asfortranarray(truth_values(mask, "mask").view(np.uint8)))
+        runs = tools.encode(np.asfortranarray(as_mask(mask, "mask").view(np.uint8)))
         x, y, width, height = (float(value) for value in tools.toBbox(runs))
     return Instance((x, y, width, height), runs, float(tools.area(runs)), score, crowd, live)
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError
+from oysterbench.core.masks import as_mask
 from oysterbench.recipe import CLASSES, OYSTER
 
 
@@ -51,7 +51,7 @@ class EstimateImage:
     (H, W) uint8, numbers of `recipe.CLASSES`.
 
     Arrays from untrusted sources enter here: they are checked, and converted to these types
-    (`core.arrays.truth_values`). Raises LabelError naming the image.
+    (`core.masks.as_mask`). Raises LabelError naming the image.
     """
 
     name: str
@@ -66,7 +66,7 @@ class EstimateImage:
         if given[0].ndim != 2:
             raise LabelError(f"{self.name}: expected an array (H, W), got one of shape {given[0].shape}")
         if self.oyster is not None:
-            object.__setattr__(self, "oyster", truth_values(self.oyster, self.name))
+            object.__setattr__(self, "oyster", as_mask(self.oyster, self.name))
         if self.probability is not None:
             self._check_probability(self.probability)
         if self.classes is not None:

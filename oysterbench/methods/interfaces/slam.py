@@ -22,9 +22,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core.disk_space import link
 from oysterbench.core.errors import MethodError, OysterbenchError, TrajectoryError
-from oysterbench.core.files import link, umask
 from oysterbench.core.geometry import Array, transform
+from oysterbench.core.permissions import umask
 from oysterbench.core.trajectory import Trajectory, read_times, read_trajectory, write_npz
 from oysterbench.methods.health import HEALTH, health_notes, read_health, write_health
 from oysterbench.methods.interfaces.interface import Interface, Predicted, RunSequence, Stopwatch

@@ -22,8 +22,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import MethodError
-from oysterbench.core.files import locked, write_atomically
+from oysterbench.core.locks import locked
 from oysterbench.methods.processes import tail
 from oysterbench.methods.systems.manifest import Submodule, System
 from oysterbench.version import VERSION

@@ -14,8 +14,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from oysterbench.core.errors import MethodError
-from oysterbench.core.files import home
 from oysterbench.core.names import did_you_mean, nearest
+from oysterbench.core.places import home
 from oysterbench.methods.code import file_digest
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.interfaces import interface_of

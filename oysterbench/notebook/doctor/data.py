@@ -7,9 +7,10 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from oysterbench.core.disk_space import free_bytes
 from oysterbench.core.errors import OysterbenchError
-from oysterbench.core.files import MODELS, free_bytes, home, home_problem, models
 from oysterbench.core.names import counted, did_you_mean, nearest
+from oysterbench.core.places import MODELS, home, home_problem, models
 from oysterbench.notebook.doctor.finding import Finding, broken_by, in_bytes
 
 HOME, HUB, HUB_KEY, EXPORTS = "OYSTERBENCH_HOME", "OYSTERBENCH_HUB", "OYSTERBENCH_HUB_KEY", "OYSTERBENCH_EXPORTS_GB"

@@ -8,9 +8,9 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 
+from oysterbench.core.atomic import appearing_folder
+from oysterbench.core.disk_space import SpaceCheck
 from oysterbench.core.errors import SequenceError
-from oysterbench.core.files import appearing_folder
-from oysterbench.core.room import Room
 from oysterbench.sensors.registry import export_formats
 from oysterbench.sequence.export.steps import Progress, Steps
 from oysterbench.sequence.types import Sequence
@@ -56,7 +56,7 @@ def export_sequence(
         raise SequenceError(f"{folder} already exists and was left unchanged: delete it or choose another --out")
     write: Write = import_module(f"{__name__}.{form}").write if form in SHARED_FORMATS else partial(_write_kind, form)
     with appearing_folder(folder) as draft:
-        notes = write(sequence, draft, truth, Steps(progress, Room(draft, folder)))
+        notes = write(sequence, draft, truth, Steps(progress, SpaceCheck(draft, folder)))
     return folder, notes
 
 

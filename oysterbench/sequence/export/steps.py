@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
-from oysterbench.core.room import Room
+from oysterbench.core.disk_space import SpaceCheck
 from oysterbench.sequence.types import Sequence
 
 T = TypeVar("T")
@@ -17,11 +17,11 @@ Progress = Callable[[int, int], None]
 class Steps:
     """Counter towards a total that a format announces before it starts; it counts images, pings or rows.
 
-    room: checked while counting, so that an export that will not fit ends early
+    space: checked while counting, so that an export that will not fit ends early
     """
 
-    def __init__(self, progress: Progress = lambda done, total: None, room: Room | None = None) -> None:
-        self._progress, self._room, self._done, self._total = progress, room, 0, 0
+    def __init__(self, progress: Progress = lambda done, total: None, space: SpaceCheck | None = None) -> None:
+        self._progress, self._space, self._done, self._total = progress, space, 0, 0
 
     def expect(self, count: int) -> None:
         """Announce `count` more steps."""
@@ -38,13 +38,13 @@ class Steps:
         """Count one more step. Raises MachineError where the rest will not fit on the disk."""
         self._done += 1
         self._progress(self._done, max(self._done, self._total))
-        if self._room is not None:
-            self._room.check(self._done, self._total)
+        if self._space is not None:
+            self._space.check(self._done, self._total)
 
     def need(self, size: int) -> None:
         """Announce that `size` bytes will be written. Raises MachineError where they do not fit."""
-        if self._room is not None:
-            self._room.need(size)
+        if self._space is not None:
+            self._space.need(size)
 
 
 def frames(sequence: Sequence, cameras: Iterable[str], leaf: str = "image") -> int:

@@ -1,18 +1,34 @@
-"""Whether what is being written will fit on its disk, predicted early so that nobody waits for the end to find out."""
+"""Disk space: what is free, whether what is being written will fit, and files under a second name without a copy."""
 
 from __future__ import annotations
 
+import os
+import shutil
 from pathlib import Path
 
 from oysterbench.core.errors import MachineError
-from oysterbench.core.files import free_bytes
 
 FIRST = 16
 """Images after which the total size is first predicted; then again whenever their number has doubled."""
 
 
-class Room:
-    """Disk space for a folder that is filled image by image.
+def free_bytes(folder: Path) -> int:
+    """Free bytes on the disk of a folder, which need not exist yet."""
+    there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+    return shutil.disk_usage(there).free
+
+
+def link(source: str, target: str) -> None:
+    """Make a file available under a second name: by a hard link, or by a copy where that is impossible, as between
+    disks."""
+    try:
+        os.link(os.path.realpath(source), target)
+    except OSError:
+        shutil.copy(source, target)
+
+
+class SpaceCheck:
+    """Whether a folder that is filled image by image fits on its disk: predicted early, so nobody waits for the end.
 
     folder: where the images are written; shown: the path under which the user knows it
     """

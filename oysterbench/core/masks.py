@@ -1,4 +1,4 @@
-"""Arrays from outside, converted to what the arithmetic on them takes for granted."""
+"""Masks from outside, converted to what the arithmetic on them takes for granted."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from oysterbench.core.errors import LabelError
 
 
-def truth_values(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
+def as_mask(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
     """Convert an array of bool, or of the integers 0 and 1, to bool of the same shape with every byte 0 or 1.
 
     The bytes of a bool array from a file or a view may hold any number: numpy treats every one but 0 as true, whereas

@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from oysterbench.core.files import (
-    appearing,
-    appearing_folder,
-    closed_to_others,
-    locked,
-    scratch,
-    umask,
-    write_atomically,
-)
+from oysterbench.core.atomic import appearing, appearing_folder, write_atomically
+from oysterbench.core.locks import locked
+from oysterbench.core.permissions import closed_to_others, umask
 
 
 def test_a_folder_appears_when_it_is_whole(tmp_path):
@@ -93,7 +85,8 @@ def test_an_empty_folder_is_filled_and_another_is_left_as_it_is(tmp_path):
 
 HOLDER = """
 import sys, time
-from oysterbench.core.files import appearing, appearing_folder, locked
+from oysterbench.core.atomic import appearing, appearing_folder
+from oysterbench.core.locks import locked
 with appearing_folder(sys.argv[1]) as draft:
     (draft / "half").write_text("of it")
     print("there", flush=True)
@@ -136,51 +129,3 @@ def test_an_error_names_the_file_that_its_user_knows(tmp_path):
             open(draft / "absent" / "x", "wb").close()
         assert raised.value.filename == str(known)
         assert raised.value.filename2 is None
-
-
-KILLED = """
-import os, signal
-from oysterbench.core.files import scratch
-with scratch() as folder:
-    (folder / "left.txt").write_text("half")
-    print(folder, flush=True)
-    os.kill(os.getpid(), signal.SIGKILL)
-"""
-
-
-def test_what_a_killed_process_left_is_cleared_by_the_next_and_what_a_living_one_has_is_not(tmp_path, monkeypatch):
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr(tempfile, "tempdir", None)
-    with scratch() as mine:
-        done = subprocess.run([sys.executable, "-c", KILLED], capture_output=True, text=True, check=False)
-        left = Path(done.stdout.strip())
-        assert left.parent == mine.parent == tmp_path
-        assert {path.name for path in tmp_path.iterdir()} == {left.name, mine.name}
-        (tmp_path / "oysterbench-run-link").symlink_to(tmp_path)
-        (tmp_path / "oysterbench-run-file").touch()
-        with scratch() as another:
-            assert mine.is_dir()
-            assert another.is_dir()
-            assert not left.exists()
-    assert {path.name for path in tmp_path.iterdir()} == {"oysterbench-run-link", "oysterbench-run-file"}, (
-        "not its kind"
-    )
-
-
-def test_a_temporary_folder_that_another_process_clears_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    lock, cleared = fcntl.flock, []
-
-    def lock_too_late(handle, how):
-        if not cleared:
-            (made,) = tmp_path.iterdir()
-            made.rmdir()
-            cleared.append(made)
-        lock(handle, how)
-
-    monkeypatch.setattr(fcntl, "flock", lock_too_late)
-    with scratch() as folder:
-        assert [folder] == list(tmp_path.iterdir())
-        assert cleared
-        assert cleared != [folder]
-    assert not list(tmp_path.iterdir())

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from oysterbench.core import room as module
+from oysterbench.core import disk_space as module
+from oysterbench.core.disk_space import FIRST, SpaceCheck
 from oysterbench.core.errors import MachineError
-from oysterbench.core.room import FIRST, Room
 
 
-def filled(folder: Path, pictures: int) -> Room:
+def filled(folder: Path, pictures: int) -> SpaceCheck:
     for k in range(pictures):
         (folder / "images").mkdir(exist_ok=True)
         (folder / "images" / f"{k}.png").write_bytes(bytes(1000))
-    return Room(folder, Path("out"))
+    return SpaceCheck(folder, Path("out"))
 
 
 def test_what_will_not_fit_ends_after_the_first_pictures(tmp_path, monkeypatch):
@@ -40,6 +40,6 @@ def test_a_folder_that_grows_faster_than_its_first_pictures_is_looked_at_again(t
 
 def test_what_is_known_beforehand_is_refused_before_the_first_byte(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "free_bytes", lambda folder: 1000)
-    Room(tmp_path, Path("out")).need(1000)
+    SpaceCheck(tmp_path, Path("out")).need(1000)
     with pytest.raises(MachineError, match="choose another place with --out"):
-        Room(tmp_path, Path("out")).need(1001)
+        SpaceCheck(tmp_path, Path("out")).need(1001)

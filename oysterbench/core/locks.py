@@ -1,0 +1,87 @@
+"""Locks between processes, and temporary folders that the next process removes if theirs was killed."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from oysterbench.core.atomic import naming
+
+SCRATCH = "oysterbench-run-"
+"""Prefix of temporary folders; those whose process was killed are removed later."""
+
+
+@contextlib.contextmanager
+def locked(
+    path: str | os.PathLike[str], wait: bool = True, before_waiting: Callable[[], None] | None = None
+) -> Iterator[bool]:
+    """Hold a lock file while the block runs; yield whether it is held. Another holder is waited for or, without `wait`,
+    prevents that. The system releases the lock of a process that dies. before_waiting: called before such a wait."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with naming(path.parent, path):
+        file = open(path, "w")  # noqa: SIM115  closed below; errors of the block are not this file's
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if not wait:
+                yield False
+                return
+            if before_waiting is not None:
+                before_waiting()
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield True
+
+
+@contextlib.contextmanager
+def scratch() -> Iterator[Path]:
+    """Yield a temporary folder that exists for as long as the block runs. Those left by killed processes of this user
+    are removed first: each folder is locked by its process, and the system releases the lock of a process that dies."""
+    root = Path(tempfile.gettempdir())
+    for left in root.glob(f"{SCRATCH}*"):
+        with contextlib.suppress(OSError), _held(left) as mine:
+            if mine:
+                shutil.rmtree(left, ignore_errors=True)
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=SCRATCH))
+        with _held(folder, wait=True) as mine:
+            if not mine:  # removed by another process before it was locked
+                continue
+            try:
+                yield folder
+            finally:
+                shutil.rmtree(folder, ignore_errors=True)
+            return
+
+
+@contextlib.contextmanager
+def _held(folder: Path, wait: bool = False) -> Iterator[bool]:
+    """Lock a folder; yield whether it is now locked, still exists under its name and belongs to this user.
+
+    On a disk without locks, a process holds its own folders (`wait`) all the same, and none may remove another's.
+    """
+    try:
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        yield False
+        return
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            free = True
+        except OSError:
+            free = wait
+        there = os.fstat(handle)
+        try:
+            same = os.path.samestat(there, os.lstat(folder))
+        except FileNotFoundError:
+            same = False
+        yield free and same and there.st_uid == os.geteuid()
+    finally:
+        os.close(handle)

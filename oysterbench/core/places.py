@@ -1,0 +1,42 @@
+"""Where data is stored, and whether the name of a file leads elsewhere."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+MODELS = "OYSTERBENCH_MODELS"
+"""Environment variable that names the folder of locally trained weights."""
+
+
+def home() -> Path:
+    """Folder of rendered and downloaded data: `OYSTERBENCH_HOME`, or the user's data folder."""
+    chosen = os.environ.get("OYSTERBENCH_HOME")
+    if chosen:
+        return Path(chosen).expanduser()
+    import platformdirs
+
+    return Path(platformdirs.user_data_dir("oysterbench"))
+
+
+def home_problem() -> str:
+    """Why the home folder cannot be made or used as a folder; empty where it can."""
+    folder = home()
+    there = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
+    if there.is_dir():
+        return ""
+    return f"{there} is a {'file' if there.exists() else 'link to something that is not there'}"
+
+
+def models() -> Path:
+    """Folder of locally trained weights: `OYSTERBENCH_MODELS`, or `models` in the home folder."""
+    return Path(os.environ.get(MODELS) or home() / "models").absolute()
+
+
+def leads_out(name: str) -> bool:
+    """Whether a path, relative to a folder, leads out of that folder: names of files in it must not.
+
+    >>> leads_out("clip/1.png"), leads_out("clip/../../1.png"), leads_out("/tmp/1.png")
+    (False, True, True)
+    """
+    return os.path.isabs(name) or os.path.normpath(name).split(os.sep)[0] == os.pardir

@@ -1,0 +1,58 @@
+"""Locks and temporary folders outlive no process that held them."""
+
+from __future__ import annotations
+
+import fcntl
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from oysterbench.core.locks import scratch
+
+KILLED = """
+import os, signal
+from oysterbench.core.locks import scratch
+with scratch() as folder:
+    (folder / "left.txt").write_text("half")
+    print(folder, flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_a_killed_process_left_is_cleared_by_the_next_and_what_a_living_one_has_is_not(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    with scratch() as mine:
+        done = subprocess.run([sys.executable, "-c", KILLED], capture_output=True, text=True, check=False)
+        left = Path(done.stdout.strip())
+        assert left.parent == mine.parent == tmp_path
+        assert {path.name for path in tmp_path.iterdir()} == {left.name, mine.name}
+        (tmp_path / "oysterbench-run-link").symlink_to(tmp_path)
+        (tmp_path / "oysterbench-run-file").touch()
+        with scratch() as another:
+            assert mine.is_dir()
+            assert another.is_dir()
+            assert not left.exists()
+    assert {path.name for path in tmp_path.iterdir()} == {"oysterbench-run-link", "oysterbench-run-file"}, (
+        "not its kind"
+    )
+
+
+def test_a_temporary_folder_that_another_process_clears_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    lock, cleared = fcntl.flock, []
+
+    def lock_too_late(handle, how):
+        if not cleared:
+            (made,) = tmp_path.iterdir()
+            made.rmdir()
+            cleared.append(made)
+        lock(handle, how)
+
+    monkeypatch.setattr(fcntl, "flock", lock_too_late)
+    with scratch() as folder:
+        assert [folder] == list(tmp_path.iterdir())
+        assert cleared
+        assert cleared != [folder]
+    assert not list(tmp_path.iterdir())
