@@ -47,14 +47,14 @@ def compare_command(results: tuple[str, ...], track: str | None, split: str | No
     from oysterbench.core.errors import ResultError
     from oysterbench.core.names import listed
     from oysterbench.evaluate.metrics import TRACKS
-    from oysterbench.results.labelled import labelled_results
+    from oysterbench.results.named import named_results
     from oysterbench.results.records import dump
     from oysterbench.results.remarks import remarks
 
     def find(text: str) -> list[ResultRecord] | None:
         return _provided(text, split)
 
-    given = labelled_results(results, find)
+    given = named_results(results, find)
     records = [one for one in given if track in (None, one.track) and split in (None, one.split)]
     records.sort(key=lambda one: list(TRACKS).index(one.track))  # maps of dives after the paths they are made along
     if not records:

@@ -93,8 +93,8 @@ def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
     shown = replace(
         request, exports=home() / "exports", render=render_files, bar=frames_bar, announce=message, finished=keep
     )
-    with nullcontext() if outputs.on_stdout else runs_shown() as told:
-        found = track.evaluate(replace(shown, told=told))
+    with nullcontext() if outputs.on_stdout else runs_shown() as show:
+        found = track.evaluate(replace(shown, on_output=show))
     finish(found, request.out, outputs)
 
 

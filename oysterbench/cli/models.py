@@ -70,7 +70,7 @@ def publish_model(
     from oysterbench.hub.publish_model import publish_model as release
     from oysterbench.hub.sign import load_key, public_hex
     from oysterbench.methods.weights import find_weights, weights_path
-    from oysterbench.results.reached import figures_of
+    from oysterbench.results.card_figures import card_figures
 
     if not VERSION_NAME.fullmatch(version):
         raise click.UsageError(f"--version: expected letters, digits and . _ -, such as 1.0, got {version!r}")
@@ -79,7 +79,7 @@ def publish_model(
     path = path or weights_path(name)
     training = known.describe(path)
     file = describe_weights(name, path)
-    figures = [figure for place in results for figure in figures_of(place, name, file.sha256)]
+    figures = [figure for place in results for figure in card_figures(place, name, file.sha256)]
     words = (summary or known.summary, limits or known.limits, licence or known.licence)
     model = release(
         tree, build_model(name, version, known.methods, words, file, training, figures), path, key, message, old_keys

@@ -14,7 +14,7 @@ from oysterbench.core.text import printable
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from oysterbench.methods.hearing import Heard, Told
+    from oysterbench.methods.run_output import OnOutput, RunOutput
     from oysterbench.simulation.generate import Progress
 
 LATE_S = 2.0  # no progress is shown for work that takes less
@@ -23,7 +23,7 @@ BAR_WIDTH = 16  # characters
 
 
 @contextmanager
-def runs_shown() -> Iterator[Told]:
+def runs_shown() -> Iterator[OnOutput]:
     """Yield a function to be called with the output of runs; nothing is shown before its first call."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -41,10 +41,10 @@ def runs_shown() -> Iterator[Told]:
     bars = Progress(*columns, console=console, redirect_stdout=False, transient=True, expand=True, refresh_per_second=2)
     tasks: dict[str, TaskID] = {}
 
-    def tell(heard: Mapping[str, Heard]) -> None:
-        for name in tasks.keys() - heard.keys():
+    def tell(outputs: Mapping[str, RunOutput]) -> None:
+        for name in tasks.keys() - outputs.keys():
             bars.remove_task(tasks.pop(name))
-        for name, one in heard.items():
+        for name, one in outputs.items():
             if name not in tasks:
                 tasks[name] = bars.add_task(printable(name), total=None, said="")
             if one.total:
@@ -59,16 +59,16 @@ def runs_shown() -> Iterator[Told]:
         bars.stop()
 
 
-def plain_runs() -> Told:
+def plain_runs() -> OnOutput:
     """Return a function that prints lines on stderr: each run's progress at every tenth and every few minutes, or its
     other output, not too often."""
-    bars: dict[str, tuple[Progress, Heard]] = {}
+    bars: dict[str, tuple[Progress, RunOutput]] = {}
     told: dict[str, tuple[float, str]] = {}
 
-    def tell(heard: Mapping[str, Heard]) -> None:
-        for name in bars.keys() - heard.keys():
+    def tell(outputs: Mapping[str, RunOutput]) -> None:
+        for name in bars.keys() - outputs.keys():
             del bars[name]
-        for name, one in heard.items():
+        for name, one in outputs.items():
             at, line = told.setdefault(name, (time.monotonic(), ""))
             if one.total:
                 show, before = bars.get(name, (plain_progress(name, ""), one))

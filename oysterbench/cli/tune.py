@@ -107,8 +107,8 @@ def tune_command(
     if ranges is not None:
         _check_values(ranges, known, references[:2], lambda one: track.adapters(replace(request, methods=[one])))
     names = {adapter.name: reference for adapter, reference in zip(track.adapters(request), references, strict=True)}
-    with runs_shown() as told:
-        records = track.evaluate(replace(request, told=told)).records
+    with runs_shown() as show:
+        records = track.evaluate(replace(request, on_output=show)).records
     table = trials_table(records, names)
     print_table(table)
     best = best_of(records, names)

@@ -10,7 +10,7 @@ from pathlib import Path
 from oysterbench.core.errors import ResultError
 from oysterbench.hub.model import Figure
 from oysterbench.hub.weights import weights_here
-from oysterbench.results.reached import weights_in
+from oysterbench.results.card_figures import weights_in
 from oysterbench.results.records import read_results
 
 TRUTH, ESTIMATE = "count_truth", "count_estimate"

@@ -42,8 +42,8 @@ def doubts(
     cut = sum(one.area_m2 is not None and one.area_m2 < WHOLE * quadrat_m2 for one in pictures)
     if cut:
         yield (
-            f"{cut} of {len(pictures)} quadrats reach beyond their images, and only the part that is seen counts: are "
-            "their corners of a copy of another size?"
+            f"{cut} of {len(pictures)} quadrats reach beyond their images, and only the part that is seen counts: "
+            "were the corners marked in a resized copy?"
         )
     unit = f"is the scale in another unit ({UNITS.get(scale, '')})"
     low, high = PLAUSIBLE_MM

@@ -137,7 +137,7 @@ class QuadratScale:
         if seen < LEAST_SEEN:
             raise LabelError(
                 f"{self._where}: expected corners within the image of {shape[1]} x {shape[0]} px, got "
-                f"{_listed(self.corners)}: are they of a copy of another size?"
+                f"{_listed(self.corners)}: were they marked in a resized copy?"
             )
         return self
 

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.evaluate.slam.clock import MIN_STEP_S, fit_offset, shift
-from oysterbench.evaluate.slam.lag import MIN_SIGMAS
+from oysterbench.evaluate.slam.time_offset import MIN_STEP_S, fit_offset, shift
+from oysterbench.evaluate.slam.time_offset_notes import MIN_SIGMAS
 from oysterbench.sequence.types import Sequence, imu_arrays
 
 MOST_LAG_S = 0.3

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from oysterbench.methods.finding import ENTRY_POINTS, find_method, method_names
     from oysterbench.methods.health import Health
-    from oysterbench.methods.here import Run, run_method
+    from oysterbench.methods.in_process import Run, run_method
     from oysterbench.methods.map import LandmarkMap
     from oysterbench.methods.method import Estimate, Method, seed_of
 
@@ -34,10 +34,10 @@ _HOMES = {
     "Health": "health",
     "LandmarkMap": "map",
     "Method": "method",
-    "Run": "here",
+    "Run": "in_process",
     "find_method": "finding",
     "method_names": "finding",
-    "run_method": "here",
+    "run_method": "in_process",
     "seed_of": "method",
 }
 """Public name -> module that defines it."""

@@ -17,11 +17,11 @@ from typing import Any
 
 from oysterbench.core.errors import LabelError, MachineError, MethodError, SequenceError
 from oysterbench.core.locks import scratch
-from oysterbench.methods.hearing import Told, hear
 from oysterbench.methods.inputs import Announce, Inputs
 from oysterbench.methods.interfaces import Predicted
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, read_outcome
 from oysterbench.methods.processes import Processes, raise_if_full, secrets
+from oysterbench.methods.run_output import OnOutput, read_output
 from oysterbench.methods.sandbox import can_hide
 
 ASSUMED_BYTES = 2 * 2**30
@@ -47,15 +47,15 @@ def run_jobs(
     hardware: Callable[[], Mapping[str, Any]] = dict,
     announce: Announce = lambda text: None,
     scheduler: str | None = None,
-    told: Told | None = None,
+    on_output: OnOutput | None = None,
 ) -> Iterator[tuple[Job, Outcome]]:
     """Yield each job with its outcome as it finishes; jobs that were finished before come first and are not run.
 
     root: folder of the results, which only one runner at a time may use. again: rerun finished jobs too; retry: rerun
     those of them that failed; one that failed is rerun in any case if files of its sequence or method have changed.
     workers: jobs at a time; None for one per core. exports: folder where inputs are kept for other runs. hardware:
-    describes a machine; scheduler: address of a Dask cluster to run the jobs on. told: called with the latest output of
-    jobs that run here.
+    describes a machine; scheduler: address of a Dask cluster to run the jobs on. on_output: called with the latest
+    output of jobs that run here.
     A job that fails has a `failure`; nothing that a method does raises here. Raises MethodError, before anything is
     run, where `root` holds outcomes of other jobs under the same names or the options of a method fit none of its
     sequences, and OSError where a disk is full.
@@ -80,7 +80,7 @@ def run_jobs(
 
             yield from run_remotely(todo, root, scheduler, workers, hardware)
         elif todo:
-            yield from _run(todo, root, workers or default_workers(), exports, hardware(), announce, told)
+            yield from _run(todo, root, workers or default_workers(), exports, hardware(), announce, on_output)
 
 
 def _check(jobs: Sequence[Job]) -> None:
@@ -112,7 +112,7 @@ def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
         if changed and job.identity["method"].get("files") and not outcome.identity["method"].get("files"):
             differs = "an earlier version of oysterbench did not record by which files"
         raise MethodError(
-            f"{folder}: has run {job.number + 1} of another {job.adapter.name} ({differs}); "
+            f"{folder}: holds run {job.number + 1} of a different {job.adapter.name} ({differs}); "
             "it was left unchanged: rerun it with --again, or choose another folder with --out"
         )
     return replace(outcome, earlier=True)
@@ -150,7 +150,7 @@ def _run(
     exports: Path | None,
     hardware: Mapping[str, Any],
     announce: Announce,
-    told: Told | None,
+    on_output: OnOutput | None,
 ) -> Iterator[tuple[Job, Outcome]]:
     processes = Processes()
     held = ExitStack()
@@ -169,10 +169,10 @@ def _run(
                 announce(f"running {job.title} ({started} of {len(jobs)})")
                 begun = partial(folders.__setitem__, job.title)
                 running[pool.submit(run_job, job, root, inputs, processes, hardware, begun)] = job
-            ended = wait(running, None if told is None else LOOK_S, FIRST_COMPLETED).done
-            if told is not None:
+            ended = wait(running, None if on_output is None else LOOK_S, FIRST_COMPLETED).done
+            if on_output is not None:
                 titles = [job.title for future, job in running.items() if future not in ended]
-                told({title: hear(folders[title]) for title in titles if title in folders})
+                on_output({title: read_output(folders[title]) for title in titles if title in folders})
             for future in ended:
                 job, outcome = running.pop(future), future.result()
                 peak = int(outcome.process["peak_bytes"])

@@ -14,9 +14,9 @@ from oysterbench.sequence import sequences_in
 
 if TYPE_CHECKING:
     from oysterbench.methods.adapters import MethodAdapter
-    from oysterbench.methods.hearing import Told
     from oysterbench.methods.interfaces import RunSequence
     from oysterbench.methods.outcomes import Job, Outcome
+    from oysterbench.methods.run_output import OnOutput
     from oysterbench.recipe import SplitRecipe
     from oysterbench.report.cards import Card
     from oysterbench.report.images import DatasetRow
@@ -124,7 +124,7 @@ class Request:
     runs: number per method and sequence; jobs: run at a time, one per core if None; limit_s: time limit of a run;
     again, retry: repeat finished, or failed, runs; workers: rendering processes; scheduler: address of a Dask cluster
     that runs the methods; exports: folder where inputs of programs are kept for other runs;
-    told: called every second with the latest output of the runs in progress
+    on_output: called every second with the latest output of the runs in progress
     """
 
     out: Path
@@ -147,7 +147,7 @@ class Request:
     scheduler: str | None = None
     render: Render = lambda split, **options: {}
     announce: Announce = lambda text: None
-    told: Told | None = None
+    on_output: OnOutput | None = None
     bar: Bar = lambda title, unit: nullcontext(lambda done, total: None)
     finished: Callable[[Sequence[Any]], None] = lambda runs: None
     """Called with the runs so far after each of them, so that a kill leaves a table of what was finished."""
@@ -305,7 +305,7 @@ class Track(ABC):
             hardware,
             request.announce,
             request.scheduler,
-            request.told,
+            request.on_output,
         )
         for job, outcome in finished:
             own = job.adapter.evaluation

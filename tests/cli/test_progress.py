@@ -9,7 +9,7 @@ import pytest
 from oysterbench.cli import progress
 from oysterbench.cli.progress import bytes_bar, late_bars, plain_runs, runs_shown
 from oysterbench.methods import runner
-from oysterbench.methods.hearing import Heard
+from oysterbench.methods.run_output import RunOutput
 from tests.helpers.command import run
 from tests.helpers.programs import PROGRAMS, command
 
@@ -19,9 +19,9 @@ RUN = "mine on mini-01, run 1"
 def test_off_a_terminal_each_run_tells_its_tenths_of_every_pass(capsys, monkeypatch):
     tell = plain_runs()
     for done in [*range(0, 101, 5), 0, 10]:
-        tell({RUN: Heard(done, 100), "other": Heard(1, 3)})
+        tell({RUN: RunOutput(done, 100), "other": RunOutput(1, 3)})
     monkeypatch.setattr(progress, "QUIET_S", 0.0)
-    tell({RUN: Heard(line="much else since then"), "other": Heard(1, 3)})
+    tell({RUN: RunOutput(line="much else since then"), "other": RunOutput(1, 3)})
     lines = [re.sub(", [0-9]+ s left", "", line) for line in capsys.readouterr().err.splitlines()]
     assert lines.count("other: 1 of 3") == 1
     expected = [f"{RUN}: {done} of 100" for done in [*range(0, 101, 10), 0, 10]]
@@ -48,7 +48,7 @@ def test_off_a_terminal_other_lines_are_told_now_and_then(capsys, monkeypatch):
     tell = plain_runs()
     for second in range(70):
         now[0] = 1000.0 + second
-        tell({RUN: Heard(line=f"at {second // 5}\x1b[31m")})
+        tell({RUN: RunOutput(line=f"at {second // 5}\x1b[31m")})
     assert capsys.readouterr().err.splitlines() == [f"{RUN}: at 6\\u001b[31m", f"{RUN}: at 12\\u001b[31m"]
 
 
@@ -56,10 +56,10 @@ def test_a_terminal_has_a_line_for_each_run_that_goes_on(capsys, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "80")
     with runs_shown() as tell:
-        tell({RUN: Heard(55, 140, "loop closed"), "other on mini-01, run 2": Heard(line="[b]map[/b]")})
+        tell({RUN: RunOutput(55, 140, "loop closed"), "other on mini-01, run 2": RunOutput(line="[b]map[/b]")})
         first = capsys.readouterr()
-        tell({RUN: Heard(line="much else since then"), "other on mini-01, run 2": Heard(line="[b]map[/b]")})
-        tell({"other on mini-01, run 2": Heard(line="mapping")})
+        tell({RUN: RunOutput(line="much else since then"), "other on mini-01, run 2": RunOutput(line="[b]map[/b]")})
+        tell({"other on mini-01, run 2": RunOutput(line="mapping")})
     last = capsys.readouterr()
     lines = [re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", line) for line in first.err.splitlines()]
     assert any(re.match(rf"{RUN} +\S+ 55 of 140 ", line) for line in lines)

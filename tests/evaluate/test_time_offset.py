@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.streams import stream
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.evaluate.slam.clock import estimate_offset, shift
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from oysterbench.evaluate.slam.time_offset import estimate_offset, shift
 from tests.helpers.dives import dive, moved, noisy, transect
 
 

@@ -12,7 +12,7 @@ from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import transform
 from oysterbench.core.measurements import DvlMeasurement, ImuMeasurement
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.evaluate.slam.clock import shift
+from oysterbench.evaluate.slam.time_offset import shift
 from oysterbench.mapping.contradictions import contradictions
 from oysterbench.sequence import Sequence
 from oysterbench.sequence.types import DvlCalibration

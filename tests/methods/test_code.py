@@ -110,7 +110,7 @@ def test_a_result_is_not_that_of_changed_code(folder, dive_file, tmp_path):
     change(folder / "coded_helper.py")
     change(folder / "coded_nets/layers.py", "import coded_unrelated")
     changed = "coded_helper.py, coded_nets/layers.py, coded_unrelated.py changed"
-    with pytest.raises(MethodError, match=rf"has run 1 of another net \({changed}\); .*rerun it with --again"):
+    with pytest.raises(MethodError, match=rf"holds run 1 of a different net \({changed}\); .*rerun it with --again"):
         list(runner.run_jobs([job], root))
 
 
@@ -130,7 +130,7 @@ def test_a_result_whose_code_was_not_recorded_is_not_said_to_be_of_changed_code(
     kept = read_outcome(job.folder(root))
     method = {key: value for key, value in kept.identity["method"].items() if key != "files"}
     replace(kept, identity={**kept.identity, "method": method}).write(job.folder(root))
-    with pytest.raises(MethodError, match=r"run 1 of another net \(an earlier version of oysterbench did not record"):
+    with pytest.raises(MethodError, match=r"a different net \(an earlier version of oysterbench did not record"):
         list(runner.run_jobs([job], root))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from oysterbench.core.errors import ResultError
 from oysterbench.results.comparison import as_plain, boards
-from oysterbench.results.labelled import labelled_results
+from oysterbench.results.named import named_results
 from oysterbench.results.records import write_results
 from oysterbench.results.remarks import remarks
 from tests.results.test_results import record
@@ -123,9 +123,9 @@ def test_the_same_file_scored_again_later_or_elsewhere_counts_once(tmp_path):
     assert boards([*first, *later])[0].standings[0].runs == 1
     for name, records in (("a.json", first), ("b.json", later), ("c.json", runs("a", [0.6]))):
         write_results(tmp_path / name, records)
-    assert labelled_results([str(tmp_path / "a.json"), str(tmp_path / "b.json")]) == first
+    assert named_results([str(tmp_path / "a.json"), str(tmp_path / "b.json")]) == first
     with pytest.raises(ResultError, match=r"both hold run 0 of a on s0, with different numbers"):
-        labelled_results([str(tmp_path / "a.json"), str(tmp_path / "c.json")])
+        named_results([str(tmp_path / "a.json"), str(tmp_path / "c.json")])
 
 
 def test_one_method_with_two_settings_is_two_methods():
@@ -190,10 +190,10 @@ def test_what_a_board_knows_is_cut_to_the_tracks_and_splits_of_the_files(tmp_pat
     write_results(tmp_path / "mine.json", runs("mine", [0.5]))
     of_slam, of_density = runs("theirs", [0.6]), runs("theirs", [0.7], track="density")
     known = {"theirs": [*of_slam, *of_density, *runs("theirs", [0.8], split="slam-val")], "counter": of_density}
-    given = labelled_results([str(tmp_path / "mine.json"), "theirs"], known.get)
+    given = named_results([str(tmp_path / "mine.json"), "theirs"], known.get)
     assert given[1:] == of_slam
-    assert labelled_results(["theirs"], known.get) == known["theirs"]
-    assert labelled_results([str(tmp_path / "mine.json"), "counter"], known.get)[1:] == of_density
+    assert named_results(["theirs"], known.get) == known["theirs"]
+    assert named_results([str(tmp_path / "mine.json"), "counter"], known.get)[1:] == of_density
 
 
 def test_boards_of_two_tracks_are_told_apart_by_their_evaluators_alone():

@@ -6,9 +6,9 @@ import math
 from dataclasses import replace
 
 from oysterbench.report.tables import results_table, standings_table
+from oysterbench.results.card_figures import card_figures
 from oysterbench.results.comparison import as_plain, boards
 from oysterbench.results.lost import lost_sequences
-from oysterbench.results.reached import figures_of
 from oysterbench.results.records import ResultRecord, aggregate, write_results
 
 DIVERGED = {"score": 0.0004, "ate_percent": 34000.0, "ate_rmse_m": 51000.0, "coverage": 0.9, "realtime_factor": 2.0}
@@ -42,7 +42,7 @@ def test_errors_are_medians_over_what_is_not_lost_and_all_else_means_over_everyt
 def test_the_card_of_weights_has_no_interval_of_means_beside_a_median(tmp_path):
     weights = {"weights": {"w": "ab" * 32}}
     write_results(tmp_path / "results.json", [replace(one, method_settings=weights) for one in SOME[:-1]])
-    figures = {figure.metric: figure for figure in figures_of(tmp_path, "w", "ab" * 32)}
+    figures = {figure.metric: figure for figure in card_figures(tmp_path, "w", "ab" * 32)}
     error, score = figures["ate_rmse_m"], figures["score"]
     assert math.isclose(error.value, 1.5 * 0.3)
     assert error.low is error.high is None

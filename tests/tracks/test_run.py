@@ -362,7 +362,7 @@ def test_what_failed_is_run_again_where_that_is_asked_for(run, answer, tmp_path)
 
 def test_results_of_another_command_are_not_taken_for_its_own(run, answer, tmp_path):
     run(ExternalCommand(command(tmp_path, "copies", answer), "mine"))
-    with pytest.raises(MethodError, match=r"has run 1 of another mine .*rerun it with --again"):
+    with pytest.raises(MethodError, match=r"holds run 1 of a different mine .*rerun it with --again"):
         run(ExternalCommand(command(tmp_path, "counts", answer), "mine"))
 
 
@@ -373,7 +373,7 @@ def test_a_program_that_was_changed_is_another_and_the_file_is_named(word, run, 
     mine = ExternalCommand(command(tmp_path, "copies", answer, "mcap", word.format(config)), "mine")
     run(mine)
     config.write_text("fast: 8")
-    with pytest.raises(MethodError, match=r"has run 1 of another mine \(\S+/rig\.yaml changed\); it was left"):
+    with pytest.raises(MethodError, match=r"holds run 1 of a different mine \(\S+/rig\.yaml changed\); it was left"):
         run(mine)
 
 

@@ -85,7 +85,9 @@ def test_a_result_is_not_that_of_a_folder_whose_files_changed_since(folder, tmp_
     assert (first.failure, second.failure) == (None, None)
     assert (first.outcome.earlier, second.outcome.earlier) == (False, True)
     CHANGES["cam0/sensor.yaml"](folder)
-    with pytest.raises(MethodError, match=r"has run 1 of another mine \(cam0/sensor.yaml changed\); .* with --again"):
+    with pytest.raises(
+        MethodError, match=r"holds run 1 of a different mine \(cam0/sensor.yaml changed\); .* with --again"
+    ):
         run(folder, tmp_path, mine)
 
 
@@ -108,7 +110,7 @@ def test_a_program_in_a_shell_that_changed_is_refused_and_one_that_did_not_is_to
     assert "out: kept 1 of 1 runs from an earlier command, the last of 20" in told
     assert "and did not run them again; `oysterbench run` with --again reruns them" in told
     program.write_text("#!/bin/sh\nexit 5\n")
-    with pytest.raises(MethodError, match=r"has run 1 of another mine \(my_slam changed\)"):
+    with pytest.raises(MethodError, match=r"holds run 1 of a different mine \(my_slam changed\)"):
         run(folder, tmp_path, ExternalCommand(line, "mine"))
 
 

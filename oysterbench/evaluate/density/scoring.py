@@ -10,7 +10,7 @@ import numpy as np
 
 from oysterbench.evaluate.density.metrics import DENSITY as METRICS
 from oysterbench.evaluate.density.restoration import restoration_class
-from oysterbench.evaluate.measures import Measures, Score
+from oysterbench.evaluate.values import Measures, Score
 
 __all__ = ["EVALUATOR", "METRICS", "Cell", "MapCount", "TrueCount", "score_density"]
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError
+from oysterbench.evaluate.segmentation.computation import measure, weights
 from oysterbench.evaluate.segmentation.images import EstimateImage, TruthImage, check_pair
-from oysterbench.evaluate.segmentation.measures import measure, weights
 from oysterbench.evaluate.segmentation.settings import SegmentationSettings
 from oysterbench.evaluate.segmentation.tally import Tally, add, tally_image
 from oysterbench.evaluate.segmentation.thresholds import STEPS, ThresholdCurve, curve, histogram

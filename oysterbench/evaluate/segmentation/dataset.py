@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from oysterbench.evaluate.segmentation.clip import ClipResult, join
-from oysterbench.evaluate.segmentation.measures import measure
+from oysterbench.evaluate.segmentation.computation import measure
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
 
 

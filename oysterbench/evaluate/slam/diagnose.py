@@ -14,7 +14,7 @@ from oysterbench.core.geometry import Array, align_umeyama, spread
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds
 from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL, inverted
 from oysterbench.core.trajectory.options import Order
-from oysterbench.evaluate.slam.clock import estimate_offset
+from oysterbench.evaluate.slam.time_offset import estimate_offset
 from oysterbench.evaluate.slam.validate import check_trajectory
 
 SAMPLES = 2000

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import NoStampsError, TrajectoryError
 from oysterbench.core.trajectory import ReadOptions, Trajectory, read_trajectory
-from oysterbench.evaluate.slam.clock import estimate_offset, shift
 from oysterbench.evaluate.slam.diagnose import Finding, diagnose
 from oysterbench.evaluate.slam.settings import SCALED, SlamSettings
+from oysterbench.evaluate.slam.time_offset import estimate_offset, shift
 
 KITTI_STEP_NS = 100_000_000
 """Interval, ns, between the poses of files without times: KITTI's cameras run at 10 Hz (Geiger et al. 2012)."""

@@ -9,8 +9,8 @@ import numpy as np
 
 from oysterbench.core.geometry import BLOCK, CONJUGATE, Array, quaternion_product
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.evaluate.measures import Measures
 from oysterbench.evaluate.slam.pairs import Index, between, pick, run_of
+from oysterbench.evaluate.values import Measures
 
 MIN_PATH_M = 1e-3
 """Errors are not given as a percentage of a path shorter than this, m."""

@@ -12,13 +12,9 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array, Similarity
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.core.trajectory.frames import poses_of_frame
-from oysterbench.evaluate.measures import Measures
 from oysterbench.evaluate.slam.alignment import Alignment, meet
 from oysterbench.evaluate.slam.association import match_notes, rate_notes
-from oysterbench.evaluate.slam.clock import estimate_offset, shift
-from oysterbench.evaluate.slam.consistency import Nees
-from oysterbench.evaluate.slam.lag import lag_notes
-from oysterbench.evaluate.slam.measures import (
+from oysterbench.evaluate.slam.computation import (
     Matched,
     measure_alignment,
     measure_answers,
@@ -30,12 +26,16 @@ from oysterbench.evaluate.slam.measures import (
     measure_velocity,
     sparse_note,
 )
+from oysterbench.evaluate.slam.consistency import Nees
 from oysterbench.evaluate.slam.metrics import SLAM as METRICS
 from oysterbench.evaluate.slam.pairs import distances
 from oysterbench.evaluate.slam.pose_errors import absolute_errors, measure_absolute
 from oysterbench.evaluate.slam.recall import Recall
 from oysterbench.evaluate.slam.settings import SCALED, SlamSettings
+from oysterbench.evaluate.slam.time_offset import estimate_offset, shift
+from oysterbench.evaluate.slam.time_offset_notes import time_offset_notes
 from oysterbench.evaluate.slam.validate import alignment_notes, attitude_notes, check_trajectory
+from oysterbench.evaluate.values import Measures
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -166,7 +166,7 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
     notes += rate_notes(truth, estimate)
     notes += match_notes(truth, estimate, met, settings)
     if settings.time_offset_s == 0.0:
-        notes += lag_notes(truth, estimate, met.truth, aligned, settings)
+        notes += time_offset_notes(truth, estimate, met.truth, aligned, settings)
     notes += fit.notes
     notes += measures.notes
     return SlamResult(

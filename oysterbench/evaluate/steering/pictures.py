@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import Array
-from oysterbench.evaluate.measures import Score
 from oysterbench.evaluate.steering import labels
+from oysterbench.evaluate.values import Score
 from oysterbench.recipe.steering import SteeringRecipe
 
 AXES = ("yaw", "pitch")

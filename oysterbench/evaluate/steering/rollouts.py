@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
-from oysterbench.evaluate.measures import Measures, Score
 from oysterbench.evaluate.statistics import (
     Interval,
     Sample,
@@ -19,6 +18,7 @@ from oysterbench.evaluate.statistics import (
     too_few,
 )
 from oysterbench.evaluate.steering.log import RolloutLog
+from oysterbench.evaluate.values import Measures, Score
 from oysterbench.recipe.steering import SteeringRecipe
 
 

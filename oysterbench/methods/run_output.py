@@ -13,7 +13,7 @@ PROGRESS = re.compile(r"progress (\d{1,9}) of (\d{1,9})")
 
 
 @dataclass(frozen=True)
-class Heard:
+class RunOutput:
     """Latest output of a run in progress. done, total: of its last progress line, 0 if none; line: last other line."""
 
     done: int = 0
@@ -21,14 +21,14 @@ class Heard:
     line: str = ""
 
 
-Told = Callable[[Mapping[str, Heard]], None]
+OnOutput = Callable[[Mapping[str, RunOutput]], None]
 """Called every second with the latest output of the running jobs, by their titles."""
 
 
-def hear(folder: Path) -> Heard:
+def read_output(folder: Path) -> RunOutput:
     """Read the latest output of a run from the folder that its output goes to."""
     said = complete_lines(folder / STDOUT)
     steps = [match for line in said if (match := PROGRESS.fullmatch(line))]
     others = [line for line in said if not PROGRESS.fullmatch(line)] or complete_lines(folder / STDERR)
     done, total = map(int, steps[-1].groups()) if steps else (0, 0)
-    return Heard(min(done, total), total, others[-1] if others else "")
+    return RunOutput(min(done, total), total, others[-1] if others else "")

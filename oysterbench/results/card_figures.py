@@ -12,7 +12,7 @@ from oysterbench.hub.model import Figure
 from oysterbench.results.records import ResultRecord, aggregate, read_results
 
 
-def figures_of(path: Path, name: str, sha256: str) -> list[Figure]:
+def card_figures(path: Path, name: str, sha256: str) -> list[Figure]:
     """Read the metrics that methods reached with given weights, those of a track's tables, from a results file or a
     folder that holds one.
 

@@ -9,8 +9,8 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.core.trajectory.frames import poses_of_frame
 from oysterbench.evaluate.slam.alignment import meet
-from oysterbench.evaluate.slam.clock import estimate_offset, shift
 from oysterbench.evaluate.slam.settings import SCALED, SlamSettings
+from oysterbench.evaluate.slam.time_offset import estimate_offset, shift
 
 MIN_SHARE = 0.25
 """Share of the squared errors that a lag must explain before an offset is estimated, which takes longer."""
@@ -22,7 +22,7 @@ MIN_GAIN = 0.2
 """Share of the ATE that correcting the clock must remove."""
 
 
-def lag_notes(
+def time_offset_notes(
     truth: Trajectory, estimate: Trajectory, matched: Trajectory, aligned: Trajectory, settings: SlamSettings
 ) -> list[str]:
     """Note that the estimate's stamps are off, if that accounts for much of the ATE; else an empty list.

@@ -7,7 +7,7 @@ import pytest
 
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.evaluate.slam import SlamSettings, score
-from oysterbench.evaluate.slam.clock import shift
+from oysterbench.evaluate.slam.time_offset import shift
 
 SECONDS = np.arange(0, 40, 0.05)
 

@@ -13,7 +13,7 @@ Finder = Callable[[str], "list[ResultRecord] | None"]
 """Returns the records for a name that is not a file; None if it knows no such name."""
 
 
-def labelled_results(names: Iterable[str], find: Finder | None = None) -> list[ResultRecord]:
+def named_results(names: Iterable[str], find: Finder | None = None) -> list[ResultRecord]:
     """Read the records of files, or of folders that hold results.json, each given as PATH or LABEL=PATH, or of
     anything else that `find` knows by name.
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.evaluate.measures import Measures
 from oysterbench.evaluate.slam.alignment import Alignment
 from oysterbench.evaluate.slam.association import Association, find_gaps
 from oysterbench.evaluate.slam.consistency import Nees, nees
@@ -29,6 +28,7 @@ from oysterbench.evaluate.slam.pairs import (
 from oysterbench.evaluate.slam.pose_errors import MIN_PATH_M, STILL, PoseErrors, relative_errors, rms
 from oysterbench.evaluate.slam.recall import Recall, recall
 from oysterbench.evaluate.slam.settings import SlamSettings
+from oysterbench.evaluate.values import Measures
 
 SUBPATH_PERCENTS = (10, 20, 30, 40, 50)
 """Default lengths of the segments, % of the true path (Zhang & Scaramuzza 2018, sec. VI)."""
