@@ -18,6 +18,7 @@ from oysterbench.core.masks import as_mask
 from oysterbench.evaluate.detection.instances import instance_numbers, pieces
 from oysterbench.evaluate.detection.states import ALIVE
 from oysterbench.evaluate.segmentation import EstimateImage
+from oysterbench.methods.checks import check_count, check_shape, checked_boxes, checked_masks, checked_scores
 from oysterbench.methods.images import Detections, Segmentation
 
 MOST = 65535
@@ -108,7 +109,7 @@ class _Parts:
 
 def _connected(prediction: Segmentation, where: str, shape: tuple[int, int], threshold: float) -> _Parts:
     said = EstimateImage(where, prediction.oyster, prediction.probability, prediction.classes)
-    _check_shape(said.shape, where, shape)
+    check_shape(said.shape, shape, where)
     numbers, means = connected_parts(said.mask(threshold), said.probability)
     count = int(numbers.max(initial=0))
     scores = [math.nan] * count if means is None else means.tolist()
@@ -118,10 +119,8 @@ def _connected(prediction: Segmentation, where: str, shape: tuple[int, int], thr
 def _masked(prediction: Detections, where: str, shape: tuple[int, int], threshold: float) -> _Parts:
     """Oysters of masks that may overlap: the most confident is on top in the plane, but each is measured by its whole
     mask."""
-    scores, live = _scores(prediction, where)
-    masks = np.asarray(prediction.masks)
-    _check_shape(masks.shape[1:] if masks.ndim == 3 else masks.shape, where, shape)
-    _check_count(len(masks), len(scores), where)
+    scores, live = checked_scores(prediction, where)
+    masks = checked_masks(np.asarray(prediction.masks), len(scores), shape, where)
     kept = np.flatnonzero(scores >= threshold)
     order = kept[np.argsort(scores[kept], kind="stable")]
     numbers = np.zeros(shape, np.int32)
@@ -135,14 +134,12 @@ def _masked(prediction: Detections, where: str, shape: tuple[int, int], threshol
 
 
 def _numbered(prediction: Detections, where: str, shape: tuple[int, int], threshold: float) -> _Parts:
-    scores, live = _scores(prediction, where)
+    scores, live = checked_scores(prediction, where)
     if prediction.numbers is None:
         raise MethodError(f"{where}: expected numbers, masks or boxes of oysters, got none of them")
     plane = instance_numbers(np.asarray(prediction.numbers), where)
-    _check_shape(plane.shape, where, shape)
-    most = int(plane.max(initial=0))
-    if most > len(scores):
-        raise MethodError(f"{where}: expected a score for each of {most} oysters, got {len(scores)}")
+    check_shape(plane.shape, shape, where)
+    check_count(int(plane.max(initial=0)), len(scores), where, at_most=True)
     kept = np.flatnonzero(scores >= threshold)
     dense = np.zeros(len(scores) + 1, np.int32)
     dense[kept + 1] = np.arange(1, len(kept) + 1)
@@ -151,15 +148,13 @@ def _numbered(prediction: Detections, where: str, shape: tuple[int, int], thresh
 
 
 def _boxes(prediction: Detections, where: str, shape: tuple[int, int], threshold: float) -> Iterator[Oyster]:
-    scores, live = _scores(prediction, where)
-    boxes = np.asarray(prediction.boxes)
-    boxes = boxes.reshape(0, 4) if not boxes.size else boxes
-    if boxes.ndim != 2 or boxes.shape[1] != 4 or boxes.dtype.kind not in "iuf" or not np.isfinite(boxes).all():
-        raise MethodError(f"{where}: expected boxes (N, 4), x, y, width, height in px, got shape {boxes.shape}")
-    _check_count(len(boxes), len(scores), where)
+    scores, live = checked_scores(prediction, where)
+    boxes = checked_boxes(np.asarray(prediction.boxes), len(scores), where)
+    if not np.isfinite(boxes).all():
+        raise MethodError(f"{where}: expected boxes of finite numbers, got {boxes[~np.isfinite(boxes).all(axis=1)][0]}")
     height, width = shape
     for number, k in enumerate(np.flatnonzero(scores >= threshold), start=1):
-        x, y, w, h = boxes[k].astype(float).tolist()
+        x, y, w, h = boxes[k].tolist()
         corners = np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]])
         cut = x <= 0 or y <= 0 or x + w >= width or y + h >= height
         middle = np.array([x + w / 2, y + h / 2])
@@ -190,32 +185,9 @@ def _hull(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
     return cv2.convexHull(corners.astype(np.int32)).reshape(-1, 2).astype(float)
 
 
-def _scores(prediction: Detections, where: str) -> tuple[Array, Array]:
-    scores = np.asarray(prediction.scores).ravel()
-    if scores.dtype.kind not in "iuf" or not np.isfinite(scores.astype(float)).all():
-        raise MethodError(f"{where}: expected scores (N,), finite numbers, got {scores.dtype} {scores[:4]}")
-    if prediction.live is None:
-        return scores.astype(float), np.full(len(scores), math.nan)
-    live = np.asarray(prediction.live, dtype=float).ravel()
-    if len(live) != len(scores) or not ((live >= 0) & (live <= 1) | np.isnan(live)).all():
-        raise MethodError(f"{where}: expected live ({len(scores)},), probabilities or NaN, got {len(live)}: {live[:4]}")
-    return scores.astype(float), live
-
-
 def _novelty(value: float | None, where: str) -> float:
     if value is None:
         return math.nan
     if not float(value) >= 0:  # NaN fails as well
         raise MethodError(f"{where}: expected a novelty from 0, got {value}")
     return float(value)
-
-
-def _check_count(count: int, scores: int, where: str) -> None:
-    if count != scores:
-        raise MethodError(f"{where}: expected a score for each of {count} oysters, got {scores}")
-
-
-def _check_shape(found: tuple[int, ...], where: str, shape: tuple[int, int]) -> None:
-    if tuple(found) != shape:
-        size, got = (" x ".join(str(n) for n in one[::-1]) for one in (shape, found))
-        raise MethodError(f"{where}: expected an answer of the image's size, {size}, got {got}")

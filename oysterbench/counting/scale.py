@@ -46,7 +46,8 @@ class Scale(Protocol):
         ...
 
     def to_ground(self, points: Array) -> Array:
-        """Map points (N, 2) px to points (N, 2) m on the bottom."""
+        """Map points (N, 2) px to points (N, 2) m on the bottom. Origin and axes depend on the kind of scale: only
+        lengths and areas are comparable."""
         ...
 
     def as_dict(self) -> dict[str, Any]:
@@ -72,7 +73,7 @@ class PlainScale:
         return border(shape)
 
     def to_ground(self, points: Array) -> Array:
-        """Scale the points by the same factor everywhere."""
+        """Scale the points by the same factor everywhere: metres from the image's corner, along its sides."""
         return np.asarray(points, dtype=float) * self.mm_per_px * 1e-3
 
     def as_dict(self) -> dict[str, Any]:
@@ -99,7 +100,7 @@ class AltitudeScale:
         return border(shape)
 
     def to_ground(self, points: Array) -> Array:
-        """Intersect the rays of the points with a plane perpendicular to the axis."""
+        """Intersect the rays of the points with a plane perpendicular to the axis: metres from their intersection."""
         return self.lens.rays(np.asarray(points, dtype=float) - 0.5) * self.altitude_m
 
     def as_dict(self) -> dict[str, Any]:
@@ -149,7 +150,7 @@ class QuadratScale:
         return np.empty((0, 2)) if part is None else np.asarray(part, dtype=float).reshape(-1, 2)
 
     def to_ground(self, points: Array) -> Array:
-        """Metres from a corner, along the quadrat's sides."""
+        """Metres from a corner, along the quadrat's sides; which corner is not defined."""
         given = np.asarray(points, dtype=float).reshape(-1, 1, 2)
         if not len(given):
             return np.empty((0, 2))

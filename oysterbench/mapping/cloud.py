@@ -1,4 +1,4 @@
-"""Point clouds: coloured points in odom, thinned, with outliers removed, and written as PLY."""
+"""Point clouds: coloured points in the trajectory's world frame, thinned, with outliers removed, and written as PLY."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BATCH = 1_000_000  # points that are buffered before they are merged into the vo
 
 @dataclass(frozen=True)
 class PointCloud:
-    """Points (N, 3) float m in odom; colours (N, 3) uint8 RGB; observations (N,) int, measurements behind each."""
+    """Points (N, 3) float m in the world frame; colours (N, 3) uint8 RGB; observations (N,) int, measurements behind each."""
 
     points: Array
     colours: NDArray[np.uint8]
@@ -38,7 +38,7 @@ class PointCloud:
         return PointCloud(self.points[index], self.colours[index], self.observations[index])
 
     def write(self, path: str | os.PathLike[str], comment: str) -> None:
-        """Write the cloud as binary PLY: x, y, z (m, odom), red, green, blue, observations."""
+        """Write the cloud as binary PLY: x, y, z (m, world frame), red, green, blue, observations."""
         rows = np.zeros(len(self), dtype=POINT)
         rows["x"], rows["y"], rows["z"] = self.points.T
         rows["red"], rows["green"], rows["blue"] = self.colours.T

@@ -211,15 +211,15 @@ class _Plane:
         self.places = np.concatenate([np.zeros((0, 3)), *places])
 
     def at(self, _stamp_ns: int, first_ns: int) -> Array | None:
-        T_odom_cam = self.poses.of_rows(self.calibration, first_ns)
+        T_world_cam = self.poses.of_rows(self.calibration, first_ns)
         near = self.places[np.abs(self.stamps - self.calibration.taken_ns(first_ns)) <= self.window_ns]
-        if T_odom_cam is None or len(near) < 3:
+        if T_world_cam is None or len(near) < 3:
             return None
         slope_x, slope_y, height = fit_plane(near)
         normal = np.array([-slope_x, -slope_y, 1.0])
-        normals = np.swapaxes(T_odom_cam[:, :3, :3], -1, -2) @ normal  # in the optical frame of each row
+        normals = np.swapaxes(T_world_cam[:, :3, :3], -1, -2) @ normal  # in the optical frame of each row
         along = (self.rays * normals[:, None]).sum(axis=-1)
-        above = (T_odom_cam[:, :3, 3] @ normal - height)[:, None]
+        above = (T_world_cam[:, :3, 3] @ normal - height)[:, None]
         meets = above * along < 0
         return np.where(meets, -above / np.where(meets, along, 1.0), np.nan)
 

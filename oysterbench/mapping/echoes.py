@@ -24,12 +24,12 @@ Echo = tuple[int, Array, Array]
 def heard_points(
     sequence: Sequence, poses: PoseInterpolator, settings: CloudSettings, watch: Watch = unwatched
 ) -> Iterator[Array]:
-    """Yield points (N, 3) m in odom, sample by sample, where the pose is known."""
+    """Yield points (N, 3) m in the world frame, sample by sample, where the pose is known."""
     for stamp_ns, points, T_base_sensor in chain(range_echoes(sequence), _pings(sequence, settings)):
         watch(stamp_ns)
-        T_odom_base = poses.at(stamp_ns)
-        if T_odom_base is not None and len(points):
-            T = T_odom_base @ T_base_sensor
+        T_world_base = poses.at(stamp_ns)
+        if T_world_base is not None and len(points):
+            T = T_world_base @ T_base_sensor
             yield points @ T[:3, :3].T + T[:3, 3]
 
 
@@ -97,13 +97,13 @@ def coloured(
         last_ns = -(2**62)
         for image in sequence.images(camera):
             watch(image.stamp_ns)
-            T_odom_base = poses.taking(sequence.cameras[camera], image.stamp_ns)
-            if T_odom_base is None or image.stamp_ns - last_ns < settings.colour_every_s * 1e9:
+            T_world_base = poses.taking(sequence.cameras[camera], image.stamp_ns)
+            if T_world_base is None or image.stamp_ns - last_ns < settings.colour_every_s * 1e9:
                 continue
             last_ns = image.stamp_ns
-            view = pinhole.view(image, T_odom_base)
-            T_cam_odom = invert(view.T_odom_cam)
-            seen = cloud.points @ T_cam_odom[:3, :3].T + T_cam_odom[:3, 3]
+            view = pinhole.view(image, T_world_base)
+            T_cam_world = invert(view.T_world_cam)
+            seen = cloud.points @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
             closer = (seen[:, 2] > settings.near_m) & (seen[:, 2] < nearest)
             rows = np.flatnonzero(closer)
             u, v = _pixels(seen[rows], view.matrix)

@@ -19,7 +19,7 @@ FIRST_DISTANCE_M = 1.0  # initial guess of the scene's distance
 def seen_points(
     sequence: Sequence, camera: str, poses: PoseInterpolator, settings: CloudSettings, watch: Watch = unwatched
 ) -> Iterator[tuple[Array, NDArray[np.uint8]]]:
-    """Yield points (N, 3) m in odom and their colours (N, 3) uint8, view by view.
+    """Yield points (N, 3) m in the world frame and their colours (N, 3) uint8, view by view.
 
     A point is kept if the view before or the view after has it at the same place.
     """
@@ -45,19 +45,19 @@ def depth_maps(
     moved = 0
     for image, partner_image in frames(sequence, camera, other, settings):
         watch(image.stamp_ns)
-        T_odom_base = poses.taking(sequence.cameras[camera], image.stamp_ns)
-        if T_odom_base is None:
+        T_world_base = poses.taking(sequence.cameras[camera], image.stamp_ns)
+        if T_world_base is None:
             views.clear()  # the motion across a gap is unknown
             continue
-        place = (T_odom_base @ pinhole.T_base_cam)[:3, 3]
-        if views and float(np.linalg.norm(place - views[-1].T_odom_cam[:3, 3])) < settings.step_share * distance_m:
+        place = (T_world_base @ pinhole.T_base_cam)[:3, 3]
+        if views and float(np.linalg.norm(place - views[-1].T_world_cam[:3, 3])) < settings.step_share * distance_m:
             continue
-        views.append(pinhole.view(image, T_odom_base))
+        views.append(pinhole.view(image, T_world_base))
         moved += 1
         if moved % settings.every:
             continue
         if second is not None and partner_image is not None:
-            sources = [second.view(partner_image, T_odom_base)]
+            sources = [second.view(partner_image, T_world_base)]
             found = sweep(views[-1], sources, settings)
             views = views[-1:]
         else:

@@ -103,14 +103,14 @@ class Lens:
             )
         return np.concatenate([self._rays[..., :2], np.ones((*self.shape, 1))], axis=-1)
 
-    def points(self, depth_m: Array, T_odom_cam: Array) -> Array:
-        """Points (H, W, 3) m in odom of an image's pixels, from depths (H, W) m along the optical axis; NaN stays NaN.
+    def points(self, depth_m: Array, T_world_cam: Array) -> Array:
+        """Points (H, W, 3) m in the world frame of an image's pixels, from depths (H, W) m along the optical axis; NaN stays NaN.
 
-        T_odom_cam: (H, 4, 4) for each row, or (1, 4, 4) or (4, 4) for all rows.
+        T_world_cam: (H, 4, 4) for each row, or (1, 4, 4) or (4, 4) for all rows.
         """
         across = self._rays[..., :2] * (depth_m - self._rays[..., 2])[..., None]
         points = np.concatenate([across, depth_m[..., None]], axis=-1)
-        return points @ np.swapaxes(T_odom_cam[..., :3, :3], -1, -2) + T_odom_cam[..., None, :3, 3]
+        return points @ np.swapaxes(T_world_cam[..., :3, :3], -1, -2) + T_world_cam[..., None, :3, 3]
 
 
 def usable(depth_m: Array, settings: MapSettings) -> NDArray[np.bool_]:

@@ -157,8 +157,8 @@ def build_map(
                 )
             any_oyster |= bool(picture.numbers.any())
             image, first_ns = shown
-            T, T_odom_cam = (find(calibration, first_ns) for find in (poses.taking, poses.of_rows))
-            if T is None or T_odom_cam is None:
+            T, T_world_cam = (find(calibration, first_ns) for find in (poses.taking, poses.of_rows))
+            if T is None or T_world_cam is None:
                 counts["without_pose"] += 1
                 in_gaps += poses.is_gap(calibration.taken_ns(first_ns))
                 continue
@@ -166,7 +166,7 @@ def build_map(
             if depth_m is None:
                 counts["without_depth"] += 1
                 continue
-            points = lens.points(depth_m, T_odom_cam)
+            points = lens.points(depth_m, T_world_cam)
             depth_m = np.where(np.isfinite(points[..., 0]), depth_m, np.nan)
             near = usable(depth_m, settings)
             tiles.add(tile_of(raster, points[near], depth_m[near], image.pixels[near]))

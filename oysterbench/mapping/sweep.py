@@ -31,9 +31,9 @@ class DepthMap:
     depth: Array
 
     def points(self) -> tuple[Array, NDArray[np.uint8]]:
-        """Points (N, 3) m in odom of the pixels with depth, and their colours (N, 3) uint8."""
+        """Points (N, 3) m in the world frame of the pixels with depth, and their colours (N, 3) uint8."""
         rows, columns = np.nonzero(np.isfinite(self.depth))
-        T = self.view.T_odom_cam
+        T = self.view.T_world_cam
         points = _rays(self.view, rows, columns) * self.depth[rows, columns, None]
         return points @ T[:3, :3].T + T[:3, 3], self.view.colours[rows, columns]
 
@@ -44,7 +44,7 @@ def sweep(view: View, sources: Sequence[View], settings: CloudSettings) -> Depth
     A pixel has no depth where some likely depth is shown by no source, nor has a small group of pixels whose depth
     differs from those around.
     """
-    relative = [invert(source.T_odom_cam) @ view.T_odom_cam for source in sources]
+    relative = [invert(source.T_world_cam) @ view.T_world_cam for source in sources]
     base = max(float(np.linalg.norm(T[:3, 3])) for T in relative)
     span = 1.0 / settings.near_m - 1.0 / settings.far_m
     wanted = int(np.ceil(view.matrix[0, 0] * base * span / settings.plane_px)) + 1
@@ -129,7 +129,7 @@ def agreeing(depths: DepthMap, others: Sequence[DepthMap], share: float) -> Dept
     points, _ = depths.points()
     agreed = np.zeros(len(points), dtype=bool)
     for other in others:
-        T = invert(other.view.T_odom_cam)
+        T = invert(other.view.T_world_cam)
         seen = points @ T[:3, :3].T + T[:3, 3]
         front = seen[:, 2] > 1e-3
         pixels = seen @ other.view.matrix.T

@@ -38,7 +38,7 @@ def unwatched(stamp_ns: int) -> None:
 
 @dataclass(frozen=True)
 class View:
-    """A pinhole image: colours (H, W, 3) uint8 RGB, camera matrix (3, 3), T_odom_cam (4, 4).
+    """A pinhole image: colours (H, W, 3) uint8 RGB, camera matrix (3, 3), T_world_cam (4, 4).
 
     shown: (H, W), where the camera shows something, as a lens may fill only part of the pinhole image; None for all
     """
@@ -46,7 +46,7 @@ class View:
     stamp_ns: int
     colours: NDArray[np.uint8]
     matrix: Array
-    T_odom_cam: Array
+    T_world_cam: Array
     shown: NDArray[np.bool_] | None = None
 
     @cached_property
@@ -76,12 +76,12 @@ class Pinhole:
             whole = np.full((camera.height, camera.width), 255, dtype=np.uint8)
             self._shown = self._resized(cv2.remap(whole, *self._maps, cv2.INTER_LINEAR)) == 255
 
-    def view(self, image: Image, T_odom_base: Array) -> View:
-        """Return the view of an image, at a pose T_odom_base (4, 4)."""
+    def view(self, image: Image, T_world_base: Array) -> View:
+        """Return the view of an image, at a pose T_world_base (4, 4)."""
         pixels = image.pixels
         if self._maps is not None:
             pixels = cv2.remap(pixels, *self._maps, cv2.INTER_LINEAR)
-        return View(image.stamp_ns, self._resized(pixels), self.matrix, T_odom_base @ self.T_base_cam, self._shown)
+        return View(image.stamp_ns, self._resized(pixels), self.matrix, T_world_base @ self.T_base_cam, self._shown)
 
     def _resized(self, pixels: Any) -> Any:
         if self._size == pixels.shape[1::-1]:
@@ -90,13 +90,13 @@ class Pinhole:
 
 
 class PoseInterpolator:
-    """Interpolates poses of base_link (4, 4) at any stamp that a trajectory covers."""
+    """Interpolates poses of base_link (4, 4), in the world frame of a trajectory, at any stamp that it covers."""
 
     def __init__(self, trajectory: Trajectory, max_gap_s: float) -> None:
         self.trajectory, self._max_gap_ns = trajectory, max_gap_s * 1e9
 
     def at(self, stamp_ns: int) -> Array | None:
-        """Interpolate T_odom_base; None outside the trajectory and in its gaps."""
+        """Interpolate T_world_base; None outside the trajectory and in its gaps."""
         stamps = self.trajectory.stamps_ns
         after = int(np.searchsorted(stamps, stamp_ns))
         if after < len(stamps) and stamps[after] == stamp_ns:
@@ -112,11 +112,11 @@ class PoseInterpolator:
         return bool(len(stamps) and stamps[0] < stamp_ns < stamps[-1])
 
     def taking(self, camera: CameraCalibration, stamp_ns: int) -> Array | None:
-        """T_odom_base at the time when a camera took the frame of a stamp; None as in `at`."""
+        """T_world_base at the time when a camera took the frame of a stamp; None as in `at`."""
         return self.at(camera.taken_ns(stamp_ns))
 
     def of_rows(self, camera: CameraCalibration, stamp_ns: int) -> Array | None:
-        """T_odom_cam at the time when each row of a frame was taken: (H, 4, 4) for a rolling shutter, else (1, 4, 4).
+        """T_world_cam at the time when each row of a frame was taken: (H, 4, 4) for a rolling shutter, else (1, 4, 4).
 
         None if the middle row has no pose, as in `at`. Rows beyond an end of the trajectory, or in a gap, have the pose
         at that end.

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oysterbench.annotations import LabelledSequence, labelled_sequence, open_predictions, open_truth, read_coco
 from oysterbench.annotations.forms import FORMS, Form
@@ -20,6 +19,7 @@ from oysterbench.core.masks import as_mask
 from oysterbench.evaluate.detection import ImageInstances
 from oysterbench.evaluate.detection.instances import Instance, from_mask, from_planes, instance_numbers
 from oysterbench.evaluate.segmentation import EstimateImage, check_size
+from oysterbench.methods.checks import check_count, check_shape, checked_boxes, checked_masks, checked_scores
 from oysterbench.methods.images import Detections, Picture, Segmentation
 from oysterbench.methods.interfaces import RunSequence
 from oysterbench.methods.interfaces.images import (
@@ -262,10 +262,11 @@ def segmentation_of(prediction: Prediction, method: str) -> EstimateImage:
 def instances_of(prediction: Prediction, method: str, shape: tuple[int, int], threshold: float) -> ImageInstances:
     """Individual oysters of a prediction. In a mask, or in probabilities thresholded at `threshold`, each 8-connected
     component is one, scored by its mean probability, or 1 if there are no probabilities."""
+    where = f"method {method!r} on {prediction.name}"
     if isinstance(prediction, Detections):
-        return _detections(prediction, f"method {method!r} on {prediction.name}", shape)
+        return _detections(prediction, where, shape)
     estimate = segmentation_of(prediction, method)
-    _check_shape(estimate.shape, prediction.name, shape)
+    check_shape(estimate.shape, shape, where)
     numbers, means = connected_parts(estimate.mask(threshold), estimate.probability)
     scores = np.ones(numbers.max(initial=0)) if means is None else means
     return from_planes(prediction.name, numbers, scores=dict(enumerate(scores.tolist(), start=1)))
@@ -273,58 +274,22 @@ def instances_of(prediction: Prediction, method: str, shape: tuple[int, int], th
 
 def _detections(prediction: Detections, where: str, shape: tuple[int, int]) -> ImageInstances:
     """Convert detections from untrusted arrays, checking sizes, types and ranges. Raises MethodError or LabelError."""
-    name, scores = prediction.name, np.asarray(prediction.scores).ravel()
-    if scores.dtype.kind not in "iuf" or not np.isfinite(scores := scores.astype(float)).all():
-        raise MethodError(f"{where}: expected scores (N,), finite numbers, got {scores.dtype} {scores[:4]}")
-    live = _live(prediction, where, len(scores))
+    name = prediction.name
+    scores, live = (each.tolist() for each in checked_scores(prediction, where))
     given = [np.asarray(one) for one in (prediction.numbers, prediction.masks, prediction.boxes) if one is not None]
     if len(given) != 1:
         raise MethodError(f"{where}: expected one of numbers, masks and boxes, got {len(given)}")
     if prediction.numbers is not None:
         numbers = instance_numbers(given[0], where)
-        _check_shape(numbers.shape, name, shape)
-        _check_count(int(numbers.max(initial=0)), scores, where, at_most=True)
-        by_number = (dict(enumerate(values, start=1)) for values in (scores.tolist(), live))
+        check_shape(numbers.shape, shape, where)
+        check_count(int(numbers.max(initial=0)), len(scores), where, at_most=True)
+        by_number = (dict(enumerate(values, start=1)) for values in (scores, live))
         return from_planes(name, numbers, None, None, *by_number)
-    _check_count(len(given[0]) if given[0].ndim else 0, scores, where)
     found: list[Instance] = []
     if prediction.masks is not None:
-        if given[0].ndim != 3:
-            raise MethodError(f"{where}: expected masks (N, H, W), got an array of shape {given[0].shape}")
-        _check_shape(given[0].shape[1:], name, shape)
-        masks = as_mask(given[0], where)
-        found = [from_mask(m, s, live=a) for m, s, a in zip(masks, scores.tolist(), live, strict=True) if m.any()]
+        masks = as_mask(checked_masks(given[0], len(scores), shape, where), where)
+        found = [from_mask(m, s, live=a) for m, s, a in zip(masks, scores, live, strict=True) if m.any()]
     else:
-        boxes = given[0].reshape(0, 4) if not given[0].size else given[0]
-        if boxes.ndim != 2 or boxes.shape[1] != 4 or boxes.dtype.kind not in "iuf":
-            raise MethodError(
-                f"{where}: expected boxes (N, 4), x, y, width, height in px, got {boxes.dtype} of shape {boxes.shape}"
-            )
-        each = zip(boxes.astype(float).tolist(), scores.tolist(), live, strict=True)
+        each = zip(checked_boxes(given[0], len(scores), where).tolist(), scores, live, strict=True)
         found = [Instance((x, y, w, h), None, w * h, score, live=alive) for (x, y, w, h), score, alive in each]
     return ImageInstances(name, *shape, tuple(found))
-
-
-def _live(prediction: Detections, where: str, count: int) -> list[float]:
-    """Probabilities (N,) that each oyster is alive, NaN where the prediction does not say. Raises MethodError."""
-    if prediction.live is None:
-        return [np.nan] * count
-    live = np.asarray(prediction.live).ravel()
-    known = live.dtype.kind in "biuf"
-    if not known or len(live) != count or not ((live >= 0) & (live <= 1) | np.isnan(live.astype(float))).all():
-        raise MethodError(
-            f"{where}: expected live ({count},), a probability of each oyster or NaN, got {live.dtype} {live[:4]} of "
-            f"{len(live)}"
-        )
-    return [float(value) for value in live]
-
-
-def _check_count(count: int, scores: NDArray[Any], where: str, at_most: bool = False) -> None:
-    if count > len(scores) or (count < len(scores) and not at_most):
-        raise MethodError(f"{where}: expected a score for each of {count} oysters, got {len(scores)}")
-
-
-def _check_shape(found: tuple[int, ...], name: str, shape: tuple[int, int]) -> None:
-    if found != shape:
-        size, got = (" x ".join(str(n) for n in one[::-1]) for one in (shape, found))
-        raise LabelError(f"{name}: expected an estimate of the picture's size, {size}, got {got}")

@@ -332,7 +332,7 @@ def test_options_of_a_scale_that_do_not_belong_together_are_refused(folder, opti
     ("options", "code", "said"),
     [
         (("--mm-per-px", "-1"), 2, "--mm-per-px: expected millimetres above 0, got -1"),
-        (("--method", "tests.helpers.image_methods:Small"), 1, "expected an answer of the image's size"),
+        (("--method", "tests.helpers.image_methods:Small"), 1, "expected a prediction of the image's size"),
         (("--method", "straight"), 1, "expected a method of detection or segmentation, got one of steering"),
         (("--method", "nonsense"), 1, "unknown method 'nonsense'"),
         (("--checked", "gone.json"), 1, "gone.json: no such file; expected results of discs: `oysterbench run"),

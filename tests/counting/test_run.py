@@ -124,7 +124,7 @@ def test_a_method_that_fails_on_three_pictures_one_after_the_other_is_not_tried_
 @pytest.mark.parametrize(
     ("method", "said"),
     [
-        (Small(), "on a b: expected an answer of the image's size, 160 x 120, got 2 x 2"),
+        (Small(), "on a b: expected a prediction of the image's size, 160 x 120, got 2 x 2"),
         (Another(), "expected a prediction for a b, got one for 'x'"),
         (Lazy(), "ended without a result for b|for the pictures"),
     ],

@@ -119,7 +119,7 @@ ONE[10:22, 8:20] = 1
 @pytest.mark.parametrize(
     ("scores", "given", "message"),
     [
-        ([0.9], {"numbers": ONE[:2, :2]}, "expected an estimate of the picture's size, 64 x 48, got 2 x 2"),
+        ([0.9], {"numbers": ONE[:2, :2]}, "expected a prediction of the image's size, 64 x 48, got 2 x 2"),
         ([0.9], {"numbers": np.dstack([ONE, ONE])}, r"integers \(H, W\) from 0 .* of shape \(48, 64, 2\)"),
         ([0.9], {"numbers": ONE - 2.5}, "integers .* got float64"),
         ([0.9], {"numbers": ONE.astype(np.int64) - (1 << 32)}, "integers .* got int64"),

@@ -13,7 +13,7 @@ from oysterbench.core.geometry import Array, interpolate_poses, poses_to_matrice
 
 @dataclass(frozen=True, repr=False)
 class Trajectory:
-    """Poses `T_map_body` in time.
+    """Poses of the body in time, in a world frame: odom, an estimate's own; map, for ground truth.
 
     stamps_ns:   (N,) int64, nanoseconds
     positions:   (N, 3) float64, m, in the world frame
@@ -66,7 +66,7 @@ class Trajectory:
 
     @property
     def matrices(self) -> Array:
-        """(N, 4, 4) transforms T_map_body."""
+        """(N, 4, 4) transforms from the body to the world frame."""
         return poses_to_matrices(self.positions, self.quaternions)
 
     def at(self, stamps_ns: NDArray[np.int64]) -> Trajectory:
