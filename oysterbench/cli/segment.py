@@ -133,6 +133,7 @@ def segment_command(
 
     from oysterbench.methods.finding import find_variant
 
+    chosen: Any  # of which track, is checked next
     chosen, options = find_variant(method)
     if chosen.track not in TRACKS:
         raise MethodError(f"{method}: expected a method of {' or '.join(TRACKS)}, got one of {chosen.track}")

@@ -24,7 +24,7 @@ BATCH = 1_000_000  # points that are buffered before they are merged into the vo
 
 @dataclass(frozen=True)
 class PointCloud:
-    """Points (N, 3) float m in the world frame; colours (N, 3) uint8 RGB; observations (N,) int, measurements behind each."""
+    """Points (N, 3) float m in the world frame; colours (N, 3) uint8 RGB; observations (N,) int, behind each."""
 
     points: Array
     colours: NDArray[np.uint8]

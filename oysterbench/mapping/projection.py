@@ -104,7 +104,7 @@ class Lens:
         return np.concatenate([self._rays[..., :2], np.ones((*self.shape, 1))], axis=-1)
 
     def points(self, depth_m: Array, T_world_cam: Array) -> Array:
-        """Points (H, W, 3) m in the world frame of an image's pixels, from depths (H, W) m along the optical axis; NaN stays NaN.
+        """Points (H, W, 3) m in the world frame of pixels with depths (H, W) m along the optical axis; NaN stays NaN.
 
         T_world_cam: (H, 4, 4) for each row, or (1, 4, 4) or (4, 4) for all rows.
         """
