@@ -17,6 +17,7 @@ from oysterbench.cli.evaluate import (
     given_options,
 )
 from oysterbench.cli.outputs import Outputs, output_options
+from oysterbench.cli.values import check_values
 
 if TYPE_CHECKING:
     from oysterbench.tracks import Track
@@ -39,6 +40,7 @@ class TrackCommands(click.Group):
         if args and args[0] not in (*tracks, *context.help_option_names):
             got = "" if args[0].startswith("-") else f", got {args[0]!r}"
             context.fail(f"expected a track, one of {', '.join(tracks)}{got}")
+        check_values(context, self, args)  # once more, as the options before --track have become the track's
         return super().parse_args(context, args)
 
     def list_commands(self, context: click.Context) -> list[str]:

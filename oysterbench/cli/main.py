@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +34,7 @@ from oysterbench.cli.sequences import SequencePath
 from oysterbench.cli.splits import splits
 from oysterbench.cli.systems import systems_command
 from oysterbench.cli.tune import tune_command
+from oysterbench.cli.values import check_values
 from oysterbench.cli.view import view
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.version import VERSION
@@ -51,20 +50,6 @@ NOT_SET = {"--from", "--key"}
 
 RENAMED = {"hub-key": "keygen"}
 """Former name of a command -> present name."""
-
-
-def _check_values(context: click.Context, command: click.Command | None, words: Sequence[str]) -> None:
-    """Refuse an option whose value is missing, so that the next option would be taken for it."""
-    while isinstance(command, click.Group) and words and not words[0].startswith("-"):
-        command, words = command.get_command(context, words[0]), words[1:]
-    options = [one for one in command.params if isinstance(one, click.Option)] if command is not None else []
-    known = {"--help", *(name for one in options for name in one.opts if name.startswith("--"))}
-    valued = {name for one in options if not one.is_flag and not one.count for name in one.opts}
-    for word, after in pairwise(words):
-        if word == "--":
-            return
-        if word in valued and after in known:
-            raise click.UsageError(f"{word}: expected a value, got the option {after}; a file so named is ./{after}")
 
 
 class Commands(click.Group):
@@ -95,7 +80,7 @@ class Commands(click.Group):
         if args and args[0] in RENAMED:
             context.fail(f"No such command {args[0]!r}: it is called `oysterbench {RENAMED[args[0]]}`.")
         name, command, rest = super().resolve_command(context, args)
-        _check_values(context, command, rest)
+        check_values(context, command, rest)
         return name, command, rest
 
     def invoke(self, context: click.Context) -> Any:

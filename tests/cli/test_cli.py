@@ -333,19 +333,3 @@ def test_a_track_that_there_is_not_is_answered_by_those_there_are(words):
     result = CliRunner().invoke(main, ["eval", *words])
     assert result.exit_code == 2
     assert "expected a track, one of slam, segmentation, detection, density, steering, got 'slm'" in result.output
-
-
-@pytest.mark.parametrize(
-    ("words", "option", "taken"),
-    [
-        (("compare", "x", "--report", "--json"), "--report", "--json"),
-        (("eval", "slam", "--truth", "a.tum", "--estimate", "b.tum", "--out", "--csv"), "--out", "--csv"),
-        (("leaderboard", "serve", "--board", "--help"), "--board", "--help"),
-    ],
-)
-def test_an_option_without_its_value_does_not_take_the_next_one_for_it(words, option, taken, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    result = CliRunner().invoke(main, list(words))
-    assert result.exit_code == 2
-    assert f"{option}: expected a value, got the option {taken}; a file so named is ./{taken}" in result.stderr
-    assert not list(tmp_path.iterdir())
