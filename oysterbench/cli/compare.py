@@ -56,7 +56,8 @@ def compare_command(results: tuple[str, ...], track: str | None, split: str | No
 
     given = named_results(results, find)
     records = [one for one in given if track in (None, one.track) and split in (None, one.split)]
-    records.sort(key=lambda one: list(TRACKS).index(one.track))  # maps of dives after the paths they are made along
+    order = {name: place for place, name in enumerate(TRACKS)}  # maps of dives after the paths they are made along
+    records.sort(key=lambda one: order.get(one.track, len(order)))
     if not records:
         asked = " ".join([*([f"of the track {track}"] if track else []), *([f"on {split}"] if split else [])])
         there = dict.fromkeys(f"{one.track} on {one.split or 'own data'}" for one in given)

@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from oysterbench.results.records import ResultRecord, write_results
 from tests.helpers.command import assert_one_line, run
 
 
@@ -52,8 +53,6 @@ def test_a_result_of_another_truth_or_setting_that_is_replaced_is_told_of(trajec
 
 
 def test_paths_are_compared_before_the_maps_that_are_made_along_them(tmp_path):
-    from oysterbench.results.records import ResultRecord, write_results
-
     common = {"split": "slam-val", "sequence": "val-01", "metrics": {"score": 0.5, "coverage": 1.0}}
     write_results(
         tmp_path / "results.json",
@@ -62,6 +61,12 @@ def test_paths_are_compared_before_the_maps_that_are_made_along_them(tmp_path):
     result = run("compare", tmp_path, "--json")
     assert result.returncode == 0, result.stderr
     assert [board["track"] for board in json.loads(result.stdout)["comparisons"]] == ["slam", "density"]
+
+
+def test_results_of_an_unknown_track_are_refused_by_those_that_there_are(tmp_path):
+    record = ResultRecord(track="sonar", split="slam-val", sequence="val-01", method="a", metrics={"score": 0.5})
+    write_results(tmp_path / "results.json", [record])
+    assert_one_line(run("compare", tmp_path), "track 'sonar': expected one of slam, ")
 
 
 def test_compare_writes_all_forms_and_its_json_is_alone_on_stdout(two_results, tmp_path):
