@@ -34,11 +34,11 @@ from oysterbench.report.stress import stress_group, stress_table
 from oysterbench.report.table import Table
 from oysterbench.report.tables import (
     COMPLETE,
-    SEVERAL,
     failures_and_notes,
     pairs_table,
     results_tables,
     runs_table,
+    several_note,
     standings_table,
     strata_table,
 )
@@ -55,7 +55,6 @@ SHOWN_VALUES = 8  # records whose values are shown beside a definition; the JSON
 
 LIMITS = {
     "COMPLETE": COMPLETE,
-    "SEVERAL": SEVERAL,
     "LEGEND": LEGEND,
     "OPEN_SEQUENCES": 3,  # if there are more, all but the first are folded away
     "SHOWN_SAMPLES": 12,  # sequences with sample images; more would make a report of many megabytes
@@ -145,7 +144,7 @@ def html_report(
         "results": [replace(table, notes=()) for table in results],
         "covered": "coverage" in track.table,
         "shaded": any(cell.kind == "best" for table in results for row in table.rows for cell in row.cells),
-        "several": any(record.run for record in records),
+        "several": several_note(records) if any(record.run for record in records) else "",
         "warnings": [*failures_and_notes(records), *([] if folder is None else _outputs(records, folder))],
         "boards": [_board(board, styles, compared=len(board.sequences) > 1 or not drawn) for board in found],
         "samples": sample_pictures([run for run in runs if isinstance(run, ImageRun)]),

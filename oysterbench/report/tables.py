@@ -33,7 +33,11 @@ NO_SENSORS = ("truth", "tf", "tf_static")
 COMPLETE = 0.95
 """Share of the highest coverage on a sequence that a run must reach to be called the best there."""
 
-SEVERAL = "Of several runs, means are shown; a failed one has a score and coverage of 0, and no errors."
+
+def several_note(records: Sequence[ResultRecord]) -> str:
+    """Sentence on what is shown of several runs of a method on a sequence."""
+    failed_as = " or ".join(dict.fromkeys(TRACKS[record.track].failed_as for record in records))
+    return f"Of several runs, means are shown; a failed one {failed_as}, and has no errors."
 
 
 def results_table(records: Sequence[ResultRecord]) -> Table:
@@ -68,7 +72,7 @@ def results_table(records: Sequence[ResultRecord]) -> Table:
         if mean["lost"] is not None:
             name = f"over {mean['sequences']}" + (f", {len(mean['lost'])} lost" if mean["lost"] else "")
         rows.append(TableRow((name, mean["method"], *(mean["metrics"].get(c.key) for c in columns)), "mean"))
-    several = SEVERAL if any(len(group) > 1 for group in groups.values()) else ""
+    several = several_note(records) if any(len(group) > 1 for group in groups.values()) else ""
     about = (several, lost_note(records[0].track) if over_all else "")
     notes = tuple(filter(None, (*about, *failures_and_notes(records))))
     return Table("Results", (*name_columns("sequence", "method"), *columns), tuple(rows), notes)
