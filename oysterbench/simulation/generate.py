@@ -263,7 +263,8 @@ def _render(
         parts = _parts(folder, name, made_by)
         path, copied = folder / f"{name}.mcap", taken.get(name)
         assemble(split, split.find_sequence(name), parts, path, made_by, salt, topics, copied, stop)
-        cost.keep(folder, name, parts)
+        if not copied:  # what the rest takes is not the cost of the sequence
+            cost.keep(folder, name, parts)
         shutil.rmtree(parts, ignore_errors=True)
 
     def put_together_if_whole(name: str) -> None:

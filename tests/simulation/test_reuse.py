@@ -10,7 +10,7 @@ import pytest
 from oysterbench.notebook.rendering import render_files
 from oysterbench.recipe import parse_split
 from oysterbench.sequence.cut import cut_to, topics_folder
-from oysterbench.simulation import generate
+from oysterbench.simulation import cost, generate
 from oysterbench.simulation.generate import generate_split, split_folder
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 
@@ -87,9 +87,11 @@ def test_a_complete_file_takes_the_frames_of_smaller_ones_but_not_in_a_folder_of
     made = render_files(SPLIT, workers=1)[NAME]
     assert set(jobs) == {"", "cam_right"}
     assert made.parent == split_folder(SPLIT)
+    assert cost.measured(made.parent) == {}, "what the rest took is not told as the cost of the sequence"
     jobs.clear()
     again = render_files(SPLIT, tmp_path / "reproduced", workers=1)[NAME]
     assert set(jobs) == {"", "cam_left", "cam_right"}
+    assert cost.measured(again.parent).keys() == {NAME}
     assert made.read_bytes() == again.read_bytes()
 
 
