@@ -84,7 +84,7 @@ def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
     from oysterbench.results.records import add_results
 
     results = request.out / "results.json"
-    _check_folder(request.out)
+    before = _results_in(request.out)
 
     def keep(runs: Sequence[Any]) -> None:
         # After each run, so that finished runs are saved even if the process is killed.
@@ -95,35 +95,38 @@ def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
     )
     with nullcontext() if outputs.on_stdout else runs_shown() as show:
         found = track.evaluate(replace(shown, on_output=show))
-    finish(found, request.out, outputs)
+    finish(found, request.out, outputs, before)
 
 
-def _check_folder(out: Path) -> None:
-    """Refuse a folder with unreadable results, to which none could be added, before anything is run or written."""
+def _results_in(out: Path) -> list[ResultRecord]:
+    """Results in a folder. Refuses unreadable ones, to which none could be added, before anything is run or written."""
     from oysterbench.results.records import read_results
 
-    if (out / "results.json").exists():
-        try:
-            read_results(out / "results.json")
-        except ResultError as error:
-            raise ResultError(f"{error}; it was left unchanged: move it away, or choose another --out") from None
+    if not (out / "results.json").exists():
+        return []
+    try:
+        return read_results(out / "results.json")
+    except ResultError as error:
+        raise ResultError(f"{error}; it was left unchanged: move it away, or choose another --out") from None
 
 
-def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
-    """Write all files, print tables, and report failures; exits with an error if anything failed."""
+def finish(found: Evaluation, out: Path | None, outputs: Outputs, before: Sequence[ResultRecord] | None = None) -> None:
+    """Write all files, print tables, and report failures; exits with an error if anything failed.
+
+    before: results in the folder before the evaluation, which has added its own; None if it has added none
+    """
     from oysterbench.core.atomic import write_atomically
     from oysterbench.core.text import as_unicode
-    from oysterbench.results.records import add_results, document, dump, lost_in, output_place
+    from oysterbench.results.records import add_results, document, dump, output_place, replaced
     from oysterbench.tracks.track import Kept
 
     records, data_set = found.records, [row.as_plain() for row in found.data_set]
     written: list[Path] = []
     kept: list[ResultRecord] = []
     if out is not None:
-        _check_folder(out)
-        for one in lost_in(out / "results.json", records):
-            what = "another ground truth, evaluator or settings"
-            message(f"{out}: replaced the result of {one.method} on {one.sequence}, of {what}: --out keeps them apart")
+        there = _results_in(out)
+        for what in replaced(there if before is None else before, records):
+            message(f"{out}: replaced {what}: another --out keeps both")
         kept = add_results(out / "results.json", records, data_set)
         for name, text in found.files.items():
             write_atomically(out / name, as_unicode(text).encode())

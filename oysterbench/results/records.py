@@ -343,16 +343,30 @@ def add_results(
     return kept
 
 
-def lost_in(path: Path, records: Iterable[ResultRecord]) -> list[ResultRecord]:
-    """Results in a file, if there is one, that these would replace although they are of another ground truth,
-    evaluator or setting."""
+def replaced(before: Iterable[ResultRecord], records: Iterable[ResultRecord]) -> list[str]:
+    """What results in a file these replace that would not be the same again, in words: results of another ground truth,
+    evaluator or settings, and those of more runs."""
 
     def made_by(record: ResultRecord) -> tuple[str, ...]:
         return record.truth_digest, *comparable_key(record)
 
-    new = {_place(record): made_by(record) for record in records}
-    before = _read(path)[0] if path.exists() else []
-    return [one for one in before if _place(one) in new and new[_place(one)] != made_by(one)]
+    old, new = _by_place(before), _by_place(records)
+    found = []
+    for place in old.keys() & new.keys():
+        was, now = old[place], new[place]
+        what = f"{was[0].method} on {was[0].sequence}"
+        if {made_by(one) for one in was} - {made_by(one) for one in now}:
+            found.append(f"the result of {what}, of another ground truth, evaluator or settings")
+        elif len(was) > len(now):
+            found.append(f"the results of {len(was)} runs of {what} by {len(now)}")
+    return sorted(found)
+
+
+def _by_place(records: Iterable[ResultRecord]) -> dict[tuple[str, ...], list[ResultRecord]]:
+    places: dict[tuple[str, ...], list[ResultRecord]] = {}
+    for record in records:
+        places.setdefault(_place(record), []).append(record)
+    return places
 
 
 def _place(record: ResultRecord) -> tuple[str, ...]:

@@ -8,7 +8,8 @@ import pytest
 from click.testing import CliRunner
 
 from oysterbench.cli.main import main
-from oysterbench.results.records import read_results
+from oysterbench.results.records import read_results, replaced
+from tests.results.test_results import record
 
 
 @pytest.fixture
@@ -53,3 +54,13 @@ def test_a_folder_whose_results_cannot_be_read_is_left_as_it_is(evaluate, trajec
     assert "results.json: expected an object with the list 'results'" in done.stderr
     assert "it was left unchanged: move it away, or choose another --out" in done.stderr
     assert (tmp_path / "out" / "results.json").read_text() == "[1]"
+
+
+def test_only_what_would_not_be_the_same_again_is_told_as_replaced():
+    three = [record(run=k) for k in range(3)]
+    assert replaced(three, three) == []
+    assert replaced(three[:1], three) == []
+    assert replaced(three, [record(method="another")]) == []
+    assert replaced(three, three[:1]) == ["the results of 3 runs of dead_reckoning on mini-01 by 1"]
+    (told,) = replaced([*three, record(run=3, settings={"align": "se3"})], three)
+    assert told == "the result of dead_reckoning on mini-01, of another ground truth, evaluator or settings"

@@ -216,6 +216,25 @@ def test_what_another_program_reached_stays_in_the_folder(dive_file, answer, tmp
     assert f"{out}: results of 1 earlier run are kept beside these, without figures: second" in done.stderr
 
 
+def test_runs_whose_results_are_replaced_are_told_of_once(dive_file, answer, tmp_path):
+    out = tmp_path / "out"
+
+    def told(*options):
+        program = command(tmp_path, "copies", answer)
+        done = run_here("run", "mine", "--command", program, "--on", dive_file, "--out", out, *options)
+        assert done.returncode == 0, done.stderr
+        return [line for line in done.stderr.splitlines() if "replaced" in line]
+
+    assert told("--runs", 2) == told("--runs", 2) == []
+    assert told("--runs", 2, "--max-gap", 0.5) == [
+        f"{out}: replaced the result of mine on hand-made, of another ground truth, evaluator or settings: another "
+        "--out keeps both"
+    ]
+    assert told("--max-gap", 0.5) == [
+        f"{out}: replaced the results of 2 runs of mine on hand-made by 1: another --out keeps both"
+    ]
+
+
 def test_a_program_that_fails_is_a_row_beside_others_in_every_file_of_the_folder(dive_file, answer, tmp_path):
     out = tmp_path / "out"
     for name, program, code in (("never", "refuses", 1), ("good", "copies", 0)):
