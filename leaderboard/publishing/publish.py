@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from oysterbench.results.plausible import check_plausible
 from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key, read_results
 from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.boards.ranking import Claim, states, withdrawn
+from oysterbench_leaderboard.publishing.folders import folders_here, without_folders
 from oysterbench_leaderboard.publishing.hidden import discreet, is_hidden
 from oysterbench_leaderboard.storage.curves import curves_document, sequence_curve
 from oysterbench_leaderboard.storage.record import RANKED, Record, Tier
@@ -28,9 +28,6 @@ from oysterbench_leaderboard.storage.store import RecordStore
 SAME, SAME_SCALED = 1e-6, 5e-3
 """Tolerances between a recomputed score and the one in the results. SAME_SCALED is for a path whose scale is fitted: it
 was fitted in the estimated frame, which a file of body poses no longer tells."""
-
-_FOLDERS = re.compile(r"(?<![^\s=,'\"])(?:~|\.{1,2})?/(?:[^/\s=:,'\"]+/)*")
-"""Matches all of a path but its last part, wherever in an argument it starts."""
 
 Notify = Callable[[str], None]
 """Called with a sentence for the user."""
@@ -91,11 +88,12 @@ def records_of(
         curves = _curves(path.parent, method, group, notify) if known is not None and not hidden else None
         if hidden:
             group, data_set = discreet(group, data_set)
+        here, topics = folders_here(path.parent), _topics(known)
         record = Record(
             method=method,
             team=by.team,
             tier=by.tier,
-            results=tuple(without_places(result) for result in group),
+            results=tuple(without_folders(result, here, topics) for result in group),
             url=by.url,
             summary=by.summary,
             data_set=data_set,
@@ -152,18 +150,6 @@ def _text(one: Record, other: Record) -> bool:
     return all(getattr(one, key) == getattr(other, key) for key in keys)
 
 
-def without_places(result: ResultRecord) -> ResultRecord:
-    """Remove the folders of the machine that a result was run on from the file names in its command and in why it
-    failed: they mean nothing to others, and may reveal more than their owner wants."""
-    if result.failure is not None:
-        result = replace(result, failure=_FOLDERS.sub("", result.failure))
-    run = result.info.get("run")
-    if not isinstance(run, Mapping) or not isinstance(run.get("command"), list):
-        return result
-    command = [_FOLDERS.sub("", str(part)) for part in run["command"]]
-    return replace(result, info={**result.info, "run": {**run, "command": command}})
-
-
 def _check(path: Path, method: str, split: str, group: Sequence[ResultRecord]) -> None:
     first = group[0]
     if not split:
@@ -208,6 +194,13 @@ def _recipe(split: str, result: ResultRecord, notify: Notify) -> Any:
         )
         return None
     return recipe
+
+
+def _topics(recipe: Any) -> set[str]:
+    """Topics of all sequences of a split; none where it is unknown."""
+    from oysterbench.simulation.jobs import wanted_topics
+
+    return set() if recipe is None else {topic for one in recipe.sequence for topic in wanted_topics(recipe, one)}
 
 
 def _check_sequences(path: Path, method: str, group: Sequence[ResultRecord], recipe: Any, notify: Notify) -> None:

@@ -12,6 +12,7 @@ from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.hub.canonical import sha256
 from oysterbench.results.records import ResultRecord, now
 from oysterbench.version import VERSION
+from oysterbench_leaderboard.publishing.folders import folders_here, without_folders
 from oysterbench_leaderboard.publishing.hidden import COSTS, discreet, is_hidden
 from oysterbench_leaderboard.storage.curves import curves_document, sequence_curve
 from oysterbench_leaderboard.storage.record import Record
@@ -67,6 +68,8 @@ def score_again(
             if is_hidden(record.results, recipe):
                 told, data_set = discreet(results)
                 results = tuple(told)
+            here = folders_here(estimates)
+            results = tuple(without_folders(result, here) for result in results)
     except OysterbenchError as error:
         return Again(record.digest, None, str(error))
     made = replace(

@@ -15,6 +15,7 @@ from typing import Any
 from oysterbench.core.errors import LabelError, MethodError, TrajectoryError
 from oysterbench.results.records import ResultRecord, plain
 from oysterbench.tracks import TRACKS
+from oysterbench_leaderboard.publishing.folders import without_folders
 from oysterbench_leaderboard.publishing.hidden import discreet
 from oysterbench_leaderboard.submissions.catalogue import SCORED, Kind, Wanted, why
 from oysterbench_leaderboard.submissions.reading.predictions import Predictions, Reader, image_track
@@ -149,9 +150,8 @@ def _reported(results: Sequence[ResultRecord], wanted: Wanted, truth: Mapping[st
             raise Refusal(
                 "format", f"{one.sequence}: the results were computed against a ground truth other than the split's"
             )
-    return Scored(
-        tuple(replace(one, method=method, conditions=dict(wanted.conditions[one.sequence])) for one in results)
-    )
+    told = [without_folders(one) for one in results]  # with the method's own name for it, by which its output is named
+    return Scored(tuple(replace(one, method=method, conditions=dict(wanted.conditions[one.sequence])) for one in told))
 
 
 class PathScorer(Scorer):

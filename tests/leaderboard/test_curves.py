@@ -11,7 +11,8 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory, write_tum
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from oysterbench.results.records import ResultRecord, write_results
-from oysterbench_leaderboard.publishing.publish import Attribution, publish, records_of, without_places
+from oysterbench_leaderboard.publishing.folders import without_folders
+from oysterbench_leaderboard.publishing.publish import Attribution, publish, records_of
 from oysterbench_leaderboard.storage.curves import MOST_POINTS, curves_document, sequence_curve
 from oysterbench_leaderboard.storage.store import RecordStore
 
@@ -109,6 +110,6 @@ def test_no_folder_of_the_machine_is_published():
     truth = loop(200, 10.0)
     told = "wrote no readable trajectory: /home/me/runs/mine/1/trajectory.tum:575: expected times that increase, m/s"
     failed = replace(results_of(truth, moved(truth, np.zeros(3))), failure=told)
-    assert without_places(failed).failure == told.replace("/home/me/runs/mine/1/", "")
-    command = without_places(results_of(truth, moved(truth, np.zeros(3)))).info["run"]["command"]
+    assert without_folders(failed).failure == told.replace("/home/me/runs/mine/1/", "")
+    command = without_folders(results_of(truth, moved(truth, np.zeros(3)))).info["run"]["command"]
     assert command == ["python3", "-m", "wave", "--out=out.tum", "rate=1/2"]

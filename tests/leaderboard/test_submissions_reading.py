@@ -238,6 +238,16 @@ def test_results_of_a_public_split_are_taken_as_their_authors_computed_them(serv
     assert scored.results[0].seed == 3
 
 
+def test_results_that_are_reported_lose_the_folders_of_the_machine_they_come_from(served, tmp_path):
+    wanted = wanted_of(served, "pool-val")
+    run = {"command": ["/opt/mine.sh"], "versions": {"sha256 of /opt/mine.sh": "ab"}}
+    data = reported(served, tmp_path, info={"run": run}, notes=("its log is /home/me/runs/x.log",))
+    predictions, _ = opened(tmp_path, data, wanted)
+    one = score_predictions(predictions, wanted, {}, "carp", "x").results[0]
+    assert one.info["run"] == {"command": ["mine.sh"], "versions": {"sha256 of mine.sh": "ab"}}
+    assert one.notes == ("its log is x.log",)
+
+
 WHOLE = dict.fromkeys(BOUNDING["slam"], 1.0)
 
 
