@@ -6,13 +6,16 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.core.names import counted, did_you_mean, listed, nearest
+
+if TYPE_CHECKING:
+    from oysterbench_leaderboard.submissions.sending.package import Found
 
 TOKEN = "OYSTERBENCH_TOKEN"
 
@@ -106,10 +109,8 @@ def command(
         message(f"checked: {_described(package.facts)}; {package.size / 1e6:.3g} MB to send")
         if absent := [name for name in chosen["sequences"] if name not in package.facts["sequences"]]:
             message(f"no estimate is sent for {', '.join(absent)}: counted as failed there")
-        if len(found.runs) > 1:
-            others = listed(str(number) for number in found.runs if number != run)
-            mean = "`leaderboard add` puts the mean of all on a board"
-            message(f"run {run} alone is sent, not run {others} (--run); {mean}")
+        if note := _other_runs(found, run):
+            message(note)
         if found.others:
             message(f"not sent, as named for no sequence of {chosen['split']}: {listed(found.others)}")
         if only_check:
@@ -168,6 +169,17 @@ def _choose(splits: list[dict[str, Any]], name: str, place: Path) -> dict[str, A
 def _described(facts: dict[str, Any]) -> str:
     counts = [counted(facts[key], key.removesuffix("s")) for key in ("poses", "images") if facts[key]]
     return ", ".join([f"{facts['kind']} of {counted(len(facts['sequences']), 'sequence')}", *counts])
+
+
+def _other_runs(found: Found, run: int) -> str:
+    """Say which runs are not sent, and where they would count; empty if there is one alone."""
+    others = [number for number in found.runs if number != run]
+    if not others and not found.failed:
+        return ""
+    note = f"run {run} alone is sent" + (f", not run {listed(map(str, others))} (--run)" if others else "")
+    if found.scored:
+        note += "; `leaderboard add` puts the mean of all on a board"
+    return note + (f", with run {listed(map(str, found.failed))}, which failed" if found.failed else "")
 
 
 def _before(found: dict[str, Any]) -> str:

@@ -195,6 +195,7 @@ def test_what_a_run_leaves_is_sent_by_the_name_of_its_method(site, tmp_path, est
     checked = submit(site, out, "--method", "Perch 3", "--run", "2", "--check")
     assert checked.exit_code == 0, checked.output
     assert "run 2 alone is sent, not run 3 (--run); `leaderboard add` puts the mean of all" in checked.stderr
+    assert "on a board, with run 1, which failed\n" in checked.stderr
     write_results(out / "results.json", [])
     refused = submit(site, out, "--method", "carp", "--split", "pool-test", "--track", "slam")
     assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1)

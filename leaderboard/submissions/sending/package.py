@@ -49,12 +49,15 @@ class Package:
 @dataclass(frozen=True)
 class Found:
     """What is to be sent: one file, or several by their names in an archive. others: names of further files there that
-    match no sequence, and are not sent. runs: numbers of the runs of which there are estimates; one of them is sent."""
+    match no sequence, and are not sent. runs: numbers of the runs of which there are estimates; one of them is sent.
+    failed: numbers of those that have results, but no estimates. scored: whether there are results."""
 
     file: Path | None
     files: dict[str, Path]
     others: tuple[str, ...] = ()
     runs: tuple[int, ...] = ()
+    failed: tuple[int, ...] = ()
+    scored: bool = False
 
     @property
     def names(self) -> list[str]:
@@ -95,16 +98,18 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
         elif (place / sequence).is_dir():
             images = sorted((place / sequence).rglob(f"*{IMAGE}"))
             files |= {path.relative_to(place).as_posix(): path for path in images}
-    runs: tuple[int, ...] = ()
+    runs: dict[int, dict[str, Path]] = {}
     if not files and (place / RESULTS).is_file():
-        files, runs = _of_run(place, sequences, method, run)
-        if not files and runs:
-            raise ResultError(
-                f"{place}: no estimates of run {run}: it failed, or was not made; expected one of "
-                f"{listed(map(str, runs))} (--run)"
-            )
-        if not files:
+        runs = _runs(place, sequences, method)
+        made = [number for number, left in runs.items() if left]
+        if not made:
             raise ResultError(f"{place}: no estimates there, only a {RESULTS}; add --results to send that, as reported")
+        files = runs.get(run, {})
+        if not files:
+            raise ResultError(
+                f"{place}: no estimates of run {run}: it failed, or was not made; expected "
+                f"{'one of ' if len(made) > 1 else ''}{listed(map(str, made))} (--run)"
+            )
     if not files:
         first = sequences[0] if sequences else "SEQUENCE"
         raise ResultError(
@@ -112,38 +117,73 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
             f"{first}/CAMERA/STAMP.png, or what `oysterbench run` leaves; found "
             f"{listed(sorted(path.name for path in place.iterdir())).replace('none', 'an empty folder')}"
         )
+    if run != 1 and not runs:
+        raise ResultError(f"{place}: --run {run} chooses from what `oysterbench run` leaves; these files are of no run")
     of_run = (place / RESULTS).is_file()
     sent = {path.name for path in files.values()}
     others = [path.name for path in place.iterdir() if path.suffix in SUFFIXES and path.name not in sent]
-    return Found(None, files, () if of_run else tuple(sorted(others)), runs)
+    made, failed = (tuple(number for number, left in runs.items() if bool(left) == kept) for kept in (True, False))
+    return Found(
+        None, files, () if of_run else tuple(sorted(others)), made, failed, bool(_first_result(place / RESULTS))
+    )
 
 
-def _of_run(place: Path, sequences: Sequence[str], method: str, run: int) -> tuple[dict[str, Path], tuple[int, ...]]:
-    """Find the estimates of a method in a folder of results, SEQUENCE-METHOD.tum or, of several runs,
-    SEQUENCE-METHOD-RUN.tum: those of a run by the names they are sent under, and the numbers of all runs."""
+def _runs(place: Path, sequences: Sequence[str], method: str) -> dict[int, dict[str, Path]]:
+    """Find the estimates of a method in the output of `oysterbench run`: number of a run -> the files that it left, by
+    the names they are sent under; none where it failed.
+
+    Where there are results on a sequence, they say which runs there are. On sequences without ground truth there are
+    none, and the files do.
+    """
     from oysterbench.results.records import read_results
 
     records = read_results(place / RESULTS)
     methods = list(dict.fromkeys(record.method for record in records))
-    if not methods:
-        raise ResultError(f"{place / RESULTS}: expected results of a method, found none; name the files SEQUENCE.tum")
+    if not any(record.sequence in sequences for record in records):
+        methods = [name for name in _methods_run(place) if any(_left(place, one, name) for one in sequences)] or methods
+    if not methods and not method:
+        raise ResultError(
+            f"{place / RESULTS}: expected results of a method, found none; name the files SEQUENCE.tum, or the method "
+            "that they are of (--of NAME)"
+        )
     if not method and len(methods) > 1:
         raise ResultError(f"{place} has results of {', '.join(methods)}; say whose estimates to send (--of NAME)")
     chosen = method or methods[0]
-    if chosen not in methods:
+    if methods and chosen not in methods:
         raise ResultError(f"{place}: no results of {chosen!r}; it has those of {', '.join(methods)} (--of NAME)")
+    runs: dict[int, dict[str, Path]] = {}
+    for sequence in sequences:
+        numbers = [one.run + 1 for one in records if (one.method, one.sequence) == (chosen, sequence)]
+        files = {n: _estimate(place, sequence, chosen, n, len(numbers)) for n in numbers}
+        for number, file in (files or _left(place, sequence, chosen)).items():
+            left = runs.setdefault(number, {})
+            if file.is_file():
+                left[f"{sequence}.tum"] = file
+    return dict(sorted(runs.items()))
 
-    def of(number: int) -> dict[str, Path]:
-        files = {}
-        for sequence in sequences:
-            for name in (f"{sequence}-{chosen}.tum", f"{sequence}-{chosen}-{number}.tum"):
-                if (place / name).is_file():
-                    files[f"{sequence}.tum"] = place / name
-                    break
-        return files
 
-    numbers = sorted({record.run + 1 for record in records if record.method == chosen})
-    return of(run), tuple(number for number in numbers if of(number))
+def _methods_run(place: Path) -> list[str]:
+    """Names of the methods that `oysterbench run` ran with its output here."""
+    return sorted(path.name for path in (place / "runs").glob("*") if path.is_dir())
+
+
+def _estimate(place: Path, sequence: str, method: str, number: int, runs: int) -> Path:
+    """File in which `oysterbench run` leaves the path of a run; runs: their number."""
+    return place / f"{sequence}-{method}{f'-{number}' if runs > 1 else ''}.tum"
+
+
+def _left(place: Path, sequence: str, method: str) -> dict[int, Path]:
+    """Number of a run -> its path, by the files alone. Raises ResultError where they are of several commands."""
+    plain, begin = _estimate(place, sequence, method, 1, 1), f"{sequence}-{method}-"
+    ends = {path.stem.removeprefix(begin): path for path in place.glob("*.tum") if path.stem.startswith(begin)}
+    others = _methods_run(place)  # a method may be named like the run of another
+    found = {int(end): path for end, path in ends.items() if end.isdecimal() and f"{method}-{end}" not in others}
+    if not plain.is_file():
+        return found
+    if found:
+        names = f"{plain.name} and {found[min(found)].name}"
+        raise ResultError(f"{place}: {names} are of different commands; remove those that are not to be sent")
+    return {1: plain}
 
 
 def split_in(place: Path) -> tuple[str, str]:
@@ -157,7 +197,7 @@ def _first_result(path: Path) -> dict[str, Any]:
     """First row of a results.json, unchecked; empty where the file is not one."""
     try:
         return dict(read_json(path.read_bytes())["results"][0])
-    except (ValueError, LookupError, TypeError):
+    except (OSError, ValueError, LookupError, TypeError):
         return {}
 
 
