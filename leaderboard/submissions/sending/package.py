@@ -122,10 +122,9 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
     of_run = (place / RESULTS).is_file()
     sent = {path.name for path in files.values()}
     others = [path.name for path in place.iterdir() if path.suffix in SUFFIXES and path.name not in sent]
-    made, failed = (tuple(number for number, left in runs.items() if bool(left) == kept) for kept in (True, False))
-    return Found(
-        None, files, () if of_run else tuple(sorted(others)), made, failed, bool(_first_result(place / RESULTS))
-    )
+    sendable, failed = (tuple(number for number, left in runs.items() if bool(left) == kept) for kept in (True, False))
+    scored = bool(_first_result(place / RESULTS))
+    return Found(None, files, () if of_run else tuple(sorted(others)), sendable, failed, scored)
 
 
 def _runs(place: Path, sequences: Sequence[str], method: str) -> dict[int, dict[str, Path]]:
