@@ -1,4 +1,4 @@
-"""What the integers of masks mean, judged by all files together: masks, probabilities or numbers of single oysters."""
+"""What the integers of masks mean, judged by all files of integers: masks, probabilities or numbers of single oysters."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from oysterbench.core.names import listed
 
 Form = Literal["auto", "instances", "mask", "probability", "classes"]
 FORMS: tuple[str, ...] = get_args(Form)
+
+JUDGED = (np.uint8, np.uint16)
+"""Types whose meaning is judged: floating-point numbers and booleans say what they are, other integers are refused."""
 
 NUMBERS = 0.01
 """Share of the greatest 16-bit number up to which values may be numbers of oysters: a probability map without any value
@@ -36,63 +39,74 @@ JUMPS = 0.2
 
 
 def judged(planes: Iterable[tuple[str, NDArray[Any]]]) -> tuple[Form, tuple[str, ...]]:
-    """Judge what the values of files are, given as name and plane (H, W). Returns the form, and notes on it.
+    """Judge what the integers of files mean, given as name and plane (H, W); other planes do not enter. Returns the
+    form, and notes on it.
 
     The form is "auto" if they are masks of 0 and 1, or probabilities. Raises LabelError naming a file where they could
     be numbers of oysters or of classes in a form in which integers are probabilities, or a mask of 0 and 1 among
     greater values.
     """
     values, kinds = set[int](), set[np.dtype[Any]]()
-    zero_one, greater, others = list[str](), list[str](), False
-    fullest, most_values, greatest = ("", np.zeros((1, 1), np.uint8)), -1, np.zeros((1, 1), np.uint16)
+    zero_one: dict[np.dtype[Any], list[str]] = {}
+    fullest, most_values, greatest = ("", np.zeros((1, 1), np.uint8)), -1, ("", np.zeros((1, 1), np.uint16))
     for name, plane in planes:
-        if plane.dtype not in (np.uint8, np.uint16):
-            others = True  # it says what it is, or is refused when it is read
+        if plane.dtype not in JUDGED:
             continue
         own = np.flatnonzero(np.bincount(plane.ravel()))
         values.update(own.tolist())
         kinds.add(plane.dtype)
-        if (most := plane.max(initial=0)) > 0:
-            (zero_one if most == 1 else greater).append(name)
+        if plane.max(initial=0) == 1:
+            zero_one.setdefault(plane.dtype, []).append(name)
         if len(own) > most_values:
             fullest, most_values = (name, plane), len(own)
-        if most > greatest.max(initial=0):
-            greatest = plane
+        if plane.max(initial=0) > greatest[1].max(initial=0):
+            greatest = name, plane
     numbers = sorted(values - {0})
     if not numbers or numbers == [1]:
         return "auto", ()
-    limit = np.iinfo(greatest.dtype).max
-    shades = len(np.unique(fullest[1][fullest[1] > 0]))
-    if not others:
-        if len(numbers) == 1 and 0 in values:
-            return ("auto" if numbers == [limit] else "mask"), ()
-        if kinds == {np.dtype(np.uint16)} and numbers[-1] <= NUMBERS * limit and _mostly_uniform(greatest):
-            return "instances", ()
-        faint = kinds == {np.dtype(np.uint8)} and numbers[-1] <= FAINT
-        if faint or (len(numbers) > FEW and in_patches(fullest[1])):
-            name, plane = fullest
-            look = "look like numbers of oysters or of classes"
-            if faint:
-                top = f"{numbers[-1] / limit:.1%}"
-                look = (
-                    f"could be numbers of oysters or classes, or probabilities of which none in any file is above {top}"
-                )
-            raise LabelError(
-                f"{name}: expected a mask of 0 and one other value, or probabilities, where {limit} is 1, got {shades} "
-                f"values up to {plane.max()}, which {look}; number oysters from 1 on in 16 bits, store probabilities "
-                "as floating-point numbers; or say what they are: --estimate-kind instances, probability or classes "
-                "(of a map --masks-kind)"
-            )
-    if shades >= MANY:
-        read = f"read as probabilities of 0 and 1/{limit}, as other files have many values: {listed(zero_one, 3)}"
-        return "probability", (read,) if zero_one else ()
-    if zero_one and greater:
+    limit = np.iinfo(greatest[1].dtype).max
+    if len(numbers) == 1 and 0 in values:
+        return ("auto" if numbers == [limit] and len(kinds) == 1 else "mask"), ()
+    if kinds == {np.dtype(np.uint16)} and numbers[-1] <= NUMBERS * limit and _mostly_uniform(greatest[1]):
+        return "instances", ()
+    faint = kinds == {np.dtype(np.uint8)} and numbers[-1] <= FAINT
+    if faint or (len(numbers) > FEW and in_patches(fullest[1])):
+        raise _ambiguous(*(greatest if faint else fullest), faint)
+    if _shades(fullest[1]) >= MANY:
+        return "probability", tuple(
+            f"read as probabilities of 0 and 1/{np.iinfo(kind).max}, as other files have many values: {listed(names, 3)}"
+            for kind, names in zero_one.items()
+        )
+    if zero_one:
+        (first, *_), *_ = zero_one.values()
         raise LabelError(
-            f"{zero_one[0]} has only 0 and 1, like a mask, and {greater[0]} greater values, like a probability map "
+            f"{first} has only 0 and 1, like a mask, and {greatest[0]} greater values, like a probability map "
             f"with {limit} for 1: say which they are (--estimate-kind mask or probability, of a map --masks-kind), or "
             "send them as floating-point numbers"
         )
     return "auto", ()
+
+
+def _ambiguous(name: str, plane: NDArray[Any], faint: bool) -> LabelError:
+    """Error on a file whose values could be numbers. faint: or probabilities, none of which in any file is greater."""
+    limit, top = np.iinfo(plane.dtype).max, plane.max()
+    look = "look like numbers of oysters or of classes"
+    if faint:
+        look = (
+            "could be numbers of oysters or classes, or probabilities of which none in any file is above "
+            f"{top / limit:.1%}"
+        )
+    return LabelError(
+        f"{name}: expected a mask of 0 and one other value, or probabilities, where {limit} is 1, got {_shades(plane)} "
+        f"values up to {top}, which {look}; number oysters from 1 on in 16 bits, store probabilities as "
+        "floating-point numbers; or say what they are: --estimate-kind instances, probability or classes (of a map "
+        "--masks-kind)"
+    )
+
+
+def _shades(plane: NDArray[Any]) -> int:
+    """Number of values other than 0."""
+    return len(np.unique(plane[plane > 0]))
 
 
 def in_patches(plane: NDArray[Any]) -> bool:

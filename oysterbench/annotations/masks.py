@@ -22,7 +22,7 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
-from oysterbench.annotations.forms import Form, judged
+from oysterbench.annotations.forms import JUDGED, Form, judged
 from oysterbench.annotations.image import read_plane
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import LARGEST_IMAGE_PX
@@ -47,7 +47,8 @@ class MaskFiles:
     form: meaning of the values. "auto": floating-point numbers are probabilities; integers of 0 and one other number,
     the same in all files, are masks; other integers are probabilities, as shares of the type's greatest number, or, if
     of 16 bits, small and in patches, the numbers of single oysters. What could be either is refused, as are 8-bit
-    numbers in patches and masks of 0 and 1 among files of a few greater numbers: then the form must be given.
+    numbers in patches and masks of 0 and 1 among files of a few greater numbers: then the form must be given. Files of
+    floating-point numbers or booleans change nothing in how the integers beside them are read.
     """
 
     def __init__(
@@ -72,11 +73,12 @@ class MaskFiles:
         values, where = self.plane(name), self.where(name)
         if values.dtype == bool:
             return EstimateImage(name, oyster=values)
-        if self.form == "classes":
+        kind = self._kind_of(values)
+        if kind == "classes":
             return EstimateImage(name, classes=self._classes(values, where))
-        if self.numbered:
+        if kind == "instances":
             return EstimateImage(name, oyster=instance_numbers(values, where) > 0)
-        if self.kind == "mask":
+        if kind == "mask":
             return EstimateImage(name, oyster=as_mask(values, where))
         if np.issubdtype(values.dtype, np.floating):
             return EstimateImage(name, probability=values)
@@ -84,8 +86,8 @@ class MaskFiles:
 
     @property
     def kind(self) -> Form:
-        """Meaning of the values: `form`, or, if that is "auto", judging by all files; "auto" if they are masks of 0 and
-        1, or probabilities. Raises LabelError where it cannot be told (`forms.judged`)."""
+        """Meaning of the values: `form`, or, if that is "auto", of the integers, judging by all of them; "auto" if they
+        are masks of 0 and 1, or probabilities. Raises LabelError where it cannot be told (`forms.judged`)."""
         return self._judged[0]
 
     @property
@@ -99,17 +101,22 @@ class MaskFiles:
             return self.form, ()
         return judged((self.where(name), self.plane(name)) for name in self._readers)
 
+    def _kind_of(self, values: NDArray[Any]) -> Form:
+        """Meaning of one file's values: what all integers are judged to be says nothing of other types."""
+        kind = self.kind
+        return kind if self.form != "auto" or values.dtype in JUDGED else "auto"
+
     @property
     def numbered(self) -> bool:
-        """Whether values are numbers of single oysters."""
+        """Whether values, or the integers among them, are numbers of single oysters."""
         return self.kind == "instances"
 
     def numbers(self, name: str) -> NDArray[np.int32] | None:
-        """Numbers (H, W) of the single oysters of an image; None if the files do not number them. Raises LabelError
-        naming its file."""
-        if not self.numbered:
+        """Numbers (H, W) of the single oysters of an image; None if its file does not number them. Raises LabelError
+        naming the file."""
+        if not self.numbered or self._kind_of(values := self.plane(name)) != "instances":
             return None
-        return np.asarray(instance_numbers(self.plane(name), self.where(name)), dtype=np.int32)
+        return np.asarray(instance_numbers(values, self.where(name)), dtype=np.int32)
 
     def where(self, name: str) -> str:
         """Path of an image's prediction, for messages; for an .npz of all images, with the array's name."""

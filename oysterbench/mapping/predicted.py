@@ -62,7 +62,7 @@ def read_seen(
     form: Any = kind
     files = open_predictions(place, form)
     stamps = _stamps(place, files.names, sequence, camera, several)
-    return _numbered(files, stamps, camera) if files.numbered else _components(files, stamps, camera, threshold)
+    return _from_masks(files, stamps, camera, threshold)
 
 
 def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str, several: bool) -> dict[int, str]:
@@ -100,17 +100,13 @@ def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str
     return dict(sorted(found.items()))
 
 
-def _numbered(files: MaskFiles, stamps: Mapping[int, str], camera: str) -> Iterator[Seen]:
+def _from_masks(files: MaskFiles, stamps: Mapping[int, str], camera: str, threshold: float) -> Iterator[Seen]:
     for stamp_ns, name in stamps.items():
-        numbers = files.numbers(name)
-        assert numbers is not None
-        yield Seen(stamp_ns, camera, numbers)
-
-
-def _components(files: MaskFiles, stamps: Mapping[int, str], camera: str, threshold: float) -> Iterator[Seen]:
-    for stamp_ns, name in stamps.items():
-        answer = files.get(name)
-        yield components(stamp_ns, camera, answer.mask(threshold), answer.probability)
+        if (numbers := files.numbers(name)) is not None:
+            yield Seen(stamp_ns, camera, numbers)
+        else:
+            answer = files.get(name)
+            yield components(stamp_ns, camera, answer.mask(threshold), answer.probability)
 
 
 def components(

@@ -138,3 +138,47 @@ def test_patches_may_be_split_and_touch():
     split[6::9] = 0
     assert in_patches(split)
     assert not in_patches(np.tile(np.arange(160, dtype=np.uint8), (120, 1)))
+
+
+@pytest.mark.parametrize("other", [MASK, SOFT], ids=["bool", "float"])
+def test_files_of_other_types_change_nothing_in_how_integers_are_read(tmp_path, other):
+    np.save(tmp_path / "b.npy", other)
+    write_png(tmp_path / "a.png", NUMBERS)
+    found = open_predictions(tmp_path)
+    assert (found.get("a").oyster == MASK).all()
+    assert (found.numbers("a") == NUMBERS).all()
+    assert found.numbers("b") is None
+    write_png(tmp_path / "a.png", MASK * np.uint8(128))
+    assert (open_predictions(tmp_path).get("a").oyster == MASK).all()
+    for found in (found, open_predictions(tmp_path)):
+        read = found.get("b")
+        assert ((read.oyster if other is MASK else read.probability) == other).all()
+    for numbers in (NUMBERS.astype(np.uint8), numbers_of(3).astype(np.uint8)):
+        write_png(tmp_path / "a.png", numbers)
+        with pytest.raises(LabelError, match=r"a\.png: expected a mask"):
+            open_predictions(tmp_path).get("a")
+    np.save(tmp_path / "c.npy", NUMBERS.astype(np.int64))
+    write_png(tmp_path / "a.png", NUMBERS)
+    with pytest.raises(LabelError, match="got int64"):
+        open_predictions(tmp_path).get("c")
+
+
+def test_what_is_refused_or_noted_has_the_names_and_numbers_of_its_file(tmp_path):
+    write_png(tmp_path / "a.png", MASK.astype(np.uint8))
+    write_png(tmp_path / "b.png", MASK * np.uint8(2))
+    with pytest.raises(LabelError, match=r"b\.png: .* 255 is 1, got 1 values up to 2, .* above 0\.8%"):
+        open_predictions(tmp_path).get("a")
+    for faint, full in ((np.uint8, np.uint16), (np.uint16, np.uint8)):
+        write_png(tmp_path / "a.png", MASK.astype(faint))
+        write_png(tmp_path / "b.png", np.round(SOFT * np.iinfo(full).max).astype(full))
+        (note,) = open_predictions(tmp_path).notes
+        assert f"0 and 1/{np.iinfo(faint).max}," in note
+        assert note.endswith("a.png")
+        write_png(tmp_path / "b.png", MASK * full(255))
+        write_png(tmp_path / "a.png", MASK * faint(255))
+        assert all((open_predictions(tmp_path).get(name).mask(0.5) == MASK).all() for name in "ab")
+    for name, most in (("b", 200), ("c", 250)):
+        write_png(tmp_path / f"{name}.png", MASK * np.uint8(100) + (SOFT > 0.9) * np.uint8(most - 100))
+    write_png(tmp_path / "a.png", MASK.astype(np.uint8))
+    with pytest.raises(LabelError, match=r"a\.png has only 0 and 1, .*c\.png greater values, .* with 255 for 1"):
+        open_predictions(tmp_path).get("a")
