@@ -1,4 +1,4 @@
-"""What the integers of masks mean, judged by all files of integers: masks, probabilities or numbers of single oysters."""
+"""What the integers of masks mean, judged by all files of integers: masks, probabilities or numbers of oysters."""
 
 from __future__ import annotations
 
@@ -74,7 +74,8 @@ def judged(planes: Iterable[tuple[str, NDArray[Any]]]) -> tuple[Form, tuple[str,
         raise _ambiguous(*(greatest if faint else fullest), faint)
     if _shades(fullest[1]) >= MANY:
         return "probability", tuple(
-            f"read as probabilities of 0 and 1/{np.iinfo(kind).max}, as other files have many values: {listed(names, 3)}"
+            f"read as probabilities of 0 and 1/{np.iinfo(kind).max}, as other files have many values: "
+            f"{listed(names, 3)}"
             for kind, names in zero_one.items()
         )
     if zero_one:

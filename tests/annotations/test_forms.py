@@ -150,8 +150,8 @@ def test_files_of_other_types_change_nothing_in_how_integers_are_read(tmp_path, 
     assert found.numbers("b") is None
     write_png(tmp_path / "a.png", MASK * np.uint8(128))
     assert (open_predictions(tmp_path).get("a").oyster == MASK).all()
-    for found in (found, open_predictions(tmp_path)):
-        read = found.get("b")
+    for files in (found, open_predictions(tmp_path)):
+        read = files.get("b")
         assert ((read.oyster if other is MASK else read.probability) == other).all()
     for numbers in (NUMBERS.astype(np.uint8), numbers_of(3).astype(np.uint8)):
         write_png(tmp_path / "a.png", numbers)
