@@ -148,3 +148,19 @@ def test_timestamps_in_memory_that_are_not_nanoseconds_are_told_so(unit, factor)
         TrajectoryError, match=f"within the truth as {unit}: .* in nanoseconds; multiply them by {factor}"
     ):
         score(truth, replace(once_a_second, stamps_ns=once_a_second.stamps_ns // factor))
+
+
+def test_another_clock_is_not_taken_for_another_unit():
+    """As microseconds, the estimate's first second is the truth's beginning, but it lasts 1000 times as long."""
+    truth = replace(walk(), stamps_ns=walk().stamps_ns - 10**18 + 1000 * 10**9)
+    estimate = replace(walk(), stamps_ns=walk().stamps_ns - 10**18 + 10**9)
+    with pytest.raises(TrajectoryError, match=r"starts 999\.0+ s before it; .*--time-offset"):
+        score(truth, estimate)
+
+
+@pytest.mark.parametrize("factor", [10**9, 10**6, 10**3])
+def test_timestamps_from_zero_in_another_unit_are_told_so(factor):
+    truth = replace(walk(), stamps_ns=walk().stamps_ns - 10**18)
+    once_a_second = truth.select(slice(None, None, 20))
+    with pytest.raises(TrajectoryError, match=f"in nanoseconds; multiply them by {factor}"):
+        score(truth, replace(once_a_second, stamps_ns=once_a_second.stamps_ns // factor))

@@ -177,12 +177,7 @@ def check_overlap(truth: Trajectory, estimate: Trajectory, settings: SlamSetting
     begin, end = int(estimate.stamps_ns[0]), int(estimate.stamps_ns[-1])
     if begin <= last + allowed_ns and end >= first - allowed_ns:
         return
-    for unit, factor in UNITS_NS.items():
-        if first - factor <= begin * factor <= last:
-            raise TrajectoryError(
-                f"truth and estimate do not overlap in time: the estimate begins at {begin} ns, which is within the "
-                f"truth as {unit}: timestamps in memory are in nanoseconds; multiply them by {factor}"
-            )
+    _check_unit(truth, estimate)
     offset = ns_to_seconds(abs(begin - first))
     raise TrajectoryError(
         f"truth and estimate do not overlap in time: the truth spans {ns_to_seconds(first)} to {ns_to_seconds(last)} "
@@ -192,10 +187,25 @@ def check_overlap(truth: Trajectory, estimate: Trajectory, settings: SlamSetting
     )
 
 
+def _check_unit(truth: Trajectory, estimate: Trajectory) -> None:
+    """Refuse an estimate whose timestamps, as a whole, are within the truth only in another unit than nanoseconds."""
+    first, last = int(truth.stamps_ns[0]), int(truth.stamps_ns[-1])
+    begin, end = int(estimate.stamps_ns[0]), int(estimate.stamps_ns[-1])
+    margin = (last - first) // 10  # it may begin before the truth, or end after it
+    for unit, factor in UNITS_NS.items():
+        if first - margin - factor <= begin * factor and end * factor <= last + margin:
+            raise TrajectoryError(
+                f"the estimate's timestamps, {begin} to {end} ns, do not match the truth's, but are within the truth "
+                f"as {unit}: timestamps in memory are in nanoseconds; multiply them by {factor}"
+            )
+
+
 def _check_matched(matched: int, truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -> None:
     """Refuse too few matched poses, and state what limits the matching."""
     if matched >= MIN_MATCHED:
         return
+    if len(estimate) >= MIN_MATCHED:
+        _check_unit(truth, estimate)
     step_s = float(np.median(np.diff(estimate.stamps_ns))) * 1e-9
     if settings.associate == "interpolate":
         why = (
