@@ -163,12 +163,18 @@ def _check_space(
 
 
 def check_made_by(path: Path, split: SplitRecipe, made_by: str, topics: Collection[str] = ()) -> None:
-    """Raise SequenceError unless a file is of the recipe with this digest, and has these topics of it, or all."""
+    """Raise SequenceError unless a file is of the recipe with this digest and the sequence of its name, and has these
+    topics of it, or all."""
     found = McapSequence(path)
     if found.metadata.get("digest") != made_by:
         raise SequenceError(
             f"{path} was made by another recipe of {split.name} (or with another salt, or by another version of "
             "oysterbench); it was left unchanged: delete it or choose another folder with --out"
+        )
+    if found.name != path.stem:
+        raise SequenceError(
+            f"{path}: expected the sequence {path.stem}, got {found.name}: probably a copy under a wrong name; it was "
+            "left unchanged: delete it or choose another folder with --out"
         )
     wanted, has = set(wanted_topics(split, split.find_sequence(found.name), topics)), set(found.types)
     if has < wanted or (topics and has != wanted):

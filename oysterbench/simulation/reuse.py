@@ -59,8 +59,8 @@ def reuse(
 def _whole_files(
     paths: Iterable[Path], made_by: str, wanted: set[str], tell: Callable[[str], None]
 ) -> dict[Path, set[str]]:
-    """Undamaged files of the recipe with this digest -> which of the wanted topics they have, those with most first,
-    and none after one that has all: each is read through."""
+    """Undamaged files, of the recipe with this digest and the sequence of their name -> which of the wanted topics they
+    have, those with most first, and none after one that has all: each is read through."""
     found = {}
     for path in paths:
         try:
@@ -68,7 +68,9 @@ def _whole_files(
         except SequenceError as error:
             tell(f"not used: {error}")
             continue
-        if here.metadata.get("digest") == made_by and (has := wanted & set(here.types)):
+        # The digest is that of the split, so a file under another sequence's name has it too.
+        ours = here.metadata.get("digest") == made_by and here.name == path.stem
+        if ours and (has := wanted & set(here.types)):
             found[path] = has
     whole: dict[Path, set[str]] = {}
     for path, has in sorted(found.items(), key=lambda item: -len(item[1])):

@@ -7,11 +7,13 @@ import shutil
 
 import pytest
 
+from oysterbench.core.errors import SequenceError
 from oysterbench.notebook.rendering import render_files
 from oysterbench.recipe import parse_split
 from oysterbench.sequence.cut import cut_to, topics_folder
 from oysterbench.simulation import cost, generate
-from oysterbench.simulation.generate import generate_split, split_folder
+from oysterbench.simulation.generate import check_made_by, digest, generate_split, split_folder
+from oysterbench.simulation.reuse import _whole_files
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 
 NAME = "tiny-01"
@@ -125,3 +127,12 @@ def test_a_file_of_another_recipe_is_not_taken(left, home, jobs):
     assert jobs.count("cam_left") == 10
     cut_to(kept, left, ["/cam_left/image"])
     assert made.read_bytes() != kept.read_bytes()
+
+
+def test_a_file_under_the_name_of_another_sequence_is_not_taken(left, tmp_path):
+    copied, made_by, wanted = tmp_path / "tiny-02.mcap", digest(SPLIT), {"/cam_left/image"}
+    shutil.copy(left, copied)
+    assert list(_whole_files([left, copied], made_by, wanted, print)) == [left]
+    assert _whole_files([copied], made_by, wanted, print) == {}
+    with pytest.raises(SequenceError, match=r"tiny-02\.mcap: expected the sequence tiny-02, got tiny-01"):
+        check_made_by(copied, SPLIT, made_by, LEFT)
