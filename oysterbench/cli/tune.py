@@ -84,6 +84,8 @@ def tune_command(
     if ranges is None and found is None:
         raise click.UsageError(f"--ranges: {method} is not a published system, so it has no ranges of its own")
     known = read_ranges(ranges) if ranges is not None else dict(found[0].description.options) if found else {}
+    if found is not None:  # the method's own values, which may differ from its system's defaults
+        known = {key: replace(option, default=found[2].get(key, option.default)) for key, option in known.items()}
     references = trials(method, known, count, seed)
 
     def keep(runs: Sequence[Any]) -> None:

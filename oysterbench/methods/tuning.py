@@ -59,8 +59,8 @@ class OptionRange:
 
 
 def trials(method: str, ranges: Mapping[str, OptionRange], count: int, seed: int = 0) -> list[str]:
-    """References of up to `count` variants of a method, itself the first; one that is drawn again is not repeated.
-    Raises MethodError if there is nothing to tune.
+    """References of up to `count` variants of a method, itself the first; one that is drawn again is not repeated, nor
+    is the method itself, where the ranges say all its values. Raises MethodError if there is nothing to tune.
 
     >>> trials("mine", {"gain": OptionRange(range=(1.0, 9.0))}, 3)
     ['mine', 'mine[gain=6.93]', 'mine[gain=3.15]']
@@ -68,11 +68,19 @@ def trials(method: str, ranges: Mapping[str, OptionRange], count: int, seed: int
     tuned = {key: option for key, option in ranges.items() if option.tuned}
     if not tuned:
         raise MethodError(f"method {method!r}: no option has a range or choices to try")
-    found = [method]
+    found = {tuple(_canonical(option.default) for option in tuned.values()): method}
     for number in range(1, count):
         drawn = {key: option.draw(stream(seed, b"", "tune", key, number)) for key, option in tuned.items()}
-        found.append(with_options(method, [f"{key}={written(value)}" for key, value in drawn.items()]))
-    return list(dict.fromkeys(found))
+        values = tuple(map(_canonical, drawn.values()))
+        found.setdefault(values, with_options(method, [f"{key}={written(value)}" for key, value in drawn.items()]))
+    return list(found.values())
+
+
+def _canonical(value: Any) -> str | None:
+    """Write a value such that equal ones are written alike, 1.0 as 1; None, which is never drawn, stays None."""
+    if value is None:
+        return None
+    return written(int(value) if isinstance(value, float) and value.is_integer() else value)
 
 
 def written(value: Any) -> str:

@@ -127,3 +127,18 @@ def test_the_name_of_many_options_fits_a_folder():
     assert name != variant_name("mine", {**options, "option_0": "1"})
     (first, *_) = trials("oysterbench_baselines.template:Template", {"speed_m_s": OptionRange(range=(0.1, 0.5))}, 2)[1:]
     assert find_method(first).speed_m_s == float(split_variant(first)[1]["speed_m_s"])
+
+
+def test_a_draw_of_the_defaults_is_the_method_itself():
+    loops, gain = OptionRange(choices=(True, False), default=True), OptionRange(choices=(1, 2), default=1.0)
+    assert trials("mine", {"loops": loops}, 30) == ["mine", "mine[loops=false]"]
+    assert sorted(trials("mine", {"loops": loops, "gain": gain}, 30)) == [
+        "mine",
+        "mine[loops=false,gain=1]",
+        "mine[loops=false,gain=2]",
+        "mine[loops=true,gain=2]",
+    ]
+
+
+def test_a_value_written_in_two_ways_is_tried_once():
+    assert len(trials("mine", {"gain": OptionRange(choices=(1, 1.0))}, 30)) == 2
