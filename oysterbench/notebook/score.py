@@ -74,12 +74,14 @@ def score(truth: Poses | Sequence, estimate: Poses, **options: Any) -> SlamResul
 
 
 def _check_reading(options: Mapping[str, Any], truth: Poses | Sequence, estimate: Poses) -> None:
-    """Raise OptionError where an option says how to read a file, and there is none to be read."""
-    known = {field.name for field in fields(ReadOptions)}
-    for option in options:
+    """Raise OptionError where an option, other than by its default, says how to read a file, and there is none to be
+    read."""
+    defaults = {field.name: field.default for field in fields(ReadOptions)}
+    for option, value in options.items():
         of_truth = option.startswith(OF_TRUTH)
         poses, role = (truth, "ground truth") if of_truth else (estimate, "estimate")
-        if option.removeprefix(OF_TRUTH) in known and isinstance(poses, Trajectory | Sequence):
+        name = option.removeprefix(OF_TRUTH)
+        if name in defaults and value is not defaults[name] and isinstance(poses, Trajectory | Sequence):
             what = "poses in memory" if isinstance(poses, Trajectory) else "a sequence, which says what its poses are"
             raise OptionError(f"{option}: it says how a file is read, and the {role} is {what}: leave it out")
 

@@ -63,6 +63,14 @@ def test_how_a_file_is_read_is_refused_for_poses_in_memory(truth, estimate, file
             oysterbench.score(dive_file, files[1], **option)
 
 
+def test_defaults_of_reading_are_taken_for_poses_in_memory(truth, estimate):
+    """A function that passes its own options on gives them whether or not there is a file."""
+    result = oysterbench.score(truth, estimate, unit=None, sort=False, truth_T_body_estimate=None)
+    assert result.metrics["coverage"] == pytest.approx(0.8)
+    with pytest.raises(OptionError, match="sort: it says how a file is read"):
+        oysterbench.score(truth, estimate, sort=True)
+
+
 def test_numbers_are_plain(truth, estimate):
     result = oysterbench.score(truth, estimate)
     assert {type(value) for value in result.metrics.values()} <= {float, int}
