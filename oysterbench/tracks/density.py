@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -118,11 +118,14 @@ class DensityTrack(Track):
         once = replace(request, runs=1)
         runs: list[DensityRun] = []
         sequences = self.run_sequences(request.split, self.rendered(request), options)
+        names = {one.name for one in (sequences if request.split is None else request.split.sequence)}
+        if request.split is None and "poses" in options:  # which may have estimates of the user's other sequences too
+            names |= _with_truth(options["poses"])
         for sequence in sequences:
             opened = open_sequence(sequence.path)
             topics = {topic for topic, _, _ in opened.contents()}
             camera = camera_with_layers(opened.name, opened.cameras, topics)
-            paths = self._paths(sequence, [one for one in methods if one.track == "slam"], kept, once)
+            paths = self._paths(sequence, [one for one in methods if one.track == "slam"], kept, once, names)
             if (place := options.get("masks")) is None:
                 masks = self._masks(sequence, camera, images, once, settings)
             else:
@@ -167,13 +170,18 @@ class DensityTrack(Track):
         return methods, kept if kept or of_slam else None
 
     def _paths(
-        self, sequence: SlamSequence, methods: Sequence[PythonMethod], kept: list[str] | None, request: Request
+        self,
+        sequence: SlamSequence,
+        methods: Sequence[PythonMethod],
+        kept: list[str] | None,
+        request: Request,
+        names: Collection[str],
     ) -> dict[str, Trajectory | Exception]:
         """Paths by method: those `kept` in a folder (None for all), and from running the methods; an exception with the
-        reason where there is none."""
+        reason where there is none. names: of all sequences."""
         found: dict[str, Trajectory | Exception] = {}
         if (folder := request.options.get("poses")) is not None and kept != []:
-            there = estimates_in(folder, sequence.name)
+            there = estimates_in(folder, sequence.name, names)
             if not there and kept is None:
                 raise TrajectoryError(f"{folder}: expected estimates of {sequence.name}, {sequence.name}-METHOD.tum")
             for name in there if kept is None else kept:
@@ -237,11 +245,19 @@ def _has_estimates(folder: Path, method: str) -> bool:
     return named and any(file.name.endswith(f"-{method}.tum") for file in folder.glob("*.tum"))
 
 
-def estimates_in(folder: Path, sequence: str) -> dict[str, Path]:
+def _with_truth(folder: Path) -> set[str]:
+    """Names of the sequences whose ground truth is in a folder."""
+    return {path.stem.removesuffix("-truth") for path in folder.glob("*-truth.tum")}
+
+
+def estimates_in(folder: Path, sequence: str, names: Collection[str] | None = None) -> dict[str, Path]:
     """Files SEQUENCE-METHOD.tum in a folder by method, as `oysterbench run` writes them; further paths of a method
-    (SEQUENCE-METHOD.NAME.tum), the ground truth, and what is of sequences whose names begin alike are left out."""
-    named = {path.stem.removesuffix("-truth") for path in folder.glob("*-truth.tum")}
-    others = tuple(f"{name}-" for name in named if name.startswith(f"{sequence}-"))
+    (SEQUENCE-METHOD.NAME.tum), the ground truth, and what is of sequences whose names begin alike are left out.
+
+    names: of all sequences; None: those with a ground truth there.
+    """
+    known = _with_truth(folder) if names is None else names
+    others = tuple(f"{name}-" for name in known if name.startswith(f"{sequence}-"))
     found = {}
     for path in sorted(folder.glob(f"{sequence}-*.tum")):
         method = path.stem.removeprefix(f"{sequence}-")

@@ -95,3 +95,17 @@ def test_estimates_of_a_sequence_whose_name_begins_alike_are_not_taken(tmp_path)
         (tmp_path / f"{name}.tum").touch()
     assert estimates_in(tmp_path, "dive") == {"mine": tmp_path / "dive-mine.tum"}
     assert estimates_in(tmp_path, "dive-2") == {"mine": tmp_path / "dive-2-mine.tum"}
+
+
+def test_estimates_without_ground_truth_beside_them_are_told_apart_by_the_names_of_the_sequences(tmp_path):
+    names = ("dive", "dive-2")
+    for name in ("dive-mine", "dive-2-mine", "dive-m-truth", "dive-m-2"):
+        (tmp_path / f"{name}.tum").touch()
+    assert list(estimates_in(tmp_path, "dive", names)) == ["m-2", "m-truth", "mine"]
+    assert list(estimates_in(tmp_path, "dive-2", names)) == ["mine"]
+
+
+def test_paths_of_the_users_other_sequences_are_not_mapped(paths_of, tmp_path):
+    for name in ("hand-made-2-truth", "hand-made-2-mine"):
+        (tmp_path / f"{name}.tum").touch()
+    assert list(paths_of()[0]) == ["dead_reckoning", "mine"]
