@@ -71,7 +71,8 @@ def judged(planes: Iterable[tuple[str, NDArray[Any]]]) -> tuple[Form, tuple[str,
         return "instances", ()
     faint = kinds == {np.dtype(np.uint8)} and numbers[-1] <= FAINT
     if faint or (len(numbers) > FEW and in_patches(fullest[1])):
-        raise _ambiguous(*(greatest if faint else fullest), faint)
+        name, plane = greatest if faint else fullest
+        raise _ambiguous(name, plane, faint)
     if _shades(fullest[1]) >= MANY:
         return "probability", tuple(
             f"read as probabilities of 0 and 1/{np.iinfo(kind).max}, as other files have many values: "
