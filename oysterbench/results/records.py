@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import platform
 import sys
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
@@ -18,6 +17,7 @@ import msgspec
 
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import ResultError
+from oysterbench.core.hardware import hardware
 from oysterbench.core.text import as_unicode, read_json
 from oysterbench.evaluate.metrics import FAILED, SPEEDS, TRACKS, find_metric
 from oysterbench.evaluate.statistics import summarise
@@ -25,27 +25,6 @@ from oysterbench.results.lost import kept_median, lost_sequences
 from oysterbench.version import VERSION
 
 FORMAT = "oysterbench-result/2"
-
-
-def hardware() -> dict[str, Any]:
-    """The machine: processor, cores that this process may use, platform and Python."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return {
-        "cpu": _cpu_name(),
-        "cores": cores,
-        "platform": platform.platform(),
-        "python": platform.python_version(),
-    }
-
-
-def _cpu_name() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except (OSError, UnicodeDecodeError):
-        pass
-    return platform.processor() or platform.machine()
 
 
 def now() -> str:

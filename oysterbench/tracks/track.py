@@ -285,9 +285,9 @@ class Track(ABC):
     ) -> Iterator[Finished]:
         """Run each method `request.runs` times on each sequence, each run in its own process, and score the
         predictions."""
+        from oysterbench.core.hardware import hardware
         from oysterbench.methods.outcomes import Job
         from oysterbench.methods.runner import run_jobs
-        from oysterbench.results.records import hardware
 
         jobs = [
             Job(adapter, sequence, k, request.limit_s or sequence.limit_s * adapter.limit_factor, request.runs)

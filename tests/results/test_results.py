@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from oysterbench.core.errors import ResultError
+from oysterbench.core.hardware import hardware
 from oysterbench.results.records import (
     FORMAT,
     ResultRecord,
     add_results,
     aggregate,
     document,
-    hardware,
     read_results,
     write_results,
 )
