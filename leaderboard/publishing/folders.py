@@ -12,7 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from oysterbench.core.files import home
+from oysterbench.core.places import home
 from oysterbench.results.records import ResultRecord
 
 TOLD = ("method_settings", "hardware", "reasons", "failure", "notes", "info")
