@@ -18,8 +18,9 @@ from oysterbench.core.errors import MethodError
 from oysterbench.core.names import FEW, did_you_mean, nearest
 
 VARIANT = re.compile(r"(?P<method>[^\[\]]+)\[(?P<options>.*)\]", re.DOTALL)
-LONGEST = 160
-"""Maximum length of the options in a name, which also names a folder; if longer, their number and digest are used."""
+LONGEST = 80
+"""Maximum length of a variant's name, which also names a folder and a record of a board; beyond it, the number and a
+digest of the options stand for them."""
 UNPLAIN = re.compile(r"[^A-Za-z0-9_.+=,-]+")
 """Characters that do not belong in a file name."""
 
@@ -83,7 +84,7 @@ def variant_name(name: str, options: Mapping[str, str]) -> str:
     written = ",".join(
         f"{key}={UNPLAIN.sub('-', value.replace(',', ' ')).strip('-')}" for key, value in options.items()
     )
-    if len(written) > LONGEST:
+    if len(f"{name}[{written}]") > LONGEST:
         written = f"{len(options)}-options-{hashlib.sha256(written.encode()).hexdigest()[:8]}"
     return f"{name}[{written}]"
 

@@ -12,6 +12,7 @@ from oysterbench.core.errors import MethodError
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.options import LONGEST, split_variant, variant_name
 from oysterbench.methods.tuning import OptionRange, read_ranges, trials
+from oysterbench_leaderboard.storage.record import MOST_TEXT
 from tests.helpers.command import run as run_here
 
 RANGES = {
@@ -124,6 +125,8 @@ def test_the_name_of_many_options_fits_a_folder():
     options = {f"option_{i}": str(i) for i in range(60)}
     name = variant_name("mine", options)
     assert len(name) < LONGEST
+    few = variant_name("orb_slam3_mono_inertial", {f"option_{i}": "0.125" for i in range(6)})
+    assert len(few) <= LONGEST <= MOST_TEXT["method"]
     assert name != variant_name("mine", {**options, "option_0": "1"})
     (first, *_) = trials("oysterbench_baselines.template:Template", {"speed_m_s": OptionRange(range=(0.1, 0.5))}, 2)[1:]
     assert find_method(first).speed_m_s == float(split_variant(first)[1]["speed_m_s"])
