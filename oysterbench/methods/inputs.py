@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from threading import Lock
 
+from oysterbench.core.errors import LabelError, MachineError, MethodError, SequenceError
 from oysterbench.methods.exports import Exports, key_of, most_gigabytes
 from oysterbench.methods.outcomes import Job
 from oysterbench.methods.processes import Processes
@@ -47,7 +48,8 @@ class Inputs:
         return (self.scratch,) if self._exports is None else (self.scratch, self._exports.folder)
 
     def of(self, job: Job) -> Path:
-        """Path of a job's input, which is made now if it does not exist. Raises MethodError where it cannot be made."""
+        """Path of a job's input, which is made now if it does not exist. Raises MachineError where it cannot be made:
+        the method is not to blame."""
         key = self._key(job)
         name = job.adapter.interface.input_name(job.sequence, job.adapter.form)
         place = self.scratch / key / name
@@ -55,16 +57,22 @@ class Inputs:
             if place.exists():  # true for a link to a kept export, too
                 return place.resolve()
             place.parent.mkdir(parents=True, exist_ok=True)
-            secret = job.sequence.split is not None and job.sequence.split.hidden
-            if self._exports is None or secret or job.adapter.form not in job.adapter.interface.lasting:
-                job.sequence.write_input(job.adapter.form, place, self._processes)
-            else:
-                kept = self._kept(self._exports, job, key) / name
-                if can_hide():
-                    place.symlink_to(kept.absolute())
-                else:  # a copy, as nothing would stop the program from reading the other exports, or writing
-                    shutil.copytree(kept, place)
+            try:
+                self._make(job, key, place)
+            except (MethodError, SequenceError, LabelError) as error:
+                raise MachineError(f"its input {{{job.adapter.form}}} could not be made: {error}") from None
         return place.resolve()
+
+    def _make(self, job: Job, key: str, place: Path) -> None:
+        secret = job.sequence.split is not None and job.sequence.split.hidden
+        if self._exports is None or secret or job.adapter.form not in job.adapter.interface.lasting:
+            job.sequence.write_input(job.adapter.form, place, self._processes)
+            return
+        kept = self._kept(self._exports, job, key) / place.name
+        if can_hide():
+            place.symlink_to(kept.absolute())
+        else:  # a copy, as nothing would stop the program from reading the other exports, or writing
+            shutil.copytree(kept, place)
 
     def _kept(self, exports: Exports, job: Job, key: str) -> Path:
         """Folder of the export that is kept for other runs, held until the last job is done."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -49,6 +51,8 @@ from oysterbench.tracks.track import (
 
 FRAMES_IN_REPORT = 6
 FRAME_WIDTH = 480  # px, in the report
+LEFT = re.compile(r"(?:-(?P<run>[1-9]\d*))?\.(?:(?:.+\.)?tum|" + "|".join(map(re.escape, (MAP, HEALTH))) + ")")
+"""What follows SEQUENCE-METHOD in the names of the files that a run leaves in the folder of the results."""
 
 PATH_METRICS = (
     "ate_rmse_m",
@@ -150,6 +154,7 @@ class SlamTrack(Track):
         """
         sequence = job.sequence
         assert isinstance(sequence, SlamSequence)
+        self._remove_replaced(job, out)
         estimate, alternatives, health = None, dict[str, Trajectory](), None
         failure = outcome.failure
         if failure is None:
@@ -179,6 +184,19 @@ class SlamTrack(Track):
     @staticmethod
     def _name(job: Job) -> str:
         return f"{job.sequence.name}-{job.adapter.name}{f'-{job.number + 1}' if job.of > 1 else ''}"
+
+    @staticmethod
+    def _remove_replaced(job: Job, out: Path) -> None:
+        """Delete from `out` what earlier commands left of this run, and of runs of the same method and sequence that
+        the results no longer have: whoever reads the folder would take it for theirs."""
+        name = job.adapter.name
+        stem, longer = f"{job.sequence.name}-{name}", [path.name for path in (out / "runs").glob(f"{glob.escape(name)}?*")]
+        numbers = {str(number + 1) for number in range(job.of) if number != job.number} if job.of > 1 else set()
+        for path in out.glob(f"{glob.escape(stem)}*"):
+            found = LEFT.fullmatch(path.name.removeprefix(stem))
+            of_another = any(path.name.startswith(f"{job.sequence.name}-{other}") for other in longer)
+            if found is not None and found["run"] not in numbers and not of_another:
+                path.unlink()
 
     def _keep(
         self, job: Job, outcome: Outcome, out: Path, estimate: Trajectory, alternatives: Mapping[str, Trajectory]

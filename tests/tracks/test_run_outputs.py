@@ -8,9 +8,10 @@ from dataclasses import replace
 import pytest
 
 import oysterbench
-from oysterbench.core.errors import MethodError
+from oysterbench.core.errors import MethodError, SequenceError
 from oysterbench.core.trajectory import read_trajectory, write_npz, write_tum
 from oysterbench.methods.adapters import ExternalCommand
+from oysterbench.methods.interfaces import slam
 from oysterbench.methods.interfaces.slam import ESTIMATE, read_estimate
 from tests.helpers.programs import PROGRAMS, command
 
@@ -68,3 +69,42 @@ def test_poses_in_millimetres_are_said_to_be_in_them(run, dive_file, answer, tmp
     write_tum(answer, replace(truth, positions=1000 * truth.positions))
     (done,) = run(ExternalCommand(command(tmp_path, "copies", answer), "copies"))
     assert any("is the estimate in millimetres? Metres are expected" in note for note in done.scored.record.notes)
+
+
+def test_files_of_runs_that_the_results_no_longer_have_are_deleted(run, answer, tmp_path):
+    mine, other = (ExternalCommand(command(tmp_path, "copies", answer), name) for name in ("mine", "mine-2"))
+    run(mine, runs=3)
+    out = next(tmp_path.rglob("hand-made-mine-3.tum")).parent
+    (out / "hand-made-mine-3.online.tum").touch()
+    (out / "hand-made-notes.tum").touch()
+    run(other)
+    run(mine)
+    assert {path.name for path in out.glob("*.tum")} == {
+        "hand-made-mine.tum",
+        "hand-made-mine-2.tum",  # of the method named mine-2
+        "hand-made-notes.tum",
+        "hand-made-truth.tum",
+    }
+
+
+def test_the_path_of_a_run_that_now_fails_is_deleted(run, answer, tmp_path):
+    run(ExternalCommand(command(tmp_path, "copies", answer), "mine"))
+    out = next(tmp_path.rglob("hand-made-mine.tum")).parent
+    run(ExternalCommand(command(tmp_path, "silent", answer), "mine"), again=True)
+    assert not (out / "hand-made-mine.tum").exists()
+
+
+def test_an_input_that_cannot_be_made_is_no_failure_of_the_method(run, answer, tmp_path, monkeypatch):
+    def refuse(path, form, out):
+        raise SequenceError("hand-made has no /imu")
+
+    mine = ExternalCommand(command(tmp_path, "copies", answer), "mine")
+    with monkeypatch.context() as patch:
+        patch.setattr(slam, "write_input", refuse)
+        (done,) = run(mine)
+    assert done.scored is None
+    assert re.search(
+        r"on hand-made: its input \{mcap\} could not be made: hand-made has no /imu; the run is not counted", done.failure
+    )
+    (done,) = run(mine)
+    assert done.scored.record.failure is None

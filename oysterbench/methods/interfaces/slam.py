@@ -94,7 +94,7 @@ class SequencePath(RunSequence):
         words = [sys.executable, "-m", __name__, str(self.path.absolute()), form, str(out.absolute())]
         ended = processes.run(words, EXPORT_LIMIT_S, out.parent)
         if ended.failure is not None:
-            raise MethodError(f"its input {{{form}}} could not be made: {ended.failure}")
+            raise MethodError(ended.failure)
 
 
 class SlamInterface(Interface):
