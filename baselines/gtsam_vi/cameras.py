@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench_baselines.gtsam_vi.calibration import CLOCK, CameraUncertainty, Optics, lens_key, mount_key
-from oysterbench_baselines.gtsam_vi.frontend import distort, homogeneous, undistort
+from oysterbench_baselines.gtsam_vi.flow import homogeneous
+from oysterbench_baselines.gtsam_vi.frontend import distort, undistort
 from oysterbench_baselines.gtsam_vi.settings import LandmarkSettings, NoiseSettings
 
 BLOCK = 50_000

@@ -22,7 +22,8 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array
 from oysterbench_baselines.common.inertial import Integral, Segment, integrate
-from oysterbench_baselines.gtsam_vi.frontend import Observations, homogeneous
+from oysterbench_baselines.gtsam_vi.flow import homogeneous
+from oysterbench_baselines.gtsam_vi.frontend import Observations
 
 
 @dataclass(frozen=True)

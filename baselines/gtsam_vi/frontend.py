@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array
 from oysterbench.core.streams import stream
 from oysterbench.sequence.types import CameraCalibration
+from oysterbench_baselines.gtsam_vi.flow import FEWEST_FOR_FLOW, UNKNOWN_FLOW, Flow, fit_flow, homogeneous
 from oysterbench_baselines.gtsam_vi.pictures import FixedPattern, even_contrast, without_veil
 from oysterbench_baselines.gtsam_vi.settings import FrontEndSettings
 
@@ -38,10 +39,6 @@ class FeatureTracks:
 
 NO_TRACKS = FeatureTracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2)))
 """Tracks of a frame that is missing."""
-
-
-FEWEST_FOR_FLOW = 12
-"""Minimum number of tracks for a fit of the flow: twice as many as it has parameters."""
 
 
 @dataclass(frozen=True)
@@ -88,11 +85,6 @@ def distort(rays: Array, calibration: CameraCalibration) -> Array:
 def _lens(calibration: CameraCalibration) -> Any:
     """OpenCV module with the functions of a lens: Kannala-Brandt or Brown-Conrady."""
     return cv2.fisheye if calibration.distortion_model == "equidistant" else cv2
-
-
-def homogeneous(rays: Array) -> Array:
-    """(N, 3) directions (x, y, 1) of normalised coordinates (N, 2)."""
-    return np.column_stack([rays, np.ones(len(rays))])
 
 
 def epipolar_inliers(
@@ -183,6 +175,7 @@ class FrontEnd:
         self._taken: NDArray[np.uint8] | None = None  # the latest, as taken
         self._pattern = FixedPattern(settings)
         self._tracks = NO_TRACKS
+        self._flow = UNKNOWN_FLOW
         self._find_moving = moving
         self._moving: NDArray[np.bool_] | None = None  # (H, W), of the latest image
 
@@ -207,7 +200,9 @@ class FrontEnd:
         image = even_contrast(self._pattern.taken_from(detail), self.settings)
         before = self._tracks
         if self.image is not None and len(self._tracks.ids):
-            self._tracks = self._follow(self.image, image, R_before_now, moved)
+            self._tracks = self._follow(self.image, image, R_before_now, elapsed_s, moved)
+        else:
+            self._flow = UNKNOWN_FLOW
         self.image = image
         self._pattern.add(detail, self._moved_px(before, R_before_now))
         kept, self._tracks = self._tracks, self._replenish(image)
@@ -218,10 +213,10 @@ class FrontEnd:
     # What another front end may override.
 
     def find(
-        self, before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: Array, guess: Array
+        self, before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: Array, guess: Array, levels: int
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Track pixels (N, 2) from the last equalised image (H, W) into the current one; see `follow`."""
-        return follow(before, after, pixels, guess, self.settings)
+        return follow(before, after, pixels, guess, replace(self.settings, flow_levels=levels))
 
     def corners(self, image: NDArray[np.uint8], taken: Array) -> Array:
         """Pixels (N, 2) at which to start tracks in an equalised image (H, W); see `find_corners`."""
@@ -234,11 +229,7 @@ class FrontEnd:
         if len(kept.ids) < FEWEST_FOR_FLOW:
             return np.zeros((len(tracks.ids), 2))
         _, then, now = np.intersect1d(before.ids, kept.ids, assume_unique=True, return_indices=True)
-        places, flow = homogeneous(kept.rays[now]), (kept.rays[now] - before.rays[then]) / elapsed_s
-        fit = np.linalg.lstsq(places, flow, rcond=None)[0]
-        off = np.linalg.norm(flow - places @ fit, axis=1)
-        near = off <= 3 * np.median(off)
-        fit = np.linalg.lstsq(places[near], flow[near], rcond=None)[0]
+        fit = fit_flow(kept.rays[now], (kept.rays[now] - before.rays[then]) / elapsed_s)
         late = (tracks.pixels[:, 1:] / (height - 1) - 0.5) * self.calibration.readout_s
         return np.asarray(late * (homogeneous(tracks.rays) @ fit), dtype=float)
 
@@ -262,13 +253,25 @@ class FrontEnd:
         return self._focal * float(np.arccos(np.clip((np.trace(R_before_now) - 1) / 2, -1.0, 1.0)))
 
     def _follow(
-        self, last: NDArray[np.uint8], image: NDArray[np.uint8], R_before_now: Array, moved: Translation | None
+        self,
+        last: NDArray[np.uint8],
+        image: NDArray[np.uint8],
+        R_before_now: Array,
+        elapsed_s: float,
+        moved: Translation | None,
     ) -> FeatureTracks:
         """Track the last frame's corners into this one: Lucas-Kanade there and back, then the epipolar check."""
         settings, tracks = self.settings, self._tracks
         turned = homogeneous(tracks.rays) @ R_before_now  # where the rotation alone would take them
-        guess = distort(turned[:, :2] / np.maximum(turned[:, 2:], 0.1), self.calibration)
-        end, good = self.find(last, image, tracks.pixels, guess)
+        still = distort(turned[:, :2] / np.maximum(turned[:, 2:], 0.1), self.calibration)
+        guess, levels = still + self._flow.after(tracks.rays, elapsed_s), settings.flow_levels
+        if self._flow.kept >= settings.steady_share and self._flow.error_px <= settings.steady_error_px:
+            levels = settings.steady_levels
+        end, good = self.find(last, image, tracks.pixels, guess, levels)
+        if levels < settings.flow_levels and good.mean() < settings.steady_share / 2:  # a jerk, or the lamps went out
+            end, good = self.find(last, image, tracks.pixels, still, settings.flow_levels)
+        reached, kept = end[good], float(good.mean())
+        self._flow = Flow.of(tracks.rays[good], reached - still[good], reached - guess[good], kept, elapsed_s)
         good[good] = self._rests(end[good])
         ids, before, now = tracks.ids[good], tracks.rays[good], end[good]
         rays = undistort(now, self.calibration)
@@ -348,7 +351,7 @@ def spread_out(score: NDArray[np.float32], taken: Array, settings: FrontEndSetti
     allowed[border : height - border, border : width - border] = 1
     for x, y in taken:
         cv2.circle(allowed, (round(x), round(y)), spacing, 0, -1)
-    y, x = np.nonzero(peaks & (allowed > 0))
+    y, x = np.divmod(np.flatnonzero(peaks & (allowed > 0)), width)  # np.nonzero takes ten times as long
     best = np.argsort(-score[y, x], kind="stable")
     y, x = y[best], x[best]
     columns, rows = settings.grid

@@ -27,6 +27,9 @@ class FrontEndSettings:
     pattern_sigmas: float = 4.0  # of the mean's own error, beyond which a pixel counts as fixed
     flow_window_px: int = 21  # side of the tracked patch: smaller ones are lost in murk, larger ones slide over relief
     flow_levels: int = 3  # pyramid levels above the image: with the gyroscope's prediction, 80 px of flow
+    steady_levels: int = 1  # the same while the flow is steady: coarser levels take half of the time, and help in murk
+    steady_share: float = 0.9  # of the tracks, which came through the last frame
+    steady_error_px: float = 3.5  # of the last prediction, exceeded by a twentieth of them
     backward_error_px: float = 0.7  # a track must return to where it came from
     epipolar_error_px: float = 1.5  # of verified tracks, at a known rotation
     epipolar_trials: int = 64  # two-point hypotheses: 1e-6 chance to miss with half of the tracks wrong

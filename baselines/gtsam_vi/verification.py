@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.streams import stream
 from oysterbench.sequence.types import CameraCalibration
-from oysterbench_baselines.gtsam_vi.frontend import follow, homogeneous, undistort
+from oysterbench_baselines.gtsam_vi.flow import homogeneous
+from oysterbench_baselines.gtsam_vi.frontend import follow, undistort
 from oysterbench_baselines.gtsam_vi.places import Place, heading_of, heading_pose, nodes, project, upsample, warp
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 

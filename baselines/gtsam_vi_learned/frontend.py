@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -37,12 +39,12 @@ class LearnedFrontEnd(FrontEnd):
         return maps
 
     def find(
-        self, before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: Array, guess: Array
+        self, before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: Array, guess: Array, levels: int
     ) -> tuple[Array, NDArray[np.bool_]]:
         first, second = self.maps_of(before), self.maps_of(after)
         if first.maps is not None and second.maps is not None:
             before, after = first.maps, second.maps
-        end, good = follow(before, after, pixels, guess, self.settings)
+        end, good = follow(before, after, pixels, guess, replace(self.settings, flow_levels=levels))
         good[good] = _at(second.error_px, end[good]) < self.learned.max_error_px
         return end, good
 
