@@ -38,14 +38,15 @@ def check_inertial(method: str, sequence: Sequence) -> None:
             f"{method}: {sequence.name}: expected stamps of inertial samples in ns, {rate_hz:g} Hz by the calibration, "
             f"got {measured_hz:g} Hz; are they in another unit?"
         )
-    force = float(np.median([np.linalg.norm(sample.accel) for sample in samples]))
+    forces, rates = (np.array([getattr(sample, name) for sample in samples]) for name in ("accel", "gyro"))
+    force = float(np.median(np.linalg.norm(forces, axis=1)))
     if not 0.5 * gravity < force < 2.0 * gravity:
         unit = next((f"are they in {unit}?" for unit, size in UNITS.items() if 0.8 < force * size / gravity < 1.25), "")
         raise MethodError(
             f"{method}: {sequence.name}: expected specific forces in m/s^2, of {gravity:.3g} mostly, got a median of "
             f"{force:.3g}; {unit or 'are the columns of the inertial samples in order (rate, then force)?'}"
         )
-    rate = float(np.quantile([np.linalg.norm(sample.gyro) for sample in samples], 0.9))
+    rate = float(np.quantile(np.linalg.norm(rates, axis=1), 0.9))
     if rate > 0.5 * MOST_RATE:
         raise MethodError(
             f"{method}: {sequence.name}: expected angular rates in rad/s, got {rate:.3g} or more in a tenth; "

@@ -337,7 +337,8 @@ class Estimator:
         if self.loops is not None:
             self.info["places"], self.info["loops"] = len(self.loops.places), len(self.loops.loops)
             self.loops.rest()
-        hand_back()  # before the final smoothing needs more
+        if len(self.keyframes) > self.settings.smoothing.piece_keyframes:
+            hand_back()  # before the final smoothing of a long path needs more
         if self.aiding.knows_velocity:
             self.info |= {f"refused_{kind}": count for kind, count in self.aiding.refused.items()}
         if self.window is None:

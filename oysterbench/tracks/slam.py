@@ -190,7 +190,8 @@ class SlamTrack(Track):
         """Delete from `out` what earlier commands left of this run, and of runs of the same method and sequence that
         the results no longer have: whoever reads the folder would take it for theirs."""
         name = job.adapter.name
-        stem, longer = f"{job.sequence.name}-{name}", [path.name for path in (out / "runs").glob(f"{glob.escape(name)}?*")]
+        stem = f"{job.sequence.name}-{name}"
+        longer = [path.name for path in (out / "runs").glob(f"{glob.escape(name)}?*")]
         numbers = {str(number + 1) for number in range(job.of) if number != job.number} if job.of > 1 else set()
         for path in out.glob(f"{glob.escape(stem)}*"):
             found = LEFT.fullmatch(path.name.removeprefix(stem))

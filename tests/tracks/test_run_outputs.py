@@ -103,8 +103,7 @@ def test_an_input_that_cannot_be_made_is_no_failure_of_the_method(run, answer, t
         patch.setattr(slam, "write_input", refuse)
         (done,) = run(mine)
     assert done.scored is None
-    assert re.search(
-        r"on hand-made: its input \{mcap\} could not be made: hand-made has no /imu; the run is not counted", done.failure
-    )
+    words = r"on hand-made: its input \{mcap\} could not be made: hand-made has no /imu; the run is not counted"
+    assert re.search(words, done.failure)
     (done,) = run(mine)
     assert done.scored.record.failure is None
