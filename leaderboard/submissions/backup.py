@@ -32,7 +32,8 @@ from oysterbench_leaderboard.submissions.estimates import Estimates, Upload
 from oysterbench_leaderboard.submissions.migrations import upgrade
 from oysterbench_leaderboard.submissions.settings import FILE, SubmissionSettings, load_settings
 
-ABOUT = "backup.json"
+ABOUT, END = "backup.json", "end.json"
+"""First and last member of the archive. Without END, an archive that was cut off between two files looks whole."""
 PRIVATE = (FILE, "key", "scored/*/*.json")
 PUBLIC = ("records/*.json", "changes/*.json", "curves/*.json")
 """Files of the board's folder that are backed up; PRIVATE are those of the private folder."""
@@ -75,6 +76,7 @@ def backup(settings: SubmissionSettings, file: Path, board: Path | None = None) 
             for name, path in _files(settings, board):
                 archive.add(path, name)
                 files += 1
+            _add(archive, END, json.dumps({"members": len(archive.getmembers()) + 1}).encode())
     finally:
         database.close()
     return Backup(dict(rows), files)
@@ -125,11 +127,13 @@ def restore(file: Path, folder: Path, board: Path | None = None) -> Backup:
 def _restore(archive: tarfile.TarFile, folder: Path, board: Path | None) -> Backup:
     entries = archive.getmembers()
     about = json.loads(_read(archive, ABOUT))
+    if entries[-1].name != END or json.loads(_read(archive, END))["members"] != len(entries):
+        raise tarfile.ReadError("it was cut off")
     tables = {}
     files = 0
     folder.mkdir(parents=True, exist_ok=True)
     folder.chmod(0o700)
-    for entry in entries[1:]:
+    for entry in entries[1:-1]:
         if not entry.isfile() or not KNOWN.fullmatch(entry.name):
             raise ValueError(f"{entry.name!r} is not part of a backup")
         root, _, name = entry.name.partition("/")

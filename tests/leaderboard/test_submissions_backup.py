@@ -162,6 +162,15 @@ def test_a_backup_whose_rows_are_damaged_is_called_so(saved, tmp_path):
         restore(tmp_path / "all.tar", tmp_path / "private")
 
 
+def test_a_backup_that_was_cut_off_anywhere_is_refused_before_anything_is_written(saved, tmp_path):
+    whole, file, private = (saved[0] / "all.tar").read_bytes(), tmp_path / "all.tar", tmp_path / "private"
+    for size in range(tarfile.BLOCKSIZE, whole.rstrip(b"\0").rindex(b"}"), tarfile.BLOCKSIZE):
+        file.write_bytes(whole[:size])
+        with pytest.raises(ResultError, match="the backup is damaged"):
+            restore(file, private)
+        assert not private.exists()
+
+
 def test_it_is_done_by_commands(saved, tmp_path):
     folder, *_ = saved
     file, private = tmp_path / "again.tar", tmp_path / "private"
