@@ -282,7 +282,7 @@ def test_hot_pixels_and_spots_on_the_port_get_no_corners_once_they_are_known():
     shares = []
     for frame in range(70):
         begin = 20 * frame
-        seen = 0.3 * (picture[:480, begin : begin + 640] - 110) + 110  # a bottom that is fainter than the dirt
+        seen = 0.15 * (picture[:480, begin : begin + 640] - 110) + 110  # a bottom that is fainter than the dirt
         tracks = front_end.track(np.clip(seen - 60 * dirt, 0, 255).astype(np.uint8), np.eye(3), 0.1)
         shares.append(on_spots())
     assert np.mean(shares[5:15]) > 0.1
