@@ -35,8 +35,10 @@ def is_public(topic: str) -> bool:
         return True
     name, _, leaf = topic.removeprefix("/").partition("/")
     kinds = sensor_kinds()
-    listed = (kinds[name],) if name in kinds and kinds[name].single else kinds.values()
-    return is_measured(topic) and any(leaf in kind.leaves and (kind.single == (name == kind.block)) for kind in listed)
+    # Only of a kind that a rig has at most once is the name known: an altimeter is called anything, "altimeter" too.
+    single = name in kinds and kinds[name].single
+    listed = (kinds[name],) if single else (kind for kind in kinds.values() if not kind.single)
+    return is_measured(topic) and any(leaf in kind.leaves for kind in listed)
 
 
 def cut(
