@@ -19,13 +19,18 @@ def draw(recipe: SequenceRecipe, share: Callable[[str], float], where: str) -> S
     """Return the sequence with its drawn values filled in. `share(key)`, in [0, 1], is the position of a value in its
     range.
 
-    Raises RecipeError, which starts with `where`, for a key that is not a number of a sequence, and for a value that
-    the key does not allow.
+    Raises RecipeError, which starts with `where`, for a key that is not a number of a sequence, for the duration, which
+    every file shows and which decides how much is rendered, and for a value that the key does not allow.
     """
     if not recipe.drawn:
         return recipe
     table = as_plain(dataclasses.replace(recipe, drawn=(), rig=Table()))  # a rig is public: nothing of it is drawn
     for drawn in recipe.drawn:
+        if drawn.key == "duration_s":
+            raise RecipeError(
+                f"{where}: key 'drawn': expected keys other than 'duration_s', which the files show anyway; state the "
+                "duration as a number"
+            )
         low, high = drawn.between
         place: Any = table
         *parents, name = drawn.key.split(".")

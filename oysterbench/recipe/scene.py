@@ -149,7 +149,7 @@ class SiteRecipe:
 class DrawnRecipe:
     """A value that is drawn from a range instead of being stated."""
 
-    key: str  # a numeric key of the sequence, such as path.heading_deg
+    key: str  # a numeric key of the sequence, such as path.heading_deg; all but duration_s
     between: tuple[float, float]  # lowest and highest value
 
 
