@@ -22,7 +22,8 @@ from oysterbench.hub.manifest import Manifest, build_manifest, released_manifest
 from oysterbench.hub.pages import index_page, pictures_of
 from oysterbench.hub.sign import public_hex
 from oysterbench.sequence.cut import cut_public, cut_truth
-from oysterbench.sequence.read import McapSequence
+from oysterbench.sequence.read import STEERING, McapSequence
+from oysterbench.sequence.truth import TRUTH
 
 TEMPORARY = ".publishing-"
 COPY = 1 << 20
@@ -129,13 +130,15 @@ def _keep_truth(draft: Path, secret: Manifest, package: Path) -> None:
 
 def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: str, hidden: bool) -> None:
     """Raise HubError unless the files are of this split and version, made with the recipe's own digest; if hidden, with
-    another one, which only a salt gives: without a salt, anybody could render the ground truth."""
+    another one, which only a salt gives, as without a salt anybody could render the ground truth, and with the ground
+    truth to commit to."""
     for name, path in files.items():
         if not path.is_file():
             raise HubError(
                 f"{path}: does not exist yet; `oysterbench render {split}` makes it, or --data names its folder"
             )
-        known = McapSequence(path).metadata
+        sequence = McapSequence(path)
+        known = sequence.metadata
         if (known.get("sequence"), known.get("split"), known.get("split_version")) != (name, split, version):
             raise HubError(
                 f"{path}: expected {name} of {split} {version}, got {known.get('sequence')} of {known.get('split')} "
@@ -145,8 +148,12 @@ def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: s
         if hidden and made_with == digest:
             raise HubError(
                 f"{path}: rendered without a salt, so anyone can render its ground truth; nothing was published: "
-                "render "
-                "a hidden split with its salt"
+                "render a hidden split with its salt"
+            )
+        if hidden and (made_with is None or not has_truth(sequence)):
+            raise HubError(
+                f"{path}: has no ground truth to withhold: it is as teams get it, or was rendered with --topics; "
+                "nothing was published: --data names the folder of the files as rendered with the salt"
             )
         if not hidden and made_with != digest:
             raise HubError(
@@ -154,6 +161,17 @@ def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: s
                 f"nothing was published: `oysterbench render {split}` makes what the recipe says, and --hidden "
                 "publishes what was rendered with a salt"
             )
+
+
+def has_truth(sequence: McapSequence) -> bool:
+    """Whether a sequence has the ground truth that its track is scored against."""
+    if sequence.metadata.get("track") == "segmentation":
+        from oysterbench.sequence.export.parts import labelled_cameras
+
+        return bool(labelled_cameras(sequence))
+    if sequence.metadata.get("track") == "steering":
+        return STEERING in sequence.attachments
+    return sequence.counts.get(TRUTH, 0) > 0
 
 
 @contextmanager

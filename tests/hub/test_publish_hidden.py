@@ -12,7 +12,10 @@ import oysterbench
 from oysterbench.core.errors import HubError, SequenceError
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.manifest import read_manifest
+from oysterbench.hub.publish import check_made_by, has_truth
+from oysterbench.sequence.cut import cut_public, cut_to
 from oysterbench.sequence.file import read_attachments, read_messages
+from oysterbench.sequence.read import STEERING, McapSequence
 from tests.helpers.trees import (
     DIGEST,
     SECRET,
@@ -113,6 +116,30 @@ def test_another_truth_has_another_commitment(hidden, key, tmp_path):
     other = {"dive-01": write_sequence(tmp_path / "dive-01.mcap", "dive-01", 0.8, SECRET)}
     manifest = publish_secret(tmp_path / "tree", tmp_path / "truth", other, key)
     assert manifest.commitment != hidden[2].commitment
+
+
+def test_files_without_ground_truth_are_not_published_as_a_hidden_split(secret_files, tmp_path):
+    """As teams get them, or with some topics only: their truth package would commit to nothing."""
+    name, whole = next(iter(secret_files.items()))
+    with open(tmp_path / "public.mcap", "wb") as file:
+        cut_public(whole, file)
+    cut_to(tmp_path / "some.mcap", whole, ["/imu", "/cam_left/image"])
+    check_made_by({name: whole}, "fake-val", "1.0", DIGEST, hidden=True)
+    for path in (tmp_path / "public.mcap", tmp_path / "some.mcap"):
+        with pytest.raises(HubError, match=f"^{path}: has no ground truth to withhold: it is as teams get it"):
+            check_made_by({name: path}, "fake-val", "1.0", DIGEST, hidden=True)
+
+
+def test_images_have_what_they_are_scored_against_and_not_true_poses_alone(secret_files):
+    sequence = McapSequence(secret_files["dive-01"])
+    for track, known in (("slam", True), ("segmentation", True), ("steering", False)):
+        sequence.metadata = {**sequence.metadata, "track": track}
+        assert has_truth(sequence) == known
+    sequence.attachments = {STEERING: b"stamp_ns,yaw,pitch"}
+    assert has_truth(sequence)
+    sequence.metadata, sequence.counts = {**sequence.metadata, "track": "segmentation"}, {"/truth/odometry": 9}
+    sequence.types = dict.fromkeys(sequence.counts, "")
+    assert not has_truth(sequence)
 
 
 def test_a_refused_publication_leaves_the_truth_that_was_released(hidden, key, tmp_path):
