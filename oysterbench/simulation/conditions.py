@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from oysterbench.recipe import UNDISTURBED, SequenceRecipe, SplitRecipe
+from collections.abc import Callable
+from functools import partial
+from operator import eq
+
+from oysterbench.recipe import UNDISTURBED, SequenceRecipe, SplitRecipe, draw
 from oysterbench.render.spectra import secchi_depth, water_constituents
 
 SECCHI_CLASSES_M = ((1.0, "turbid"), (4.0, "murky"), (float("inf"), "clear"))
@@ -20,8 +24,22 @@ CALM_WAVE_M, CALM_CURRENT_M_S = 0.1, 0.1  # below both the vehicle follows its p
 
 
 def conditions(split: SplitRecipe, sequence: str) -> dict[str, float | str]:
-    """Conditions of a sequence of a split, by keys of `evaluate.conditions.CONDITIONS`."""
+    """Conditions of a sequence of a split, by keys of `evaluate.conditions.CONDITIONS`.
+
+    Those that depend on a value that a hidden split draws are left out: only the salt tells what they are.
+    """
     recipe = split.find_sequence(sequence)
+    if not split.hidden or not recipe.drawn:
+        return _conditions(split, recipe)
+    place = f"split {split.name}: sequence {sequence}"
+    # All values at their lowest, all at their highest, and each alone at its highest.
+    shares: list[Callable[[str], float]] = [lambda key: 0.0, lambda key: 1.0]
+    shares += [partial(eq, one.key) for one in recipe.drawn]
+    lowest, *others = [_conditions(split, draw(recipe, share, place)) for share in shares]
+    return {key: value for key, value in lowest.items() if all(other[key] == value for other in others)}
+
+
+def _conditions(split: SplitRecipe, recipe: SequenceRecipe) -> dict[str, float | str]:
     density = recipe.reef.oyster_count / recipe.reef.size_m**2
     secchi_m = secchi_depth(water_constituents(recipe.water))
     stated: dict[str, float | str] = {} if recipe.difficulty is None else {"difficulty": recipe.difficulty}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
+from oysterbench.recipe import load_split
 from oysterbench.simulation.conditions import conditions
 from tests.helpers.tiny import TINY_SPLIT, make_split
 
@@ -64,3 +65,42 @@ def test_a_dense_reef_and_a_disturbed_vehicle_are_told_from_others():
     assert of(reef=("oysters = 60", "oysters = 6"))["density"] == "bare"
     surge = of(site=("[sequence.path]", "[sequence.site]\nwave_height_m = 0.4\n\n[sequence.path]"))
     assert surge["motion"] == "loop, disturbed"
+
+
+DRAWN = """
+[[sequence.drawn]]
+key = "path.speed_m_s"
+between = [0.2, 0.4]
+
+[[sequence.drawn]]
+key = "reef.oysters"
+between = [20, 24]
+
+[sequence.path]"""
+
+
+def test_what_a_hidden_split_draws_is_no_condition():
+    """The recipe's own values are not those of the dive; a class that all values are in is known."""
+    text = TINY_SPLIT.replace("\n[sequence.path]", DRAWN)
+    stated = conditions(make_split(text), "tiny-01")
+    known = conditions(make_split(f"hidden = true\n{text}"), "tiny-01")
+    assert stated.keys() - known.keys() == {"speed_m_s", "oysters_per_m2"}
+    assert known == {**{key: stated[key] for key in known}, "density": "bare"}
+
+
+def test_a_class_that_drawn_values_leave_in_one_corner_of_their_ranges_is_no_condition():
+    """20 oysters on 4.6 m are a bare reef, as 24 on 5 m are; 24 on 4.6 m are more than one on a square metre."""
+    text = TINY_SPLIT.replace("\n[sequence.path]", DRAWN)
+    text = text.replace("path.speed_m_s", "reef.size_m").replace("[0.2, 0.4]", "[4.6, 5.0]")
+    found = conditions(make_split(f"hidden = true\n{text}"), "tiny-01")
+    assert not {"density", "oysters_per_m2"} & found.keys()
+
+
+@pytest.mark.parametrize("name", ["slam-test", "seg-test", "steer-test"])
+def test_conditions_of_a_hidden_split_are_those_that_its_recipe_tells_truly(name):
+    split = load_split(name)
+    for sequence in split.sequence:
+        known, drawn = conditions(split, sequence.name), {one.key for one in sequence.drawn}
+        assert {"water", "light", "density", "motion", "duration_s"} <= known.keys()
+        assert ("speed_m_s" in known) == ("path.speed_m_s" not in drawn)
+        assert ("altitude_m" in known) == ("path.altitude_m" not in drawn)
