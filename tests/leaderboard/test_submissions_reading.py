@@ -355,6 +355,19 @@ def test_a_truth_of_another_split_is_refused(tmp_path):
         serve_split(str(recipe), truth)
 
 
+def test_files_as_teams_get_them_are_no_truth(tmp_path):
+    from oysterbench.core.errors import ResultError
+    from oysterbench.sequence.cut import cut_public
+
+    recipe, truth = lay_split(tmp_path, "pool-test")
+    path = truth / "pool-02.mcap"
+    with open(tmp_path / "public", "wb") as file:
+        cut_public(path, file)
+    (tmp_path / "public").replace(path)
+    with pytest.raises(ResultError, match=r"pool-02\.mcap: expected ground truth, got a file as teams get it; "):
+        serve_split(str(recipe), truth)
+
+
 def test_a_catalogue_says_what_there_is(served):
     catalogue = Catalogue(served.values())
     with pytest.raises(Refusal, match="the splits are pool-test, pool-val, pool-masks, pool-steer"):
