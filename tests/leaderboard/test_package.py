@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shutil
+from dataclasses import replace
 
 import pytest
 from click.testing import CliRunner
@@ -11,6 +13,7 @@ import oysterbench
 from oysterbench.cli.main import main
 from oysterbench.core.errors import ResultError
 from oysterbench.core.trajectory import write_tum
+from oysterbench.methods.outcomes import Outcome
 from oysterbench.results.records import ResultRecord, read_results, write_results
 from oysterbench.sequence.cut import cut_public
 from oysterbench_leaderboard.submissions.sending.package import find_package
@@ -61,7 +64,7 @@ def test_without_results_methods_are_told_apart_by_the_runs(tmp_path):
     with pytest.raises(ResultError, match=re.escape("dive-1-mine.tum and dive-1-mine-2.tum are of different commands")):
         find_package(tmp_path, NAMES, "mine")
     for method in ("mine", "mine-2"):
-        (tmp_path / "runs" / method / "dive-1" / "1").mkdir(parents=True)
+        (tmp_path / "runs" / method / "dive-3").mkdir(parents=True)
     with pytest.raises(ResultError, match="has results of mine, mine-2; say whose"):
         find_package(tmp_path, NAMES)
     assert sent(tmp_path, method="mine") == ["dive-1-mine", "dive-2-mine"]
@@ -78,6 +81,27 @@ def test_the_file_of_the_run_that_is_named_is_sent_and_no_other(tmp_path):
     for run in (3, 4):
         with pytest.raises(ResultError, match=rf"no estimates of run {run}: it failed, .*; expected one of 1, 2 \(--"):
             find_package(tmp_path, NAMES, run=run)
+
+
+@pytest.mark.parametrize("truth", [True, False], ids=["with results", "without ground truth"])
+def test_a_path_of_an_earlier_run_is_not_sent_where_the_last_one_failed(tmp_path, truth):
+    left(tmp_path, "dive-1-mine", "dive-2-mine")
+    for name, failure in (("dive-1", None), ("dive-2", "exit status 3")):
+        folder = tmp_path / "runs" / "mine" / name / "1"
+        folder.mkdir(parents=True)
+        outcome = Outcome({}, failure, 0.0, 0.0, {}, [], 0.0, {}, {}, "", "")
+        outcome.write(folder)
+    if truth:
+        shutil.rmtree(tmp_path / "runs")
+        rows = [ResultRecord(track="slam", split="s", sequence=name, method="mine") for name in NAMES]
+        write_results(tmp_path / "results.json", [rows[0], replace(rows[1], failure="exit status 3")])
+    assert sent(tmp_path, method="mine") == ["dive-1-mine"]
+
+
+def test_a_path_of_an_earlier_run_is_not_sent_where_the_last_one_was_interrupted(tmp_path):
+    left(tmp_path, "dive-1-mine", "dive-2-mine")
+    (tmp_path / "runs" / "mine" / "dive-2" / "1").mkdir(parents=True)
+    assert sent(tmp_path, method="mine") == ["dive-1-mine"]
 
 
 def test_a_run_is_asked_for_where_there_are_runs(tmp_path):

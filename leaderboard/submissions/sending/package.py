@@ -129,7 +129,7 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
 
 def _runs(place: Path, sequences: Sequence[str], method: str) -> dict[int, dict[str, Path]]:
     """Find the estimates of a method in the output of `oysterbench run`: number of a run -> the files that it left, by
-    the names they are sent under; none where it failed.
+    the names they are sent under; none where it failed, whatever an earlier run left there.
 
     Where there are results on a sequence, they say which runs there are. On sequences without ground truth there are
     none, and the files do.
@@ -152,11 +152,11 @@ def _runs(place: Path, sequences: Sequence[str], method: str) -> dict[int, dict[
         raise ResultError(f"{place}: no results of {chosen!r}; it has those of {', '.join(methods)} (--of NAME)")
     runs: dict[int, dict[str, Path]] = {}
     for sequence in sequences:
-        numbers = [one.run + 1 for one in records if (one.method, one.sequence) == (chosen, sequence)]
-        files = {n: _estimate(place, sequence, chosen, n, len(numbers)) for n in numbers}
+        failed = {one.run + 1: bool(one.failure) for one in records if (one.method, one.sequence) == (chosen, sequence)}
+        files = {n: _estimate(place, sequence, chosen, n, len(failed)) for n in failed}
         for number, file in (files or _left(place, sequence, chosen)).items():
             left = runs.setdefault(number, {})
-            if file.is_file():
+            if file.is_file() and not failed.get(number) and not _has_failed(place, sequence, chosen, number):
                 left[f"{sequence}.tum"] = file
     return dict(sorted(runs.items()))
 
@@ -169,6 +169,17 @@ def _methods_run(place: Path) -> list[str]:
 def _estimate(place: Path, sequence: str, method: str, number: int, runs: int) -> Path:
     """File in which `oysterbench run` leaves the path of a run; runs: their number."""
     return place / f"{sequence}-{method}{f'-{number}' if runs > 1 else ''}.tum"
+
+
+def _has_failed(place: Path, sequence: str, method: str, number: int) -> bool:
+    """Whether the folder that `oysterbench run` keeps of a run says that it failed, or never ended."""
+    from oysterbench.methods.outcomes import read_outcome
+
+    folder = place / "runs" / method / sequence / f"{number}"
+    if not folder.is_dir():
+        return False
+    outcome = read_outcome(folder)
+    return outcome is None or outcome.failure is not None
 
 
 def _left(place: Path, sequence: str, method: str) -> dict[int, Path]:
