@@ -11,8 +11,9 @@ from oysterbench.core.errors import OysterbenchError
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.manifest import released_manifest
 from oysterbench.recipe import SplitRecipe, load_split, split_names
+from oysterbench.results.records import ResultRecord
 from oysterbench.simulation.generate import digest
-from oysterbench_leaderboard.boards.board import Query, State
+from oysterbench_leaderboard.boards.board import BoardInfo, Query, State
 from oysterbench_leaderboard.site.site import Site
 
 STATES: tuple[State, ...] = ("current", "superseded", "withdrawn")
@@ -78,9 +79,25 @@ def all_data_sets(site: Site) -> dict[str, DataSet]:
     for info in site.index.boards():
         if info.split not in found:
             found[info.split] = DataSet(
-                info.split, "", info.track, "", "", "", None, False, info.split_digest, info.sequences, None
+                name=info.split,
+                version="",
+                track=info.track,
+                summary="",
+                rig="",
+                rig_summary="",
+                seed=None,
+                hidden=any(result.hidden for result in _results_of(site, info)),
+                digest=info.split_digest,
+                sequences=info.sequences,
+                duration_s=None,
             )
     return found
+
+
+def _results_of(site: Site, board: BoardInfo) -> tuple[ResultRecord, ...]:
+    """Results of one record of a board; empty where it has none."""
+    rows = site.index.page(board.id, Query(states=STATES, size=1)).rows
+    return site.record(rows[0].digest).results if rows else ()
 
 
 def conditions_of(site: Site, data_set: DataSet) -> dict[str, Conditions]:
@@ -88,9 +105,8 @@ def conditions_of(site: Site, data_set: DataSet) -> dict[str, Conditions]:
     if data_set.name in known():
         return dict(_of_sequences(data_set.name))
     for info in site.index.boards():
-        rows = site.index.page(info.id, Query(states=STATES, size=1)).rows if info.split == data_set.name else ()
-        for row in rows:
-            like = {result.sequence: result.conditions for result in reversed(site.record(row.digest).results)}
+        if info.split == data_set.name and (results := _results_of(site, info)):
+            like = {result.sequence: result.conditions for result in reversed(results)}
             return {name: like.get(name, {}) for name in data_set.sequences}
     return {}
 

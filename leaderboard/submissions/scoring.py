@@ -141,8 +141,8 @@ def score_predictions(
 
 
 def _reported(results: Sequence[ResultRecord], wanted: Wanted, truth: Mapping[str, Path], method: str) -> Scored:
-    """Results as their authors computed them, with the conditions of the split as the server knows them. Raises Refusal
-    where they were computed against another ground truth than the server's."""
+    """Results as their authors computed them, with what the server knows of the split: its conditions, and whether it is
+    hidden. Raises Refusal where they were computed against another ground truth than the server's."""
     scorer = SCORERS[wanted.kind](wanted, method)
     digests = {name: scorer.open(truth[name], name) for name in {one.sequence for one in results} & truth.keys()}
     for one in results:
@@ -151,7 +151,8 @@ def _reported(results: Sequence[ResultRecord], wanted: Wanted, truth: Mapping[st
                 "format", f"{one.sequence}: the results were computed against a ground truth other than the split's"
             )
     told = [without_folders(one) for one in results]  # with the method's own name for it, by which its output is named
-    return Scored(tuple(replace(one, method=method, conditions=dict(wanted.conditions[one.sequence])) for one in told))
+    ours = {"method": method, "hidden": wanted.hidden}
+    return Scored(tuple(replace(one, **ours, conditions=dict(wanted.conditions[one.sequence])) for one in told))
 
 
 class PathScorer(Scorer):

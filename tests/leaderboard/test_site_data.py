@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 from oysterbench.recipe import load_split
 from oysterbench.simulation.generate import digest
 from oysterbench_leaderboard.boards.index import open_index
@@ -12,6 +14,16 @@ from oysterbench_leaderboard.site.pages.data import split_page
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.records_made import record_made
+
+
+@pytest.mark.parametrize("hidden", [True, False, None])
+def test_records_say_whether_a_split_without_a_recipe_here_is_hidden(tmp_path, hidden):
+    store = RecordStore(tmp_path / "board")
+    made = record_made("carp", skill=0.5)
+    store.add(replace(made, results=tuple(replace(one, split="pool-test", hidden=hidden) for one in made.results)))
+    page = split_page(Site(open_index(store, str(tmp_path / "index.sqlite")), ()), "pool-test")
+    assert page.data["hidden"] == bool(hidden)
+    assert ("ground truth withheld" in render.page_html(page, render.server_links())) == bool(hidden)
 
 
 def test_only_records_of_another_recipe_are_said_to_be_of_one(tmp_path):

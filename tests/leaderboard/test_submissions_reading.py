@@ -238,6 +238,12 @@ def test_results_of_a_public_split_are_taken_as_their_authors_computed_them(serv
     assert scored.results[0].seed == 3
 
 
+def test_whether_the_split_of_reported_results_is_hidden_says_the_server(served, tmp_path):
+    wanted = wanted_of(served, "pool-val")
+    predictions, _ = opened(tmp_path, reported(served, tmp_path, hidden=True), wanted)
+    assert {one.hidden for one in score_predictions(predictions, wanted, {}, "carp", "x").results} == {False}
+
+
 def test_results_that_are_reported_lose_the_folders_of_the_machine_they_come_from(served, tmp_path):
     wanted = wanted_of(served, "pool-val")
     run = {"command": ["/opt/mine.sh"], "versions": {"sha256 of /opt/mine.sh": "ab"}}
