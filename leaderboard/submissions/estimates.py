@@ -45,21 +45,20 @@ class Estimates:
         return None if "://" in self.place else Path(self.place)
 
     def keep(self, upload: Upload) -> None:
-        """Store an upload; it is in the store, or synced to disk, when this returns. A folder has the file moved in."""
+        """Store an upload; it is in the store, or synced to disk, when this returns. A folder has the file moved in,
+        unless it has these bytes already: a sandbox that is reading them was granted that file, and no other one of its
+        name."""
         if self.folder is None:
             self._store().put_file(str(upload.path), f"{self.place}/{upload.digest}")
             return
         with open(upload.path, "rb") as file:
             os.fsync(file.fileno())
         self.folder.mkdir(parents=True, exist_ok=True)
-        try:
-            os.replace(upload.path, self.folder / upload.digest)
-        except OSError as error:
-            if error.errno != errno.EXDEV:
-                raise
-            with appearing(self.folder / upload.digest, mode=0o600) as copy, open(upload.path, "rb") as file:
-                shutil.copyfileobj(file, copy)
+        place = self.folder / upload.digest
+        if place.is_file() and upload_of(place).digest == upload.digest:
             upload.path.unlink()
+        else:
+            _move(upload.path, place)
         folder = os.open(self.folder, os.O_RDONLY)
         try:
             os.fsync(folder)
@@ -85,3 +84,15 @@ class Estimates:
             return fsspec.core.url_to_fs(self.place)[0]
         except (ImportError, ValueError) as error:
             raise ResultError(f"estimates in {self.place}: {error}; pip install 'oysterbench[s3]' for s3://") from None
+
+
+def _move(source: Path, target: Path) -> None:
+    """Move a file, also to another disk, so that there is never a part of it."""
+    try:
+        os.replace(source, target)
+    except OSError as error:
+        if error.errno != errno.EXDEV:
+            raise
+        with appearing(target, mode=0o600) as copy, open(source, "rb") as file:
+            shutil.copyfileobj(file, copy)
+        source.unlink()

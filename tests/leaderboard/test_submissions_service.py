@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from dataclasses import replace
 
@@ -36,6 +37,18 @@ def test_the_same_bytes_for_the_same_place_are_one_submission(service, tmp_path)
     assert new
     assert len(events(service, "queued")) == 3
     assert len(list((service.settings.folder / "estimates").iterdir())) == 1, "kept once"
+
+
+def test_bytes_that_are_kept_already_stay_the_same_file_unless_they_were_changed(service, tmp_path):
+    made, _ = send(service, tmp_path)
+    kept = service.settings.folder / "estimates" / made.digest
+    with open(kept, "rb") as being_read:
+        send(service, tmp_path, form=replace(FORM, method="pike"))
+        assert os.path.samestat(kept.stat(), os.fstat(being_read.fileno()))
+    assert not list(service.incoming.iterdir())
+    kept.write_bytes(b"damaged")
+    send(service, tmp_path, form=replace(FORM, method="perch"))
+    assert upload_of(kept).digest == made.digest
 
 
 def test_quotas_count_what_was_accepted_in_a_day_and_on_a_split(service, tmp_path):
