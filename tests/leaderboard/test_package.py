@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 from dataclasses import replace
@@ -102,6 +103,31 @@ def test_a_path_of_an_earlier_run_is_not_sent_where_the_last_one_was_interrupted
     left(tmp_path, "dive-1-mine", "dive-2-mine")
     (tmp_path / "runs" / "mine" / "dive-2" / "1").mkdir(parents=True)
     assert sent(tmp_path, method="mine") == ["dive-1-mine"]
+
+
+@pytest.mark.parametrize("name", ["dive-2.tum", "dive-2", "dive-2-mine.tum"], ids=["file", "images", "run"])
+@pytest.mark.parametrize(
+    ("make", "what"),
+    [
+        (lambda path: path.symlink_to("/nowhere/x.tum"), "a broken link, to /nowhere/x.tum"),
+        (os.mkfifo, "something that is no file"),
+    ],
+)
+def test_what_is_there_and_no_file_is_no_sequence_that_failed(tmp_path, name, make, what):
+    if name == "dive-2-mine.tum":
+        left(tmp_path, "dive-1-mine", runs={"dive-1": 1, "dive-2": 1})
+    else:
+        (tmp_path / "dive-1.tum").write_text("mine")
+    make(tmp_path / name)
+    with pytest.raises(ResultError, match=f"{name}: expected estimates, got {what}; mend it, or remove it"):
+        find_package(tmp_path, NAMES)
+
+
+def test_a_folder_named_as_a_file_of_a_sequence_is_no_sequence_that_failed(tmp_path):
+    (tmp_path / "dive-1.tum").write_text("mine")
+    (tmp_path / "dive-2.tum").mkdir()
+    with pytest.raises(ResultError, match=r"dive-2.tum: expected estimates, got a folder; mend it, or remove it to"):
+        find_package(tmp_path, NAMES)
 
 
 def test_a_run_is_asked_for_where_there_are_runs(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -90,7 +91,7 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
     files: dict[str, Path] = {}
     for sequence in sequences:
         own = [place / f"{sequence}{suffix}" for suffix in SUFFIXES]
-        own = [path for path in own if path.is_file()]
+        own = [path for path in own if _is_file(path)]
         if len(own) > 1:
             raise ResultError(f"{place}: both {own[0].name} and {own[1].name} are of {sequence}; keep one of them")
         if own:
@@ -98,6 +99,8 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
         elif (place / sequence).is_dir():
             images = sorted((place / sequence).rglob(f"*{IMAGE}"))
             files |= {path.relative_to(place).as_posix(): path for path in images}
+        else:
+            _is_file(place / sequence)  # a broken link to a folder of images is no sequence that failed
     runs: dict[int, dict[str, Path]] = {}
     if not files and (place / RESULTS).is_file():
         runs = _runs(place, sequences, method)
@@ -125,6 +128,17 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
     sendable, failed = (tuple(number for number, left in runs.items() if bool(left) == kept) for kept in (True, False))
     scored = bool(_first_result(place / RESULTS))
     return Found(None, files, () if of_run else tuple(sorted(others)), sendable, failed, scored)
+
+
+def _is_file(path: Path) -> bool:
+    """Whether there is a file; False where there is nothing of that name. Raises ResultError for anything else, which
+    would be taken for a sequence that failed."""
+    if path.is_file() or not os.path.lexists(path):
+        return path.is_file()
+    what = "a folder" if path.is_dir() else "something that is no file"
+    if path.is_symlink() and not path.exists():
+        what = f"a broken link, to {os.readlink(path)}"
+    raise ResultError(f"{path}: expected estimates, got {what}; mend it, or remove it to send none for the sequence")
 
 
 def _runs(place: Path, sequences: Sequence[str], method: str) -> dict[int, dict[str, Path]]:
@@ -156,7 +170,7 @@ def _runs(place: Path, sequences: Sequence[str], method: str) -> dict[int, dict[
         files = {n: _estimate(place, sequence, chosen, n, len(failed)) for n in failed}
         for number, file in (files or _left(place, sequence, chosen)).items():
             left = runs.setdefault(number, {})
-            if file.is_file() and not failed.get(number) and not _has_failed(place, sequence, chosen, number):
+            if not failed.get(number) and not _has_failed(place, sequence, chosen, number) and _is_file(file):
                 left[f"{sequence}.tum"] = file
     return dict(sorted(runs.items()))
 
@@ -188,7 +202,7 @@ def _left(place: Path, sequence: str, method: str) -> dict[int, Path]:
     ends = {path.stem.removeprefix(begin): path for path in place.glob("*.tum") if path.stem.startswith(begin)}
     others = _methods_run(place)  # a method may be named like the run of another
     found = {int(end): path for end, path in ends.items() if end.isdecimal() and f"{method}-{end}" not in others}
-    if not plain.is_file():
+    if not _is_file(plain):
         return found
     if found:
         names = f"{plain.name} and {found[min(found)].name}"
