@@ -36,7 +36,13 @@ def _place(context: click.Context, folder: Path | None, url: str | None) -> Plac
 @BOARD
 @INDEX
 @click.option("--submissions", type=FOLDER, help="Accept submissions; private folder of tokens, queue and estimates.")
-@click.option("--truth", "truths", multiple=True, metavar="SPLIT=DIR", help="Ground truth of a split; repeatable.")
+@click.option(
+    "--truth",
+    "truths",
+    multiple=True,
+    metavar="SPLIT=DIR",
+    help="Ground truth of a split, or of a recipe of your own: FILE.toml=DIR; repeatable.",
+)
 @click.option(
     "--workers", type=click.IntRange(min=1), help="Submissions scored at once.  [default: as set in the folder]"
 )
@@ -66,7 +72,7 @@ def serve_command(
       oysterbench leaderboard serve
       oysterbench leaderboard serve --board board --index postgresql://board@db/board --host 0.0.0.0
       oysterbench leaderboard serve --board board --submissions private \\
-        --truth slam-test=truth/slam-test
+        --truth slam-test=truth/slam-test --truth my-split.toml=truth/my-split
       oysterbench leaderboard serve --submissions private --truth ... --scheduler tcp://10.0.0.1:8786
 
     New records in the folder are shown within seconds. For public access, put a TLS proxy in front of the server and

@@ -264,15 +264,15 @@ def local_wanted(split_name: str, track: str) -> Wanted:
 
 
 def served_splits(truths: Iterable[str], cache: Path | None = None) -> Catalogue:
-    """All splits to serve: those of `truths` (SPLIT=FOLDER), and every other public split of a track that is scored.
-    Raises ResultError."""
+    """All splits to serve: those of `truths` (SPLIT=FOLDER or FILE.toml=FOLDER), and every other public split of a
+    track that is scored. Raises ResultError."""
     from oysterbench.recipe import load_split, split_names
 
     found: dict[str, Served] = {}
     for given in truths:
         split, _, place = given.partition("=")
         if not split or not place:
-            raise ResultError(f"--truth: expected SPLIT=FOLDER, got {given!r}")
+            raise ResultError(f"--truth: expected SPLIT=FOLDER or FILE.toml=FOLDER, got {given!r}")
         served = serve_split(split, Path(place), cache)
         found[served.any.split] = served
     for name in split_names():

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oysterbench.cli.echo import message
 from oysterbench.cli.evaluate import (
     FOLDER,
     argument,
@@ -51,7 +52,7 @@ def track_options() -> dict[str, Option]:
 @click.option(
     "--ablate", multiple=True, metavar="KEY=VALUE", help="Run each METHOD once more, with this option; repeatable."
 )
-@click.option("--split", "split_name", help="A split's name or the path of a .toml recipe.")
+@click.option("--split", "split_name", help="A split's name, also of a hidden one as downloaded, or a .toml recipe.")
 @click.option(
     "--on",
     "places",
@@ -164,10 +165,11 @@ def run_command(
 
     from oysterbench.methods.interfaces import track_of_command
     from oysterbench.methods.systems import track_of
-    from oysterbench.recipe import load_split
+    from oysterbench.recipe import load_split, split_names
     from oysterbench.sequence.cut import topics_folder
     from oysterbench.simulation.generate import split_folder
     from oysterbench.tracks import TRACKS, Request
+    from oysterbench.tracks.downloaded import files_by_name
 
     methods = _variants(names, settings, ablate) if template is None else []
     name = track_name or (track_of(methods[0]) if template is None else track_of_command(template))
@@ -179,12 +181,17 @@ def run_command(
     given = {n for n, o in track_options().items() if values.get(argument(o)) not in (None, ())}
     foreign_options(name, {n: owners[n] for n in given if name not in owners[n]})
     check_settings(track, options)
-    split = None if split_name is None else load_split(split_name)
+    split = None
+    if split_name is not None:
+        ours = split_name.endswith(".toml") or split_name in split_names()
+        if not ours and (files := files_by_name(split_name, sequences, topics, message)):
+            places, sequences = tuple(files.values()), ()
+        else:
+            split = load_split(split_name)
     if topics:
         topics = track.with_truth(topics)
     if out is None:
-        assert split is not None
-        folder = split_folder(split)
+        folder = places[0].parent if split is None else split_folder(split)
         out = (topics_folder(folder, topics) if topics else folder) / track.folder("runs", options)
     request = Request(
         out=out,

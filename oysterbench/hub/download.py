@@ -251,6 +251,14 @@ def find_here(
     """
     if version is None and not is_offline():
         return None
+    found = all_here(split, version, patterns, folder)
+    return found[-1] if found else None
+
+
+def all_here(
+    split: str, version: str | None, patterns: Sequence[str] = (), folder: Path | None = None
+) -> list[tuple[Path, Manifest]]:
+    """All folders, with their manifests, that have all chosen files of a version of a split; of any without one."""
     found = []
     for path in [folder] if folder else sorted((home() / "splits" / split).glob("*")):
         manifest = kept_manifest(path)
@@ -258,7 +266,7 @@ def find_here(
             continue
         if all(step.state == "here" for step in plan(manifest, choose(manifest, patterns), path)):
             found.append((path, manifest))
-    return found[-1] if found else None
+    return found
 
 
 def part_path(folder: Path, entry: Pieced) -> Path:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from oysterbench.core.errors import MethodError, RecipeError
 from oysterbench.sequence import sequences_in
+from oysterbench.tracks.downloaded import Announce, files_of_split
 
 if TYPE_CHECKING:
     from oysterbench.methods.adapters import MethodAdapter
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
     from oysterbench.report.images import DatasetRow
     from oysterbench.report.table import Table
     from oysterbench.results.records import ResultRecord
-
-Announce = Callable[[str], None]
-"""Called with a sentence on what is being done."""
 
 Progress = Callable[[int, int], None]
 """Called with the amount done and the total."""
@@ -275,7 +273,7 @@ class Track(ABC):
             return {str(path): path.absolute() for place in request.places for path in sequences_in(place)}
         salt = read_salt() if split.hidden else b""
         if salt is None:
-            return _downloaded(split, request)
+            return files_of_split(split, request.sequences, request.topics, request.announce)
         names = tuple(request.sequences)
         files = request.render(split, names=names, workers=request.workers, topics=request.topics, salt=salt)
         return {name: path for name, path in files.items() if not request.sequences or name in request.sequences}
@@ -311,28 +309,6 @@ class Track(ABC):
             own = job.adapter.evaluation
             judged = self.settings({**own, **request.options}) if own else settings
             yield Finished(job, outcome, self.score(job, outcome, request.out, judged) if outcome.finished else None)
-
-
-def _downloaded(split: SplitRecipe, request: Request) -> dict[str, Path]:
-    """Files of a hidden split under the home folder, as a hub gave them. Raises RecipeError, with what to type, where
-    they are not there."""
-    from oysterbench.hub.download import choose, find_here
-    from oysterbench.simulation.salt import SALT_FILE, how_to_take_part
-
-    found = find_here(split.name, split.version, request.sequences)
-    if found is None:
-        raise RecipeError(
-            f"split {split.name} is hidden, and was not downloaded here; {how_to_take_part(split.name)}; to host it: "
-            f"set {SALT_FILE} to the file of its salt"
-        )
-    folder, manifest = found
-    if request.topics:
-        raise RecipeError(
-            f"--topics: split {split.name} was downloaded with all its topics; `oysterbench download {split.name} "
-            "--topics GLOB --out FOLDER` makes smaller files, for --on FOLDER"
-        )
-    request.announce(f"{split.name}: as downloaded to {folder}")
-    return {entry.sequence: folder / entry.name for entry in choose(manifest, request.sequences)}
 
 
 def about_sequence(

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
+import shutil
 
+import pytest
+from click.testing import CliRunner
+
+from oysterbench.cli.main import main
 from oysterbench.core.errors import RecipeError
 from oysterbench.hub.download import Hub, download
 from oysterbench.tracks.slam import TRACK
@@ -61,3 +65,45 @@ def test_the_host_renders_with_the_salt(split, downloaded, tmp_path, monkeypatch
     asked = {}
     TRACK.rendered(Request(tmp_path, split, render=lambda split, **options: asked.update(options) or {}))
     assert asked["salt"] == SALT.encode()
+
+
+@pytest.fixture
+def run_by_name(downloaded, monkeypatch):
+    """Ask for a run on the split by its name, as one who has no recipe of it: the output, and the request if any."""
+
+    def run(*options):
+        asked = [None]
+        monkeypatch.setattr("oysterbench.cli.run.evaluate", lambda track, request, outputs: asked.append(request))
+        words = ["run", "mine", "--command", "mine {mcap} {out}", "--split", "fake-val", *options]
+        return CliRunner().invoke(main, words).output, asked[-1]
+
+    return run
+
+
+def test_a_hidden_split_of_the_hosts_own_is_known_by_its_name_once_it_is_downloaded(run_by_name, downloaded):
+    told, request = run_by_name()
+    assert f"fake-val: as downloaded to {downloaded}" in told
+    assert request.places == (downloaded / "dive-01.mcap", downloaded / "dive-02.mcap")
+    assert (request.split, request.out) == (None, downloaded / "runs")
+    _, request = run_by_name("--sequence", "dive-02", "--out", "mine")
+    assert (request.places, list(request.sequences)) == ((downloaded / "dive-02.mcap",), [])
+    told, request = run_by_name("--topics", "/imu")
+    assert (request, "--topics: split fake-val was downloaded with all its topics" in told) == (None, True)
+
+
+def test_one_that_is_here_in_several_releases_or_in_part_is_not_chosen_from(run_by_name, downloaded):
+    other = downloaded.with_name("another")
+    shutil.copytree(downloaded, other)
+    told, request = run_by_name()
+    assert (request, told.count("\n")) == (None, 1)
+    assert (
+        f"split fake-val: expected one release of it under the home folder, got {downloaded}, {other}; choose one"
+        in told
+    )
+    shutil.rmtree(other)
+    (downloaded / "dive-02.mcap").unlink()
+    told, request = run_by_name()
+    assert (request, told.count("\n")) == (None, 1)
+    assert "fake-val: its recipe is not known here, and only a part of it was downloaded; `oysterbench downl" in told
+    shutil.rmtree(downloaded)
+    assert "unknown split 'fake-val'" in run_by_name()[0]
