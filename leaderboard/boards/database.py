@@ -29,7 +29,7 @@ from sqlalchemy import (
     text,
 )
 from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import ArgumentError, SQLAlchemyError
+from sqlalchemy.exc import ArgumentError, OperationalError, SQLAlchemyError
 
 from oysterbench.core.errors import ResultError
 from oysterbench.core.locks import locked
@@ -38,6 +38,9 @@ from oysterbench_leaderboard.boards.board import Row
 METADATA = MetaData()
 TEXT = Text().with_variant(Text(collation="C"), "postgresql")  # sorted as in SQLite: by bytes, whatever the locale
 _LOCK = 0x6F79_7374_6572  # PostgreSQL advisory lock under which the index is written
+
+UNWRITABLE = (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_CANTOPEN)
+"""Primary SQLite error codes of files to which, or beside which, nothing can be written."""
 
 CONTENTS = Table("oysterbench_contents", METADATA, Column("data", TEXT))
 """`index_writer.Contents` as JSON, in one row: everything that is small."""
@@ -81,8 +84,9 @@ class Database:
             self.file = Path(url.database)
             self.name = str(self.file)
             # Opened for each query, as the file may be replaced by another at any time.
-            place = f"sqlite:///file:{quote(str(self.file.resolve()))}?mode=rw&uri=true"
-            self.engine = open_engine(place, poolclass=NullPool)
+            place = f"sqlite:///file:{quote(str(self.file.resolve()))}?uri=true"
+            self.engine = open_engine(f"{place}&mode=rw", poolclass=NullPool)
+            self._unchanging = open_engine(f"{place}&mode=ro&immutable=1", poolclass=NullPool)
         elif url.get_backend_name() == "postgresql":
             self.engine = open_engine(url, pool_size=16, max_overflow=64)
         else:
@@ -96,12 +100,38 @@ class Database:
     def reading(self) -> Iterator[Connection]:
         """Connection whose queries are all answered from one state of the index. Raises ResultError in one line."""
         try:
-            with self.engine.begin() as connection:
-                if self.file is None:
-                    connection.execute(text("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ"))
-                yield connection
+            with contextlib.ExitStack() as stack:
+                yield stack.enter_context(self._beginning())
         except SQLAlchemyError as error:
             raise self._in_one_line(error) from None
+
+    @contextlib.contextmanager
+    def _beginning(self) -> Iterator[Connection]:
+        """Connection in a transaction for reading. To read an SQLite file in WAL mode is to write beside it: where
+        that is impossible, as on a full disk, it is read as a file that nobody changes, if nothing waits to go into
+        it."""
+        with contextlib.ExitStack() as stack:
+            try:
+                connection = stack.enter_context(self.engine.begin())
+                one_state = "SET TRANSACTION ISOLATION LEVEL REPEATABLE READ"
+                connection.execute(text(one_state if self.file is None else "PRAGMA user_version"))
+            except OperationalError as error:
+                if not self._is_unwritable(error) or self._has_log():
+                    raise
+                stack.close()
+                connection = stack.enter_context(self._unchanging.begin())
+            yield connection
+
+    def _has_log(self) -> bool:
+        """Whether the write-ahead log of an SQLite file has changes that are not in the file yet."""
+        assert self.file is not None
+        log = self.file.with_name(f"{self.file.name}-wal")
+        return log.exists() and log.stat().st_size > 0
+
+    def _is_unwritable(self, error: Exception) -> bool:
+        """Whether an error says of an SQLite file which is there that nothing can be written to it, or beside it."""
+        code = getattr(getattr(error, "orig", None) or error, "sqlite_errorcode", 0) & 0xFF
+        return self.file is not None and self.file.is_file() and code in UNWRITABLE
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[Connection]:
@@ -122,7 +152,10 @@ class Database:
 
     def _in_one_line(self, error: Exception) -> ResultError:
         message = " ".join(str(getattr(error, "orig", None) or error).split())
-        return ResultError(f"index {self.name}: {message:.200}; `oysterbench leaderboard rebuild` rebuilds it")
+        advice = "`oysterbench leaderboard rebuild` rebuilds it"
+        if self._is_unwritable(error):
+            advice = "make room on its disk, or let this user write to its folder"
+        return ResultError(f"index {self.name}: {message:.200}; {advice}")
 
 
 def _make_file(file: Path) -> None:
@@ -133,8 +166,8 @@ def _make_file(file: Path) -> None:
             with contextlib.closing(sqlite3.connect(file, timeout=60)) as connection:
                 connection.execute("PRAGMA journal_mode = WAL")
             return
-        except sqlite3.DatabaseError:
-            if attempt:
+        except sqlite3.DatabaseError as error:
+            if attempt or isinstance(error, sqlite3.OperationalError):  # a full disk, say: the file is as good as ever
                 raise
             for suffix in ("", "-wal", "-shm", "-journal"):
                 file.with_name(file.name + suffix).unlink(missing_ok=True)

@@ -8,7 +8,9 @@ here.
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -49,6 +51,9 @@ LOCK = 0x6469_7370_6174
 KEEPALIVES = {"idle": 10, "interval": 5, "count": 4}
 """TCP keepalive: seconds, and the number of probes. After half a minute of silence a host counts as gone, and its lock
 is free."""
+
+NO_ROOM = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_SHMSIZE)
+"""SQLite error codes of a full disk."""
 
 State = Literal["queued", "running", "done", "failed", "withdrawn"]
 
@@ -190,6 +195,13 @@ class SubmissionDatabase:
     def close(self) -> None:
         """Close all connections."""
         self.engine.dispose()
+
+
+def is_disk_full(error: BaseException) -> bool:
+    """Whether an error of a file, or of an SQLite database, says that there is no room left on its disk."""
+    code = getattr(getattr(error, "orig", None), "sqlite_errorcode", None)
+    full = (errno.ENOSPC, errno.EDQUOT)
+    return code in NO_ROOM or (isinstance(error, OSError) and error.errno in full)
 
 
 def _not_opened(error: Exception) -> ResultError:

@@ -13,7 +13,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench.core.streams import stream
 from oysterbench_leaderboard.boards.index import BoardIndex
 from tests.helpers.boards_opened import opened, pages
-from tests.helpers.records_made import fill
+from tests.helpers.records_made import fill, record_made
 from tests.helpers.waiting import run_for
 
 
@@ -71,6 +71,35 @@ def test_a_killed_rebuild_leaves_the_old_index(store):
         assert pages(index) == expected
     index.rebuild()
     assert pages(index) == expected
+
+
+def test_an_index_is_read_as_it_is_where_nothing_can_be_written(store):
+    """As on a full disk, where SQLite cannot make the file that it shares between readers."""
+    fill(store)
+    expected = pages(opened(store))
+    path = store.folder.parent / "index.sqlite"
+    blocked = path.with_name("index.sqlite-shm")
+    blocked.symlink_to("nowhere")
+    assert pages(opened(store)) == expected
+    store.add(record_made("carp", skill=0.5, team="late"))
+    with pytest.raises(
+        ResultError, match=r"index.sqlite: .*; make room on its disk, or let this user write to"
+    ) as told:
+        opened(store)
+    assert "rebuild" not in str(told.value)
+    assert pages(BoardIndex(path, store)) == expected
+    blocked.unlink()
+    assert pages(opened(store)) != expected
+
+
+def test_an_index_with_changes_that_are_not_in_its_file_is_not_read_without_them(store):
+    fill(store)
+    opened(store)
+    path = store.folder.parent / "index.sqlite"
+    path.with_name("index.sqlite-shm").symlink_to("nowhere")
+    path.with_name("index.sqlite-wal").write_bytes(b"changes")
+    with pytest.raises(ResultError, match="make room on its disk"):
+        BoardIndex(path, store).boards()
 
 
 def test_an_index_of_another_version_or_none_is_made_anew(store):

@@ -13,7 +13,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, Response
 
 from oysterbench_leaderboard.submissions.accounts.tokens import Guesses, Holder, recognise
-from oysterbench_leaderboard.submissions.database import Submission
+from oysterbench_leaderboard.submissions.database import Submission, is_disk_full
 from oysterbench_leaderboard.submissions.places import Places
 from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.service import Service
@@ -35,6 +35,8 @@ HEADERS = {
     "Content-Security-Policy": "default-src 'none'; style-src 'self'; img-src 'self' data:; script-src 'self'; "
     "form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
 }
+
+FULL = Refusal("full", "the server's disk is full; try again later, or tell its operators")
 
 FAILED = Refusal("failed", "something went wrong on the server; try again later, its operators can see the cause")
 
@@ -141,9 +143,13 @@ class Auth:
                 raise
             except ClientDisconnect:  # the client is gone; not a server failure
                 response = Response(status_code=400)
-            except Exception:
+            except Exception as error:
                 self.service.log.exception("%s %s", request.method, request.url.path)
-                response = PlainTextResponse(FAILED.reason, FAILED.status, {"Connection": "close"})
+                if is_disk_full(error):
+                    response = await show(request, FULL)  # not logged as a refusal: the database is full, too
+                    response.headers["Connection"] = "close"
+                else:
+                    response = PlainTextResponse(FAILED.reason, FAILED.status, {"Connection": "close"})
             for key, value in HEADERS.items():
                 response.headers.setdefault(key, value)
             return response

@@ -32,6 +32,7 @@ STATUS = {
     "guessing": 429,
     "busy": 503,
     "failed": 500,
+    "full": 507,
 }
 """Kind of a refusal -> HTTP status."""
 
