@@ -20,6 +20,7 @@ from oysterbench_leaderboard.storage.record import RANKED, Record
 from oysterbench_leaderboard.storage.record_summary import (
     COLUMNS,
     RecordSummary,
+    check_shown,
     column_means,
     data_set_value,
     read_record,
@@ -97,15 +98,17 @@ def board_of(record: Record) -> BoardInfo:
 
 def columns_of(record: Record, digest: str) -> tuple[dict[str, Any], RecordSummary]:
     """Columns of `board.Row` that follow from a record by itself, with `words` for searching; and its summary, by which
-    it is ranked."""
+    it is ranked. Raises ResultError where values that a board shows cannot be."""
     summary = summarise_record(record)
+    metrics, whole = column_means(record), data_set_value(record)
+    check_shown(record, metrics, whole)
     same = ("board", "method", "team", "tier", "url", "summary", "created", "supersedes")
     return {
         "digest": digest,
         **{key: getattr(record, key) for key in same},
         "words": f"{record.method}\n{record.team}".casefold(),
-        "data_set": data_set_value(record),
-        "metrics": column_means(record),
+        "data_set": whole,
+        "metrics": metrics,
         **said_of_method(record),
         "sequences": len(summary.sequences),
         "runs": len(record.results),

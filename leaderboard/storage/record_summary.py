@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -16,6 +16,7 @@ from oysterbench.hub.canonical import sha256
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
 from oysterbench.results.lost import kept_median
 from oysterbench.results.machines import machine_of
+from oysterbench.results.plausible import check_range
 from oysterbench.results.records import ResultRecord, lost_of, samples
 from oysterbench.results.standings import PRIMARY, UNPREDICTED_WEIGHT, SequenceScores
 from oysterbench_leaderboard.storage.record import Record
@@ -90,6 +91,31 @@ def summarise_record(record: Record) -> RecordSummary:
         tuple(dict.fromkeys(result.sequence for result in record.results)),
         sum(result.failure is not None for result in record.results),
     )
+
+
+def check_shown(record: Record, means: Mapping[str, Any], whole: float | None) -> None:
+    """Refuse a record that would be ranked, or shown on a board, by what cannot be: results of another method, or a
+    value outside its range. Only `verify` looks at its other numbers, which takes longer than reading it. Raises
+    ResultError.
+
+    means: `column_means`; whole: `data_set_value`
+    """
+    for result in record.results:
+        if result.method != record.method:
+            raise ResultError(f"expected results of {record.method}, got some of {result.method!r:.80}")
+    for key in (PRIMARY[record.track], "coverage"):
+        metric = find_metric(key, record.track)
+        low, high = (-math.inf, math.inf) if metric is None else metric.range
+        for result in record.results:
+            value = result.metrics.get(key, math.nan)
+            if value < low or value > high:  # not NaN, which is no value
+                check_range(key, value, record.track, f"run {result.run + 1} on {result.sequence}")
+    for key, value in ((PRIMARY[record.track], whole), *means.items()):
+        if value is None:
+            continue
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ResultError(f"{key} over all sequences: expected a number or null, got {value!r:.60}")
+        check_range(key, value, record.track, "over all sequences")
 
 
 def column_means(record: Record) -> dict[str, float | None]:

@@ -40,20 +40,29 @@ def check_plausible(record: ResultRecord, where: str = "result") -> None:
     """
     known = {key: float(value) for key, value in record.metrics.items() if not math.isnan(value)}
     for key, value in known.items():
-        metric = find_metric(key, record.track)
-        low, high = (-math.inf, math.inf) if metric is None else metric.range
-        if record.failure is None:
-            low, high = COSTS.get(key, (low, high))
-        if not _above(value, low) or not _above(high, value):
-            raise ResultError(f"{where}: metric {key!r}: expected {_between(low, high)}, got {value:.6g}")
-        if abs(value) > MOST:
-            raise ResultError(f"{where}: metric {key!r}: expected {-MOST:g} to {MOST:g}, got {value:.6g}")
+        check_range(key, value, record.track, where, COSTS if record.failure is None else {})
     for keys, holds, relation in RELATIONS.get(record.track, ()):
         if all(key in known for key in keys) and not holds(*(known[key] for key in keys)):
             values = ", ".join(f"{key} = {known[key]:.6g}" for key in keys)
             raise ResultError(f"{where}: expected {relation}, got {values}")
     if record.track == "slam" and record.failure is None:
         _check_recalls(record, known, where)
+
+
+def check_range(
+    key: str, value: float, track: str, where: str, costs: Mapping[str, tuple[float, float]] | None = None
+) -> None:
+    """Raise ResultError where a metric's value is outside the range of the metric, or too great to be summed.
+
+    costs: narrower ranges of some metrics
+    """
+    metric = find_metric(key, track)
+    low, high = (-math.inf, math.inf) if metric is None else metric.range
+    low, high = (costs or {}).get(key, (low, high))
+    if not _above(value, low) or not _above(high, value):
+        raise ResultError(f"{where}: metric {key!r}: expected {_between(low, high)}, got {value:.6g}")
+    if abs(value) > MOST:
+        raise ResultError(f"{where}: metric {key!r}: expected {-MOST:g} to {MOST:g}, got {value:.6g}")
 
 
 def _between(low: float, high: float) -> str:

@@ -38,7 +38,8 @@ def test_boards_of_one_split_are_told_apart_by_the_settings_that_are_not_usual(t
     store = RecordStore(tmp_path / "board")
     usual = record_made(method="usual", track="slam")
     store.add(usual)
-    results = tuple(replace(one, settings={**one.settings, "align": "sim3"}) for one in usual.results)
+    other = {**usual.results[0].settings, "align": "sim3"}
+    results = tuple(replace(one, method="without scale", settings=other) for one in usual.results)
     store.add(replace(usual, method="without scale", results=results))
     index = open_index(store, str(tmp_path / "index.sqlite"))
     names = {board_table(index.page(info.id, Query())).title for info in index.boards()}

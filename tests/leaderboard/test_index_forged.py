@@ -65,3 +65,27 @@ def test_a_record_that_is_not_ranked_gives_no_weights_to_those_that_are(store, a
     after = {row.method: row for row in pages(index)[0].rows}
     for method, row in before.items():
         assert (after[method].score, after[method].low, after[method].high) == (row.score, row.low, row.high)
+
+
+@pytest.mark.parametrize(
+    ("metrics", "changes", "said"),
+    [
+        ({"score": 1.5}, {}, "run 1 on val-01: metric 'score': expected 0 to 1, got 1.5"),
+        ({"coverage": 2.0}, {}, "run 1 on val-01: metric 'coverage': expected 0 to 1, got 2"),
+        ({}, {"method": "other"}, "expected results of other, got some of 'carp'"),
+        ({}, {"data_set": {"means": {"ate_percent": -1.0}}}, "metric 'ate_percent': expected 0 or more, got -1"),
+        ({}, {"data_set": {"means": {"ate_percent": "<b>"}}}, "ate_percent over all sequences: expected a number"),
+        ({}, {"data_set": {"metrics": {"score": 7.0}}}, "over all sequences: metric 'score': expected 0 to 1, got 7"),
+    ],
+)
+def test_a_record_is_left_out_that_would_show_what_cannot_be(store, metrics, changes, said):
+    made = record_made("carp")
+    first, *others = made.results
+    odd = replace(first, metrics={**first.metrics, **metrics})
+    forged = store.add(replace(made, results=(odd, *others), **changes))
+    other = store.add(record_made("cod"))
+    index = opened(store)
+    assert index.problems() == MemoryIndex(store).problems()
+    assert set(index.problems()) == {forged}
+    assert said in index.problems()[forged]
+    assert index.row(other).place == 1

@@ -203,7 +203,8 @@ def few(tmp_path):
     lacking = tuple(f"val-0{k}" for k in range(4, 9))
     results = record_made("carp", without=lacking).results
     for name in ("carp", "tench"):
-        store.add(replace(record_made("carp", without=lacking), method=name, results=results))
+        same = [replace(one, method=name) for one in results]
+        store.add(replace(record_made("carp", without=lacking), method=name, results=same))
     store.add(record_made("worse", skill=0.1, without=lacking))
     return Site(open_index(store, str(tmp_path / "index.sqlite")))
 
