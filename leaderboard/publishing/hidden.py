@@ -84,7 +84,10 @@ def discreet(
 def _coarse(result: ResultRecord, judged: bool) -> ResultRecord:
     ranking, metrics = PRIMARY[result.track], result.metrics
     kept = {key: _rounded(key, result.track, metrics[key]) for key in (ranking, "coverage") if key in metrics}
-    if {"truth_px", "estimate_px", ranking} <= metrics.keys():
+    if {"truth_px", "union_px"} <= metrics.keys() and "estimate_px" not in metrics:  # reduced already
+        kept["truth_px"] = significant(metrics["truth_px"], DIGITS["sequence"])
+        kept["union_px"] = significant(metrics["union_px"], DIGITS["split"])
+    elif {"truth_px", "estimate_px", ranking} <= metrics.keys():
         # The union as implied by the published values: it reveals nothing more to one who knows the estimate.
         kept["truth_px"] = significant(metrics["truth_px"], DIGITS["sequence"])
         union = (kept["truth_px"] + metrics["estimate_px"]) / (1.0 + kept[ranking])

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.core.text import in_one_line
 from oysterbench.hub.canonical import canonical, decode, parse
-from oysterbench.results.plausible import check_plausible
 from oysterbench_leaderboard.boards.ranking import columns_of
+from oysterbench_leaderboard.publishing.contradictions import check_contradictions, check_drawn
 from oysterbench_leaderboard.storage.curves import FORMAT as CURVES
-from oysterbench_leaderboard.storage.curves import Curves
+from oysterbench_leaderboard.storage.curves import Curve, Curves
 from oysterbench_leaderboard.storage.record_summary import read_record
 from oysterbench_leaderboard.storage.store import KINDS, RecordStore
+
+ROUNDED_M = 0.003
+"""Greatest difference between the error of a curve's point and the distance of its positions, which are rounded to a
+millimetre each."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +29,8 @@ class Verified:
 
 
 def verify(store: RecordStore) -> Verified:
-    """Read every file of a store completely: each must be canonical JSON of its kind, with plausible numbers, and the
-    curves and records that a record names must exist."""
+    """Read every file of a store completely: each must be canonical JSON of its kind, with plausible numbers and parts
+    that do not contradict each other, and the curves and records that a record names must exist."""
     problems: dict[str, str] = {}
     checked = dict.fromkeys(KINDS, 0)
     known = {kind: set(store.names(kind)) for kind in KINDS}
@@ -42,7 +47,7 @@ def verify(store: RecordStore) -> Verified:
                 _check(store, kind, path.stem, known)
             except OysterbenchError as error:
                 problems[where] = str(error)
-            except (OSError, ArithmeticError, ValueError, RecursionError) as error:
+            except (OSError, ArithmeticError, ValueError, TypeError, RecursionError) as error:
                 problems[where] = f"it cannot be read: {in_one_line(error)}"
     return Verified(checked, problems)
 
@@ -52,28 +57,45 @@ def _check(store: RecordStore, kind: str, name: str, known: dict[str, set[str]])
     if kind == "changes":
         store.status_change(name)
     elif kind == "curves":
-        _check_curves(data)
+        _read_curves(data)
     else:
-        _check_record(data, name, known)
+        _check_record(store, data, name, known)
     if canonical(parse(data, kind)) != data:
         raise ResultError("expected canonical JSON: keys sorted, each of them once, and no spaces")
 
 
-def _check_record(data: bytes, name: str, known: dict[str, set[str]]) -> None:
+def _check_record(store: RecordStore, data: bytes, name: str, known: dict[str, set[str]]) -> None:
     record = read_record(data, name)
     columns_of(record, name)
-    for result in record.results:
-        check_plausible(result, f"run {result.run + 1} on {result.sequence}")
-    if record.curves and record.curves not in known["curves"]:
-        raise ResultError(f"the curves that it names, {record.curves[:12]}, are missing")
+    check_contradictions(record)
     if record.supersedes and record.supersedes not in known["records"]:
         raise ResultError(f"the record that it supersedes, {record.supersedes[:12]}, is missing")
+    if not record.curves:
+        return
+    if record.curves not in known["curves"]:
+        raise ResultError(f"the curves that it names, {record.curves[:12]}, are missing")
+    try:
+        curves = _read_curves(store.data(record.curves, "curves"))
+    except OysterbenchError as error:
+        raise ResultError(f"the curves that it names, {record.curves[:12]}, cannot be used: {error}") from None
+    check_drawn(record, curves)
 
 
-def _check_curves(data: bytes) -> None:
+def _read_curves(data: bytes) -> Curves:
     document = decode(data, Curves, "curves")
     if document.format != CURVES:
         raise ResultError(f"expected curves of the format {CURVES!r}, got {document.format!r:.60}")
     for sequence, curve in document.sequences.items():
-        if len({len(curve.t_s), len(curve.truth), len(curve.path), len(curve.error_m)}) > 1:
-            raise ResultError(f"curve of {sequence}: expected lists of one length")
+        _check_curve(curve, f"curve of {sequence}")
+    return document
+
+
+def _check_curve(curve: Curve, where: str) -> None:
+    if len({len(curve.t_s), len(curve.truth), len(curve.path), len(curve.error_m)}) > 1:
+        raise ResultError(f"{where}: expected lists of one length")
+    for t_s, truth, place, error_m in zip(curve.t_s, curve.truth, curve.path, curve.error_m, strict=True):
+        off_m = None if place is None else math.dist(place, truth)
+        same = off_m is error_m if off_m is None or error_m is None else abs(off_m - error_m) <= ROUNDED_M
+        if not same:
+            expected = f"expected the error {off_m}, the distance from the truth, got {error_m}"
+            raise ResultError(f"{where}: at {t_s} s: {expected}")
