@@ -254,6 +254,7 @@ def test_results_that_are_reported_lose_the_folders_of_the_machine_they_come_fro
     assert one.notes == ("its log is x.log",)
 
 
+USUAL = SlamSettings().as_dict()
 WHOLE = dict.fromkeys(BOUNDING["slam"], 1.0)
 
 
@@ -265,6 +266,9 @@ WHOLE = dict.fromkeys(BOUNDING["slam"], 1.0)
         ({"sequence": "pool-99"}, "'pool-99' is no sequence of pool-val"),
         ({"evaluator_version": "slam 99"}, "expected the evaluator 'slam 3'"),
         ({"settings": {"align": "sim3"}}, "with its usual settings"),
+        ({"settings": USUAL | {"align": "sim3"}}, r"key 'settings.align': expected 'posyaw', got 'sim3'; evaluate"),
+        ({"settings": USUAL | {"mine": 1}}, r"key 'settings.mine': expected nothing, got 1"),
+        ({"settings": {"align": "posyaw"}}, r"key 'settings.align_first': expected None, got nothing"),
         ({"metrics": {"<script>": 1.0}}, "'<script>' is no metric"),
         ({"info": {"x": "a\u202eb"}}, "plain text in one line"),
         ({"info": {"x": "y" * 3000}}, "at most 2000 characters"),

@@ -57,12 +57,7 @@ def read_reported(data: bytes, content: dict[str, Any], wanted: Wanted, limits: 
         for key in record.metrics:
             if find_metric(key) is None:
                 raise Refusal("format", f"{where}: {shown(key)} is no metric that this version of oysterbench knows")
-        if (record.evaluator_version, dict(record.settings)) != evaluator(wanted.track):
-            raise Refusal(
-                "format",
-                f"{where}: expected the evaluator {evaluator(wanted.track)[0]!r} with its usual settings, got "
-                f"{record.evaluator_version!r:.40}; evaluate again with this version of oysterbench",
-            )
+        _check_evaluator(record, where)
     if len({method_key(record) for record in found}) > 1:
         raise Refusal("format", "results.json: expected results of one method with one setting, got several")
     if len({(record.sequence, record.run) for record in found}) < len(found):
@@ -82,6 +77,24 @@ def read_reported(data: bytes, content: dict[str, Any], wanted: Wanted, limits: 
         aggregate(found)
         _check_texts([record.to_dict() for record in found], "results.json")
     return tuple(found)
+
+
+def _check_evaluator(record: ResultRecord, where: str) -> None:
+    """Refuse results of another evaluator, or with another setting than the usual ones, naming it. Raises Refusal."""
+    version, usual = evaluator(record.track)
+    if record.evaluator_version != version:
+        got = f"expected the evaluator {version!r}, got {record.evaluator_version!r:.40}"
+        raise Refusal("format", f"{where}: {got}; evaluate again with this version of oysterbench")
+    given = record.settings
+    for key in sorted(usual.keys() | given.keys()):
+        if (key in given, given.get(key)) == (key in usual, usual.get(key)):
+            continue
+        expected, got = (f"{one[key]!r:.60}" if key in one else "nothing" for one in (usual, given))
+        raise Refusal(
+            "format",
+            f"{where}: expected the evaluator {version!r} with its usual settings, got others: key "
+            f"{f'settings.{key:.60}'!r}: expected {expected}, got {got}; evaluate again with the usual ones",
+        )
 
 
 def _check_created(created: str, where: str) -> None:
