@@ -154,8 +154,8 @@ def _check(path: Path, method: str, split: str, group: Sequence[ResultRecord]) -
     first = group[0]
     if not split:
         raise ResultError(
-            f"{path}: the results of {method} belong to no split, but a board needs one; run it on a split: "
-            f"`oysterbench run {method} --split SPLIT`"
+            f"{path}: the results of {method} belong to no split, but a board needs one; run the method on a split: "
+            "`oysterbench run METHOD --split SPLIT`"
         )
     if first.track not in PRIMARY:
         raise ResultError(f"{path}: the track {first.track!r} has no board; there are: {', '.join(PRIMARY)}")

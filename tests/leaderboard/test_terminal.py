@@ -191,6 +191,10 @@ def test_results_that_belong_on_no_board_are_refused(board, tmp_path):
 
     write_results(path, [replace(results[0], split="")])
     assert "belong to no split" in refused("leaderboard", "add", path, "--team", "x")
+    write_results(path, [replace(results[0], split="", method="hid-01-carp.tum")])
+    said = refused("leaderboard", "add", path, "--team", "x")
+    assert "results of hid-01-carp.tum belong to no split" in said
+    assert "`oysterbench run METHOD --split SPLIT`" in said, "a file that was scored is no method to run"
     write_results(path, [results[0], replace(results[1], evaluator_version="slam 2")])
     assert "would be averaged" in refused("leaderboard", "add", path, "--team", "x")
     write_results(path, [results[0], replace(results[1], method_settings={"window_s": 9.0})])
