@@ -121,6 +121,8 @@ def command(
         with bytes_bar("sending") as progress:
             sent = client.send(package, method, about, summary, progress)
     message(f"submission {sent['id']}: {url.rstrip('/')}{sent['page']}")
+    if note := _unchanged(sent, {"summary": summary, "address": about}):
+        message(note)
     if wait:
         sent = client.wait(sent["id"], lambda now: message(f"{now['state']}{_before(now)}"))
         if publish and sent["state"] == "done":
@@ -180,6 +182,17 @@ def _other_runs(found: Found, run: int) -> str:
     if found.scored:
         note += "; `leaderboard add` puts the mean of all on a board"
     return note + (f", with run {listed(map(str, found.failed))}, which failed" if found.failed else "")
+
+
+def _unchanged(sent: dict[str, Any], given: dict[str, str]) -> str:
+    """Say which of the texts given now an earlier submission of the same files does not have; empty if there is none.
+    Those left out now are no change."""
+    kept = {"summary": sent["summary"], "address": sent["url"]}
+    odd = [key for key, text in given.items() if text.strip() not in ("", kept[key])]
+    if not odd:
+        return ""
+    kept_as = "is unchanged" if len(odd) == 1 else "are unchanged"
+    return f"these files were submitted on {sent['created']} already: the {' and '.join(odd)} of then {kept_as}"
 
 
 def _before(found: dict[str, Any]) -> str:

@@ -63,6 +63,16 @@ def test_estimates_are_checked_sent_scored_and_published(site, estimates):
     assert b"carp" in page
 
 
+def test_what_is_said_anew_of_files_that_were_sent_before_is_not_taken_and_it_says_so(site, estimates):
+    about = ("--method", "tench", "--split", "pool-test", "--no-wait")
+    assert "already" not in submit(site, estimates, *about, "--summary", "One.", "--url", "https://x.example").stderr
+    assert "already" not in submit(site, estimates, *about, "--summary", " One. ").stderr
+    again = submit(site, estimates, *about, "--summary", "Another.", "--url", "https://y.example")
+    assert again.exit_code == 0, again.output
+    assert re.search(r"were submitted on 2\S+Z already: the summary and address of then are unchanged", again.stderr)
+    assert "the address of then is unchanged" in submit(site, estimates, *about, "--url", "https://y.example").stderr
+
+
 def test_what_is_wrong_is_found_before_anything_is_sent(site, estimates):
     (estimates / "pool-02.tum").write_text("1 2 3 4 0 0 0 1\n2 3 4 5 0 0 0\n")
     before = site.server.ask("GET", "/api/submissions", token=site.token)[2]
