@@ -65,16 +65,12 @@ def routes(auth: Auth) -> list[Route]:
         headers = {"WWW-Authenticate": "Bearer"} if refusal.kind == "token" else {}
         return JSONResponse({"error": refusal.kind, "reason": refusal.reason}, refusal.status, headers)
 
-    def route(path: str, handler: Any, method: str) -> Route:
-        return Route(path, auth.answered(handler, refuse), methods=[method])
-
     return [
-        route("/api/submissions/splits", splits, "GET"),
-        route("/api/submissions", send, "POST"),
-        route("/api/submissions", listed, "GET"),
-        route("/api/submissions/{id:str}", one, "GET"),
-        route("/api/submissions/{id:str}/publish", publish, "POST"),
-        route("/api/submissions/{id:str}/withdraw", withdraw, "POST"),
+        auth.route("/api/submissions/splits", refuse, GET=splits),
+        auth.route("/api/submissions", refuse, GET=listed, POST=send),
+        auth.route("/api/submissions/{id:str}", refuse, GET=one),
+        auth.route("/api/submissions/{id:str}/publish", refuse, POST=publish),
+        auth.route("/api/submissions/{id:str}/withdraw", refuse, POST=withdraw),
     ]
 
 

@@ -51,18 +51,14 @@ class WebForm:
 
     def routes(self) -> list[Route]:
         """Routes of the form."""
-
-        def route(path: str, handler: Any, method: str) -> Route:
-            return Route(path, self.auth.answered(handler, self._refused), methods=[method])
-
+        refused = self._refused
         return [
-            route(NEW, self._new, "GET"),
-            route(NEW, self._send, "POST"),
-            route("/submit/sign-in", self._sign_in, "POST"),
-            route("/submit/sign-out", self._sign_out, "POST"),
-            route("/submit/{id:str}", self._one, "GET"),
-            route("/submit/{id:str}/publish", self._publish, "POST"),
-            route("/submit/{id:str}/withdraw", self._withdraw, "POST"),
+            self.auth.route(NEW, refused, GET=self._new, POST=self._send),
+            self.auth.route("/submit/sign-in", refused, POST=self._sign_in),
+            self.auth.route("/submit/sign-out", refused, POST=self._sign_out),
+            self.auth.route("/submit/{id:str}", refused, GET=self._one),
+            self.auth.route("/submit/{id:str}/publish", refused, POST=self._publish),
+            self.auth.route("/submit/{id:str}/withdraw", refused, POST=self._withdraw),
         ]
 
     # Pages:

@@ -31,6 +31,14 @@ def test_the_session_is_out_of_reach_of_scripts_and_of_other_sites(site):
     assert headers["cache-control"] == "no-store"
 
 
+@pytest.mark.parametrize("path", ["/api/submissions", "/submit/new"])
+def test_another_method_is_answered_with_those_that_are_allowed(site, path):
+    status, headers, _ = site.server.ask("PUT", path)
+    assert status == 405
+    assert set(headers["allow"].split(", ")) == {"GET", "HEAD", "POST"}
+    assert site.server.ask("HEAD", "/submit/new")[0] == 200
+
+
 @pytest.mark.parametrize(
     "what",
     ["no csrf", "wrong csrf", "odd csrf", "other origin", "null origin", "odd origin", "no origin", "other session"],

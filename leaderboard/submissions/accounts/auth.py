@@ -11,6 +11,7 @@ from typing import IO
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Route
 
 from oysterbench_leaderboard.submissions.accounts.tokens import Guesses, Holder, recognise
 from oysterbench_leaderboard.submissions.database import Submission, is_disk_full
@@ -121,6 +122,15 @@ class Auth:
                         return self.service.submit(team, form_of(fields), upload)
 
                 return await run_in_threadpool(take_in)
+
+    def route(self, path: str, show: Show, **handlers: Handler) -> Route:
+        """Make the route of a path from the handler of each HTTP method; `show` shows refusals. Not a route for each
+        method: where none fits, the answer would name those of the first alone as allowed."""
+
+        async def handle(request: Request) -> Response:
+            return await handlers["GET" if request.method == "HEAD" else request.method](request)
+
+        return Route(path, self.answered(handle, show), methods=list(handlers))
 
     def answered(self, handler: Handler, show: Show) -> Handler:
         """Wrap a handler so that refusals are logged and shown, and internal errors are logged but not revealed."""
