@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any, Literal, get_args
 
 from oysterbench.core.errors import ResultError
-from oysterbench.core.text import compatible, disguised, mixed_word, unseen
+from oysterbench.core.text import compatible, disguised, mixed_word, unseen, web_host
 from oysterbench.hub.canonical import SHA256, canonical, sha256
 from oysterbench.results.records import ResultRecord, checked, comparable_key, now, plain
 
@@ -70,8 +70,7 @@ class Record:
             check_text(key, getattr(self, key), most)
         if not self.method.strip() or not self.team.strip():
             raise ResultError("record: expected a name of the method and of the team, got an empty one")
-        if self.url and not self.url.startswith(("https://", "http://")):
-            raise ResultError(f"record: key 'url': expected https://... or nothing, got {self.url!r:.60}")
+        check_address(self.url)
         check_time("created", self.created)
         if not self.results:
             raise ResultError(f"record of {self.method}: expected results, got none")
@@ -147,6 +146,15 @@ def check_time(key: str, value: str) -> None:
     if not known:
         raise ResultError(
             f"key {key!r}: expected a UTC time from 2000 to 2999, as 2026-11-01T12:00:00Z, got {value!r:.60}"
+        )
+
+
+def check_address(url: str) -> None:
+    """Refuse an address of a method's description that cannot be opened; an empty one stands for none. Raises
+    ResultError."""
+    if url and not web_host(url):
+        raise ResultError(
+            f"record: key 'url': expected https://... with the name of a host, or nothing, got {url!r:.60}"
         )
 
 

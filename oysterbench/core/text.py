@@ -76,12 +76,16 @@ def web_host(text: str) -> str:
 
     >>> web_host("https://example.org:8080/x"), web_host("http://[x"), web_host("ftp://example.org")
     ('example.org:8080', '', '')
+    >>> web_host("http://"), web_host("https://a b"), web_host("https://:80"), web_host("https://a:x")
+    ('', '', '', '')
     """
     try:
         parts = urlsplit(text)
-    except ValueError:  # such as brackets without an IPv6 address in them
+        named = parts.hostname and (parts.port is None or parts.port > 0)
+    except ValueError:  # such as brackets without an IPv6 address in them, or a port that is no number
         return ""
-    return parts.netloc if parts.scheme in ("http", "https") else ""
+    known = parts.scheme in ("http", "https") and named and not re.search(r"[\s<>\"\\^`{|}]", parts.netloc)
+    return parts.netloc if known else ""
 
 
 def unseen(text: str) -> str | None:

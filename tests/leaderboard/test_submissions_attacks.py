@@ -232,6 +232,8 @@ def test_a_body_that_is_longer_than_it_said_is_no_more_than_it_said(site, tmp_pa
         ({"method": "x" * 81}, "expected at most 80 characters"),
         ({"method": " "}, "expected the name of the method"),
         ({"url": "javascript:alert(1)"}, "expected https://"),
+        ({"url": "http://"}, "key 'url': expected https://... with the name of a host, or nothing, got 'http://'"),
+        ({"url": "https://a b"}, "key 'url': expected https://... with the name of a host"),
         ({"split": "../../etc"}, "submissions to '../../etc' are not accepted here"),
         ({"track": "segmentation"}, "pool-test has the tracks slam"),
     ],
