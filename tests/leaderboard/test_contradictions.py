@@ -18,7 +18,7 @@ from oysterbench_leaderboard.storage.record import Record
 from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.records_made import curves_made, record_made
 
-Forge = Callable[[dict[str, Any]], None]
+Forge = Callable[[dict[str, Any]], object]
 
 
 def hidden_made(skill: float = 0.8, **of_record: Any) -> Record:

@@ -14,6 +14,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.results.plausible import check_plausible
 from oysterbench.results.records import ResultRecord, write_results
+from oysterbench_leaderboard.publishing.contradictions import check_contradictions
 from oysterbench_leaderboard.publishing.hidden import COSTS, STEP, discreet
 from oysterbench_leaderboard.publishing.publish import Attribution, records_of
 from oysterbench_leaderboard.site.pages.record import metrics_table
@@ -105,6 +106,16 @@ def test_what_is_told_ranks_and_fills_the_columns_of_a_board(told, track):
     assert data_set_value(again) == scored.data_set["metrics"].get(TRACKS[track].ranking)
 
 
+@pytest.mark.parametrize("track", SCORED)
+def test_what_is_told_is_no_contradiction(told, track):
+    scored = told(track)
+    record = Record(method="carp", team="t", tier="scored", results=scored.results, data_set=scored.data_set)
+    check_contradictions(record)
+    failed = [replace(one, failure="its masks cannot be read") for one in record.results]
+    results, data_set = discreet(failed, judged=True)
+    check_contradictions(replace(record, results=tuple(results), data_set=data_set))
+
+
 def test_the_union_that_is_told_is_that_of_the_score_that_is_told():
     """So that the estimate's author, who knows all else, learns nothing from it; and the mean stays that of all
     pixels."""
@@ -164,6 +175,7 @@ def test_our_own_results_on_a_hidden_split_are_published_as_coarsely(tmp_path):
     assert not [number for number in ("0.1234", "0.9876", "0.4567", "7.654") if number in whole]
     assert record.results[0].failure
     assert set(record.data_set) == {"method", "metrics", "means"}
+    check_contradictions(record)
 
 
 def of_own_split(tmp_path, hidden, name="reef-test"):
