@@ -37,6 +37,8 @@ from oysterbench.sequence.state import file_digests, sensor_folders
 ESTIMATE = "estimate.npz"
 ONLINE = "trajectory.online.tum"
 EXPORT_LIMIT_S = 24 * 3600.0
+SAME_NS = 1_000_000
+"""Difference up to which a pose's stamp is that of an image, ns: programs print milliseconds at least."""
 
 FORMS = {
     "euroc": "an EuRoC folder: mav0/ with cam0, cam1, ..., imu0",
@@ -165,10 +167,36 @@ class SlamInterface(Interface):
 def _read_path(file: Path, T_base_frame: Array, times: NDArray[np.int64] | None) -> Trajectory:
     """Read poses of a frame and return those of the body. times: (N,) ns, of KITTI's images. Raises TrajectoryError."""
     found = read_trajectory(file, T_body_estimate=T_base_frame, times=times)
-    if times is not None and len(found) and found.stamps_ns[-1] < times[0]:
+    return found if times is None else on_clock(found, times)
+
+
+def on_clock(path: Trajectory, times: NDArray[np.int64]) -> Trajectory:
+    """Return a path whose stamps may count from the first image, as in KITTI's times.txt, with the sequence's stamps.
+
+    times: (N,) ns, stamps of the images. The stamps count from the first image if they end before it, or else if more
+    of them fit the images when counted so. Where as many do either way, they are taken as they are, which is noted.
+    """
+    if not len(path) or times[0] == 0:
+        return path
+    relative, absolute = _fit(path.stamps_ns, times - times[0]), _fit(path.stamps_ns, times)
+    if path.stamps_ns[-1] < times[0] or relative > absolute:
         note = "its timestamps count from the first image, as in times.txt: that image's timestamp was added"
-        found = replace(found, stamps_ns=found.stamps_ns + times[0], notes=(*found.notes, note))
-    return found
+        return replace(path, stamps_ns=path.stamps_ns + times[0], notes=(*path.notes, note))
+    if relative == absolute:
+        note = (
+            "its timestamps may count from the first image, as in times.txt, or be the sequence's, and are taken as the"
+            " sequence's: with a pose for the first image, or 12 columns for each, there is no doubt"
+        )
+        return replace(path, notes=(*path.notes, note))
+    return path
+
+
+def _fit(stamps_ns: NDArray[np.int64], times: NDArray[np.int64]) -> tuple[int, int]:
+    """Number of stamps (N,) within the time of the images (M,), and of those that are an image's; all in ns."""
+    after = np.clip(np.searchsorted(times, stamps_ns), 1, max(len(times) - 1, 1))
+    near = np.minimum(abs(stamps_ns - times[after - 1]), abs(stamps_ns - times[np.minimum(after, len(times) - 1)]))
+    within = (stamps_ns >= times[0] - SAME_NS) & (stamps_ns <= times[-1] + SAME_NS)
+    return int(np.count_nonzero(within)), int(np.count_nonzero(near <= SAME_NS))
 
 
 def _in_a_run(error: Exception, whose: str) -> str:
