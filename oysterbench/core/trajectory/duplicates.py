@@ -17,6 +17,11 @@ from oysterbench.core.trajectory.stamps import ns_to_seconds
 
 USUAL_PERCENT = 99
 """Percentile of a file's steps up to which they are usual: the rest may be jumps of an estimate that relocalised."""
+FEW = 2
+"""Number of poses that a program may well write at one time: what it predicted, and what it measured."""
+FLOWING = 0.5
+"""Step between poses at one stamp, as a share of that to the next stamp, from which they may be poses of a motion; and
+the way from stamp to stamp, as a share of all steps between, from which pairs of poses are, and not there and back."""
 
 
 def each_stamp_once(
@@ -26,7 +31,8 @@ def each_stamp_once(
 
     where: pose, counted from 0 -> its place in the file. Without a choice, the first of several poses is taken if they
     differ by less than poses at neighbouring stamps do, as happens with motion capture and keyframes. Raises
-    TrajectoryError where they differ by more, and where they differ at all if the choice is to refuse.
+    TrajectoryError where they differ by more, where they differ at all if the choice is to refuse, and, without a
+    choice among them, where the stamps were rounded, so that poses of several times have the same.
     """
     _, first, member, count = np.unique(
         trajectory.stamps_ns, return_index=True, return_inverse=True, return_counts=True
@@ -38,6 +44,11 @@ def each_stamp_once(
     off_m, off_rad = _distance(p[own], p), rotation_angle(q[own], q)
     same = (p == p[own]).all(axis=1) & ((q == q[own]).all(axis=1) | (q == -q[own]).all(axis=1))
     if choice is None or choice == "refuse":
+        if not same.all() and (rounded := _rounded(trajectory, count)):
+            raise TrajectoryError(
+                f"{name}: expected a timestamp for each pose, got {len(first)} for {len(trajectory)} poses, which "
+                f"{rounded}; print at least 9 decimals (C++: std::fixed << std::setprecision(9); Python: .9f)"
+            )
         near = (off_m < _steps(p, first, _distance)[member]) & (off_rad < _steps(q, first, rotation_angle)[member])
         wrong = ~same & ~(near & (choice is None))
         if wrong.any():
@@ -61,6 +72,28 @@ def each_stamp_once(
     if taken == "mean":
         return _means(trajectory, first, count)
     return trajectory.select(first if taken == "first" else first + count - 1)
+
+
+def _rounded(trajectory: Trajectory, count: NDArray[np.intp]) -> str:
+    """How the stamps look rounded, empty if they do not. count: (S,) poses at each stamp.
+
+    They do if most hold several poses, are regular, and the motion goes on within a stamp as it does to the next.
+    """
+    if np.count_nonzero(count > 1) <= len(count) / 2:
+        return ""
+    if len(count) == 1:
+        return "all have the same" if len(trajectory) > FEW else ""
+    gaps = np.diff(np.unique(trajectory.stamps_ns))
+    step_ns = int(gaps.min())
+    if (gaps % step_ns).any() or np.median(gaps) != step_ns:
+        return ""
+    steps = _distance(trajectory.positions[:-1], trajectory.positions[1:])
+    inside = np.diff(trajectory.stamps_ns) == 0
+    within, between = float(np.median(steps[inside])), float(np.median(steps[~inside]))
+    firsts = trajectory.positions[np.cumsum(count) - count]
+    forward = float(np.median(_distance(firsts[:-1], firsts[1:]))) > FLOWING * (within + between)
+    flows = within > FLOWING * between and (forward or np.median(count) > FEW)
+    return f"look rounded to {step_ns * 1e-9:g} s" if flows else ""
 
 
 def _steps(values: Array, first: NDArray[np.intp], between: Callable[[Array, Array], Array]) -> Array:
