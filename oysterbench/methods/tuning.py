@@ -20,6 +20,9 @@ from oysterbench.core.errors import MethodError
 from oysterbench.core.streams import stream
 from oysterbench.methods.options import with_options
 
+DIGITS = 3
+"""Significant digits of a drawn value: more make no difference to a method, and names long."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class OptionRange:
@@ -46,7 +49,8 @@ class OptionRange:
         return tuple(end if whole else float(end) for end in self.range)
 
     def draw(self, random: np.random.Generator) -> Any:
-        """Draw a value, uniformly over the range (or its logarithm) or the choices."""
+        """Draw a value, uniformly over the range (or its logarithm) or the choices. It has three digits, or as many as
+        three digits of the range's width need."""
         if self.range is None:
             return self.choices[int(random.integers(len(self.choices)))]
         low, high = self.range
@@ -55,7 +59,10 @@ class OptionRange:
         if whole:
             low, high = low - 0.5, high + 0.5  # so that both ends are as likely as the values between
         value = low * (high / low) ** share if self.log else low + (high - low) * share
-        return min(max(round(value), math.ceil(low)), math.floor(high)) if whole else float(f"{value:.3g}")
+        if whole:
+            return min(max(round(value), math.ceil(low)), math.floor(high))
+        scale = min(abs(value), high - low) or abs(value) or 1.0
+        return float(min(max(round(value, DIGITS - 1 - math.floor(math.log10(scale))), low), high))
 
 
 def trials(method: str, ranges: Mapping[str, OptionRange], count: int, seed: int = 0) -> list[str]:

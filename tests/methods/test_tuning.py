@@ -37,6 +37,25 @@ def test_values_lie_in_their_ranges_and_fill_them():
     assert all("fixed" not in options for options in drawn())
 
 
+@pytest.mark.parametrize("ends", [(0.999, 0.9999), (458.2, 458.9), (1000.4, 1000.6), (-0.9999, -0.999), (1.2345, 1.24)])
+def test_values_of_a_narrow_range_lie_in_it_and_fill_it(ends):
+    low, high = ends
+    for log in (False, low > 0):
+        found = [
+            float(split_variant(reference)[1]["x"])
+            for reference in trials("mine", {"x": OptionRange(range=ends, log=log)}, 60)[1:]
+        ]
+        assert len(found) > 40
+        assert low <= min(found) < low + 0.1 * (high - low)
+        assert high - 0.1 * (high - low) < max(found) <= high
+        assert all(len(f"{value!r}") <= 9 for value in found)
+
+
+def test_a_range_of_one_value_is_that_value():
+    assert trials("mine", {"x": OptionRange(range=(0.12345, 0.12345))}, 5) == ["mine", "mine[x=0.12345]"]
+    assert trials("mine", {"x": OptionRange(range=(0.0, 0.0))}, 5) == ["mine", "mine[x=0.0]"]
+
+
 def test_trials_are_a_prefix_of_more_trials_and_depend_on_the_seed_alone():
     assert trials("mine", RANGES, 5) == trials("mine", RANGES, 30)[:5]
     assert trials("mine", RANGES, 5)[0] == "mine"
