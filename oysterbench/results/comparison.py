@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -24,6 +23,7 @@ from oysterbench.evaluate.statistics import (
     summarise,
     weighed_means,
 )
+from oysterbench.results.labels import few, method_labels
 from oysterbench.results.lost import kept_median
 from oysterbench.results.records import (
     ResultRecord,
@@ -35,9 +35,6 @@ from oysterbench.results.records import (
     samples,
 )
 from oysterbench.results.standings import PRIMARY, ScoreTable, SequenceScores, Standing, direction
-
-MOST_LISTED = 4
-"""Number of settings, or values of one, that a sentence or label names; the rest are only counted."""
 
 
 @dataclass(frozen=True)
@@ -316,7 +313,7 @@ def _board(records: Sequence[ResultRecord]) -> Board:
     by_method: dict[tuple[str, str], list[ResultRecord]] = {}
     for record in records:
         by_method.setdefault(method_key(record), []).append(record)
-    labels = _labels(list(by_method))
+    labels = method_labels(list(by_method))
     entries = tuple(MethodRuns(labels[key], tuple(group)) for key, group in by_method.items())
     run_on = [{record.sequence for record in entry.records} for entry in entries]
     shared = set.intersection(*run_on)
@@ -331,27 +328,6 @@ def _board(records: Sequence[ResultRecord]) -> Board:
         tuple(name for name in truths if name in shared),
         tuple(name for name in truths if name not in shared),
     )
-
-
-def _labels(keys: Sequence[tuple[str, str]]) -> dict[tuple[str, str], str]:
-    """Label each method with its name and the settings that distinguish it from others of that name."""
-    found: dict[tuple[str, str], str] = {}
-    for name, settings in keys:
-        others = [json.loads(other) for n, other in keys if n == name]
-        own = json.loads(settings)
-        absent = object()
-        differing = [key for key in own if any(other.get(key, absent) != own[key] for other in others)]
-        inside = few([f"{key} = {own[key]!s:.40}" for key in differing]) or "defaults"
-        label = name if len(others) == 1 else f"{name} ({inside})"
-        same = sum(other == label or other.startswith(f"{label} #") for other in found.values())
-        found[name, settings] = f"{label} #{same + 1}" if same else label  # differ in unnamed settings
-    return found
-
-
-def few(values: Sequence[str]) -> str:
-    """List the first values, and how many more there are."""
-    more = len(values) - MOST_LISTED
-    return ", ".join(values) if more <= 0 else f"{', '.join(values[:MOST_LISTED])} and {more} more"
 
 
 def per_sequence(board: Board) -> list[dict[str, Any]]:

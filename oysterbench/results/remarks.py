@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
-from oysterbench.results.comparison import Board, few
+from oysterbench.results.comparison import Board
+from oysterbench.results.labels import few
 from oysterbench.results.machines import machines_note
 from oysterbench.results.records import plain
 

@@ -104,6 +104,33 @@ def test_methods_that_differ_in_many_settings_have_short_labels_all_of_their_own
     assert max(map(len, labels)) < 60
 
 
+@pytest.mark.parametrize(
+    ("ends", "shown"),
+    [
+        (("good", "rc3"), ("good", "rc3")),
+        (("--config cfg/a.yaml", "--config cfg/a/b.yaml"), ("cfg/a.yaml", "cfg/a/b.yaml")),
+        (("--config a 1", "--config a 2", "--config b"), ("a 1", "a 2", "b")),
+        (("", "-v"), ("{out}", "-v")),
+    ],
+)
+def test_long_commands_of_one_name_are_told_apart_by_what_differs(ends, shown):
+    start = "/usr/lib/slam/bin/a_program_with_a_long_name {mcap} {out}"
+    given = [{"command": f"{start} {end}".strip(), "poses_of": "base"} for end in ends]
+    found = boards([one for settings in given for one in runs("mine", [0.9], method_settings=settings)])
+    labels = [entry.label for entry in found[0].entries]
+    for label, part in zip(labels, shown, strict=True):
+        assert label.startswith("mine (command = ")
+        assert label.endswith(f"{part})")
+        assert "#" not in label
+    assert len(set(labels)) == len(ends)
+
+
+def test_commands_that_differ_in_two_far_places_are_shown_whole():
+    commands = [f"prog {{mcap}} {a} {'x' * 50} {b} {{out}}" for a in "mn" for b in "op"]
+    found = boards([one for each in commands for one in runs("mine", [0.9], method_settings={"command": each})])
+    assert [entry.label for entry in found[0].entries] == [f"mine (command = {each})" for each in commands]
+
+
 def test_standings_are_over_the_sequences_that_all_were_run_on():
     found = boards([*runs("a", [0.5, 0.5]), *runs("b", [0.4, 0.6, 1.0])])
     assert (found[0].sequences, found[0].left_out) == (("s0", "s1"), ("s2",))
