@@ -17,6 +17,7 @@ from sqlalchemy import Connection, RowMapping, func, select
 
 from oysterbench.core.errors import ResultError
 from oysterbench.core.places import home
+from oysterbench.core.text import composed, spellings
 from oysterbench.evaluate.statistics import sequence_means
 from oysterbench.results.records import samples
 from oysterbench_leaderboard.boards.board import LEAST_DIGITS, BoardInfo, BoardPage, Query, Row
@@ -118,8 +119,9 @@ class BoardIndex:
         return found[0]
 
     def method(self, method: str, team: str | None = None) -> list[Row]:
-        """All rows of a method, newest first, including superseded and withdrawn ones."""
-        return self._rows(ROWS.c.method == method, *([] if team is None else [ROWS.c.team == team]))
+        """All rows of a method, newest first, including superseded and withdrawn ones; names in any Unicode form."""
+        of_team = [] if team is None else [ROWS.c.team.in_(spellings(team))]
+        return self._rows(ROWS.c.method.in_(spellings(method)), *of_team)
 
     def methods(self) -> list[tuple[str, str, int]]:
         """Method, team, number of current records."""
@@ -167,7 +169,7 @@ class BoardIndex:
             if query.tiers:
                 chosen.append(ROWS.c.tier.in_(query.tiers))
             if query.text:
-                chosen.append(ROWS.c.words.contains(query.text.casefold(), autoescape=True))
+                chosen.append(ROWS.c.words.contains(composed(query.text).casefold(), autoescape=True))
             asked = select(ROWS.c.position).where(*chosen).order_by(*_sorting(board, query))
             order = array("l", connection.scalars(asked))
             if len(self._orders) >= MOST_ORDERS:

@@ -10,6 +10,7 @@ from operator import itemgetter
 from typing import Any
 
 from oysterbench.core.errors import ResultError
+from oysterbench.core.text import composed, spellings
 from oysterbench.evaluate.statistics import sequence_means
 from oysterbench.results.records import samples
 from oysterbench_leaderboard.boards.board import LEAST_DIGITS, BoardInfo, BoardPage, Query, Row
@@ -103,8 +104,10 @@ class MemoryIndex:
         return self._row(found[0])
 
     def method(self, method: str, team: str | None = None) -> list[Row]:
-        """All rows of a method, newest first, including superseded and withdrawn ones."""
-        found = [r for r in self._columns.values() if r["method"] == method and team in (None, r["team"])]
+        """All rows of a method, newest first, including superseded and withdrawn ones; names in any Unicode form."""
+        teams = None if team is None else spellings(team)
+        of_method = (row for row in self._columns.values() if row["method"] in spellings(method))
+        found = [row for row in of_method if teams is None or row["team"] in teams]
         found.sort(key=lambda row: str(row["digest"]))
         found.sort(key=lambda row: str(row["created"]), reverse=True)
         return [self._row(row) for row in found]
@@ -139,7 +142,7 @@ def _asked(row: dict[str, Any], query: Query) -> bool:
     return (
         row["state"] in query.states
         and (not query.tiers or row["tier"] in query.tiers)
-        and query.text.casefold() in row["words"]
+        and composed(query.text).casefold() in row["words"]
     )
 
 

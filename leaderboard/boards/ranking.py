@@ -12,6 +12,7 @@ from string import digits
 from typing import Any
 
 from oysterbench.core.errors import ResultError
+from oysterbench.core.text import composed
 from oysterbench.evaluate.metrics import FAILED, TRACKS
 from oysterbench.results.records import comparable_key
 from oysterbench.results.standings import PRIMARY, ScoreTable, direction
@@ -67,10 +68,11 @@ def states(claims: Iterable[Claim], gone: set[str]) -> dict[str, State]:
 
     A record is superseded by any of the same team that names it, on its own board or another (a new evaluator has its
     own board), or by the latest one of its method, team and board; of two created in the same second, the one with the
-    greater digest is later. A reported record supersedes no ranked one: anybody can write numbers down. A withdrawn
-    record supersedes nothing: the one that it had replaced comes back.
+    greater digest is later. A name is one in whatever Unicode form it is written. A reported record supersedes no
+    ranked one: anybody can write numbers down. A withdrawn record supersedes nothing: the one that it had replaced
+    comes back.
     """
-    every = list(claims)
+    every = [replace(one, method=composed(one.method), team=composed(one.team)) for one in claims]
     there = [one for one in every if one.digest not in gone]
     ranked = {one.digest for one in there if one.tier in RANKED}
     named = {
@@ -106,7 +108,7 @@ def columns_of(record: Record, digest: str) -> tuple[dict[str, Any], RecordSumma
     return {
         "digest": digest,
         **{key: getattr(record, key) for key in same},
-        "words": f"{record.method}\n{record.team}".casefold(),
+        "words": composed(f"{record.method}\n{record.team}").casefold(),
         "data_set": whole,
         "metrics": metrics,
         **said_of_method(record),

@@ -13,6 +13,7 @@ import numpy as np
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import RecipeError, ResultError, TrajectoryError
 from oysterbench.core.names import listed
+from oysterbench.core.text import composed
 from oysterbench.evaluate.metrics import FAILED
 from oysterbench.hub.canonical import sha256
 from oysterbench.results.plausible import check_plausible
@@ -90,8 +91,8 @@ def records_of(
             group, data_set = discreet(group, data_set)
         here, topics = folders_here(path.parent), _topics(known)
         record = Record(
-            method=method,
-            team=by.team,
+            method=composed(method),
+            team=composed(by.team),
             tier=by.tier,
             results=tuple(without_folders(result, here, topics) for result in group),
             url=by.url,

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.core.text import composed
 from oysterbench.hub.canonical import SHA256, canonical, parse, sha256
 from oysterbench.results.records import checked, now
 from oysterbench_leaderboard.storage.record import Record, check_time
@@ -81,18 +82,19 @@ class RecordStore:
         return Record.from_dict(parse(data, str(self._path("records", digest))), f"record {digest[:12]}")
 
     def records_by(self, team: str, method: str) -> list[tuple[str, Record]]:
-        """Records of a team's method on all boards, with their digests. Unreadable ones are skipped; `verify` reports
-        them."""
-        found = []
+        """Records of a team's method on all boards, with their digests; names match in any Unicode form.
+        Unreadable ones are skipped; `verify` reports them."""
+        found, names = [], (composed(team), composed(method))
         for digest in self.digests():
             try:
                 # Most are of other methods, and parsing them takes long.
-                if json.dumps(method, ensure_ascii=False).encode() not in self.data(digest):
+                text = composed(self.data(digest).decode(errors="replace"))
+                if json.dumps(names[1], ensure_ascii=False) not in text:
                     continue
                 record = self.record(digest)
             except OysterbenchError:
                 continue
-            if (record.team, record.method) == (team, method):
+            if (composed(record.team), composed(record.method)) == names:
                 found.append((digest, record))
         return found
 

@@ -141,7 +141,7 @@ def score_predictions(
 
 
 def _reported(results: Sequence[ResultRecord], wanted: Wanted, truth: Mapping[str, Path], method: str) -> Scored:
-    """Results as their authors computed them, with what the server knows of the split: its conditions, and whether it is
+    """Results as their authors computed them, with what the server knows of the split: conditions, and whether it is
     hidden. Raises Refusal where they were computed against another ground truth than the server's."""
     scorer = SCORERS[wanted.kind](wanted, method)
     digests = {name: scorer.open(truth[name], name) for name in {one.sequence for one in results} & truth.keys()}

@@ -17,6 +17,7 @@ from typing import Any
 from sqlalchemy import Connection, func, insert, select
 
 from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.core.text import composed, spellings
 from oysterbench.hub.addresses import network
 from oysterbench.hub.canonical import parse
 from oysterbench.results.records import ResultRecord
@@ -128,8 +129,8 @@ class Service:
         field."""
         form.check()
         _, wanted = self.catalogue.find(form.split, form.track)
-        stripped = {key: getattr(form, key).strip() for key in ("method", "url", "summary")}
-        return replace(form, track=wanted.track, **stripped), wanted
+        stripped = {key: getattr(form, key).strip() for key in ("url", "summary")}
+        return replace(form, track=wanted.track, method=composed(form.method.strip()), **stripped), wanted
 
     def _same(self, connection: Connection, team: str, form: Form, digest: str) -> Submission | None:
         c = submissions.c
@@ -285,8 +286,9 @@ class Service:
                 f"reported results do not replace your {self.store.record(ranked).tier} record {ranked[:8]} of "
                 f"{record.method}: withdraw that first, or send these under another method name",
             )
-        same = (c.team == found.team, c.track == found.track, c.split == found.split, c.method == found.method)
-        before = [other for other in find(connection, *same, c.published != "") if other.state == "done"]
+        same = (c.team == found.team, c.track == found.track, c.split == found.split)
+        same = (*same, c.method.in_(spellings(found.method)), c.published != "")
+        before = [other for other in find(connection, *same) if other.state == "done"]
         shown = [*(self.scored.record(other.published) for other in before), *self._rescored(before)]
         replaced = {each.supersedes for each in shown}
         current = [each for each in shown if each.board == record.board and each.digest not in replaced]

@@ -121,6 +121,20 @@ def disguised(text: str) -> str | None:
     return None
 
 
+def composed(text: str) -> str:
+    """Text with each accented letter as one character (NFC), where macOS may write letter and accent as two.
+
+    >>> composed("e\N{COMBINING ACUTE ACCENT}") == "\N{LATIN SMALL LETTER E WITH ACUTE}"
+    True
+    """
+    return unicodedata.normalize("NFC", text)
+
+
+def spellings(text: str) -> set[str]:
+    """A text as it is, and with accented letters composed, and with all of them apart: those that look the same."""
+    return {text, composed(text), unicodedata.normalize("NFD", text)}
+
+
 def alike(name: str) -> str:
     """Key that names share if a reader may confuse them: letters and digits only, without case and accents, with one
     character for 1, l and I, and one for 0 and O.

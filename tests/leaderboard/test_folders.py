@@ -53,6 +53,12 @@ def test_folders_are_cut_wherever_they_stand(text, told, here, monkeypatch):
     assert failure(text, here) == told
 
 
+def test_a_new_record_has_its_names_in_one_unicode_form(tmp_path):
+    write_results(tmp_path / "results.json", record_made("c\u0327arp").results)
+    ((record, _),) = records_of(tmp_path, Attribution("Te\u0301am", "baseline"))
+    assert (record.method, record.team) == ("\u00e7arp", "T\u00e9am")
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import unicodedata
 from dataclasses import replace
 
 import pytest
@@ -17,6 +18,7 @@ from oysterbench.results.standings import ScoreTable
 from oysterbench_leaderboard.boards.board import BoardInfo, Query
 from oysterbench_leaderboard.boards.database import open_engine
 from oysterbench_leaderboard.boards.index import BoardIndex, open_index
+from oysterbench_leaderboard.boards.memory import MemoryIndex
 from oysterbench_leaderboard.boards.ranking import evaluator_order
 from oysterbench_leaderboard.boards.tables import board_table
 from oysterbench_leaderboard.storage.store import StatusChange
@@ -150,6 +152,22 @@ def test_the_later_record_of_a_method_team_and_board_is_the_current_one(store):
     assert [state_of(index, d) for d in (first, second, other)] == ["superseded", "current", "current"]
     assert index.row(first).place is None
     assert [row.digest for row in index.method("carp", "reef lab")] == [second, first]
+
+
+def test_names_in_another_unicode_form_are_the_same_and_the_records_keep_their_bytes(store):
+    """As typed on macOS, where an accent is a character of its own."""
+    apart = {"method": "c\u0327arp", "team": "Te\u0301am"}
+    together = {key: unicodedata.normalize("NFC", name) for key, name in apart.items()}
+    first = store.add(record_made(**apart, created="2026-01-01T00:00:00Z"))
+    second = store.add(record_made(**together, skill=0.5, created="2026-02-01T00:00:00Z"))
+    third = store.add(record_made(**apart, skill=0.6, created="2026-03-01T00:00:00Z"))
+    assert {digest for digest, _ in store.records_by(together["team"], together["method"])} == {first, second, third}
+    for index in (opened(store), MemoryIndex(store)):
+        assert [state_of(index, digest) for digest in (first, second, third)] == ["superseded", "superseded", "current"]
+        for names in (apart, together):
+            assert [row.digest for row in index.method(**names)] == [third, second, first]
+            assert index.page(board_of(index).id, Query(text=names["team"])).total == 1
+    assert store.record(first).team == apart["team"]
 
 
 def test_a_record_is_superseded_by_one_of_its_team_alone_on_whatever_board(store):

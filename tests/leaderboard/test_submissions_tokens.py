@@ -43,6 +43,17 @@ def test_tokens_are_revoked_one_by_one_or_with_their_team(tmp_path):
     database.close()
 
 
+def test_a_team_is_one_in_whatever_unicode_form_its_name_is_typed(tmp_path):
+    database = SubmissionDatabase(SubmissionSettings(folder=tmp_path))
+    issue(database, "Te\u0301am")
+    with pytest.raises(ResultError, match="has a token already"):
+        issue(database, "T\u00e9am")
+    issue(database, "Te\u0301am", "keep")
+    assert [row["team"] for row in listed(database)] == ["T\u00e9am", "T\u00e9am"]
+    assert len(revoke(database, "Te\u0301am")) == 2
+    database.close()
+
+
 @pytest.mark.parametrize("name", ["", " x", "a\nb", "x" * 81])
 def test_a_team_has_a_plain_name(tmp_path, name):
     database = SubmissionDatabase(SubmissionSettings(folder=tmp_path))

@@ -15,7 +15,7 @@ from typing import Literal
 from sqlalchemy import Connection, insert, select, update
 
 from oysterbench.core.errors import ResultError
-from oysterbench.core.text import alike
+from oysterbench.core.text import alike, composed, spellings
 from oysterbench.hub.addresses import network
 from oysterbench_leaderboard.storage.record import MOST_TEXT, check_text
 from oysterbench_leaderboard.submissions.database import SubmissionDatabase, log_event, teams, tokens, utc
@@ -53,6 +53,7 @@ def issue(database: SubmissionDatabase, team: str, held: Literal["refuse", "revo
     at = utc(time.time())
     with database.writing() as connection:
         known = connection.execute(select(teams.c.name).order_by(teams.c.name)).scalars().all()
+        team = next((name for name in known if name in spellings(team)), composed(team))
         if team not in known:
             _check_new(team, known)
             connection.execute(insert(teams).values(name=team, created=at))
@@ -89,7 +90,7 @@ def revoke(database: SubmissionDatabase, name: str) -> list[str]:
     ResultError where there is no such token or team."""
     at = utc(time.time())
     with database.writing() as connection:
-        chosen = (tokens.c.id == name) | (tokens.c.team == name)
+        chosen = (tokens.c.id == name) | tokens.c.team.in_(spellings(name))
         found = connection.execute(select(tokens.c.id, tokens.c.revoked).where(chosen)).all()
         if not found:
             raise ResultError(f"no team and no token is named {name!r}; `oysterbench leaderboard team list` lists them")
