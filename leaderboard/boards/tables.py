@@ -173,8 +173,8 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
 
 def boards_csv(pages: Sequence[BoardPage]) -> str:
     """CSV with one line per row and full precision; a field without a value is empty. No field starts a formula."""
-    columns = list(dict.fromkeys(key for page in pages for key in page.board.columns))
     facts = [key for key in Row.__dataclass_fields__ if key not in ("metrics", "board")]
+    columns = list(dict.fromkeys(key for page in pages for key in page.board.columns if key not in facts))
     keys = ("board", "track", "split", "evaluator_version", "metric", *facts, *columns)
     rows = []
     for page in pages:

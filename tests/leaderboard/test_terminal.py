@@ -75,11 +75,15 @@ def test_ties_are_marked_also_where_the_other_row_is_not_shown(board):
 def test_json_csv_tex_and_md_say_the_same(board, tmp_path):
     digests = fill(board)
     found = json.loads(shown("--split", "slam-val", "--json").stdout)["boards"][0]
-    rows = list(csv.DictReader(io.StringIO(shown("--split", "slam-val", "--csv", "-").stdout)))
+    written = shown("--split", "slam-val", "--csv", "-").stdout
+    names = written.splitlines()[0].split(",")
+    assert len(set(names)) == len(names)
+    rows = list(csv.DictReader(io.StringIO(written)))
     assert [row["digest"] for row in found["rows"]] == [row["digest"] for row in rows]
     assert found["rows"][0]["digest"] == digests["carp2"]
     for row, line in zip(found["rows"], rows, strict=True):
         assert float(line["score"]) == row["score"]
+        assert float(line["coverage"]) == row["coverage"] == row["metrics"]["coverage"]
         assert float(line["ate_percent"]) == row["metrics"]["ate_percent"]
         assert not line["method"].startswith("=")  # no spreadsheet takes it for a formula
     shown("--split", "slam-val", "--tex", tmp_path / "t.tex", "--md", tmp_path / "t.md")
