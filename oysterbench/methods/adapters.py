@@ -168,6 +168,10 @@ class PythonMethod(MethodAdapter):
     def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
         try:
             found = read_predicted(folder)
+        except FileNotFoundError:
+            raise MethodError(
+                f"ended before it gave {self.interface.leaves} (exit status 0): it called sys.exit() or os._exit()"
+            ) from None
         except (OSError, ValueError, TypeError) as error:
             raise MethodError(f"wrote no predictions: {error}") from None
         if isinstance(found, str):

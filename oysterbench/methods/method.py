@@ -63,6 +63,24 @@ class Estimate:
                 raise MethodError(str(error)) from None
 
 
+def check_estimate(found: Any, name: str, sequence: str) -> Estimate:
+    """Return what the method `name` returned on a sequence, if it is an estimate. Raises MethodError."""
+    if isinstance(found, Estimate) and isinstance(found.trajectory, Trajectory):
+        return found
+    inside = f" of {_described(found.trajectory)}" if isinstance(found, Estimate) else ""
+    raise MethodError(
+        f"method {name!r} on {sequence}: run() returned {_described(found)}{inside}, expected an Estimate of a "
+        "Trajectory: return Estimate(Trajectory(stamps_ns, positions, quaternions))"
+    )
+
+
+def _described(value: Any) -> str:
+    if value is None:
+        return "None"
+    name = type(value).__name__
+    return f"{'an' if name[:1] in 'AEIOUaeiou' else 'a'} {name}"
+
+
 @runtime_checkable
 class Method(Protocol):
     """A method: a name, a track, and `run`, which receives the sensors and never the ground truth.

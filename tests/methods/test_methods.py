@@ -11,6 +11,9 @@ import oysterbench
 from oysterbench.core.errors import MethodError
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Estimate, LandmarkMap, Method, find_method, method_names, run_method
+from oysterbench.methods.adapters import PythonMethod
+from oysterbench.methods.interfaces import Stopwatch
+from oysterbench.methods.interfaces.slam import SequencePath, SlamInterface
 from oysterbench.methods.options import with_options
 from oysterbench_leaderboard.storage.record_summary import SENSORS
 from tests.helpers.paths import ROOT
@@ -91,6 +94,30 @@ def test_an_exception_of_a_method_becomes_one_line(tiny_file):
 def test_a_method_that_reaches_for_the_truth_is_stopped(tiny_file):
     with pytest.raises(MethodError, match="methods may not see the ground truth"):
         run_method(Peeks(), oysterbench.open(tiny_file))
+
+
+@pytest.mark.parametrize(
+    ("returned", "got"),
+    [
+        (None, "None"),
+        (Trajectory(np.array([0]), np.zeros((1, 3)), np.array([[0.0, 0, 0, 1]])), "a Trajectory"),
+        (Estimate(np.zeros((5, 8))), "an Estimate of a ndarray"),
+        (3, "an int"),
+    ],
+)
+def test_what_is_no_estimate_is_said_to_be_what_it_is(returned, got, tiny_file, tmp_path):
+    method = Still()
+    method.run = lambda sequence: returned
+    with pytest.raises(MethodError) as caught:
+        SlamInterface().predict(method, tiny_file, tmp_path, Stopwatch())
+    assert str(caught.value).startswith(
+        f"method 'still' on {tiny_file.stem}: run() returned {got}, expected an Estimate of a Trajectory: return "
+    )
+
+
+def test_a_method_that_ends_its_process_is_said_to_have_done_so(tmp_path):
+    with pytest.raises(MethodError, match=r"^ended before it gave a trajectory \(exit status 0\): it called sys.exit"):
+        PythonMethod("dead_reckoning").take(SequencePath("a", tmp_path), tmp_path, tmp_path)
 
 
 # Variants

@@ -29,7 +29,7 @@ from oysterbench.core.permissions import umask
 from oysterbench.core.trajectory import Trajectory, read_times, read_trajectory, write_npz
 from oysterbench.methods.health import HEALTH, health_notes, read_health, write_health
 from oysterbench.methods.interfaces.interface import Interface, Predicted, RunSequence, Stopwatch
-from oysterbench.methods.method import Estimate
+from oysterbench.methods.method import Estimate, check_estimate
 from oysterbench.methods.processes import Processes
 from oysterbench.sequence import Sequence, open_sequence
 from oysterbench.sequence.state import file_digests, sensor_folders
@@ -135,7 +135,7 @@ class SlamInterface(Interface):
         sequence = open_sequence(given).for_method()
         with watch:
             estimate = method.run(sequence)
-        return keep(estimate, folder)
+        return keep(check_estimate(estimate, method.name, given.stem), folder)
 
     def take(
         self, sequence: RunSequence, given: Path, folder: Path, form: str, options: Mapping[str, str]
