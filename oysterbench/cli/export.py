@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from oysterbench.cli.echo import echo, message
-from oysterbench.core.errors import OptionError, SequenceError
+from oysterbench.core.errors import NoTruthError, OptionError, SequenceError
 
 
 class ExportCommand(click.Command):
@@ -91,7 +91,10 @@ def _export_one(what: tuple[str, ...], form: str, out: Path, truth: bool) -> tup
         )
     opened = open_sequence(Path(what[0]))
     with late_bar(f"exporting {opened.name}", "images") as progress:
-        return export_sequence(opened, form, out, truth, progress)
+        try:
+            return export_sequence(opened, form, out, truth, progress)
+        except NoTruthError as error:
+            raise SequenceError(f"{error}; --no-truth exports it without") from None
 
 
 def _export_sets(what: tuple[str, ...], form: str, out: Path, truth: bool) -> tuple[Path, list[str]]:

@@ -23,6 +23,10 @@ class SequenceError(OysterbenchError):
     """A sequence file is absent, truncated, damaged or of another kind."""
 
 
+class NoTruthError(SequenceError):
+    """A sequence has no ground truth: nobody recorded it, or it was withheld."""
+
+
 class TrajectoryError(OysterbenchError):
     """A trajectory file or the poses in it cannot be scored."""
 

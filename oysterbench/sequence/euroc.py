@@ -11,7 +11,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
-from oysterbench.core.errors import SequenceError
+from oysterbench.core.errors import NoTruthError, SequenceError
 from oysterbench.core.geometry import Array, is_rigid
 from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.core.pictures import decode_picture
@@ -126,7 +126,7 @@ class EurocSequence(Sequence):
     def truth(self) -> Trajectory:
         path = self._root / "state_groundtruth_estimate0" / "data.csv"
         if not path.is_file():
-            raise SequenceError(f"{self.folder} has no ground truth: {path} is absent")
+            raise NoTruthError(f"{self.folder} has no ground truth: {path} is absent")
         return read_trajectory(path)
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from oysterbench.core.errors import SequenceError
+from oysterbench.core.errors import NoTruthError, SequenceError
 from oysterbench.core.measurements import Cloud, Image
 from oysterbench.core.names import PLAIN, is_plain
 from oysterbench.core.ros import decode, stamp_of
@@ -223,7 +223,7 @@ class McapSequence(Sequence):
     def truth(self) -> Trajectory:
         truth = self._decoded(read_truth, [data for (data,) in self._messages((TRUTH,))])
         if len(truth) == 0:
-            raise SequenceError(f"{self.path} has no ground truth: no message on {TRUTH}")
+            raise NoTruthError(f"{self.path} has no ground truth: no message on {TRUTH}")
         return truth
 
     def oysters(self) -> pd.DataFrame:

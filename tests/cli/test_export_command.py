@@ -52,6 +52,13 @@ def test_what_does_not_go_together_is_one_line(dive_file, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_folder_without_ground_truth_is_exported_with_the_option_that_the_refusal_names(dive_file, tmp_path):
+    assert run("export", dive_file, "--format", "euroc", "--out", tmp_path / "in", "--no-truth").exit_code == 0
+    words = ("export", tmp_path / "in", "--format", "tum", "--out", tmp_path / "out")
+    refused(run(*words), "has no ground truth: ", "data.csv is absent; --no-truth exports it without\n")
+    assert run(*words, "--no-truth").exit_code == 0
+
+
 def test_a_layout_for_foxglove_is_written_alone(dive_file, tmp_path):
     result = run("view", dive_file, "--foxglove", tmp_path / "layout.json")
     assert (result.exit_code, result.stdout) == (0, f"{tmp_path / 'layout.json'}\n"), result.stderr
