@@ -151,8 +151,8 @@ def _reported(results: Sequence[ResultRecord], wanted: Wanted, truth: Mapping[st
                 "format", f"{one.sequence}: the results were computed against a ground truth other than the split's"
             )
     told = [without_folders(one) for one in results]  # with the method's own name for it, by which its output is named
-    ours = {"method": method, "hidden": wanted.hidden}
-    return Scored(tuple(replace(one, **ours, conditions=dict(wanted.conditions[one.sequence])) for one in told))
+    known = [(one, dict(wanted.conditions[one.sequence])) for one in told]
+    return Scored(tuple(replace(one, method=method, hidden=wanted.hidden, conditions=like) for one, like in known))
 
 
 class PathScorer(Scorer):

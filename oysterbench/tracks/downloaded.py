@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,9 +13,7 @@ from oysterbench.core.places import home
 if TYPE_CHECKING:
     from oysterbench.hub.manifest import Manifest
     from oysterbench.recipe import SplitRecipe
-
-Announce = Callable[[str], None]
-"""Called with a sentence on what is being done."""
+    from oysterbench.tracks.track import Announce
 
 
 def files_of_split(

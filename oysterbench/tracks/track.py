@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from oysterbench.core.errors import MethodError, RecipeError
 from oysterbench.sequence import sequences_in
-from oysterbench.tracks.downloaded import Announce, files_of_split
+from oysterbench.tracks.downloaded import files_of_split
 
 if TYPE_CHECKING:
     from oysterbench.methods.adapters import MethodAdapter
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from oysterbench.report.images import DatasetRow
     from oysterbench.report.table import Table
     from oysterbench.results.records import ResultRecord
+
+Announce = Callable[[str], None]
+"""Called with a sentence on what is being done."""
 
 Progress = Callable[[int, int], None]
 """Called with the amount done and the total."""

@@ -53,7 +53,11 @@ def upload(service, body: bytes):
         return JSONResponse({"error": refusal.kind, "reason": refusal.reason}, refusal.status)
 
     request = Request({**about, "headers": [(b"content-type", b"application/zip")]}, receive)
-    return asyncio.run(auth.answered(send, show)(request))
+
+    async def answer():
+        return await auth.answered(send, show)(request)
+
+    return asyncio.run(answer())
 
 
 @pytest.mark.parametrize(
