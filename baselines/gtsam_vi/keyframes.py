@@ -9,7 +9,8 @@ from oysterbench.core.geometry import Array
 from oysterbench_baselines.common.filter import VELOCITY, InvariantFilter
 from oysterbench_baselines.common.inertial import Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.cameras import CameraRig
-from oysterbench_baselines.gtsam_vi.frontend import Observations, homogeneous
+from oysterbench_baselines.gtsam_vi.flow import homogeneous
+from oysterbench_baselines.gtsam_vi.frontend import Observations
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 
 

@@ -18,7 +18,8 @@ from scipy.spatial import cKDTree
 from oysterbench.core.geometry import Array, invert, transform
 from oysterbench.core.streams import stream
 from oysterbench.sequence.types import CameraCalibration
-from oysterbench_baselines.gtsam_vi.frontend import distort, homogeneous, undistort
+from oysterbench_baselines.gtsam_vi.flow import homogeneous
+from oysterbench_baselines.gtsam_vi.frontend import distort, undistort
 from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.states import Keyframe

@@ -12,7 +12,8 @@ from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import Image
 from oysterbench.sequence.types import CameraCalibration, Sequence
-from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, distort, follow, homogeneous, undistort
+from oysterbench_baselines.gtsam_vi.flow import homogeneous
+from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, distort, follow, undistort
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, StereoSettings
 
 EARLY_FRAMES = 100

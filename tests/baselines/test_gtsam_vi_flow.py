@@ -42,7 +42,9 @@ def test_the_flow_goes_on_at_its_speed():
 def levels_of_search(monkeypatch, places: list[int]) -> tuple[list[int], list[float]]:
     """Pyramid levels of each search, and share of the tracks that come through from frame to frame, as the camera looks
     at these columns of the bottom."""
-    levels, follow = [], frontend.follow
+    levels: list[int] = []
+    kept: list[float] = []
+    follow = frontend.follow
 
     def noted(before, after, pixels, guess, settings):
         levels.append(settings.flow_levels)
@@ -50,13 +52,13 @@ def levels_of_search(monkeypatch, places: list[int]) -> tuple[list[int], list[fl
 
     monkeypatch.setattr(frontend, "follow", noted)
     front_end, bottom = FrontEnd(dive.camera_calibration(), SETTINGS), strip()
-    tracks, kept = None, []
-    for place in places:
+    tracks = None
+    for before, place in zip([0, *places], places, strict=False):
         now = front_end.track(bottom[:, place : place + 640], np.eye(3), STEP_S)
         if tracks is not None:
             _, a, b = np.intersect1d(tracks.ids, now.ids, return_indices=True)
-            right = np.linalg.norm(now.pixels[b] - tracks.pixels[a] - [places[len(kept)] - place, 0], axis=1) < 0.5
-            kept.append(right.sum() / len(tracks.ids))
+            off = now.pixels[b] - tracks.pixels[a] - np.array([before - place, 0.0])
+            kept.append(float((np.linalg.norm(off, axis=1) < 0.5).sum() / len(tracks.ids)))
         tracks = now
     return levels, kept
 

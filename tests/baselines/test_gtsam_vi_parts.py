@@ -18,12 +18,12 @@ from oysterbench_baselines.common.inertial import SampleBuffer, Segment, integra
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViStereo
 from oysterbench_baselines.gtsam_vi.closed_form import closed_form_start, level_rotation
 from oysterbench_baselines.gtsam_vi.covariance import discounted, filter_slopes, joint_covariance
+from oysterbench_baselines.gtsam_vi.flow import homogeneous
 from oysterbench_baselines.gtsam_vi.frontend import (
     FrontEnd,
     Observations,
     epipolar_inliers,
     find_corners,
-    homogeneous,
     undistort,
 )
 from oysterbench_baselines.gtsam_vi.graph import nested_dissection

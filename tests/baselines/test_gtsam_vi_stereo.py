@@ -18,7 +18,8 @@ from oysterbench.sequence.types import ImuMeasurement
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings, GtsamViStereo
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, FrontEnd, homogeneous, undistort
+from oysterbench_baselines.gtsam_vi.flow import homogeneous
+from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, FrontEnd, undistort
 from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher, pairs
 from tests.helpers import synthetic_dive as dive
 

@@ -101,7 +101,7 @@ def test_a_method_that_reaches_for_the_truth_is_stopped(tiny_file):
     [
         (None, "None"),
         (Trajectory(np.array([0]), np.zeros((1, 3)), np.array([[0.0, 0, 0, 1]])), "a Trajectory"),
-        (Estimate(np.zeros((5, 8))), "an Estimate of a ndarray"),
+        (Estimate(np.zeros((5, 8))), "an Estimate of a ndarray"),  # type: ignore[arg-type]
         (3, "an int"),
     ],
 )

@@ -85,7 +85,7 @@ def _rounded(trajectory: Trajectory, count: NDArray[np.intp]) -> str:
         return "all have the same" if len(trajectory) > FEW else ""
     gaps = np.diff(np.unique(trajectory.stamps_ns))
     step_ns = int(gaps.min())
-    if (gaps % step_ns).any() or np.median(gaps) != step_ns:
+    if np.remainder(gaps, step_ns).any() or np.median(gaps) != step_ns:
         return ""
     steps = _distance(trajectory.positions[:-1], trajectory.positions[1:])
     inside = np.diff(trajectory.stamps_ns) == 0
