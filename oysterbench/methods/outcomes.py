@@ -15,6 +15,8 @@ from oysterbench.methods.interfaces import RunSequence
 
 OUTCOME = "outcome.json"
 FORMAT = "oysterbench-outcome/2"
+OF_SPLIT = ("split", "recipe", "sequence")
+"""What the origin of a split's sequence begins with; topics may follow."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,22 @@ class Outcome:
     def write(self, folder: Path) -> None:
         """Write outcome.json atomically."""
         write_atomically(folder / OUTCOME, json.dumps({"format": FORMAT, **asdict(self)}, indent=1).encode())
+
+
+def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Names of what differs in two identities of jobs, apart from the files that methods and sequences consist of."""
+    old, new = ({**one["method"], "seed": one["seed"]} for one in (before, now))
+    keys = [key for key in {**new, **old} if key != "files" and old.get(key) != new.get(key)]
+    origins = [one["origin"].partition("\n")[0] for one in (before, now)]
+    if origins[0] == origins[1]:
+        return keys
+    first, second = (origin.split(" ") for origin in origins)
+    own = any(origin.startswith("/") for origin in origins)
+    if own or min(len(first), len(second)) < len(OF_SPLIT):  # a file or folder, or the digest of labels
+        return [*keys, "sequence"]
+    named = [name for name, one, other in zip(OF_SPLIT, first, second, strict=False) if one != other]
+    topics = first[len(OF_SPLIT) :] != second[len(OF_SPLIT) :]
+    return [*keys, *named, *(["topics"] if topics else [])]
 
 
 def read_outcome(folder: Path) -> Outcome | None:

@@ -19,7 +19,7 @@ from oysterbench.core.errors import LabelError, MachineError, MethodError, Seque
 from oysterbench.core.locks import scratch
 from oysterbench.methods.inputs import Announce, Inputs
 from oysterbench.methods.interfaces import Predicted
-from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, read_outcome
+from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, differing, read_outcome
 from oysterbench.methods.processes import Processes, raise_if_full, secrets
 from oysterbench.methods.run_output import OnOutput, read_output
 from oysterbench.methods.sandbox import can_hide
@@ -108,7 +108,9 @@ def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
         changed = _changed_files(outcome.identity, job.identity)
         if outcome.failure is not None and changed and _but_files(outcome.identity) == _but_files(job.identity):
             return None  # the files that it failed on were mended
-        differs = f"{', '.join(changed)} changed" if changed else "method, command, topics or recipe differ"
+        keys = differing(outcome.identity, job.identity)
+        parts = [f"{', '.join(keys)} differ{'s' if len(keys) == 1 else ''}"] if keys else []
+        differs = "; ".join([*parts, *([f"{', '.join(changed)} changed"] if changed else [])])
         if changed and job.identity["method"].get("files") and not outcome.identity["method"].get("files"):
             differs = "an earlier version of oysterbench did not record by which files"
         raise MethodError(

@@ -10,6 +10,7 @@ import pytest
 from oysterbench.core.errors import MethodError
 from oysterbench.evaluate.slam.scoring import SlamSettings
 from oysterbench.methods.adapters import ExternalCommand
+from oysterbench.methods.outcomes import differing
 from oysterbench.tracks.slam import TRACK, own_sequences
 from tests.helpers.command import run as run_here
 from tests.helpers.euroc import FRAMES, SAMPLES, Folder
@@ -112,6 +113,34 @@ def test_a_program_in_a_shell_that_changed_is_refused_and_one_that_did_not_is_to
     program.write_text("#!/bin/sh\nexit 5\n")
     with pytest.raises(MethodError, match=r"holds run 1 of a different mine \(my_slam changed\)"):
         run(folder, tmp_path, ExternalCommand(line, "mine"))
+
+
+def test_what_differs_from_the_run_that_a_folder_holds_is_named(folder, tmp_path):
+    write_answer(tmp_path)
+    copies = command(tmp_path, "copies", tmp_path / "answer.tum", "euroc")
+    run(folder, tmp_path, ExternalCommand(copies, "mine"))
+    before = (tmp_path / "answer.tum").read_text()
+    for line, poses_of, change, what in (
+        (copies, "base", "", "poses_of differs"),
+        (f"{copies} -v", "", "", "command differs"),
+        (f"{copies} -v", "base", "", "command, poses_of differ"),
+        (f"{copies} {{seed}}", "", "", "command, seed differ"),
+        (f"{copies} -v", "", "# another\n", r"command differs; \S+/answer.tum changed"),
+    ):
+        (tmp_path / "answer.tum").write_text(before + change)
+        with pytest.raises(MethodError, match=rf"holds run 1 of a different mine \({what}\); it was left"):
+            run(folder, tmp_path, ExternalCommand(line, "mine", poses_of=poses_of))
+
+
+def test_what_differs_in_a_sequence_of_a_split_is_named():
+    method = {"method": "mine"}
+    before = {"method": method, "origin": "slam-mini 12ab mini-01", "seed": None}
+    for origin, what in (
+        ("slam-mini 12ab mini-01 /imu", ["topics"]),
+        ("slam-mini 34cd mini-01", ["recipe"]),
+        ("/home/me/my own sea dives/mini-01.mcap\n12ab mini-01.mcap", ["sequence"]),
+    ):
+        assert differing(before, {**before, "origin": origin}) == what
 
 
 def write_answer(tmp_path: Path) -> None:
