@@ -20,6 +20,7 @@ from oysterbench.methods.command_line import files_named, filled
 from oysterbench.methods.finding import find_method, find_variant, versions_of
 from oysterbench.methods.interfaces import Interface, Predicted, RunSequence, interface_of
 from oysterbench.methods.method import seed_of
+from oysterbench.methods.options import LONGEST
 from oysterbench.methods.weights import weights_digests, weights_of
 from oysterbench.methods.worker import read_predicted
 from oysterbench.version import VERSION
@@ -268,7 +269,9 @@ def _is_further(path: Path, weights: Mapping[str, Path]) -> bool:
 
 
 def check_name(name: str) -> str:
-    """Return a method's name, if a folder can have it. Raises MethodError if not."""
+    """Return a method's name, if a folder and a record of a board can have it. Raises MethodError if not."""
     if not PLAIN_NAME.fullmatch(name):
         raise MethodError(f"name of a method: expected letters, digits and . _ + -, got {name!r}")
+    if len(name) > LONGEST:
+        raise MethodError(f"name of a method: expected at most {LONGEST} characters, got {len(name)}: {name!r}")
     return name

@@ -86,7 +86,7 @@ def variant_name(name: str, options: Mapping[str, str]) -> str:
     )
     if len(f"{name}[{written}]") > LONGEST:
         written = f"{len(options)}-options-{hashlib.sha256(written.encode()).hexdigest()[:8]}"
-    return f"{name}[{written}]"
+    return f"{name[: LONGEST - len(written) - len('[]')]}[{written}]"
 
 
 def configure(kind: Callable[..., Any], options: Mapping[str, str], reference: str) -> tuple[Any, dict[str, Any]]:

@@ -11,7 +11,7 @@ import oysterbench
 from oysterbench.core.errors import MethodError
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Estimate, LandmarkMap, Method, find_method, method_names, run_method
-from oysterbench.methods.adapters import PythonMethod
+from oysterbench.methods.adapters import ExternalCommand, PythonMethod
 from oysterbench.methods.interfaces import Stopwatch
 from oysterbench.methods.interfaces.slam import SequencePath, SlamInterface
 from oysterbench.methods.options import with_options
@@ -118,6 +118,12 @@ def test_what_is_no_estimate_is_said_to_be_what_it_is(returned, got, tiny_file, 
 def test_a_method_that_ends_its_process_is_said_to_have_done_so(tmp_path):
     with pytest.raises(MethodError, match=r"^ended before it gave a trajectory \(exit status 0\): it called sys.exit"):
         PythonMethod("dead_reckoning").take(SequencePath("a", tmp_path), tmp_path, tmp_path)
+
+
+def test_a_name_that_no_record_of_a_board_could_have_is_refused():
+    assert ExternalCommand("true {mcap} {out}", "x" * 80).name == "x" * 80
+    with pytest.raises(MethodError, match="name of a method: expected at most 80 characters, got 81: 'xx"):
+        ExternalCommand("true {mcap} {out}", "x" * 81)
 
 
 # Variants

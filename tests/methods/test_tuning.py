@@ -147,6 +147,10 @@ def test_the_name_of_many_options_fits_a_folder():
     few = variant_name("orb_slam3_mono_inertial", {f"option_{i}": "0.125" for i in range(6)})
     assert len(few) <= LONGEST <= MOST_TEXT["method"]
     assert name != variant_name("mine", {**options, "option_0": "1"})
+    long = "x" * (LONGEST - 10)
+    for some in ({"gain": "0.1"}, options):
+        assert len(variant_name(long, some)) == LONGEST
+        assert variant_name(long, some) != variant_name(long, dict.fromkeys(some, "2"))
     (first, *_) = trials("oysterbench_baselines.template:Template", {"speed_m_s": OptionRange(range=(0.1, 0.5))}, 2)[1:]
     assert find_method(first).speed_m_s == float(split_variant(first)[1]["speed_m_s"])
 
