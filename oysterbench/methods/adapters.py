@@ -26,6 +26,8 @@ from oysterbench.methods.worker import read_predicted
 from oysterbench.version import VERSION
 
 PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*")
+OF_SHELL = re.compile(r"\|\|?|&&?|;|[0-9]*>>?(&[0-9]+|[/{].*)?|<<?|<\{.*")
+"""Words that are nothing to a program, but pipes, redirections and separators to a shell."""
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "gtsam", "torch")
 """Packages whose versions are kept with a result, if they are installed."""
 
@@ -204,6 +206,11 @@ class ExternalCommand(MethodAdapter):
             asked = {key for word in self._words for _, key, _, _ in Formatter().parse(word) if key is not None}
         except ValueError as error:
             raise MethodError(f"--command {template!r}: {error}; write {{{{ and }}}} for literal braces") from None
+        if sign := next((word for word in self._words if OF_SHELL.fullmatch(word)), None):
+            raise MethodError(
+                f"--command {template!r}: {sign!r} is for a shell, and the program would get it as a word: start a "
+                "shell with sh -c '...', or give the program {out} itself"
+            )
         known = [*forms, "out", *self.interface.further, "seed"]
         for key in sorted(asked - set(known)):
             raise MethodError(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import inspect
+import json
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
@@ -21,6 +22,7 @@ VARIANT = re.compile(r"(?P<method>[^\[\]]+)\[(?P<options>.*)\]", re.DOTALL)
 LONGEST = 80
 """Maximum length of a variant's name, which also names a folder and a record of a board; beyond it, the number and a
 digest of the options stand for them."""
+IN_QUOTES = 'commas part options, and a value with a comma or bracket is written in double quotes, key="a,b"'
 UNPLAIN = re.compile(r"[^A-Za-z0-9_.+=,-]+")
 """Characters that do not belong in a file name."""
 
@@ -34,19 +36,44 @@ def split_variant(reference: str) -> tuple[str, dict[str, str]]:
     found = VARIANT.fullmatch(reference)
     if found is None:
         return reference, {}
-    return found["method"], read_options(split_commas(found["options"]))
+    words, ended = _parted(found["options"])
+    if not ended:
+        raise MethodError(f"options of {reference!r}: a bracket or quote does not end; {IN_QUOTES}")
+    return found["method"], read_options(words)
 
 
 def split_commas(text: str) -> list[str]:
-    """Split a text at the commas that are not inside brackets."""
-    parts, depth = [""], 0
+    """Split a text at the commas that are not inside brackets or double quotes.
+
+    >>> split_commas('grid=[5,4],mode="a,b"')
+    ['grid=[5,4]', 'mode="a,b"']
+    """
+    return _parted(text)[0]
+
+
+def _parted(text: str) -> tuple[list[str], bool]:
+    """Split at commas as `split_commas`; and whether every bracket and quote ends."""
+    parts, depth, quoted, escaped, before = [""], 0, False, False, "="
     for character in text:
-        depth += (character in "[{") - (character in "]}")
-        if character == "," and depth == 0:
+        if quoted:
+            quoted = escaped or character != '"'
+            escaped = character == "\\" and not escaped
+        elif character == '"' and before in "=,[{":  # within a word it is a letter like others
+            quoted = True
+        else:
+            depth += (character in "[{") - (character in "]}")
+        if character == "," and depth == 0 and not quoted:
             parts.append("")
         else:
             parts[-1] += character
-    return parts
+        before = before if character == " " else character
+    return parts, depth == 0 and not quoted
+
+
+def as_word(value: str) -> str:
+    """Write a text as the value of an option: in double quotes where commas, brackets or quotes could be misread."""
+    parts, ended = _parted(value)
+    return value if len(parts) == 1 and ended else json.dumps(value, ensure_ascii=False)
 
 
 def read_options(words: Iterable[str]) -> dict[str, str]:
@@ -55,7 +82,7 @@ def read_options(words: Iterable[str]) -> dict[str, str]:
     for word in words:
         key, equals, value = word.partition("=")
         if not equals or not key.strip() or not value.strip():
-            raise MethodError(f"option of a method: expected key=value, got {word!r}")
+            raise MethodError(f"option of a method: expected key=value, got {word!r}; {IN_QUOTES}")
         if key.strip() in options:
             raise MethodError(f"option of a method: {key.strip()!r} is given twice")
         options[key.strip()] = value.strip()
@@ -69,7 +96,8 @@ def with_options(reference: str, more: Iterable[str]) -> str:
     'gtsam_vi[output=online,max_tracks=80]'
     """
     method, options = split_variant(reference)
-    options |= read_options(more)
+    given = read_options(more)
+    options |= {key: value if _parted(value)[1] else as_word(value) for key, value in given.items()}
     return f"{method}[{','.join(f'{key}={value}' for key, value in options.items())}]" if options else method
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from oysterbench.core.errors import MethodError
 from oysterbench.core.streams import stream
-from oysterbench.methods.options import with_options
+from oysterbench.methods.options import as_word, with_options
 
 DIGITS = 3
 """Significant digits of a drawn value: more make no difference to a method, and names long."""
@@ -91,10 +91,10 @@ def _canonical(value: Any) -> str | None:
 
 
 def written(value: Any) -> str:
-    """Write a value as in TOML, but strings without quotes."""
+    """Write a value as in TOML, but strings without quotes where they need none."""
     if isinstance(value, bool):
         return str(value).lower()
-    return value if isinstance(value, str) else repr(value)
+    return as_word(value) if isinstance(value, str) else repr(value)
 
 
 def read_ranges(path: Path) -> dict[str, OptionRange]:

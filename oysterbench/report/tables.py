@@ -127,7 +127,8 @@ def topics_notes(records: Sequence[ResultRecord]) -> list[str]:
             named = ", ".join(name for name in sensors if name not in NO_SENSORS)
             methods.setdefault(named, []).append(record.method)
     return [
-        f"{', '.join(dict.fromkeys(names))}: run on files that have no other sensors than {sensors}"
+        f"{', '.join(dict.fromkeys(names))}: run on files that have no "
+        f"{f'other sensors than {sensors}' if sensors else 'sensors'}"
         for sensors, names in methods.items()
     ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -66,6 +67,30 @@ def test_a_placeholder_elsewhere_is_replaced_as_it_is():
 def test_a_placeholder_that_cannot_be_quoted_is_refused(script, why):
     with pytest.raises(MethodError, match=why):
         ExternalCommand(f"sh -c {subprocess.list2cmdline([script])}", "mine")
+
+
+@pytest.mark.parametrize(
+    ("line", "sign"),
+    [
+        ("cat {mcap} > {out}", ">"),
+        ("cat {mcap} >{out}", ">{out}"),
+        ("cat < {mcap} -o {out}", "<"),
+        ("true {mcap} && cp a {out}", "&&"),
+        ("true {mcap} | tee {out}", "|"),
+        ("true {mcap} {out} 2>&1", "2>&1"),
+        ("true {mcap} {out} 2> /dev/null", "2>"),
+        ("true {mcap} {out} >>/tmp/log", ">>/tmp/log"),
+        ("true {mcap} {out} ; true", ";"),
+    ],
+)
+def test_what_only_a_shell_understands_is_refused_outside_of_one(line, sign):
+    with pytest.raises(MethodError, match=rf"{re.escape(repr(sign))} is for a shell, .*: start a shell with sh -c"):
+        ExternalCommand(line, "mine")
+    ExternalCommand(f"sh -c '{line}'", "mine")
+
+
+def test_words_that_a_program_may_well_take_are_left_to_it():
+    ExternalCommand("true {mcap} {out} '<none>' 'a > b' 'x|y' -> >=5 a;b 1", "mine")
 
 
 def test_commands_of_shells_are_found_wherever_the_shell_is():

@@ -14,7 +14,8 @@ from oysterbench.methods import Estimate, LandmarkMap, Method, find_method, meth
 from oysterbench.methods.adapters import ExternalCommand, PythonMethod
 from oysterbench.methods.interfaces import Stopwatch
 from oysterbench.methods.interfaces.slam import SequencePath, SlamInterface
-from oysterbench.methods.options import with_options
+from oysterbench.methods.options import as_word, with_options
+from oysterbench.methods.tuning import OptionRange, trials
 from oysterbench_leaderboard.storage.record_summary import SENSORS
 from tests.helpers.paths import ROOT
 
@@ -163,9 +164,33 @@ def test_a_variant_has_its_options_and_a_name_that_says_them():
     assert with_options(f"{HERE}[loops=false]", ["loops=true", "tracks=9"]) == f"{HERE}[loops=true,tracks=9]"
 
 
+@pytest.mark.parametrize("value", ["a,b", "[a", "b]", "a,[b", '"a,b', '5" x, y', "it's, \\ so"])
+def test_values_with_commas_and_brackets_are_given_in_quotes(value):
+    reference = f"{HERE}[output={as_word(value)},loops=false]"
+    method = find_method(reference)
+    assert (method.output, method.settings.loops) == (value, False)
+    assert find_method(with_options(reference, ["tracks=9"])).output == value
+
+
+def test_an_open_bracket_of_one_option_takes_no_other_in():
+    method = find_method(with_options(with_options(HERE, ["output=[a"]), ["tracks=9"]))
+    assert (method.output, method.settings.tracks) == ("[a", 9)
+    with pytest.raises(MethodError, match=r"a bracket or quote does not end; commas part options, and a value with"):
+        find_method(f"{HERE}[output=[a,tracks=9]")
+
+
+def test_a_choice_with_a_comma_is_tried():
+    found = trials(HERE, {"output": OptionRange(choices=("a,b", "c"))}, 30)
+    assert sorted(find_method(one).output for one in found) == ["a,b", "c", "smoothed"]
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        (
+            "output=a,b",
+            "expected key=value, got 'b'; commas part options, and a value with a comma or bracket is written",
+        ),
         (
             "loop=false",
             "has no option 'loop'; its options: output, camera, tracks, loops, grid, start.floor_m",

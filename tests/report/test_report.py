@@ -285,6 +285,8 @@ def test_who_ran_on_files_with_fewer_sensors_is_named():
     said = "a, c: run on files that have no other sensors than cam_left, imu"
     assert parsed(html_report(runs, "x")).text.count(said) == 1
     assert "run on files" not in parsed(html_report(runs[1:2], "x")).text
+    none = parsed(html_report([run("a", info={"topics": ["/truth/odometry"]})], "x")).text
+    assert "a: run on files that have no sensors" in none
 
 
 def test_settings_are_folded_into_a_table_of_one_line_each():

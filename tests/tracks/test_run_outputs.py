@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -55,6 +56,14 @@ def test_what_is_no_trajectory_is_said_to_be_what_it_is(program, failure, run, a
     (done,) = run(ExternalCommand(command(tmp_path, "mine", answer), "mine"))
     assert re.fullmatch(f"method 'mine' on hand-made: {failure}.*", done.failure), done.failure
     assert "--" not in done.failure
+
+
+def test_of_a_sequence_without_cameras_it_is_said_whose_poses_were_assumed_and_no_option_is_named_as_given():
+    with pytest.raises(MethodError) as caught:
+        slam.frame_pose(SimpleNamespace(name="dive", cameras={}), "camera", "tum")
+    assert str(caught.value).startswith(
+        "sequence dive has no camera, whose poses a program that reads {tum} is taken to write: "
+    )
 
 
 def test_unsorted_poses_of_a_python_method_are_its_own_to_sort(answer, tmp_path):

@@ -311,6 +311,11 @@ def frame_pose(sequence: Sequence, frame: str, form: str) -> Array:
     if frame == "imu":
         return sequence.imu_calibration.T_base_imu
     name = first_camera(sequence, form) if frame == "camera" else frame
+    if not name:
+        raise MethodError(
+            f"sequence {sequence.name} has no camera, whose poses a program that reads {{{form}}} is taken to write: "
+            "give it a camera, or say whose poses they are with --poses-of base or imu"
+        )
     if name not in sequence.cameras:
         raise MethodError(
             f"--poses-of {frame}: sequence {sequence.name} has no such frame; expected base, imu, camera or one of its "
