@@ -300,11 +300,14 @@ def rescore_command(
         echo(dump(shown))
         return
     for line in shown:
+        rank = _rank(line["before"])
         echo(
             f"{line['before']['record'][:8]} -> {line['after']['record'][:8]}  {line['method']} on {line['split']}: "
             f"score {_number(line['before']['score'])} -> {_number(line['after']['score'])}, "
-            f"rank {_rank(line['before'])} -> {_rank(line['after'])}"
+            + (f"now rank {rank}" if dry_run else f"rank {rank} -> {_rank(line['after'])}")
         )
+    if shown and dry_run:
+        message("nothing was written: ranks are known once the same command without --dry-run has stored the records")
     if not shown:
         echo("nothing was rescored: all current records use this version's evaluator, or have no kept estimates")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,6 +100,9 @@ def test_uploads_on_a_hidden_split_are_scored_again_and_what_changed_is_said(tmp
     tried = CliRunner().invoke(main, [*words, "--dry-run"])
     assert tried.exit_code == 0, tried.output
     assert len(store.digests()) == 2
+    told = CliRunner().invoke(main, [*(word for word in words if word != "--json"), "--dry-run"])
+    assert re.search(r"score 0\.125 -> 0\.\d{3}, now rank \(1\)\n", told.stdout), told.stdout
+    assert "nothing was written" in told.stderr
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 0, done.output
     assert "others" in done.stderr
