@@ -10,6 +10,7 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.routing import Route
 
+from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.site.links import Links
 from oysterbench_leaderboard.storage.store import RecordStore
 from oysterbench_leaderboard.submissions.accounts.auth import Auth
@@ -66,6 +67,16 @@ class Submissions:
             self.service.close()
 
 
+def _check_private(folder: Path, board: Path) -> None:
+    """Refuse a private folder in a board or in the tree of a hub: both are copied to the public as they are."""
+    place = folder.resolve()
+    if board.resolve() in (place, *place.parents):
+        raise ResultError(f"--submissions {folder}: expected a folder outside the board {board}, which is public")
+    for tree in (place, *place.parents):
+        if (tree / "index.json").is_file() and (tree / "manifests").is_dir():
+            raise ResultError(f"--submissions {folder}: expected a folder outside the tree {tree}, which is public")
+
+
 def open_service(
     folder: Path, truths: Iterable[str], store: RecordStore, changed: Callable[[], None] = lambda: None
 ) -> Service:
@@ -73,8 +84,10 @@ def open_service(
     elsewhere; SPLIT is a name, or a recipe (.toml). changed: called after a record was published or withdrawn.
 
     Every public split is served: estimates are scored if it is rendered here, and results are accepted. Raises
-    ResultError where ground truth is missing or belongs to another split, or where the service cannot read uploads.
+    ResultError where the folder is in one that is public, where ground truth is missing or belongs to another split, or
+    where the service cannot read uploads.
     """
+    _check_private(folder, store.folder)
     settings = load_settings(folder)
     service = Service(settings, served_splits(truths, folder / "catalogue"), store, changed)
     service.self_test()

@@ -50,6 +50,20 @@ def test_folders_may_be_given_as_seen_from_here(tmp_path, monkeypatch):
         service.close()
 
 
+def test_a_private_folder_within_what_is_public_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "hub" / "manifests").mkdir(parents=True)
+    (tmp_path / "hub" / "index.json").write_text("{}")
+    (tmp_path / "board").mkdir()
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "link").symlink_to("board", target_is_directory=True)
+    for private, public in (("board", "board"), ("link/private", "board"), ("hub", "hub"), ("hub/a/b", "hub")):
+        with pytest.raises(
+            ResultError, match=rf"^--submissions {private}: expected a folder outside the .*{public}, wh"
+        ):
+            open_service(Path(private), [], RecordStore(Path("board")))
+    assert list((tmp_path / "board").iterdir()) == []
+
+
 def test_a_server_that_cannot_read_uploads_does_not_start(tmp_path):
     lay_split(tmp_path / "splits", "pool-test")
     service = make_service(tmp_path, check_wall_s=1e-3)
