@@ -58,6 +58,7 @@ class Wanted:
             downloaded them
     task:   for the track steering, the table [steering] of the recipe
     spans:  sequence -> start and end of its recording, ns, which are not secret: every message's stamp tells them
+    counts: sequence -> number of its images, which a client that does not know them learns from the server
     """
 
     track: str
@@ -69,6 +70,7 @@ class Wanted:
     images: Images = field(default_factory=dict)
     task: SteeringRecipe | None = None
     spans: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    counts: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def kind(self) -> Kind:

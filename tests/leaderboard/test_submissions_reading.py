@@ -20,6 +20,7 @@ from oysterbench.results.records import ResultRecord, document, read_results, wr
 from oysterbench_leaderboard.submissions.catalogue import SCORED, Catalogue, serve_split
 from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.scoring import CAUSES, MISSING, evaluator, score_predictions
+from oysterbench_leaderboard.submissions.sending.package import wanted_of as wanted_by_client
 from tests.helpers.pool import IMAGES, NAMES, answers, estimate, image_names, lay_split, path, tum, zipped
 from tests.helpers.submissions_read import LIMITS, as_coco, as_png, masks, npz, opened, wanted_of
 
@@ -122,6 +123,21 @@ def test_masks_arrays_and_annotations_score_the_same(served, tmp_path):
             assert scored.data_set["metrics"][key] > 0
         assert len({tuple(values) for values in found.values()}) == 1, found
         assert all(0.3 < value <= 1 for value in found["png"])
+
+
+def test_a_client_without_the_images_compares_their_number_with_what_the_server_tells(served, tmp_path):
+    here = wanted_of(served, "pool-masks", "segmentation")
+    (known,) = Catalogue([served["pool-masks"]]).public()
+    wanted = replace(wanted_by_client("pool-masks", "segmentation", known), split_digest=here.split_digest)
+    assert not wanted.images
+    found = {f"{name}.png": as_png(mask) for name, mask in masks(0).items()}
+    assert opened(tmp_path, zipped(found), wanted)[1]["images"] == IMAGES
+    first, *others = found
+    lacking = {name: found[name] for name in others}
+    one_more = found | {f"{first[: -len('.png')]}0.png": found[first]}
+    for data, count in ((lacking, IMAGES - 1), (one_more, IMAGES + 1)):
+        with pytest.raises(Refusal, match=f"^{NAMES[0]}: expected predictions for {IMAGES} images, got {count}$"):
+            opened(tmp_path, zipped(data), wanted)
 
 
 def test_what_the_values_of_masks_mean_is_judged_by_all_of_them_together(served, tmp_path):

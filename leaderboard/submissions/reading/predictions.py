@@ -356,7 +356,12 @@ def check_predictions(predictions: Predictions, wanted: Wanted) -> dict[str, Any
     """Read everything in an upload; return its counts, and notes for its sender. Raises Refusal where something cannot
     be read, or a sequence has predictions for only some of its images."""
     sequences = predictions.sequences(wanted)
-    for sequence in sequences if predictions.kind == "predictions" and wanted.images else ():
+    of_images = sequences if predictions.kind == "predictions" else []
+    for sequence in of_images if not wanted.images else ():
+        count = sum(name.partition("/")[0] == sequence for name in predictions.readers)
+        if count != (expected := wanted.counts.get(sequence, count)):
+            raise Refusal("format", f"{sequence}: expected predictions for {expected} images, got {count}")
+    for sequence in of_images if wanted.images else ():
         if missing := [name for name in wanted.images[sequence] if name not in predictions.readers]:
             raise Refusal(
                 "format",

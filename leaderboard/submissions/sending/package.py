@@ -228,11 +228,13 @@ def _first_result(path: Path) -> dict[str, Any]:
 def wanted_of(split: str, track: str, known: dict[str, Any]) -> Wanted:
     """What the split requires, as this installation knows it, or else as the server describes it in `known`."""
     spans = {name: (int(begin), int(end)) for name, (begin, end) in known.get("spans", {}).items()}
+    counts = {name: int(count) for name, count in known.get("images", {}).items()}
     try:
-        return replace(local_wanted(split, track), spans=spans)
+        return replace(local_wanted(split, track), counts=counts, spans=spans)
     except OysterbenchError:
         task = msgspec.convert(known.get("task"), SteeringRecipe | None)
-        return Wanted(track, split, "", bool(known["hidden"]), tuple(known["sequences"]), task=task, spans=spans)
+        names = tuple(known["sequences"])
+        return Wanted(track, split, "", bool(known["hidden"]), names, counts=counts, task=task, spans=spans)
 
 
 @contextmanager
