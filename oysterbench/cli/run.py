@@ -122,7 +122,7 @@ def run_command(
 
     METHOD is the name of an installed method or module:Class; with --command it is only a name for the program. Options
     of a method are the parameters and settings of its class. A variant is a separate method in the tables, named with
-    its options, and can be run by that name: gtsam_vi[frontend.max_tracks=70]. The program is given the sequence
+    its options, and can be run as it is written: gtsam_vi[frontend.max_tracks=70]. The program is given the sequence
     without the ground truth and must write poses to {out}, as TUM or in any format that `oysterbench eval --estimate`
     reads; for {images}, a folder of masks named like the images, or COCO annotations; on the track steering, a table
     stamp_ns,yaw,pitch.

@@ -23,8 +23,8 @@ LONGEST = 80
 """Maximum length of a variant's name, which also names a folder and a record of a board; beyond it, the number and a
 digest of the options stand for them."""
 IN_QUOTES = 'commas part options, and a value with a comma or bracket is written in double quotes, key="a,b"'
-UNPLAIN = re.compile(r"[^A-Za-z0-9_.+=,-]+")
-"""Characters that do not belong in a file name."""
+PLAIN, UNPLAIN = re.compile(r"[A-Za-z0-9_.+=-]+"), re.compile(r"[^A-Za-z0-9_.+=-]+")
+"""Characters of an option's value that belong in a file name, and that do not."""
 
 
 def split_variant(reference: str) -> tuple[str, dict[str, str]]:
@@ -101,17 +101,30 @@ def with_options(reference: str, more: Iterable[str]) -> str:
     return f"{method}[{','.join(f'{key}={value}' for key, value in options.items())}]" if options else method
 
 
+def _in_name(value: str) -> str:
+    """Write a value so that it can be part of a file name: a list without its brackets, and what cannot be written as it
+    is with a digest.
+
+    >>> [_in_name("-0.5"), _in_name("[-1, 2]"), _in_name("a/b")]
+    ['-0.5', '-1-2', 'a-b-c14cddc0']
+    """
+    items = value[1:-1].split(",") if value.startswith("[") and value.endswith("]") else [value]
+    items = [item.strip() for item in items]
+    if all(PLAIN.fullmatch(item) for item in items):
+        return "-".join(items)
+    return f"{UNPLAIN.sub('-', value).strip('-')}-{hashlib.sha256(value.encode()).hexdigest()[:8]}".lstrip("-")
+
+
 def variant_name(name: str, options: Mapping[str, str]) -> str:
-    """Name of a variant, used in tables and for its folder: the name of the method followed by its options.
+    """Name of a variant, used in tables and for its folder: the name of the method followed by its options. Other options
+    give another name.
 
     >>> variant_name("gtsam_vi", {"grid": "[5, 4]"})
     'gtsam_vi[grid=5-4]'
     """
     if not options:
         return name
-    written = ",".join(
-        f"{key}={UNPLAIN.sub('-', value.replace(',', ' ')).strip('-')}" for key, value in options.items()
-    )
+    written = ",".join(f"{key}={_in_name(value)}" for key, value in options.items())
     if len(f"{name}[{written}]") > LONGEST:
         written = f"{len(options)}-options-{hashlib.sha256(written.encode()).hexdigest()[:8]}"
     return f"{name[: LONGEST - len(written) - len('[]')]}[{written}]"

@@ -155,6 +155,18 @@ def test_the_name_of_many_options_fits_a_folder():
     assert find_method(first).speed_m_s == float(split_variant(first)[1]["speed_m_s"])
 
 
+def test_other_options_give_another_name():
+    values = ["-2", "2", "[-1, 2]", "[1, 2]", "[1, -2]", "cfg/a.yaml", "cfg-a.yaml", "[x", "x]", "a b", "a-b", "ä", "ö"]
+    names = [variant_name("mine", {"drift": value}) for value in values]
+    assert len(set(names)) == len(values)
+    assert names[:4] == ["mine[drift=-2]", "mine[drift=2]", "mine[drift=-1-2]", "mine[drift=1-2]"]
+    many = [variant_name("mine", {f"option_{i}": value for i in range(60)}) for value in values]
+    assert len(set(many)) == len(values)
+    # A name that is on the board does not change.
+    record = variant_name("mine", {f"option_{i}": str(i) for i in range(60)})
+    assert record == "mine[60-options-2b3f4b45]"
+
+
 def test_a_draw_of_the_defaults_is_the_method_itself():
     loops, gain = OptionRange(choices=(True, False), default=True), OptionRange(choices=(1, 2), default=1.0)
     assert trials("mine", {"loops": loops}, 30) == ["mine", "mine[loops=false]"]

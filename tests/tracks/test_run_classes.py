@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -12,6 +13,8 @@ from oysterbench.core.ply import read_ply
 from oysterbench.core.trajectory import read_trajectory
 from oysterbench.methods.adapters import PythonMethod
 from oysterbench.report.tables import results_table
+from oysterbench.tracks import Request
+from oysterbench.tracks.slam import TRACK
 
 METHODS = """
 import os
@@ -72,6 +75,10 @@ class Paths(Turns):
         return Estimate(path, scored="optimised", alternatives={"online": late}, map=seen)
 
 
+class Inherits(Turns):
+    pass
+
+
 class Other(Turns):
     track = "steering"
 
@@ -113,6 +120,13 @@ def test_a_class_runs_in_a_process_of_its_own_with_the_seed_of_its_run(own_metho
 def test_a_class_that_fails_leaves_a_record_that_says_how(name, failure, own_methods, run):
     (done,) = run(PythonMethod(f"own_methods:{name}"))
     assert done.scored.record.failure == failure
+
+
+def test_two_methods_of_one_name_are_refused_instead_of_averaged(own_methods, tmp_path):
+    request = Request(out=tmp_path / "out", methods=("own_methods:Turns", "own_methods:Seeded", "own_methods:Inherits"))
+    with pytest.raises(MethodError, match="^own_methods:Turns and own_methods:Inherits are both named 'turns': give"):
+        TRACK.adapters(request)
+    assert len(TRACK.adapters(replace(request, methods=request.methods[:2]))) == 2
 
 
 @pytest.mark.parametrize(
