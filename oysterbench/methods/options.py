@@ -102,8 +102,8 @@ def with_options(reference: str, more: Iterable[str]) -> str:
 
 
 def _in_name(value: str) -> str:
-    """Write a value so that it can be part of a file name: a list without its brackets, and what cannot be written as it
-    is with a digest.
+    """Write a value so that it can be part of a file name: a list without its brackets, and what cannot be written as
+    it is with a digest.
 
     >>> [_in_name("-0.5"), _in_name("[-1, 2]"), _in_name("a/b")]
     ['-0.5', '-1-2', 'a-b-c14cddc0']
@@ -116,8 +116,8 @@ def _in_name(value: str) -> str:
 
 
 def variant_name(name: str, options: Mapping[str, str]) -> str:
-    """Name of a variant, used in tables and for its folder: the name of the method followed by its options. Other options
-    give another name.
+    """Name of a variant, used in tables and for its folder: the name of the method followed by its options. Other
+    options give another name.
 
     >>> variant_name("gtsam_vi", {"grid": "[5, 4]"})
     'gtsam_vi[grid=5-4]'

@@ -277,11 +277,13 @@ def _wait(process: subprocess.Popen[bytes], limit_s: float) -> None:
     process.wait()
 
 
-def raise_if_full(folder: Path, said: str) -> None:
-    """Raise OSError where the disk of a folder is full, or where a process `said` that it was."""
-    full = os.strerror(errno.ENOSPC)
-    if full in said or free_bytes(folder) < LEAST_FREE:
-        raise OSError(errno.ENOSPC, full, str(folder))
+FULL = os.strerror(errno.ENOSPC)
+
+
+def raise_if_full(folder: Path) -> None:
+    """Raise OSError where the disk of a folder is full."""
+    if free_bytes(folder) < LEAST_FREE:
+        raise OSError(errno.ENOSPC, FULL, str(folder))
 
 
 def signal_name(number: int) -> str:

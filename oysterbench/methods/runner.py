@@ -20,7 +20,7 @@ from oysterbench.core.locks import scratch
 from oysterbench.methods.inputs import Announce, Inputs
 from oysterbench.methods.interfaces import Predicted
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, differing, read_outcome
-from oysterbench.methods.processes import Processes, raise_if_full, secrets
+from oysterbench.methods.processes import FULL, Processes, raise_if_full, secrets
 from oysterbench.methods.run_output import OnOutput, read_output
 from oysterbench.methods.sandbox import can_hide
 
@@ -241,15 +241,19 @@ def run_job(
         seeded = f" with seed {seed}" if seed is not None else ""
         outcome = replace(outcome, failure=f"{who}{seeded}: {error}")
     except MachineError as error:
-        failure = f"{who}: {error}; the run is not counted, and the same command runs it again"
-        outcome = replace(outcome, failure=failure, finished=False)
+        outcome = replace(outcome, failure=f"{who}: {error}", finished=False)
     finally:
         inputs.done(job)
         shutil.rmtree(folder, ignore_errors=True)
     if outcome.failure is not None:
         for place in (*inputs.hidden, kept):
-            raise_if_full(place, outcome.failure)
-        outcome = replace(outcome, failure=_by_lasting_names(outcome.failure, job, given, folder, kept))
+            raise_if_full(place)
+        failure = _by_lasting_names(outcome.failure, job, given, folder, kept)
+        # A disk was full, if only for a moment or another one, such as /dev/shm: that says nothing of the method.
+        if FULL in failure or not outcome.finished:
+            failure = f"{failure}; the run is not counted, and the same command runs it again"
+            outcome = replace(outcome, finished=False)
+        outcome = replace(outcome, failure=failure)
     outcome = replace(outcome, ended=_now())
     if outcome.finished:
         outcome.write(kept)

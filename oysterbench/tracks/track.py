@@ -235,8 +235,8 @@ class Track(ABC):
             adapter = kind(reference, self.takes)
             if adapter.name in found:
                 raise MethodError(
-                    f"{references[adapter.name]} and {reference} are both named {adapter.name!r}: give each a `name` of "
-                    "its own, or run one at a time, each with --out of its own"
+                    f"{references[adapter.name]} and {reference} are both named {adapter.name!r}: give each a `name` "
+                    "of its own, or run one at a time, each with --out of its own"
                 )
             found[adapter.name], references[adapter.name] = adapter, reference
         return list(found.values())

@@ -271,8 +271,12 @@ def test_a_shell_tells_that_what_it_ran_was_killed(run, answer, tmp_path):
 
 
 def test_a_full_disk_ends_all_and_is_no_failure_of_the_method(run, answer, tmp_path, monkeypatch):
-    with pytest.raises(OSError, match="No space left on device"):
-        run(ExternalCommand(command(tmp_path, "full", answer), "mine"))
+    says_so = ExternalCommand(command(tmp_path, "full", answer), "mine")  # of a disk that is not that of the results
+    said, other = run(says_so, ExternalCommand(command(tmp_path, "copies", answer), "copies"))
+    assert said.scored is None
+    assert "No space left on device" in said.failure
+    assert said.failure.endswith("; the run is not counted, and the same command runs it again")
+    assert other.failure is None
     refuses = ExternalCommand(command(tmp_path, "refuses", answer), "other")
     with monkeypatch.context() as patch:
         patch.setattr("oysterbench.methods.processes.free_bytes", lambda folder: 0)

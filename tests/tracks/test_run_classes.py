@@ -124,7 +124,7 @@ def test_a_class_that_fails_leaves_a_record_that_says_how(name, failure, own_met
 
 def test_two_methods_of_one_name_are_refused_instead_of_averaged(own_methods, tmp_path):
     request = Request(out=tmp_path / "out", methods=("own_methods:Turns", "own_methods:Seeded", "own_methods:Inherits"))
-    with pytest.raises(MethodError, match="^own_methods:Turns and own_methods:Inherits are both named 'turns': give"):
+    with pytest.raises(MethodError, match=r"^own_methods:Turns and own_methods:Inherits are both named 'turns': give"):
         TRACK.adapters(request)
     assert len(TRACK.adapters(replace(request, methods=request.methods[:2]))) == 2
 
