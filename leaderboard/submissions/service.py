@@ -286,9 +286,9 @@ class Service:
                 f"reported results do not replace your {self.store.record(ranked).tier} record {ranked[:8]} of "
                 f"{record.method}: withdraw that first, or send these under another method name",
             )
-        method, published = c.method.in_(spellings(found.method)), c.published != ""
-        same = (c.team == found.team, c.track == found.track, c.split == found.split, method, published)
-        before = [other for other in find(connection, *same) if other.state == "done"]
+        same = (c.team == found.team, c.track == found.track, c.split == found.split)
+        of_method = c.method.in_(spellings(found.method))
+        before = [other for other in find(connection, *same, of_method, c.published != "") if other.state == "done"]
         shown = [*(self.scored.record(other.published) for other in before), *self._rescored(before)]
         replaced = {each.supersedes for each in shown}
         current = [each for each in shown if each.board == record.board and each.digest not in replaced]

@@ -67,18 +67,16 @@ def check_estimate(found: Any, name: str, sequence: str) -> Estimate:
     """Return what the method `name` returned on a sequence, if it is an estimate. Raises MethodError."""
     if isinstance(found, Estimate) and isinstance(found.trajectory, Trajectory):
         return found
-    inside = f" of {_described(found.trajectory)}" if isinstance(found, Estimate) else ""
+    inside = isinstance(found, Estimate)
+    got = f"an Estimate of {_described(found.trajectory)}" if inside else _described(found)
     raise MethodError(
-        f"method {name!r} on {sequence}: run() returned {_described(found)}{inside}, expected an Estimate of a "
-        "Trajectory: return Estimate(Trajectory(stamps_ns, positions, quaternions))"
+        f"method {name!r} on {sequence}: run() returned {got}, expected an Estimate of a Trajectory: return "
+        "Estimate(Trajectory(stamps_ns, positions, quaternions))"
     )
 
 
 def _described(value: Any) -> str:
-    if value is None:
-        return "None"
-    name = type(value).__name__
-    return f"{'an' if name[:1] in 'AEIOUaeiou' else 'a'} {name}"
+    return "None" if value is None else f"a value of type {type(value).__name__}"
 
 
 @runtime_checkable

@@ -101,9 +101,9 @@ def test_a_method_that_reaches_for_the_truth_is_stopped(tiny_file):
     ("returned", "got"),
     [
         (None, "None"),
-        (Trajectory(np.array([0]), np.zeros((1, 3)), np.array([[0.0, 0, 0, 1]])), "a Trajectory"),
-        (Estimate(np.zeros((5, 8))), "an Estimate of a ndarray"),  # type: ignore[arg-type]
-        (3, "an int"),
+        (Trajectory(np.array([0]), np.zeros((1, 3)), np.array([[0.0, 0, 0, 1]])), "a value of type Trajectory"),
+        (Estimate(np.zeros((5, 8))), "an Estimate of a value of type ndarray"),  # type: ignore[arg-type]
+        (3, "a value of type int"),
     ],
 )
 def test_what_is_no_estimate_is_said_to_be_what_it_is(returned, got, tiny_file, tmp_path):

@@ -84,8 +84,8 @@ def _rounded(trajectory: Trajectory, count: NDArray[np.intp]) -> str:
     if len(count) == 1:
         return "all have the same" if len(trajectory) > FEW else ""
     gaps = np.diff(np.unique(trajectory.stamps_ns))
-    step_ns = int(gaps.min())
-    if np.remainder(gaps, step_ns).any() or np.median(gaps) != step_ns:
+    step_ns = gaps.min()
+    if np.mod(gaps, step_ns).any() or np.median(gaps) != step_ns:
         return ""
     steps = _distance(trajectory.positions[:-1], trajectory.positions[1:])
     inside = np.diff(trajectory.stamps_ns) == 0
