@@ -51,7 +51,7 @@ def run_jobs(
 ) -> Iterator[tuple[Job, Outcome]]:
     """Yield each job with its outcome as it finishes; jobs that were finished before come first and are not run.
 
-    root: folder of the results, which only one runner at a time may use. again: rerun finished jobs too; retry: rerun
+    root: folder of the results, which only one runner at a time may use. again: forget finished jobs; retry: rerun
     those of them that failed; one that failed is rerun in any case if files of its sequence or method have changed.
     workers: jobs at a time; None for one per core. exports: folder where inputs are kept for other runs. hardware:
     describes a machine; scheduler: address of a Dask cluster to run the jobs on. on_output: called with the latest
@@ -75,6 +75,9 @@ def run_jobs(
                 "and did not run them again; `oysterbench run` with --again reruns them"
             )
         _check(todo)
+        if again:  # all at once, so that after an interruption a command without it goes on with what is left
+            for job in todo:
+                (job.folder(root) / OUTCOME).unlink(missing_ok=True)
         if todo and scheduler is not None:
             from oysterbench.methods.remote import run_remotely
 

@@ -7,11 +7,14 @@ from pathlib import Path
 
 import pytest
 
+import oysterbench
 from oysterbench.core.errors import MethodError
+from oysterbench.core.trajectory import write_tum
 from oysterbench.evaluate.slam.scoring import SlamSettings
 from oysterbench.methods.adapters import ExternalCommand
 from oysterbench.methods.outcomes import differing
-from oysterbench.tracks.slam import TRACK, own_sequences
+from oysterbench.tracks import Request
+from oysterbench.tracks.slam import TRACK, SlamSequence, own_sequences
 from tests.helpers.command import run as run_here
 from tests.helpers.euroc import FRAMES, SAMPLES, Folder
 from tests.helpers.programs import PROGRAMS, command
@@ -202,3 +205,19 @@ def test_folders_whose_names_are_not_utf_8_are_run_on_and_written_to(folder, tmp
     assert "l?t" in (out / "report.html").read_text(encoding="utf-8")
     compared = run_here("compare", out)
     assert compared.returncode == 0, compared.stderr
+
+
+def test_runs_that_were_to_be_repeated_go_on_after_an_interruption(dive_file, tmp_path):
+    answer = tmp_path / "work" / "answer.tum"
+    answer.parent.mkdir()
+    write_tum(answer, oysterbench.open(dive_file).truth())
+    counts = ExternalCommand(command(tmp_path, "counts", answer, "mcap", "{seed}"), "counts")
+    log, sequences = Path(f"{answer}.log"), [SlamSequence("hand-made", dive_file)]
+    finished_of(TRACK, sequences, [counts], SlamSettings(), tmp_path / "out", runs=3)
+    again = Request(tmp_path / "out", jobs=1, runs=3, again=True)
+    begun = TRACK.run(sequences, [counts], SlamSettings(), again)
+    next(begun)
+    begun.close()  # as by Ctrl-C
+    assert log.read_text() == "0\n1\n2\n0\n"
+    finished_of(TRACK, sequences, [counts], SlamSettings(), tmp_path / "out", runs=3)
+    assert log.read_text() == "0\n1\n2\n0\n1\n2\n"
