@@ -120,6 +120,11 @@ class Model:
             V(keyframe), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, self.settings.zero_velocity.sigma)
         )
 
+    def bias_sigmas(self, bias: gtsam.imuBias.ConstantBias) -> float:
+        """Largest component of a bias, in sigmas of the turn-on biases."""
+        gyro = np.abs(bias.gyroscope()).max() / self.gyro_turn_on
+        return float(max(gyro, np.abs(bias.accelerometer()).max() / self.accel_turn_on))
+
     def note_speed(self, speed: float) -> None:
         """Note a measured speed of the moving vehicle, m/s."""
         self._speeds, self._squares = self._speeds + 1, self._squares + speed**2

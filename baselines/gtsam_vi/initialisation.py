@@ -201,6 +201,10 @@ def find_start(model: Model, stretch: list[Keyframe], anchor: State | None, max_
         return None
     if not np.median(bundle.errors_px) <= settings.initialisation.max_error_px:
         return None
+    # Drifting silt may fit only if gravity points elsewhere, which a huge bias of the accelerometer then explains.
+    bias = read_state(bundle.values, stretch[-1].index).bias
+    if model.bias_sigmas(bias) > settings.recovery.max_bias_sigmas:
+        return None
     if not is_metric(stretch, settings) and not scale_sigma(bundle, stretch) <= max_scale_sigma:
         return None
     return bundle

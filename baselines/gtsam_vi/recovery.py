@@ -51,11 +51,9 @@ class Recovery:
             fastest = min(fastest, limits.max_blind_speed * model.usual_speed)
         if not np.isfinite(state.matrix).all() or np.linalg.norm(state.nav.velocity()) > fastest:
             return True
-        gyro = np.abs(state.bias.gyroscope()).max() / model.gyro_turn_on
-        accel = np.abs(state.bias.accelerometer()).max() / model.accel_turn_on
         bad = window.lost_share > limits.max_lost_share or window.misfits >= limits.max_misfits
         self._bad_keyframes = self._bad_keyframes + 1 if bad else 0
-        if max(gyro, accel) > limits.max_bias_sigmas or self._bad_keyframes >= limits.max_bad_keyframes:
+        if model.bias_sigmas(state.bias) > limits.max_bias_sigmas or self._bad_keyframes >= limits.max_bad_keyframes:
             return True
         if self._bad_keyframes == 0:
             self.accept(keyframe)
