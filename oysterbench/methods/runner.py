@@ -51,8 +51,8 @@ def run_jobs(
 ) -> Iterator[tuple[Job, Outcome]]:
     """Yield each job with its outcome as it finishes; jobs that were finished before come first and are not run.
 
-    root: folder of the results, which only one runner at a time may use. again: forget finished jobs; retry: rerun
-    those of them that failed; one that failed is rerun in any case if files of its sequence or method have changed.
+    root: folder of the results, which only one runner at a time may use. again: forget what was finished; retry:
+    rerun what failed, which is rerun in any case if files of its sequence or method have changed.
     workers: jobs at a time; None for one per core. exports: folder where inputs are kept for other runs. hardware:
     describes a machine; scheduler: address of a Dask cluster to run the jobs on. on_output: called with the latest
     output of jobs that run here.

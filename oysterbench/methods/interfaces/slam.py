@@ -120,13 +120,22 @@ class SlamInterface(Interface):
         return {"poses_of": poses_of or POSES_OF[form]}
 
     def check(self, sequence: RunSequence, form: str, options: Mapping[str, str]) -> None:
-        """Check that the sequence has the frame whose poses the program writes."""
+        """Check that the sequence can be given in the form, and has the frame whose poses the program writes."""
         assert isinstance(sequence, SequencePath)
-        if options["poses_of"] in ("base", "imu"):
+        if form == "mcap" and sequence.path.is_dir():
+            raise MethodError(
+                f"{sequence.path}: {{mcap}} needs a sequence file, and this is a folder; {{euroc}} takes both"
+            )
+        whole = options["poses_of"] in ("base", "imu")
+        if whole and form not in ("tum", "kitti"):
             return
         try:
             opened = open_sequence(sequence.path)
         except OysterbenchError:  # the run itself will report it
+            return
+        if whole:
+            if not opened.cameras:
+                raise MethodError(f"{sequence.name} has no camera; the form {{{form}}} needs one")
             return
         frame_pose(opened, options["poses_of"], form)
 

@@ -9,14 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from oysterbench.core.errors import MethodError
+from oysterbench.core.errors import MethodError, OysterbenchError
 from oysterbench.methods.adapters import MethodAdapter, check_name
 from oysterbench.methods.code import file_digest
 from oysterbench.methods.interfaces import Predicted, RunSequence, interface_of
+from oysterbench.methods.interfaces.slam import SequencePath
 from oysterbench.methods.options import with_options
 from oysterbench.methods.processes import STDOUT
 from oysterbench.methods.systems.building import find_build
+from oysterbench.methods.systems.launch import cameras_of
 from oysterbench.methods.systems.manifest import file_options, split_reference
+from oysterbench.sequence import open_sequence
 from oysterbench.version import VERSION
 
 
@@ -102,6 +105,16 @@ class SystemAdapter(MethodAdapter):
         # The path under the home is passed, as a method's environment does not say where the home is.
         asked = [self.reference, str(self.system.place), str(given), str(folder), str(number)]
         return [sys.executable, "-m", "oysterbench.methods.systems.launch", *asked]
+
+    def check(self, sequence: RunSequence) -> None:
+        """Check besides that the sequence has as many cameras as the method uses."""
+        super().check(sequence)
+        if self.method.track == "slam" and isinstance(sequence, SequencePath):
+            try:
+                opened = open_sequence(sequence.path)
+            except OysterbenchError:  # the run itself will report it
+                return
+            cameras_of(self.name.partition("[")[0], self.method, opened)
 
     def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
         if not (folder / self.interface.out).exists():

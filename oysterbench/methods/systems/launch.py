@@ -55,14 +55,20 @@ class Launch:
 
         Raises MethodError where the sequence has fewer: a stereo system with one camera would be another method.
         """
-        wanted = 2 if "stereo" in self.about.sensors else 1
-        found = dict(list(self.sequence.cameras.items())[:wanted])
-        if len(found) < wanted:
-            raise MethodError(
-                f"{self.method}: expected a sequence with {wanted} camera{'s' if wanted > 1 else ''}, got "
-                f"{self.sequence.name} with {', '.join(found) or 'none'}; 'oysterbench systems' lists sensors"
-            )
-        return found
+        return cameras_of(self.method, self.about, self.sequence)
+
+
+def cameras_of(method: str, about: SystemMethod, sequence: Sequence) -> dict[str, CameraCalibration]:
+    """The cameras of a sequence that a method uses, by name (see `Launch.cameras`). Raises MethodError where there are
+    fewer."""
+    wanted = 2 if "stereo" in about.sensors else 1
+    found = dict(list(sequence.cameras.items())[:wanted])
+    if len(found) < wanted:
+        raise MethodError(
+            f"{method}: expected a sequence with {wanted} camera{'s' if wanted > 1 else ''}, got "
+            f"{sequence.name} with {', '.join(found) or 'none'}; 'oysterbench systems' lists sensors"
+        )
+    return found
 
 
 def launch_of(reference: str, place: Path, given: Path, folder: Path, number: int) -> tuple[Launch, list[str]]:
