@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import B
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import MethodError
@@ -20,7 +22,7 @@ from oysterbench.methods.options import configure
 from oysterbench.sequence.euroc import EurocSequence
 from oysterbench.sequence.types import ImuMeasurement, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer
-from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings
+from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings, initialisation
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, undistort
 from oysterbench_baselines.gtsam_vi.settings import InitialisationSettings
@@ -116,6 +118,26 @@ def lie(measured: dive.Dive) -> None:
         if 8.0 < (sample.stamp_ns - dive.START_NS) * 1e-9 < 8.7:
             false = sample.accel + np.array([15.0, 0, 0])
             measured.samples[k] = ImuMeasurement(sample.stamp_ns, sample.gyro, false)
+
+
+def test_a_start_with_biases_that_no_inertial_unit_has_is_none(monkeypatch):
+    """As where drifting silt fits if gravity points elsewhere: the accelerometer's bias then makes up for it."""
+    measured = dive.make_dive(6, duration_s=8.0)
+    usual, adjust, found = estimate(measured), initialisation.adjust, []
+
+    def adjust_to_silt(model, stretch, *arguments):
+        bundle = adjust(model, stretch, *arguments)
+        if not found:
+            tilted = gtsam.imuBias.ConstantBias(np.array([0.0, 20.0 * model.accel_turn_on, 0.0]), np.zeros(3))
+            bundle.values.update(B(stretch[-1].index), tilted)
+        found.append(bundle)
+        return bundle
+
+    monkeypatch.setattr(initialisation, "adjust", adjust_to_silt)
+    later = estimate(measured)
+    assert later.info["init_s"] > usual.info["init_s"]
+    assert "restarts" not in later.info
+    assert position_error(measured.truth, later.smoothed()) < 0.02
 
 
 @pytest.mark.slow
