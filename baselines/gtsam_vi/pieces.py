@@ -230,10 +230,11 @@ def adjust_piecewise(
     min_views: int,
     parts: list[range],
 ) -> tuple[Bundle, Piecewise]:
-    """Adjust as `bundle.adjust` does, by Gauss-Newton steps, which are halved where the error does not fall.
+    """Adjust as `bundle.adjust` does, by Gauss-Newton steps, which are halved where the error does not fall or the
+    equations there cannot be solved.
 
     The bundle's graph is empty: the piecewise path stands for it. Raises RuntimeError where the equations cannot be
-    solved.
+    solved at the start.
     """
     rig = copy(model.rig)
     views = Views.of(keyframes, min_views)
@@ -245,18 +246,27 @@ def adjust_piecewise(
     return Bundle(gtsam.NonlinearFactorGraph(), values, path.ids, path.errors_px(values)), path
 
 
+def _system(path: Piecewise, values: gtsam.Values) -> PiecewiseSystem | None:
+    """The system at values; None where a landmark there is too weakly determined to be eliminated."""
+    try:
+        return path.system(values)
+    except RuntimeError:
+        return None
+
+
 def _optimise(path: Piecewise, iterations: int) -> gtsam.Values:
     best = path.system(path.values())
     for _ in range(iterations):
         stepped = best.step()
         for _ in range(HALVINGS):
-            system = path.system(stepped)
-            if system.error < best.error:
+            system = _system(path, stepped)
+            if system is not None and system.error < best.error:
                 break
             off = best.values.localCoordinates(stepped)
             stepped = best.values.retract(off.scale(0.5))
         else:
             break
+        assert system is not None  # the loop was left for it
         done = best.error - system.error < TOLERANCE * best.error
         best = system
         hand_back()

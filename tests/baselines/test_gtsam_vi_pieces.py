@@ -45,6 +45,22 @@ def test_what_is_smoothed_piece_by_piece_is_what_is_smoothed_as_one(estimator):
     assert np.abs(difference).max() < 1e-4
 
 
+def test_a_step_to_where_nothing_can_be_solved_is_halved(estimator, monkeypatch):
+    in_pieces(estimator, 7)
+    usual, system, calls = estimator.smoothed(), Piecewise.system, []
+
+    def now_and_then(path, values, times=1.0):
+        calls.append(times)
+        if len(calls) == 2:  # the first step of all
+            raise RuntimeError("Indeterminate linear system detected while working near variable l44574")
+        return system(path, values, times)
+
+    monkeypatch.setattr(Piecewise, "system", now_and_then)
+    halved = estimator.smoothed()
+    assert "smoothing_failed" not in estimator.info
+    np.testing.assert_allclose(halved.positions, usual.positions, atol=1e-4)
+
+
 def test_a_piece_shares_the_ends_of_it_however_long_the_path_is(estimator):
     keyframes, model = estimator.keyframes, estimator.model
     states, views = [keyframe.estimate for keyframe in keyframes], Views.of(keyframes, 3)
