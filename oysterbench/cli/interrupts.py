@@ -55,7 +55,6 @@ def interruption(command: str, what: str = "interrupted") -> str:
     'terminated; nothing was written'
     """
     if command in RESUMED:
-        words = [word for word in sys.argv[1:] if word != "--again"]  # which would begin anew
-        same = "the same command" if words == sys.argv[1:] else "the command without --again"
-        return f"{what}; {RESUMED[command]}, and {same} resumes from there: {shlex.join(['oysterbench', *words])}"
+        typed = shlex.join(["oysterbench", *sys.argv[1:]])
+        return f"{what}; {RESUMED[command]}, and the same command resumes from there: {typed}"
     return f"{what}; {BEGUN_ANEW.get(command, 'nothing was written')}"

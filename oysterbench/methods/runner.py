@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import fcntl
+import hashlib
+import json
 import os
 import shutil
 import tempfile
@@ -15,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import LabelError, MachineError, MethodError, SequenceError
 from oysterbench.core.locks import scratch
 from oysterbench.methods.inputs import Announce, Inputs
@@ -24,6 +27,8 @@ from oysterbench.methods.processes import FULL, Processes, raise_if_full, secret
 from oysterbench.methods.run_output import OnOutput, read_output
 from oysterbench.methods.sandbox import can_hide
 
+AGAIN = "again"
+"""File in the folder of the results while their runs are being repeated."""
 ASSUMED_BYTES = 2 * 2**30
 """Memory that a method is assumed to need until one of its runs has been measured."""
 LOOK_S = 1.0
@@ -51,8 +56,9 @@ def run_jobs(
 ) -> Iterator[tuple[Job, Outcome]]:
     """Yield each job with its outcome as it finishes; jobs that were finished before come first and are not run.
 
-    root: folder of the results, which only one runner at a time may use. again: forget what was finished; retry:
-    rerun what failed, which is rerun in any case if files of its sequence or method have changed.
+    root: folder of the results, which only one runner at a time may use. again: run finished jobs again, or
+    go on with that where it was interrupted; retry: rerun what failed, which is rerun in any case if files of its
+    sequence or method have changed.
     workers: jobs at a time; None for one per core. exports: folder where inputs are kept for other runs. hardware:
     describes a machine; scheduler: address of a Dask cluster to run the jobs on. on_output: called with the latest
     output of jobs that run here.
@@ -62,8 +68,9 @@ def run_jobs(
     """
     with _alone(root):
         todo, kept = [], []
+        begun_ns = _begun_again(jobs, root) if again else 0
         for job in jobs:
-            known = None if again else _finished(job, root, retry)
+            known = _finished(job, root, retry) if _written_ns(job, root) >= begun_ns else None
             if known is None:
                 todo.append(job)
             else:
@@ -75,15 +82,32 @@ def run_jobs(
                 "and did not run them again; `oysterbench run` with --again reruns them"
             )
         _check(todo)
-        if again:  # all at once, so that after an interruption a command without it goes on with what is left
-            for job in todo:
-                (job.folder(root) / OUTCOME).unlink(missing_ok=True)
         if todo and scheduler is not None:
             from oysterbench.methods.remote import run_remotely
 
             yield from run_remotely(todo, root, scheduler, workers, hardware)
         elif todo:
             yield from _run(todo, root, workers or default_workers(), exports, hardware(), announce, on_output)
+        (root / AGAIN).unlink(missing_ok=True)
+
+
+def _begun_again(jobs: Sequence[Job], root: Path) -> int:
+    """When these jobs began to be repeated, ns since the epoch: now or, where that was interrupted, then. What was
+    finished since need not be run again."""
+    marker, text = root / AGAIN, _digest_of(jobs)
+    if not marker.is_file() or marker.read_text() != text:
+        write_atomically(marker, text.encode())
+    return marker.stat().st_mtime_ns
+
+
+def _digest_of(jobs: Sequence[Job]) -> str:
+    return hashlib.sha256(json.dumps([job.identity for job in jobs], sort_keys=True).encode()).hexdigest()
+
+
+def _written_ns(job: Job, root: Path) -> int:
+    """When the outcome of a job was written, ns since the epoch; 0 where there is none."""
+    path = job.folder(root) / OUTCOME
+    return path.stat().st_mtime_ns if path.is_file() else 0
 
 
 def _check(jobs: Sequence[Job]) -> None:

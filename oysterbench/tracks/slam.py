@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import glob
 import hashlib
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -51,7 +49,7 @@ from oysterbench.tracks.track import (
 
 FRAMES_IN_REPORT = 6
 FRAME_WIDTH = 480  # px, in the report
-LEFT = re.compile(r"(?:-(?P<run>[1-9]\d*))?\.(?:(?:.+\.)?tum|" + "|".join(map(re.escape, (MAP, HEALTH))) + ")")
+LEFT = (".tum", ".online.tum", ".smoothed.tum", f".{MAP}", f".{HEALTH}")
 """What follows SEQUENCE-METHOD in the names of the files that a run leaves in the folder of the results."""
 
 PATH_METRICS = (
@@ -154,7 +152,7 @@ class SlamTrack(Track):
         """
         sequence = job.sequence
         assert isinstance(sequence, SlamSequence)
-        self._remove_replaced(job, out)
+        self._remove_replaced(job, outcome, out)
         estimate, alternatives, health = None, dict[str, Trajectory](), None
         failure = outcome.failure
         if failure is None:
@@ -186,18 +184,20 @@ class SlamTrack(Track):
         return f"{job.sequence.name}-{job.adapter.name}{f'-{job.number + 1}' if job.of > 1 else ''}"
 
     @staticmethod
-    def _remove_replaced(job: Job, out: Path) -> None:
+    def _remove_replaced(job: Job, outcome: Outcome, out: Path) -> None:
         """Delete from `out` what earlier commands left of this run, and of runs of the same method and sequence that
         the results no longer have: whoever reads the folder would take it for theirs."""
-        name = job.adapter.name
-        stem = f"{job.sequence.name}-{name}"
-        longer = [path.name for path in (out / "runs").glob(f"{glob.escape(name)}?*")]
-        numbers = {str(number + 1) for number in range(job.of) if number != job.number} if job.of > 1 else set()
-        for path in out.glob(f"{glob.escape(stem)}*"):
-            found = LEFT.fullmatch(path.name.removeprefix(stem))
-            of_another = any(path.name.startswith(f"{job.sequence.name}-{other}") for other in longer)
-            if found is not None and found["run"] not in numbers and not of_another:
-                path.unlink()
+        method, named = job.adapter.name, {path.name for path in (out / "runs").glob("*")}
+        numbers = [path.name for path in job.folder(out).parent.glob("*") if path.name.isdecimal()]
+        gone = [f"{method}-{number}" for number in numbers if job.of == 1 or int(number) > job.of]
+        gone = [name for name in gone if name not in named]  # else a method's that is named like a run of this one
+        if job.of > 1:
+            gone.append(method)
+        if not outcome.earlier:
+            gone.append(SlamTrack._name(job).removeprefix(f"{job.sequence.name}-"))
+        for name in gone:
+            for end in LEFT:
+                (out / f"{job.sequence.name}-{name}{end}").unlink(missing_ok=True)
 
     def _keep(
         self, job: Job, outcome: Outcome, out: Path, estimate: Trajectory, alternatives: Mapping[str, Trajectory]

@@ -82,9 +82,3 @@ def test_what_is_typed_again_is_what_was_typed(monkeypatch):
     monkeypatch.setattr("sys.argv", ["/usr/bin/oysterbench", "run", "my slam", "--split", "slam-mini"])
     assert interruption("run").endswith(": oysterbench run 'my slam' --split slam-mini")
     assert module.interruption is interruption
-
-
-def test_what_is_typed_after_an_interrupted_repetition_goes_on_with_it(monkeypatch):
-    monkeypatch.setattr("sys.argv", ["/usr/bin/oysterbench", "run", "mine", "--again", "--split", "slam-mini"])
-    told = "and the command without --again resumes from there: oysterbench run mine --split slam-mini"
-    assert interruption("run").endswith(told)

@@ -219,5 +219,8 @@ def test_runs_that_were_to_be_repeated_go_on_after_an_interruption(dive_file, tm
     next(begun)
     begun.close()  # as by Ctrl-C
     assert log.read_text() == "0\n1\n2\n0\n"
-    finished_of(TRACK, sequences, [counts], SlamSettings(), tmp_path / "out", runs=3)
+    resumed = list(TRACK.run(sequences, [counts], SlamSettings(), again))
+    assert [done.outcome.earlier for done in resumed] == [True, False, False]
     assert log.read_text() == "0\n1\n2\n0\n1\n2\n"
+    list(TRACK.run(sequences, [counts], SlamSettings(), again))
+    assert log.read_text() == "0\n1\n2\n" * 3

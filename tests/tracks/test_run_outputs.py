@@ -85,13 +85,16 @@ def test_files_of_runs_that_the_results_no_longer_have_are_deleted(run, answer, 
     run(mine, runs=3)
     out = next(tmp_path.rglob("hand-made-mine-3.tum")).parent
     (out / "hand-made-mine-3.online.tum").touch()
-    (out / "hand-made-notes.tum").touch()
+    for own in ("hand-made-notes.tum", "hand-made-mine.sim3.tum", "hand-made-mine-7.tum"):
+        (out / own).touch()
     run(other)
     run(mine)
     assert {path.name for path in out.glob("*.tum")} == {
         "hand-made-mine.tum",
         "hand-made-mine-2.tum",  # of the method named mine-2
         "hand-made-notes.tum",
+        "hand-made-mine.sim3.tum",
+        "hand-made-mine-7.tum",
         "hand-made-truth.tum",
     }
 
