@@ -89,9 +89,12 @@ def records_of(
         curves = _curves(path.parent, method, group, notify) if known is not None and not hidden else None
         if hidden:
             group, data_set = discreet(group, data_set)
-        here, topics = folders_here(path.parent), _topics(known)
+        here, topics, name = folders_here(path.parent), _topics(known), composed(method)
+        group = [replace(result, method=name) for result in group]
+        if data_set is not None and "method" in data_set:
+            data_set = {**data_set, "method": name}
         record = Record(
-            method=composed(method),
+            method=name,
             team=composed(by.team),
             tier=by.tier,
             results=tuple(without_folders(result, here, topics) for result in group),

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from oysterbench.results.records import ResultRecord, write_results
+from oysterbench_leaderboard.publishing.contradictions import CHECKS
 from oysterbench_leaderboard.publishing.folders import folders_here, without_folders
 from oysterbench_leaderboard.publishing.publish import Attribution, publish, records_of
 from oysterbench_leaderboard.storage.store import RecordStore
@@ -57,6 +58,8 @@ def test_a_new_record_has_its_names_in_one_unicode_form(tmp_path):
     write_results(tmp_path / "results.json", record_made("c\u0327arp").results)
     ((record, _),) = records_of(tmp_path, Attribution("Te\u0301am", "baseline"))
     assert (record.method, record.team) == ("\u00e7arp", "T\u00e9am")
+    for check in CHECKS:
+        check(record)
 
 
 @pytest.mark.parametrize(

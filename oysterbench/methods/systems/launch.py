@@ -61,7 +61,7 @@ class Launch:
 def cameras_of(method: str, about: SystemMethod, sequence: Sequence) -> dict[str, CameraCalibration]:
     """The cameras of a sequence that a method uses, by name (see `Launch.cameras`). Raises MethodError where there are
     fewer."""
-    wanted = 2 if "stereo" in about.sensors else 1
+    wanted = 2 if "stereo" in about.sensors else int("mono" in about.sensors)
     found = dict(list(sequence.cameras.items())[:wanted])
     if len(found) < wanted:
         raise MethodError(
