@@ -266,7 +266,7 @@ class FrontEnd:
         still = distort(turned[:, :2] / np.maximum(turned[:, 2:], 0.1), self.calibration)
         guess, levels = still + self._flow.after(tracks.rays, elapsed_s), settings.flow_levels
         if self._flow.kept >= settings.steady_share and self._flow.error_px <= settings.steady_error_px:
-            levels = settings.steady_levels
+            levels = min(settings.steady_levels, settings.flow_levels)
         end, good = self.find(last, image, tracks.pixels, guess, levels)
         if levels < settings.flow_levels and good.mean() < settings.steady_share / 2:  # a jerk, or the lamps went out
             end, good = self.find(last, image, tracks.pixels, still, settings.flow_levels)

@@ -100,7 +100,7 @@ def board_of(record: Record) -> BoardInfo:
 
 def columns_of(record: Record, digest: str) -> tuple[dict[str, Any], RecordSummary]:
     """Columns of `board.Row` that follow from a record by itself, with `words` for searching; and its summary, by which
-    it is ranked. Raises ResultError where values that a board shows cannot be."""
+    it is ranked. Raises ResultError where a board would show impossible values."""
     summary = summarise_record(record)
     metrics, whole = column_means(record), data_set_value(record)
     check_shown(record, metrics, whole)

@@ -191,15 +191,15 @@ def _progress() -> Any:
 @AS_JSON
 @click.pass_context
 def verify_command(context: click.Context, as_json: bool) -> None:
-    """Check every file: that its bytes match its name, that this version knows everything in it, that its numbers can
-    be, and that its parts do not contradict each other or the files that it names.
+    """Check every file: that its bytes match its name, that this version knows everything in it, that its numbers are
+    possible, and that its parts do not contradict each other or the files that it names.
 
     \b
     Examples:
       oysterbench leaderboard verify
       oysterbench leaderboard --board /srv/board verify --json
 
-    A board itself checks less, as it must be built quickly. Exits with 3 if a file is damaged or cannot be.
+    A board itself checks less, as it must be built quickly. Exits with 3 if a file is damaged or impossible.
     """
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.publishing.verifying import verify

@@ -94,7 +94,7 @@ def summarise_record(record: Record) -> RecordSummary:
 
 
 def check_shown(record: Record, means: Mapping[str, Any], whole: float | None) -> None:
-    """Refuse a record that would be ranked, or shown on a board, by what cannot be: results of another method, or a
+    """Refuse a record that a board would rank or show by something impossible: results of another method, or a
     value outside its range. Only `verify` looks at its other numbers, which takes longer than reading it. Raises
     ResultError.
 

@@ -192,7 +192,7 @@ def _unchanged(sent: dict[str, Any], given: dict[str, str]) -> str:
     if not odd:
         return ""
     kept_as = "is unchanged" if len(odd) == 1 else "are unchanged"
-    return f"these files were submitted on {sent['created']} already: the {' and '.join(odd)} of then {kept_as}"
+    return f"these files were submitted on {sent['created']} already: the {' and '.join(odd)} given then {kept_as}"
 
 
 def _before(found: dict[str, Any]) -> str:

@@ -52,7 +52,7 @@ def track_options() -> dict[str, Option]:
 @click.option(
     "--ablate", multiple=True, metavar="KEY=VALUE", help="Run each METHOD once more, with this option; repeatable."
 )
-@click.option("--split", "split_name", help="A split's name, also of a hidden one as downloaded, or a .toml recipe.")
+@click.option("--split", "split_name", help="A split's name (a downloaded hidden one, too) or a .toml recipe.")
 @click.option(
     "--on",
     "places",

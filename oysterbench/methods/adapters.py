@@ -26,7 +26,7 @@ from oysterbench.methods.worker import read_predicted
 from oysterbench.version import VERSION
 
 PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*")
-OF_SHELL = re.compile(r"\|\|?|&&?|;|[0-9]*>>?(&[0-9]+|[/{].*)?|<<?|<\{.*")
+OF_SHELL = re.compile(r"\|\|?|&&?|;|([0-9]*|&)>>?[^=\s]\S*|([0-9]*|&)>>?|<<?|<\{.*")
 """Words that are nothing to a program, but pipes, redirections and separators to a shell."""
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "gtsam", "torch")
 """Packages whose versions are kept with a result, if they are installed."""

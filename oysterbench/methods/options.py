@@ -22,7 +22,7 @@ VARIANT = re.compile(r"(?P<method>[^\[\]]+)\[(?P<options>.*)\]", re.DOTALL)
 LONGEST = 80
 """Maximum length of a variant's name, which also names a folder and a record of a board; beyond it, the number and a
 digest of the options stand for them."""
-IN_QUOTES = 'commas part options, and a value with a comma or bracket is written in double quotes, key="a,b"'
+IN_QUOTES = 'commas separate options, and a value with a comma or bracket is written in double quotes, key="a,b"'
 PLAIN, UNPLAIN = re.compile(r"[A-Za-z0-9_.+=-]+"), re.compile(r"[^A-Za-z0-9_.+=-]+")
 """Characters of an option's value that belong in a file name, and that do not."""
 
@@ -116,8 +116,8 @@ def _in_name(value: str) -> str:
 
 
 def variant_name(name: str, options: Mapping[str, str]) -> str:
-    """Name of a variant, used in tables and for its folder: the name of the method followed by its options. Other
-    options give another name.
+    """Name of a variant, used in tables and for its folder: the name of the method followed by its options. Options
+    that differ give names that differ, but for a list and a text that is written like it.
 
     >>> variant_name("gtsam_vi", {"grid": "[5, 4]"})
     'gtsam_vi[grid=5-4]'

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from oysterbench.core.errors import RecipeError
-from oysterbench.core.names import listed
+from oysterbench.core.names import is_plain, listed
 from oysterbench.core.places import home
 
 if TYPE_CHECKING:
@@ -40,6 +40,8 @@ def files_by_name(
     from oysterbench.hub.download import all_here
     from oysterbench.hub.verify import kept_manifest
 
+    if not is_plain(name):  # such as the path of a folder, which --on takes
+        return None
     found = [(folder, manifest) for folder, manifest in all_here(name, None, sequences) if manifest.hidden]
     kept = [kept_manifest(folder) for folder in (home() / "splits" / name).glob("*")]
     if not found and any(manifest is not None and manifest.hidden for manifest in kept):

@@ -17,11 +17,11 @@ from oysterbench.evaluate.slam.diagnose import Cause
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from oysterbench.results.plausible import BOUNDING
 from oysterbench.results.records import ResultRecord, document, read_results, write_results
-from oysterbench_leaderboard.submissions.catalogue import SCORED, Catalogue, serve_split
+from oysterbench_leaderboard.submissions.catalogue import SCORED, Catalogue
 from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.scoring import CAUSES, MISSING, evaluator, score_predictions
 from oysterbench_leaderboard.submissions.sending.package import wanted_of as wanted_by_client
-from tests.helpers.pool import IMAGES, NAMES, answers, estimate, image_names, lay_split, path, tum, zipped
+from tests.helpers.pool import IMAGES, NAMES, answers, estimate, image_names, path, tum, zipped
 from tests.helpers.submissions_read import LIMITS, as_coco, as_png, masks, npz, opened, wanted_of
 
 # Paths:
@@ -365,33 +365,6 @@ def test_every_track_that_can_be_submitted_has_an_evaluator_and_a_line_on_the_pa
 
 
 # Splits:
-
-
-def test_a_truth_of_another_split_is_refused(tmp_path):
-    from oysterbench.core.errors import ResultError
-
-    recipe, truth = lay_split(tmp_path, "pool-test")
-    _, other = lay_split(tmp_path, "pool-val")
-    with pytest.raises(ResultError, match="expected split 'pool-test', got 'pool-val'"):
-        serve_split(str(recipe), other)
-    with pytest.raises(ResultError, match="is hidden: expected --truth"):
-        serve_split(str(recipe))
-    (truth / "pool-02.mcap").unlink()
-    with pytest.raises(ResultError, match=r"expected .*pool-02\.mcap"):
-        serve_split(str(recipe), truth)
-
-
-def test_files_as_teams_get_them_are_no_truth(tmp_path):
-    from oysterbench.core.errors import ResultError
-    from oysterbench.sequence.cut import cut_public
-
-    recipe, truth = lay_split(tmp_path, "pool-test")
-    path = truth / "pool-02.mcap"
-    with open(tmp_path / "public", "wb") as file:
-        cut_public(path, file)
-    (tmp_path / "public").replace(path)
-    with pytest.raises(ResultError, match=r"pool-02\.mcap: expected ground truth, got a file as teams get it; "):
-        serve_split(str(recipe), truth)
 
 
 def test_a_catalogue_says_what_there_is(served):

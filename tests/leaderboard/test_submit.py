@@ -69,8 +69,8 @@ def test_what_is_said_anew_of_files_that_were_sent_before_is_not_taken_and_it_sa
     assert "already" not in submit(site, estimates, *about, "--summary", " One. ").stderr
     again = submit(site, estimates, *about, "--summary", "Another.", "--url", "https://y.example")
     assert again.exit_code == 0, again.output
-    assert re.search(r"were submitted on 2\S+Z already: the summary and address of then are unchanged", again.stderr)
-    assert "the address of then is unchanged" in submit(site, estimates, *about, "--url", "https://y.example").stderr
+    assert re.search(r"were submitted on 2\S+Z already: the summary and address given then are unchanged", again.stderr)
+    assert "the address given then is unchanged" in submit(site, estimates, *about, "--url", "https://y.example").stderr
 
 
 def test_what_is_wrong_is_found_before_anything_is_sent(site, estimates):

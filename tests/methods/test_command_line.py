@@ -80,6 +80,9 @@ def test_a_placeholder_that_cannot_be_quoted_is_refused(script, why):
         ("true {mcap} {out} 2>&1", "2>&1"),
         ("true {mcap} {out} 2> /dev/null", "2>"),
         ("true {mcap} {out} >>/tmp/log", ">>/tmp/log"),
+        ("true {mcap} {out} >>log", ">>log"),
+        ("true {mcap} {out} 2>err.log", "2>err.log"),
+        ("true {mcap} {out} &>log", "&>log"),
         ("true {mcap} {out} ; true", ";"),
     ],
 )

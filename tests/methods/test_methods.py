@@ -175,7 +175,7 @@ def test_values_with_commas_and_brackets_are_given_in_quotes(value):
 def test_an_open_bracket_of_one_option_takes_no_other_in():
     method = find_method(with_options(with_options(HERE, ["output=[a"]), ["tracks=9"]))
     assert (method.output, method.settings.tracks) == ("[a", 9)
-    with pytest.raises(MethodError, match=r"a bracket or quote does not end; commas part options, and a value with"):
+    with pytest.raises(MethodError, match=r"a bracket or quote does not end; commas separate options, and a value"):
         find_method(f"{HERE}[output=[a,tracks=9]")
 
 
@@ -189,7 +189,7 @@ def test_a_choice_with_a_comma_is_tried():
     [
         (
             "output=a,b",
-            "expected key=value, got 'b'; commas part options, and a value with a comma or bracket is written",
+            "expected key=value, got 'b'; commas separate options, and a value with a comma or bracket is written",
         ),
         (
             "loop=false",

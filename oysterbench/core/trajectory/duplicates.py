@@ -19,7 +19,7 @@ USUAL_PERCENT = 99
 """Percentile of a file's steps up to which they are usual: the rest may be jumps of an estimate that relocalised."""
 FEW = 2
 """Number of poses that a program may well write at one time: what it predicted, and what it measured."""
-FLOWING = 0.5
+FLOWING = 0.8
 """Step between poses at one stamp, as a share of that to the next stamp, from which they may be poses of a motion; and
 the way from stamp to stamp, as a share of all steps between, from which pairs of poses are, and not there and back."""
 
@@ -44,13 +44,15 @@ def each_stamp_once(
     off_m, off_rad = _distance(p[own], p), rotation_angle(q[own], q)
     same = (p == p[own]).all(axis=1) & ((q == q[own]).all(axis=1) | (q == -q[own]).all(axis=1))
     if choice is None or choice == "refuse":
-        if not same.all() and (rounded := _rounded(trajectory, count)):
-            raise TrajectoryError(
-                f"{name}: expected a timestamp for each pose, got {len(first)} for {len(trajectory)} poses, which "
-                f"{rounded}; print at least 9 decimals (C++: std::fixed << std::setprecision(9); Python: .9f)"
-            )
         near = (off_m < _steps(p, first, _distance)[member]) & (off_rad < _steps(q, first, rotation_angle)[member])
         wrong = ~same & ~(near & (choice is None))
+        odd = wrong.any() or (not same.all() and np.median(count) > FEW)
+        if odd and (rounded := _rounded(trajectory, count)):
+            raise TrajectoryError(
+                f"{name}: expected a timestamp for each pose, got {len(first)} for {len(trajectory)} poses, which "
+                f"{rounded}; print at least 9 decimals (C++: std::fixed << std::setprecision(9); Python: .9f); or, if "
+                "these are several poses of one time, keep one of them (--duplicates first, last or mean)"
+            )
         if wrong.any():
             i = int(np.argmax(wrong))
             more = int(np.count_nonzero(wrong)) - 1

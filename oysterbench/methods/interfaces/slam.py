@@ -191,7 +191,7 @@ def on_clock(path: Trajectory, times: NDArray[np.int64]) -> Trajectory:
     if path.stamps_ns[-1] < times[0] or relative > absolute:
         note = "its timestamps count from the first image, as in times.txt: that image's timestamp was added"
         return replace(path, stamps_ns=path.stamps_ns + times[0], notes=(*path.notes, note))
-    if relative == absolute:
+    if relative == absolute > (0, 0):
         note = (
             "its timestamps may count from the first image, as in times.txt, or be the sequence's, and are taken as the"
             " sequence's: with a pose for the first image, or 12 columns for each, there is no doubt"
