@@ -171,7 +171,7 @@ def test_after_a_loss_it_says_when_a_place_seen_before_has_told_it_where_it_is()
     assert (health[(seconds > 4.0) & (seconds < 7.9)] == Health.TRACKING).all()
     assert (health[(seconds > 8.5) & (seconds < 16.0)] == Health.COASTING).all()
     assert (
-        health[(seconds > 18.0) & (seconds < 25.0)] == Health.TRACKING
+        health[(seconds > 18.0) & (seconds < 24.0)] == Health.TRACKING
     ).all()  # it sees, and has seen none of it before
     assert (health[seconds > 30.0] == Health.RELOCALISED).all()
     # What the dark has cost, the lap takes back when it is joined to itself. Measured: 40 and 6 mm.
