@@ -192,7 +192,7 @@ def spans_of(split: SplitRecipe) -> dict[str, tuple[int, int]]:
 def _check(split: Any, name: str, path: Path) -> None:
     """Refuse ground truth of another split or, for a public split, of another recipe, and files without ground truth.
     Raises ResultError."""
-    from oysterbench.hub.publish import has_truth
+    from oysterbench.sequence.cut import is_scorable
     from oysterbench.sequence.read import McapSequence
     from oysterbench.simulation.generate import digest
 
@@ -206,7 +206,7 @@ def _check(split: Any, name: str, path: Path) -> None:
             raise ResultError(
                 f"{path}: expected {key} {value!r}, got {metadata.get(key)!r}: the truth of another split"
             )
-    if not has_truth(sequence):
+    if not is_scorable(sequence):
         raise ResultError(
             f"{path}: expected ground truth, got a file as teams get it; "
             "--truth names the folder of the files as they were rendered"

@@ -21,9 +21,8 @@ from oysterbench.hub.index import Index, Release, read_own_index
 from oysterbench.hub.manifest import Manifest, build_manifest, released_manifest
 from oysterbench.hub.pages import index_page, pictures_of
 from oysterbench.hub.sign import public_hex
-from oysterbench.sequence.cut import cut_public, cut_truth
-from oysterbench.sequence.read import STEERING, McapSequence
-from oysterbench.sequence.truth import TRUTH
+from oysterbench.sequence.cut import cut_public, cut_truth, is_scorable
+from oysterbench.sequence.read import McapSequence
 
 TEMPORARY = ".publishing-"
 COPY = 1 << 20
@@ -150,7 +149,7 @@ def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: s
                 f"{path}: rendered without a salt, so anyone can render its ground truth; nothing was published: "
                 "render a hidden split with its salt"
             )
-        if hidden and (made_with is None or not has_truth(sequence)):
+        if hidden and (made_with is None or not is_scorable(sequence)):
             raise HubError(
                 f"{path}: has no ground truth to withhold: it is as teams get it, or was rendered with --topics; "
                 "nothing was published: --data names the folder of the files as rendered with the salt"
@@ -161,17 +160,6 @@ def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: s
                 f"nothing was published: `oysterbench render {split}` makes what the recipe says, and --hidden "
                 "publishes what was rendered with a salt"
             )
-
-
-def has_truth(sequence: McapSequence) -> bool:
-    """Whether a sequence has the ground truth that its track is scored against."""
-    if sequence.metadata.get("track") == "segmentation":
-        from oysterbench.sequence.export.parts import labelled_cameras
-
-        return bool(labelled_cameras(sequence))
-    if sequence.metadata.get("track") == "steering":
-        return STEERING in sequence.attachments
-    return sequence.counts.get(TRUTH, 0) > 0
 
 
 @contextmanager

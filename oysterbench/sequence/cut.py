@@ -16,7 +16,8 @@ from oysterbench.core.mcap import read_chunk as records_of
 from oysterbench.core.ros import TF_STATIC, Message
 from oysterbench.sensors.registry import sensor_kinds
 from oysterbench.sequence.file import DAMAGE, Reading, damaged, read_attachments, read_metadata
-from oysterbench.sequence.read import CALIBRATION
+from oysterbench.sequence.read import CALIBRATION, STEERING, McapSequence
+from oysterbench.sequence.truth import TRUTH
 from oysterbench.sequence.types import is_measured
 from oysterbench.sequence.write import SequenceWriter
 
@@ -136,3 +137,14 @@ def match_topics(known: Collection[str], wanted: Collection[str], what: str) -> 
         if not any(fnmatchcase(topic, pattern) for topic in known):
             raise SequenceError(f"{what}: no topic fits {pattern!r}; its topics: {', '.join(sorted(known))}")
     return [topic for topic in known if any(fnmatchcase(topic, pattern) for pattern in wanted)]
+
+
+def is_scorable(sequence: McapSequence) -> bool:
+    """Whether a sequence has the ground truth that its track is scored against."""
+    if sequence.metadata.get("track") == "segmentation":
+        from oysterbench.sequence.export.parts import labelled_cameras
+
+        return bool(labelled_cameras(sequence))
+    if sequence.metadata.get("track") == "steering":
+        return STEERING in sequence.attachments
+    return sequence.counts.get(TRUTH, 0) > 0

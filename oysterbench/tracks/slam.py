@@ -191,10 +191,8 @@ class SlamTrack(Track):
         numbers = [path.name for path in job.folder(out).parent.glob("*") if path.name.isdecimal()]
         gone = [f"{method}-{number}" for number in numbers if job.of == 1 or int(number) > job.of]
         gone = [name for name in gone if name not in named]  # else a method's that is named like a run of this one
-        if job.of > 1:
-            gone.append(method)
         if not outcome.earlier:
-            gone.append(SlamTrack._name(job).removeprefix(f"{job.sequence.name}-"))
+            gone += {method, SlamTrack._name(job).removeprefix(f"{job.sequence.name}-")}
         for name in gone:
             for end in LEFT:
                 (out / f"{job.sequence.name}-{name}{end}").unlink(missing_ok=True)

@@ -12,8 +12,8 @@ import oysterbench
 from oysterbench.core.errors import HubError, SequenceError
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.manifest import read_manifest
-from oysterbench.hub.publish import check_made_by, has_truth
-from oysterbench.sequence.cut import cut_public, cut_to
+from oysterbench.hub.publish import check_made_by
+from oysterbench.sequence.cut import cut_public, cut_to, is_scorable
 from oysterbench.sequence.file import read_attachments, read_messages
 from oysterbench.sequence.read import STEERING, McapSequence
 from tests.helpers.trees import (
@@ -134,12 +134,12 @@ def test_images_have_what_they_are_scored_against_and_not_true_poses_alone(secre
     sequence = McapSequence(secret_files["dive-01"])
     for track, known in (("slam", True), ("segmentation", True), ("steering", False)):
         sequence.metadata = {**sequence.metadata, "track": track}
-        assert has_truth(sequence) == known
+        assert is_scorable(sequence) == known
     sequence.attachments = {STEERING: b"stamp_ns,yaw,pitch"}
-    assert has_truth(sequence)
+    assert is_scorable(sequence)
     sequence.metadata, sequence.counts = {**sequence.metadata, "track": "segmentation"}, {"/truth/odometry": 9}
     sequence.types = dict.fromkeys(sequence.counts, "")
-    assert not has_truth(sequence)
+    assert not is_scorable(sequence)
 
 
 def test_a_refused_publication_leaves_the_truth_that_was_released(hidden, key, tmp_path):
