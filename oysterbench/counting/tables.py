@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import math
-import unicodedata
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from oysterbench.core.errors import LabelError
+from oysterbench.core.text import composed
 from oysterbench.counting.sources import Source
 
 PICTURE = "picture"
@@ -85,18 +85,18 @@ class _Names:
     several, as in file names from macOS."""
 
     def __init__(self, sources: Sequence[Source]) -> None:
-        self._own = {_composed(one.name): one.name for one in sources}
-        self._videos = {_composed(one.name): one.name for one in sources if one.video}
-        self._whole = {_composed(one.name + one.path.suffix): one.name for one in sources if not one.video}
+        self._own = {composed(one.name): one.name for one in sources}
+        self._videos = {composed(one.name): one.name for one in sources if one.video}
+        self._whole = {composed(one.name + one.path.suffix): one.name for one in sources if not one.video}
         self._files: dict[str, list[str]] = {}
         for one in sources:
-            for called in {_composed(one.path.name), _composed(one.path.stem)}:
+            for called in {composed(one.path.name), composed(one.path.stem)}:
                 self._files.setdefault(called, []).append(one.name)
 
     def find(self, said: str, where: str) -> str | None:
         """Return the name of the source or frame that is meant; None if there is none. Raises LabelError if several
         images have that name."""
-        said = _composed(said)
+        said = composed(said)
         video, _, frame = said.rpartition("/")
         if video in self._videos and frame.isascii() and frame.isdigit():
             return f"{self._videos[video]}/{frame.lstrip('0').zfill(6)}"  # as `run.frame_name` writes it
@@ -106,10 +106,6 @@ class _Names:
         if len(same) > 1:
             raise LabelError(f"{where}: {len(same)} images are called {said!r}: expected one of {', '.join(same[:4])}")
         return same[0] if same else None
-
-
-def _composed(text: str) -> str:
-    return unicodedata.normalize("NFC", text)
 
 
 def _number(text: str, where: str) -> float:
