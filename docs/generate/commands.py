@@ -25,7 +25,9 @@ def all_commands() -> list[click.Context]:
     """Contexts of all commands of the installation, including those from entry points, in order."""
     from oysterbench.cli.main import main
 
-    return list(_below(click.Context(main, info_name="oysterbench", max_content_width=WIDTH)))
+    # With the settings of the command itself: click caches the help option by the first context it is asked with.
+    settings = {**main.context_settings, "max_content_width": WIDTH}
+    return list(_below(click.Context(main, info_name="oysterbench", **settings)))
 
 
 def _below(context: click.Context) -> Iterator[click.Context]:

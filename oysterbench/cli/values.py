@@ -16,7 +16,7 @@ def check_values(context: click.Context, command: click.Command | None, words: I
     if command is None:
         return
     options = [one for one in command.get_params(context) if isinstance(one, click.Option)]
-    names = {name for one in options for name in (*one.opts, *one.secondary_opts)}
+    names = {name for one in options for name in (*one.opts, *one.secondary_opts)} | set(context.help_option_names)
     valued = {name for one in options if not one.is_flag and not one.count for name in one.opts}
     words = iter(words)
     for word in words:

@@ -17,14 +17,14 @@ from tests.helpers.waiting import until
 
 
 def test_only_commands_that_there_are_have_a_sentence():
-    assert {*RESUMED, *BEGUN_ANEW} <= set(main.list_commands(click.Context(main)))
+    assert {*RESUMED, *BEGUN_ANEW} <= set(main.list_commands(click.Context(main, **main.context_settings)))
     assert not RESUMED.keys() & BEGUN_ANEW.keys()
 
 
 @pytest.mark.parametrize("name", sorted(RESUMED))
 def test_a_command_that_goes_on_says_so_where_it_is_interrupted(name):
     """In its help, which is where a user learns of it beforehand."""
-    command = main.get_command(click.Context(main), name)
+    command = main.get_command(click.Context(main, **main.context_settings), name)
     text = command.help if not isinstance(command, click.Group) else _help_of_first(command)
     assert any(word in text for word in ("goes on", "resume", "is kept", "finished")), text
 

@@ -35,7 +35,7 @@ def lines_of_commands(text):
 def check_command(line):
     """Fail unless each word that names a command or an option is one that there is."""
     words = shlex.split(re.split(r" {2,}#| +# |[|&>]|\.\.\.", line)[0])[1:]
-    command, context = main, click.Context(main, info_name="oysterbench")
+    command, context = main, click.Context(main, info_name="oysterbench", **main.context_settings)
     while words and isinstance(command, click.Group) and not words[0].startswith("-"):
         command = command.get_command(context, words.pop(0))
         assert command is not None, line
@@ -67,7 +67,7 @@ def test_a_command_that_there_is_not_would_be_found():
 
 def test_the_pages_name_every_command():
     text = (DOCS / "commands.md").read_text()
-    for name in main.list_commands(click.Context(main)):
+    for name in main.list_commands(click.Context(main, **main.context_settings)):
         assert f"oysterbench {name}" in text, name
 
 

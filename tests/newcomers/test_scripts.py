@@ -59,7 +59,7 @@ def test_a_script_types_commands_and_options_that_there_are(path):
     assert typed
     for words in typed:
         group: click.Command = main
-        context = click.Context(main, info_name="oysterbench")
+        context = click.Context(main, info_name="oysterbench", **main.context_settings)
         while isinstance(group, click.Group) and words:
             if words[0].startswith("-"):  # options of the group stand before the command
                 group.parse_args(click.Context(group, parent=context), list(words))
