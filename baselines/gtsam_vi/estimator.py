@@ -22,7 +22,7 @@ from oysterbench.methods import Health, LandmarkMap
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench_baselines.common.aiding import Aiding
 from oysterbench_baselines.common.filter import FLOOR, VELOCITY, InertialNoise, InvariantFilter
-from oysterbench_baselines.common.inertial import Segment, relative_rotation
+from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.common.memory import hand_back
 from oysterbench_baselines.gtsam_vi.bundle import Bundle
 from oysterbench_baselines.gtsam_vi.calibration import CameraUncertainty
@@ -36,20 +36,19 @@ from oysterbench_baselines.gtsam_vi.graph import Model, StartPrior
 from oysterbench_baselines.gtsam_vi.handover import correct_filter
 from oysterbench_baselines.gtsam_vi.health import HealthWatch
 from oysterbench_baselines.gtsam_vi.initialisation import FilterStartSettings, Initialiser, Start
-from oysterbench_baselines.gtsam_vi.keyframes import DataAssociation, is_keyframe, is_stationary, is_under_way
+from oysterbench_baselines.gtsam_vi.keyframes import (
+    DataAssociation,
+    has_turned,
+    is_keyframe,
+    is_stationary,
+    is_under_way,
+)
 from oysterbench_baselines.gtsam_vi.loops import LoopCloser
 from oysterbench_baselines.gtsam_vi.mapping import Palette, landmark_map
 from oysterbench_baselines.gtsam_vi.recovery import Recovery, grow_on
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.smoothing import smooth
-from oysterbench_baselines.gtsam_vi.states import (
-    Frame,
-    Keyframe,
-    backward,
-    forward,
-    predict_stationary,
-    state_of,
-)
+from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, backward, forward, predict_stationary, state_of
 from oysterbench_baselines.gtsam_vi.window import Window
 
 MatchSecond = Callable[[], Array]
@@ -108,8 +107,10 @@ class Estimator:
 
     @property
     def gyro_bias(self) -> Array:
-        """Latest gyro bias estimate (3,) rad/s; zero before there is one."""
-        return self.filter.gyro_bias if self._aided or self.window is not None else np.zeros(3)
+        """Latest gyro bias estimate (3,) rad/s, after a failure that from before it; zero before there is one."""
+        if self._aided or self.window is not None:
+            return self.filter.gyro_bias
+        return self._initialiser.gyro_bias
 
     def propagate(self, segment: Segment) -> None:
         """Propagate by the inertial measurements up to the next sample or frame."""
@@ -160,8 +161,7 @@ class Estimator:
         """Whether the vehicle has certainly moved or turned over a segment: an image that repeats the last one is then
         a stored one and not current."""
         limits = self.settings.frontend
-        turn = Rotation.from_matrix(relative_rotation(segment, self.gyro_bias)).magnitude()
-        if turn > 3 * self.model.gyro_turn_on * segment.duration + limits.repeat_px / self.model.rig.focal:
+        if has_turned(segment, self.gyro_bias, self.model.gyro_turn_on, limits.repeat_px / self.model.rig.focal):
             return True
         if self.window is None:
             return False
@@ -207,7 +207,7 @@ class Estimator:
         self.aiding.add_keyframe(len(self.keyframes), stamp_ns, self.filter, segment.duration)
         may_rest = bool(self.keyframes) and not (self.navigating and is_under_way(self.filter, self.settings))
         stationary = may_rest and is_stationary(
-            self.keyframes[-1].observations, observations, segment.duration, self.model.rig, self.settings
+            self.keyframes[-1].observations, observations, segment, self.gyro_bias, self.model
         )
         self.keyframes.append(Keyframe(len(self.keyframes), stamp_ns, observations, segment, stationary))
 
@@ -246,7 +246,7 @@ class Estimator:
     def _pass_over(self) -> None:
         """Begin anew at a keyframe before which inertial samples are missing: no factor knows of that time."""
         self.info["imu_gaps"] = int(self.info.get("imu_gaps", 0)) + 1
-        self.keyframes[-1].trusted = False
+        self.keyframes[-1].lost = True
         self._initialiser.first = self.keyframes[-1].index
         if self._recovery.has_begun:
             self._restart()

@@ -63,6 +63,7 @@ class Model:
         self.rig = CameraRig(cameras, imu, uncertainty)
         self.aiding = aiding or Aiding()
         self.params = preintegration_params(imu, settings.noise)
+        self.blind_params = preintegration_params(imu, settings.noise, settings.noise.warming_s)
         self.start_prior: dict[int, StartPrior] = {}
         self._speeds, self._squares = 0, 0.0  # number of measured speeds, and the sum of their squares
         # A file may state that the IMU has no turn-on bias; a little is assumed, for what its model leaves out.
@@ -72,8 +73,10 @@ class Model:
     def inertial(
         self, previous: Keyframe, keyframe: Keyframe, bias: gtsam.imuBias.ConstantBias
     ) -> gtsam.NonlinearFactor:
-        """Inertial factor between the states of two keyframes, preintegrated at a bias."""
-        factor = inertial_factor(keyframe.index - 1, keyframe.index, keyframe.segment, bias, self.params)
+        """Inertial factor between the states of two keyframes, preintegrated at a bias. Over a time without sight, only
+        what is assumed of the drift of the biases counts."""
+        params = self.blind_params if keyframe.blind else self.params
+        factor = inertial_factor(keyframe.index - 1, keyframe.index, keyframe.segment, bias, params)
         if not self.rig.clock_is_free:
             return factor
         after = keyframe.rates
@@ -98,9 +101,10 @@ class Model:
         state: State,
         bias: gtsam.imuBias.ConstantBias,
     ) -> list[gtsam.NonlinearFactor]:
-        """All factors that tie a keyframe to the one before it, given the states of both."""
+        """All factors that tie a keyframe to the one before it, given the states of both: loosely where the estimator
+        went astray or inertial measurements are missing. While it is lost, they still say how the vehicle moves."""
         k, settings = keyframe.index, self.settings
-        if keyframe.trusted:
+        if not (keyframe.segment.has_gap or keyframe.astray):
             drag = [self.drag(keyframe)] if keyframe.blind else []
             return [self.inertial(previous, keyframe, bias), *drag, *keyframe.aiding]
         time = max(keyframe.segment.duration, settings.keyframes.min_s)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
+from oysterbench.core.geometry import Array
 from oysterbench_baselines.common.filter import InvariantFilter
 from oysterbench_baselines.gtsam_vi.bundle import Bundle, adjust
 from oysterbench_baselines.gtsam_vi.closed_form import closed_form_start
@@ -60,6 +62,11 @@ class Initialiser:
         self._filter_start = filter_start or FilterStartSettings()
         self._next_attempt_s = 0.0
         self._pause_s = model.settings.initialisation.retry_s
+
+    @property
+    def gyro_bias(self) -> Array:
+        """Gyro bias (3,) rad/s from before the loss; zero where there is none."""
+        return np.zeros(3) if self.anchor is None else np.asarray(self.anchor.state.bias.gyroscope())
 
     def from_observations(self, keyframes: list[Keyframe], final: bool) -> Start | None:
         """Find a start from tracks and inertial measurements, if its scale is well determined; final: last attempt."""
@@ -151,8 +158,9 @@ class Initialiser:
         assert self.anchor is not None
         limits, passed = self.model.settings.recovery, keyframes[self.first + 1 : to.index + 1]
         state = coast_through(self.anchor.state, passed, limits.memory_s)
-        for keyframe in passed:
-            keyframe.trusted = False
+        for before, keyframe in pairwise(keyframes[self.first : to.index + 1]):
+            before.distrust_sight()
+            keyframe.lost = True
         time = (to.stamp_ns - keyframes[self.first].stamp_ns) * 1e-9
         turn_on, gap_s = self.model.gyro_turn_on, time_missing(keyframe.segment for keyframe in passed)
         covariance = grown_covariance(self.anchor.covariance, time, limits, turn_on, gap_s)

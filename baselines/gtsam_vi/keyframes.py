@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array
 from oysterbench_baselines.common.filter import VELOCITY, InvariantFilter
@@ -11,6 +12,7 @@ from oysterbench_baselines.common.inertial import Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.cameras import CameraRig
 from oysterbench_baselines.gtsam_vi.flow import homogeneous
 from oysterbench_baselines.gtsam_vi.frontend import Observations
+from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 
 
@@ -84,16 +86,18 @@ def parallax(before: Array, after: Array, R_before_after: Array) -> float:
     return float(np.median(np.linalg.norm(flow, axis=1)))
 
 
-def is_stationary(
-    before: Observations, after: Observations, duration: float, rig: CameraRig, settings: GtsamViSettings
-) -> bool:
-    """Zero-velocity detection: whether the image has not moved in `duration` s.
+def is_stationary(before: Observations, after: Observations, segment: Segment, gyro_bias: Array, model: Model) -> bool:
+    """Zero-velocity detection: whether neither image nor gyroscope has moved over a segment.
 
-    Judged by the affine flow that fits all tracks: their own noise averages out in it, and motion in any direction
-    or about any axis shows.
+    The image is judged by the affine flow that fits all tracks: their own noise averages out in it, and motion in any
+    direction or about any axis shows. Where nothing but silt, a veil or the port is visible, it stands still while the
+    vehicle turns.
     """
+    rig, settings = model.rig, model.settings
     shared, in_before, in_after = np.intersect1d(before.ids, after.ids, assume_unique=True, return_indices=True)
-    if len(shared) < settings.initialisation.min_tracks or duration < settings.zero_velocity.min_s:
+    if len(shared) < settings.initialisation.min_tracks or segment.duration < settings.zero_velocity.min_s:
+        return False
+    if has_turned(segment, gyro_bias, model.gyro_turn_on, settings.zero_velocity.flow_px / rig.focal):
         return False
     flow = (after.rays[in_after] - before.rays[in_before]) * rig.focal
     length = np.linalg.norm(flow, axis=1)
@@ -101,6 +105,13 @@ def is_stationary(
     places = homogeneous(before.rays[in_before][calm])
     fit = places @ np.linalg.lstsq(places, flow[calm], rcond=None)[0]
     return float(np.sqrt(np.mean(np.sum(fit**2, axis=1)))) < settings.zero_velocity.flow_px
+
+
+def has_turned(segment: Segment, gyro_bias: Array, bias_sigma: float, least: float) -> bool:
+    """Whether the vehicle has certainly turned by more than `least` rad over a segment; bias_sigma: of the gyro bias,
+    rad/s."""
+    turn = Rotation.from_matrix(relative_rotation(segment, gyro_bias)).magnitude()
+    return bool(turn > 3 * bias_sigma * segment.duration + least)
 
 
 def is_under_way(filter: InvariantFilter, settings: GtsamViSettings) -> bool:

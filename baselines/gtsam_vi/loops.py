@@ -156,7 +156,7 @@ class LoopCloser:
         duration = (after.stamp_ns - before.stamp_ns) * 1e-9
         between = keyframes[before.index + 1 : after.index + 1]
         blind = sum(k.segment.duration for k in between if len(k.observations.ids) < settings.recognition.min_landmarks)
-        lost = sum(k.segment.duration for k in between if not k.trusted)
+        lost = sum(k.segment.duration for k in between if k.lost)
         heading = settings.loops.drift_heading**2 * duration + (settings.recovery.unknown_rate * lost) ** 2
         position = settings.loops.drift_position**2 * (distance + 0.01 * duration)
         position += (settings.loops.drift_blind * (blind + blind**2)) ** 2 + (

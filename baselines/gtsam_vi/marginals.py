@@ -19,6 +19,7 @@ import gtsam
 import numpy as np
 
 from oysterbench.core.geometry import Array
+from oysterbench_baselines.gtsam_vi.elimination import Cholesky, Elimination
 from oysterbench_baselines.gtsam_vi.graph import nested_dissection
 
 
@@ -43,10 +44,13 @@ def marginal_covariances(
 
 
 def marginals_of(
-    linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, keys: Collection[int]
+    linear: gtsam.GaussianFactorGraph,
+    ordering: gtsam.Ordering,
+    keys: Collection[int],
+    elimination: Elimination = Cholesky,
 ) -> dict[int, Array]:
     """Covariances as in `marginal_covariances`, of a linear graph eliminated in this order."""
-    wanted, net = set(keys), linear.eliminateSequential(ordering)
+    wanted, net = set(keys), elimination.all(linear, ordering)
     # From the first eliminated to the last: a variable is the child of the first of its parents. Variables that are not
     # asked for and have no such children, as most landmarks, are left out.
     conditionals, widths, children = dict[int, gtsam.GaussianConditional](), dict[int, int](), dict[int, list[int]]()

@@ -12,15 +12,16 @@ frames.)
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import TypeVar
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import X
+from gtsam.symbol_shorthand import L, X
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
@@ -34,14 +35,20 @@ from oysterbench_baselines.gtsam_vi.bundle import (
     values_of,
 )
 from oysterbench_baselines.gtsam_vi.cameras import CameraRig
+from oysterbench_baselines.gtsam_vi.elimination import Cholesky, Elimination, Orthogonal
 from oysterbench_baselines.gtsam_vi.graph import Model, nested_dissection
 from oysterbench_baselines.gtsam_vi.marginals import marginals_of
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, read_state
+from oysterbench_baselines.gtsam_vi.steps import Steps, apply_steps
+
+T = TypeVar("T")
 
 TOLERANCE = 1e-4
 """Share of the error by which it falls at least, or the adjustment ends."""
 HALVINGS = 3
 """Number of times that a step which does not reduce the error is halved before it is given up."""
+LOOSE, UNIT = np.eye(3) * 1e-3, gtsam.noiseModel.Unit.Create(3)
+"""Root information, 1/m, by which a landmark is held where it is: to a kilometre."""
 KEPT_VIEWS = 300_000
 """Number of views of a path up to which its factors are kept from one step to the next: 60 MB, twenty minutes with one
 camera. Those of a longer path are rebuilt."""
@@ -149,6 +156,16 @@ class Piecewise:
         """Linearise all pieces at values."""
         return PiecewiseSystem(self, values, times)
 
+    def moved(self, values: gtsam.Values, steps: Steps) -> gtsam.Values:
+        """Apply steps of all variables to values."""
+        return apply_steps(values, steps, [keyframe.index for keyframe in self.keyframes], self.ids, self._seen)
+
+    @cached_property
+    def _seen(self) -> NDArray[np.intp]:
+        """Positions (L,) in the list of the keyframes that first saw the landmarks."""
+        tracks, first = np.unique(self.views.track, return_index=True)
+        return self.views.row[first][np.searchsorted(tracks, self.ids)]
+
 
 class PiecewiseSystem:
     """The linearised system of a piecewise path, of which no more than one piece is held at a time.
@@ -158,37 +175,56 @@ class PiecewiseSystem:
 
     def __init__(self, path: Piecewise, values: gtsam.Values, times: float = 1.0) -> None:
         self._path, self.values, self._times = path, values, times
-        self.error = 0.0
-        count = len(path.parts)
         self._shared = path.shared
+        self._elimination: Elimination = Cholesky
         self._messages: list[gtsam.GaussianFactorGraph] = []
-        for p in range(count):
-            graph = path.graph(p, times)
-            self.error += graph.error(values)
-            linear = graph.linearize(values)
-            self._messages.append(linear.eliminatePartialMultifrontal(path.order(p, linear))[1])
+        self.error = sum(path.graph(p, times).error(values) for p in range(len(path.parts)))
+        self._solved(lambda: None)
 
-    def step(self) -> gtsam.Values:
-        """Values after one Gauss-Newton step."""
-        moved = gtsam.Values(self.values)
-        for p in range(len(self._messages)):
-            linear, ordering = self._piece(p)
-            step = linear.optimize(ordering)
-            moved.insert_or_assign(self.values.extract(list(linear.keyVector())).retract(step))
-        return moved
+    def steps(self) -> Steps:
+        """The Gauss-Newton step of every variable."""
+        return self._solved(self._steps)
 
     def pose_covariances(self) -> dict[int, Array]:
         """Covariance (6, 6) of the pose of every keyframe, in its tangent, by key."""
+        return self._solved(self._pose_covariances)
+
+    def _solved(self, work: Callable[[], T]) -> T:
+        """Do work with all messages there; where Cholesky decomposition fails, again with those of QR decomposition."""
+        try:
+            if not self._messages:
+                self._messages = [self._message(p) for p in range(len(self._path.parts))]
+            return work()
+        except RuntimeError:
+            if self._elimination is Orthogonal:
+                raise
+        self._elimination, self._messages = Orthogonal, []
+        return self._solved(work)
+
+    def _message(self, piece: int) -> gtsam.GaussianFactorGraph:
+        linear = self._linear(piece)
+        return self._elimination.some(linear, self._path.order(piece, linear))
+
+    def _steps(self) -> Steps:
+        found = dict[int, Array]()
+        for p in range(len(self._messages)):
+            linear, ordering = self._piece(p)
+            step = self._elimination.all(linear, ordering).optimize()
+            found |= {key: step.at(key) for key in linear.keyVector()}
+        return found
+
+    def _pose_covariances(self) -> dict[int, Array]:
         found = dict[int, Array]()
         for p, part in enumerate(self._path.parts):
             linear, ordering = self._piece(p)
-            found |= marginals_of(linear, ordering, [X(self._path.keyframes[n].index) for n in part])
+            keys = [X(self._path.keyframes[n].index) for n in part]
+            found |= marginals_of(linear, ordering, keys, self._elimination)
             hand_back()
         return found
 
     def _piece(self, piece: int) -> tuple[gtsam.GaussianFactorGraph, gtsam.Ordering]:
         """A piece's own factors with what all others say about its shared variables; an elimination order."""
-        linear, shared = self._path.graph(piece, self._times).linearize(self.values), self._shared[piece]
+        linear, shared = self._linear(piece), self._shared[piece]
         ordering = self._path.order(piece, linear)
         outside = self._outside(piece)
         for n in range(outside.size()):
@@ -196,6 +232,15 @@ class PiecewiseSystem:
         for key in shared:
             ordering.push_back(key)
         return linear, ordering
+
+    def _linear(self, piece: int) -> gtsam.GaussianFactorGraph:
+        """A piece's own factors, linearised. Its landmarks are held loosely where they are: after a bold step all views
+        of one may have it behind them, and say nothing about it."""
+        path = self._path
+        linear = path.graph(piece, self._times).linearize(self.values)
+        for landmark in path.ids[path.owner == piece].tolist():
+            linear.push_back(gtsam.JacobianFactor(L(landmark), LOOSE, np.zeros(3), UNIT))
+        return linear
 
     def _outside(self, piece: int) -> gtsam.GaussianFactorGraph:
         """What all other pieces say about the variables that a piece shares, as factors."""
@@ -209,7 +254,7 @@ class PiecewiseSystem:
         own = gtsam.Ordering()
         for n in range(constrained.size() - len(shared)):
             own.push_back(constrained.at(n))
-        return others.eliminatePartialMultifrontal(own)[1] if own.size() else others
+        return self._elimination.some(others, own) if own.size() else others
 
 
 def _shared(keys: Iterable[set[int]]) -> list[list[int]]:
@@ -257,13 +302,12 @@ def _system(path: Piecewise, values: gtsam.Values) -> PiecewiseSystem | None:
 def _optimise(path: Piecewise, iterations: int) -> gtsam.Values:
     best = path.system(path.values())
     for _ in range(iterations):
-        stepped = best.step()
+        steps = best.steps()
         for _ in range(HALVINGS):
-            system = _system(path, stepped)
+            system = _system(path, path.moved(best.values, steps))
             if system is not None and system.error < best.error:
                 break
-            off = best.values.localCoordinates(stepped)
-            stepped = best.values.retract(off.scale(0.5))
+            steps = {key: 0.5 * step for key, step in steps.items()}
         else:
             break
         assert system is not None  # the loop was left for it

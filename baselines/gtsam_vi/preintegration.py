@@ -15,8 +15,13 @@ from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.settings import NoiseSettings
 
 
-def preintegration_params(calibration: ImuCalibration, settings: NoiseSettings) -> gtsam.PreintegrationCombinedParams:
+def preintegration_params(
+    calibration: ImuCalibration, settings: NoiseSettings, warming_s: float = 1.0
+) -> gtsam.PreintegrationCombinedParams:
     """IMU noise as GTSAM requires it: continuous-time variances, every one of them set (z of the world up).
+
+    warming_s: time over which its warming goes on alike. It drifts by rate times time, and a random walk that is to
+    reach as far in that time has a density of the rate times its root.
 
     The states are those of the IMU itself, not of base_link: GTSAM's `body_P_sensor` leaves the tangential
     acceleration of the lever arm out.
@@ -26,8 +31,10 @@ def preintegration_params(calibration: ImuCalibration, settings: NoiseSettings) 
     # A file may say zero; a zero variance makes the factor singular.
     gyro = max(calibration.gyro_noise_density, 1e-5) * settings.imu_inflation
     accel = max(calibration.accel_noise_density, 1e-4) * settings.imu_inflation
-    gyro_walk = math.hypot(calibration.gyro_random_walk * settings.bias_inflation, GYRO_WARMING)
-    accel_walk = math.hypot(calibration.accel_random_walk * settings.bias_inflation, ACCEL_WARMING)
+    gyro_walk = math.hypot(calibration.gyro_random_walk * settings.bias_inflation, math.sqrt(warming_s) * GYRO_WARMING)
+    accel_walk = math.hypot(
+        calibration.accel_random_walk * settings.bias_inflation, math.sqrt(warming_s) * ACCEL_WARMING
+    )
     params.setGyroscopeCovariance(eye * gyro**2)
     params.setAccelerometerCovariance(eye * accel**2)
     params.setIntegrationCovariance(eye * settings.integration_sigma**2)

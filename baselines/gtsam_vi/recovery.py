@@ -60,11 +60,16 @@ class Recovery:
         return False
 
     def distrust(self, keyframes: list[Keyframe], frames: list[Frame]) -> None:
-        """Exclude the measurements since the last good keyframe from the final smoothing."""
+        """Exclude what was seen since the last good keyframe from the final smoothing, but by the last keyframe, from
+        which a new start is searched for."""
         assert self._good is not None  # set since the window started
         good = self._good[0]
         for keyframe in keyframes[good + 1 :]:
-            keyframe.trusted = False
+            keyframe.lost = True
+        if len(keyframes) > good + 1:
+            keyframes[good + 1].astray = True
+        for keyframe in keyframes[good + 1 : -1]:
+            keyframe.distrust_sight()
         for frame in frames:
             if frame.keyframe > good:
                 frame.health = Health.COASTING

@@ -86,6 +86,7 @@ class NoiseSettings:
     huber: float = 1.3  # sigmas; beyond, a residual counts linearly
     imu_inflation: float = 1.25  # on the densities of the data sheet: interpolation, vibration, scale errors
     bias_inflation: float = 2.0  # on the random walks
+    warming_s: float = 5.0  # for which an IMU warms alike, where nothing is seen that corrects its biases
     integration_sigma: float = 1e-4  # m/s/sqrt(s): error of the integration itself; keeps covariances regular
 
 

@@ -42,7 +42,7 @@ def smooth(model: Model, keyframes: list[Keyframe], frames: list[Frame]) -> Smoo
     given, gates = [keyframe.estimate for keyframe in keyframes], (3 * gate, gate)
     parts = parts_of(len(keyframes), settings.smoothing.piece_keyframes)
     pieces = None
-    if len(parts) == 1:
+    if len(parts) == 1 and not any(keyframe.lost for keyframe in keyframes):
         bundle = adjust(model, keyframes, given, gates, views)
     else:
         bundle, pieces = adjust_piecewise(model, keyframes, given, gates, views, parts)

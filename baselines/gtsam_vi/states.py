@@ -52,7 +52,8 @@ class Keyframe:
     other sensors, on its state, that of the keyframe before it and shared variables, or of loops, on its state and an
     earlier one.
 
-    trusted: False where the measurements that lead to it have led the estimator astray. blind: whether it saw next to
+    lost: whether the estimator was lost on the way to it. astray: whether that is where it got lost, so that the state
+    before it is doubtful. blind: whether it saw next to
     nothing, and nothing else measured its velocity.
     """
 
@@ -63,7 +64,8 @@ class Keyframe:
     stationary: bool
     state: State | None = None
     aiding: list[gtsam.NonlinearFactor] = field(default_factory=list)
-    trusted: bool = True
+    lost: bool = False
+    astray: bool = False
     blind: bool = False
 
     def distrust_sight(self) -> None:
