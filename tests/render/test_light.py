@@ -188,6 +188,15 @@ def test_shadows_are_sharp_in_clear_water_and_soft_where_sunlight_is_scattered()
     assert 0.2 < moved[1] < moved[2]
 
 
+@pytest.mark.parametrize("kind", ["I", "IA", "pure"])
+def test_the_clearest_water_shows_the_reef_in_slanting_sunlight(kind):
+    """Its sunlight comes from one direction: a fan so narrow that rounding decides the sign of its sine squared."""
+    water = {"jerlov": None, "type": kind}
+    recipe = small_reef({"oysters": 0, "stones": 0}, water=water, light={"sun_elevation_deg": 50.0})
+    renderer = renderer_of(recipe, dataclasses.replace(CAMERA, width=32, height=24))
+    assert renderer.layers(down(0.6), ["radiance"])["radiance"].min() > 0.01
+
+
 @pytest.mark.slow
 def test_caustics_do_not_repeat_over_the_reef():
     recipe = small_reef({**FLAT, "size_m": 20.0}, {"jerlov": "I"}, {"wind_m_s": 4.0})
