@@ -17,6 +17,7 @@ SMOOTHING_S = 0.5
 """Standard deviation in time of the Gaussian that rounds off corners: the delay of thrusters and hull. As a mean over
 time it makes nothing faster, and shifts nothing farther than 0.4 of it times the change of velocity."""
 
+DEGREE = 5  # of the splines
 REACH = 4.0  # truncation of the Gaussian, in standard deviations
 
 
@@ -104,7 +105,8 @@ def smooth(times: Array, states: Array, end: float) -> BSpline:
     Before its first state the path is extended backwards along its first leg, so that smoothing leaves its start.
     """
     lead = int(np.ceil(REACH * SMOOTHING_S / KNOT_S))
-    steps = np.arange(-lead, int(np.ceil(end / KNOT_S)) + lead + 2)
+    knots = max(int(np.ceil(end / KNOT_S)) + 2, DEGREE + 1)  # at rest, no time passes along the path
+    steps = np.arange(-lead, knots + lead)
     grid = steps * KNOT_S
     values = np.column_stack([np.interp(grid, times, column) for column in states.T])
     if len(times) > 1:
@@ -112,7 +114,7 @@ def smooth(times: Array, states: Array, end: float) -> BSpline:
         values += np.minimum(grid, 0.0)[:, None] * slope
     values = gaussian_filter1d(values, SMOOTHING_S / KNOT_S, axis=0, mode="nearest", truncate=REACH)
     inner = steps >= 0
-    return make_interp_spline(grid[inner][: -lead or None], values[inner][: -lead or None], k=5)
+    return make_interp_spline(grid[inner][: -lead or None], values[inner][: -lead or None], k=DEGREE)
 
 
 def ramp(times: Array, ramp_s: float) -> Array:
