@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
 POSITION_STEP_M = 2.0**-20
@@ -31,6 +31,19 @@ class Mesh:
     def hull(self) -> NDArray[np.int64]:
         """Indices of the vertices of the convex hull."""
         return np.sort(ConvexHull(self.vertices.astype(float)).vertices).astype(np.int64)
+
+    def encloses(self, point: ArrayLike) -> bool:
+        """Whether a point (3,) lies inside one of the closed solids of a mesh.
+
+        Sum of the solid angles of the triangles (Van Oosterom & Strackee, IEEE Trans. Biomed. Eng. 30, 1983): 4 pi for
+        each solid that encloses the point, and 0 otherwise.
+        """
+        corners = self.vertices[self.faces] - np.asarray(point, dtype=float)  # (F, 3, 3)
+        a, b, c = np.moveaxis(corners, 1, 0)
+        x, y, z = np.linalg.norm(corners, axis=2).T
+        volume = np.einsum("ni,ni->n", a, np.cross(b, c))
+        rest = x * y * z + (a * b).sum(1) * z + (b * c).sum(1) * x + (c * a).sum(1) * y
+        return bool(np.arctan2(volume, rest).sum() > np.pi)  # halves of the angles
 
 
 def round_positions(positions: NDArray[np.float64]) -> NDArray[np.float32]:

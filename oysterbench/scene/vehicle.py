@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from oysterbench.core.errors import RecipeError
 from oysterbench.recipe import RigRecipe
 from oysterbench.scene.mesh import Mesh, join_meshes
 from oysterbench.scene.solids import bent_tube, dome, plate, ring, rounded_box, tube
@@ -26,6 +27,7 @@ DUCT_RADIUS_M, DUCT_LENGTH_M = 0.048, 0.05
 LEVEL_THRUSTERS = ((0.13, 0.10, 45), (0.13, -0.10, -45), (-0.13, 0.10, -45), (-0.13, -0.10, 45))  # x, y, heading deg
 UPRIGHT_THRUSTERS = ((0.0, 0.115), (0.0, -0.115))
 LAMPS_Y_M = (-0.12, 0.12)
+AHEAD_M = (0.245, 0.0, 0.03)  # of a camera at the bow
 
 
 def build_vehicle(rig: RigRecipe, with_tether: bool = True) -> Mesh | None:
@@ -38,6 +40,17 @@ def build_vehicle(rig: RigRecipe, with_tether: bool = True) -> Mesh | None:
         return None
     tether = _tether() if with_tether else []
     return join_meshes([*_frame(), *_floats(), *_tubes(), *_thrusters(), *_lamps(), *tether])
+
+
+def check_cameras(rig: RigRecipe, where: str) -> None:
+    """Raise RecipeError, which starts with `where`, for a camera inside the rig's body: it would see nothing else."""
+    body = build_vehicle(rig, with_tether=False)
+    for camera in rig.camera:
+        if body is not None and body.encloses(camera.position_m):
+            raise RecipeError(
+                f"{where}: camera {camera.name}: key 'camera.position_m': expected a place outside the body of "
+                f"vehicle = {rig.vehicle!r}, such as {list(AHEAD_M)} ahead of its bow, got {list(camera.position_m)}"
+            )
 
 
 def _frame() -> list[Mesh]:

@@ -16,6 +16,7 @@ from oysterbench.render.rays import RayCaster
 from oysterbench.scene.life import Life, build_life
 from oysterbench.scene.path import Path, build_path
 from oysterbench.scene.plumes import Plumes, build_plumes
+from oysterbench.scene.vehicle import check_cameras
 from oysterbench.scene.world import World, build_world
 from oysterbench.sensors.registry import calibrate_rig
 from oysterbench.sensors.uncertainty import RigCalibration
@@ -99,12 +100,11 @@ def forget_sequence() -> None:
 
 def _build(split: SplitRecipe, stated: SequenceRecipe, salt: bytes, device: str) -> SimulatedSequence:
     streams = split.streams_of(stated, salt)
-    recipe = draw(
-        stated,
-        lambda key: float(streams.generator("drawn", key).random()),
-        f"split {split.name}: sequence {stated.name}",
-    )
+    where = f"split {split.name}: sequence {stated.name}"
+    recipe = draw(stated, lambda key: float(streams.generator("drawn", key).random()), where)
+    rig = split.rig_of(recipe)
+    check_cameras(rig, where)
     world = build_world(recipe, streams)
     path = build_path(recipe, world.ground_height, world.obstacle_height, streams)
     life = build_life(recipe, world, path, streams)
-    return SimulatedSequence(split.rig_of(recipe), recipe, world, path, streams, device, life)
+    return SimulatedSequence(rig, recipe, world, path, streams, device, life)

@@ -224,9 +224,11 @@ def test_an_inspection_hovers_close_to_each_spot_and_looks_at_it_from_all_sides(
 
 
 @pytest.mark.parametrize("kind", KEYS)
-@pytest.mark.parametrize("rest", [{"rest_s": 5.0}, {"rest_s": 60.0, "hand_flown": 1.0}, {"rest_s": 4.5, "ramp_s": 30.0}])
+@pytest.mark.parametrize(
+    "rest", [{"rest_s": 5.0}, {"rest_s": 60.0, "hand_flown": 1.0}, {"rest_s": 4.5, "ramp_s": 30.0}]
+)
 def test_a_dive_may_be_all_rest(kind, rest):
-    times, position, attitude = sampled(make(kind, 5.0, **rest))
+    _, position, attitude = sampled(make(kind, 5.0, **rest))
     start = make(kind, 60.0, **CALM).position(0.0)
     assert np.linalg.norm(position - start, axis=1).max() < 1e-3
     assert np.ptp(attitude, axis=0).max() < 1e-3
