@@ -51,6 +51,9 @@ DISTORTIONS = {"plumb_bob": (4, 5), "equidistant": (4,)}
 LONGEST_OFFSET_S = 2.0**31
 """Greatest offset of a camera's stamps, s: that of a clock from power-on, where another counts from 1970, and more."""
 
+LONGEST_READOUT_S = 1.0
+"""Longest readout of a rolling shutter: slow sensors take a tenth of it."""
+
 
 @dataclass(frozen=True)
 class CameraCalibration:
@@ -251,6 +254,8 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
             )
         if abs(found.time_offset_s) > LONGEST_OFFSET_S:
             raise ValueError(f"expected a time offset of at most {LONGEST_OFFSET_S:g} s, got {found.time_offset_s:g}")
+        if not 0 <= found.readout_s <= LONGEST_READOUT_S:
+            raise ValueError(f"readout_s: expected 0 to {LONGEST_READOUT_S:g} s, got {found.readout_s:g}")
         return found
 
     def error_model(self, recipe: CameraRecipe, entry: Mapping[str, Any], quality: Quality) -> ErrorModel:

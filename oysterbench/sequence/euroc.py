@@ -219,6 +219,7 @@ def _camera(settings: Mapping[str, str]) -> CameraCalibration:
             "distortion": _coefficients(settings, lens),
             "T_base_cam": _pose(settings),
             "time_offset_s": 0.0 - _scalar(settings, "timeshift_cam_imu", 0.0),
+            "readout_s": _scalar(settings, "readout_s", 0.0),
             "distortion_model": LENSES[lens],
         }
     )

@@ -70,6 +70,7 @@ def test_a_camera_without_distortion_needs_no_coefficients(folder, coefficients)
         ("[32, 24]", "[32]", "resolution: expected 2 finite numbers"),
         ("resolution:", "size:", "missing key 'resolution'"),
         ("rate_hz: 20", "rate_hz: 20\ntimeshift_cam_imu: 1e300", "expected a time offset of at most"),
+        ("rate_hz: 20", "rate_hz: 20\nreadout_s: 1e300", "readout_s: expected 0 to 1 s, got 1e\\+300"),
     ],
 )
 def test_a_calibration_that_is_not_supported_is_refused(folder, old, new, message):

@@ -28,7 +28,7 @@ TRUTH_HEADER = (
     "b_w_RS_S_z [rad s^-1],b_a_RS_S_x [m s^-2],b_a_RS_S_y [m s^-2],b_a_RS_S_z [m s^-2]"
 )
 OWN = (
-    "mav0/*/sensor.yaml have the same; gravity and timeshift_cam_imu in them are not of the layout.",
+    "mav0/*/sensor.yaml have the same; gravity, timeshift_cam_imu and readout_s in them are not of the layout.",
     "camchain-imucam.yaml and imu.yaml are Kalibr's. Stamps are in ns.",
 )
 DISTORTION_MODELS = {"plumb_bob": "radial-tangential", "equidistant": "equidistant"}
@@ -83,6 +83,7 @@ def _camera_yaml(name: str, camera: CameraCalibration, T_imu_cam: Array) -> list
         f"distortion_model: {DISTORTION_MODELS[camera.distortion_model]}",
         f"distortion_coefficients: {numbers(coefficients)}",
         f"timeshift_cam_imu: {number(0.0 - camera.time_offset_s)}",  # not part of the layout: Kalibr's
+        *([f"readout_s: {number(camera.readout_s)}"] if camera.readout_s else []),  # nor is this
     ]
 
 

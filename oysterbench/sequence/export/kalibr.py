@@ -35,6 +35,9 @@ def write_calibration(sequence: Sequence, folder: Path, image_topics: Iterable[s
             notes.append(f"{name}: Kalibr's radtan has no k3: its {camera.distortion[4]:g} was left out")
         lines += [f"cam{index}:", *(f"  {line}" for line in _camera(sequence, camera, previous))]
         lines += [f"  rostopic: {topic}", f"  timeshift_cam_imu: {number(0.0 - camera.time_offset_s)}"]
+        if camera.readout_s:  # as kalibr_calibrate_rs_cameras writes it
+            lines += ["  # s from one row to the next; stamps are those of the middle row, not of the first"]
+            lines += [f"  line_delay: {number(camera.readout_s / camera.height)}"]
         previous = camera.T_base_cam
     write_lines(folder / "camchain-imucam.yaml", lines)
     unit = sequence.imu_calibration

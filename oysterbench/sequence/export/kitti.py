@@ -27,7 +27,7 @@ from oysterbench.sequence.export.parts import (
     write_lines,
     write_png,
 )
-from oysterbench.sequence.export.readme import README, head, truth_line
+from oysterbench.sequence.export.readme import README, head, shutter_lines, truth_line
 from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.types import Sequence
 
@@ -95,6 +95,7 @@ def _about(sequence: Sequence, pair: list[str], matrix: Array, first_ns: int, tr
         *lines,
         "calib.txt: P0 to P3 project from image_0's frame; Tr takes points of base_link into it, as there is no laser.",
         "The images were undistorted, and those of a pair rectified: they have no distortion left.",
+        *(f"{name}, as taken: {line}" for name in pair for line in shutter_lines(sequence.cameras[name])),
         f"times.txt is in s from the first image, whose stamp is {first_ns} ns; the layout has no IMU.",
         truth_line(truth, "poses/00.txt"),
     ]

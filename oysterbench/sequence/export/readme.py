@@ -82,6 +82,18 @@ def camera_lines(label: str, name: str, camera: CameraCalibration, T_imu_cam: Ar
         f"  timeshift_cam_imu is {number(0.0 - camera.time_offset_s)}, with t_imu = t_cam + timeshift",
         "  T_imu_cam, which takes points of the camera into the IMU (T_BS, where the body is the IMU):",
         *("    " + " ".join(f"{value: .9f}" for value in row) for row in T_imu_cam),
+        *(f"  {line}" for line in shutter_lines(camera)),
+    ]
+
+
+def shutter_lines(camera: CameraCalibration) -> list[str]:
+    """Lines on a rolling shutter: how long it takes, and which row stamps belong to; none for a global shutter."""
+    if not camera.readout_s:
+        return []
+    whole_s, every_s = (number(time_s) for time_s in (camera.readout_s, camera.readout_s / camera.height))
+    return [
+        f"rolling shutter: {camera.height} rows are read in {whole_s} s (readout_s), the top one first,",
+        f"one every {every_s} s (Kalibr's line_delay); stamps are those of the middle row",
     ]
 
 

@@ -122,6 +122,25 @@ def test_a_folder_says_how_late_the_stamps_of_a_camera_are(late_s, said, sequenc
     assert any(said in line for line in camera_lines("cam0", "cam_left", late, np.eye(4)))
 
 
+@pytest.mark.parametrize("form", ["euroc", "kalibr", "kitti", "rosbag", "tum"])
+def test_every_layout_says_how_long_a_rolling_shutter_reads(form, sequence, folders, dive_file, tmp_path, monkeypatch):
+    rolling = oysterbench.open(dive_file)
+    cameras = {name: replace(camera, readout_s=0.024) for name, camera in sequence.cameras.items()}
+    monkeypatch.setattr(rolling, "cameras", cameras)
+    folder, _ = export_sequence(rolling, form, tmp_path / "out")
+    text = (folder / "README.txt").read_text()
+    assert "48 rows are read in 0.024 s (readout_s)" in text
+    assert "one every 0.0005 s (Kalibr's line_delay); stamps are those of the middle row" in text
+    assert "rolling" not in (folders[form] / "README.txt").read_text()
+    if form in ("euroc", "kalibr", "rosbag"):
+        chain = yaml.safe_load((folder / "camchain-imucam.yaml").read_text())
+        assert [camera["line_delay"] for camera in chain.values()] == [0.0005, 0.0005]
+        assert "line_delay" not in (folders[form] / "camchain-imucam.yaml").read_text()
+    if form == "euroc":
+        assert oysterbench.open(folder).cameras["cam0"].readout_s == 0.024
+        assert oysterbench.open(folders[form]).cameras["cam0"].readout_s == 0.0
+
+
 def test_euroc_has_kalibrs_files_for_its_cameras(sequence, folders):
     chain = yaml.safe_load((folders["euroc"] / "camchain-imucam.yaml").read_text())
     for cam in ("cam0", "cam1"):
