@@ -136,8 +136,9 @@ def upload_optics(
     optics = Optics()
     optics.sun_direction = wp.vec3(*light.sun_direction.tolist())
     optics.fan = wp.array(fan, dtype=wp.vec3, device=device)
-    # In the clearest water the fan is as narrow as its rounded directions, whose sine^2 may fall below 0.
-    optics.spread = round(float(np.sqrt(max(np.mean(1.0 - (fan @ light.sun_direction) ** 2), 0.0))), 6)
+    # In the clearest water the fan is so narrow that rounding alone may bring 1 - cos^2 below 0.
+    square = float(np.mean(1.0 - (fan @ light.sun_direction) ** 2))
+    optics.spread = round(float(np.sqrt(max(square, 0.0))), 6)
     optics.sun, optics.sky, optics.bounce = light.sun * daylight, light.sky * daylight, CLEAR_BOUNCE * daylight
     optics.occlusion = recipe.light.occlusion_m
     optics.shade, optics.shade_m = recipe.light.shade, recipe.light.shade_m

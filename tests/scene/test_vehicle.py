@@ -89,19 +89,19 @@ def test_a_point_is_enclosed_where_trimesh_finds_it_in_a_solid() -> None:
     assert [body.encloses(point) for point in points] == inside.tolist()
 
 
-def camera_at(*position_m: float, vehicle: str = "bluerov2") -> RigRecipe:
+def camera_at(position_m: tuple[float, float, float], vehicle: str = "bluerov2") -> RigRecipe:
     return dataclasses.replace(
         RIG, vehicle=vehicle, camera=(dataclasses.replace(RIG.camera[0], position_m=position_m),)
     )
 
 
 @pytest.mark.parametrize("position_m", [(0.0, 0.0, 0.0), (0.2, 0.0, 0.0)])
-def test_a_camera_inside_the_body_is_refused(position_m: tuple[float, ...]) -> None:
+def test_a_camera_inside_the_body_is_refused(position_m: tuple[float, float, float]) -> None:
     wanted = r"^a: camera cam_front: key 'camera\.position_m': expected a place outside .* 'bluerov2', such as \["
     with pytest.raises(RecipeError, match=wanted):
-        check_cameras(camera_at(*position_m), "a")
-    check_cameras(camera_at(*position_m, vehicle="none"), "a")
-    check_cameras(camera_at(*AHEAD_M), "a")
+        check_cameras(camera_at(position_m), "a")
+    check_cameras(camera_at(position_m, vehicle="none"), "a")
+    check_cameras(camera_at(AHEAD_M), "a")
 
 
 def test_a_dive_with_a_camera_inside_the_body_is_refused() -> None:
