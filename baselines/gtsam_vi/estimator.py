@@ -228,8 +228,13 @@ class Estimator:
         self.info |= start.info | {"init_s" if "init_s" not in self.info else "restarted_s": now}
         self._recovery.accept(last)
         self._fill_back(start.stretch[0].index)
+        if self._initialiser.anchor is not None:  # what was lost has the poses that were known then
+            lost = [frame for frame in self.frames if frame.keyframe < start.stretch[0].index]
+            grow_on(lost, self.settings.recovery, self.model.gyro_turn_on)
         if any(frame.covariance is None for frame in self.frames):
-            self._fill_covariances(start)
+            known = covariances_until(start.bundle, self.keyframes, start.stretch, self.filter.noise, self.model)
+            for frame in self.frames:
+                frame.covariance = known[frame.keyframe] if frame.covariance is None else frame.covariance
 
     def _smooth(self, window: Window) -> None:
         """Add the factors of the last keyframe; smooth; marginalise what leaves the window."""
@@ -305,12 +310,6 @@ class Estimator:
                 if self.window is not None and frame.keyframe >= index:
                     frame.health = Health.TRACKING  # the start has seen it
                 frame.online = forward(self.keyframes[frame.keyframe].estimate, frame.since, self.model.params).matrix
-
-    def _fill_covariances(self, start: Start) -> None:
-        known = covariances_until(start.bundle, self.keyframes, start.stretch, self.filter.noise, self.model)
-        for frame in self.frames:
-            if frame.covariance is None:
-                frame.covariance = known[frame.keyframe]
 
     def _dead_reckon(self) -> None:
         """Fill in states from the inertial measurements alone, from level or the last good state on."""
