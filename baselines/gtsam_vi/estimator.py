@@ -341,6 +341,7 @@ class Estimator:
         if self.aiding.knows_velocity:
             self.info |= {f"refused_{kind}": count for kind, count in self.aiding.refused.items()}
         if self.window is None:
+            self._initialiser.give_up(self.keyframes)
             self._dead_reckon()
 
     def paths(self) -> dict[str, Trajectory]:
@@ -361,7 +362,7 @@ class Estimator:
 
     def smoothed(self) -> Trajectory:
         """T_odom_base at every frame after an adjustment of all keyframes; the online path where none can be made."""
-        if self.window is None or len(self.keyframes) < 3:
+        if self.window is None and (self.aiding.knows_velocity or not self._recovery.has_begun):
             return self.online()
         keyframes = self.keyframes if self.loops is None else self.loops.joined(self.keyframes)
         try:

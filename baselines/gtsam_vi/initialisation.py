@@ -153,14 +153,25 @@ class Initialiser:
             keyframe.state = read_state(bundle.values, keyframe.index)
         return Start(stretch, bundle, window, {})
 
+    def give_up(self, keyframes: list[Keyframe]) -> None:
+        """End a search that found no new start after a loss."""
+        if self.anchor is not None:
+            self._pass_by(keyframes[self.first :])
+            keyframes[-1].distrust_sight()
+
+    @staticmethod
+    def _pass_by(keyframes: list[Keyframe]) -> None:
+        """Note that consecutive keyframes have led to no start."""
+        for before, keyframe in pairwise(keyframes):
+            before.distrust_sight()
+            keyframe.lost = True
+
     def _move_anchor(self, keyframes: list[Keyframe], to: Keyframe) -> None:
         """Coast the anchor on to a later keyframe: the search has outlasted the stretch that it looks at."""
         assert self.anchor is not None
         limits, passed = self.model.settings.recovery, keyframes[self.first + 1 : to.index + 1]
         state = coast_through(self.anchor.state, passed, limits.memory_s)
-        for before, keyframe in pairwise(keyframes[self.first : to.index + 1]):
-            before.distrust_sight()
-            keyframe.lost = True
+        self._pass_by(keyframes[self.first : to.index + 1])
         time = (to.stamp_ns - keyframes[self.first].stamp_ns) * 1e-9
         turn_on, gap_s = self.model.gyro_turn_on, time_missing(keyframe.segment for keyframe in passed)
         covariance = grown_covariance(self.anchor.covariance, time, limits, turn_on, gap_s)
