@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import replace
 
 import gtsam
@@ -18,7 +17,7 @@ from oysterbench_baselines.gtsam_vi.keyframes import is_stationary
 from oysterbench_baselines.gtsam_vi.settings import SmoothingSettings
 from oysterbench_baselines.gtsam_vi.states import insert_state, make_state
 from oysterbench_baselines.gtsam_vi.steps import apply_steps
-from tests.baselines.test_gtsam_vi import estimate
+from tests.baselines.test_gtsam_vi import estimate, position_error
 from tests.helpers import synthetic_dive as dive
 
 
@@ -127,9 +126,7 @@ def test_nothing_is_made_up_where_nothing_determines_a_variable():
 @pytest.mark.parametrize("size", [7, 1000])
 def test_a_lost_stretch_is_bridged_however_far_off_the_heading_is_behind_it(estimator, size):
     usual = estimator.smoothed()
-    lost = copy.deepcopy(estimator.keyframes[:0])
-    for keyframe in estimator.keyframes:
-        lost.append(replace(keyframe))
+    lost = [replace(keyframe) for keyframe in estimator.keyframes]
     first, end = 12, 20
     turn, shift = Rotation.from_euler("z", 50, degrees=True), np.array([0.8, -0.5, 0.1])
     for keyframe in lost[first:end]:
@@ -154,3 +151,20 @@ def test_a_lost_stretch_is_bridged_however_far_off_the_heading_is_behind_it(esti
     assert (off < 4 * sigma + 1e-3).all()
     turned = Rotation.from_quat(bridged.quaternions) * Rotation.from_quat(usual.quaternions).inv()
     assert np.degrees(turned.magnitude()).max() < 1.0
+
+
+def test_a_path_that_ends_lost_is_smoothed_to_its_end():
+    measured = dive.make_dive(4, duration_s=12.0, blind=(8.0, 12.0))
+    for k, sample in enumerate(measured.samples):  # more than any estimator lives through
+        if 8.0 < (sample.stamp_ns - dive.START_NS) * 1e-9 < 8.2:
+            measured.samples[k] = replace(sample, accel=sample.accel + np.array([30.0, 0.0, 0.0]))
+    estimator = estimate(measured)
+    assert estimator.window is None
+    smoothed, online = estimator.smoothed(), estimator.online()
+    assert "smoothing_failed" not in estimator.info
+    assert np.array_equal(smoothed.stamps_ns, online.stamps_ns)
+    seen = smoothed.stamps_ns < dive.START_NS + 7_500_000_000
+    assert position_error(measured.truth, smoothed.select(seen)) < 0.02
+    assert len(smoothed.covariances) == len(smoothed)
+    sigma = np.sqrt(np.einsum("nii->n", smoothed.covariances[:, :3, :3]))
+    assert sigma[-1] > 10 * sigma[seen].max()
