@@ -70,6 +70,12 @@ class SplitRecipe:
         """Random streams of a sequence: its own, or those of the dive that it repeats."""
         return Streams(self.seed, salt, (sequence.same_dive_as or sequence.name,))
 
+    def drawn(self, sequence: SequenceRecipe, salt: bytes = b"") -> SequenceRecipe:
+        """The sequence with its drawn values filled in, as it is rendered."""
+        streams = self.streams_of(sequence, salt)
+        where = f"split {self.name}: sequence {sequence.name}"
+        return draw(sequence, lambda key: float(streams.generator("drawn", key).random()), where)
+
     def digest(self) -> str:
         """SHA-256 of the values of recipe and rig: two recipes with the same digest make the same bytes."""
         values = {k: v for k, v in stated(self).items() if k not in ("source", "rig_source", "summary")}

@@ -24,13 +24,16 @@ CALM_WAVE_M, CALM_CURRENT_M_S = 0.1, 0.1  # below both the vehicle follows its p
 
 
 def conditions(split: SplitRecipe, sequence: str) -> dict[str, float | str]:
-    """Conditions of a sequence of a split, by keys of `evaluate.conditions.CONDITIONS`.
+    """Conditions of a sequence of a split, by keys of `evaluate.conditions.CONDITIONS`, with the values that it draws.
 
     Those that depend on a value that a hidden split draws are left out: only the salt tells what they are.
     """
     recipe = split.find_sequence(sequence)
-    if not split.hidden or not recipe.drawn:
+    if not recipe.drawn:
         return _conditions(split, recipe)
+    if not split.hidden:
+        drawn = _conditions(split, split.drawn(recipe))
+        return {key: round(value, 3) if isinstance(value, float) else value for key, value in drawn.items()}
     place = f"split {split.name}: sequence {sequence}"
     # All values at their lowest, all at their highest, and each alone at its highest.
     shares: list[Callable[[str], float]] = [lambda key: 0.0, lambda key: 1.0]

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from oysterbench.core.geometry import Array, transform
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import RigRecipe, SequenceRecipe, SplitRecipe, draw
+from oysterbench.recipe import RigRecipe, SequenceRecipe, SplitRecipe
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.render.camera import CameraRenderer
 from oysterbench.render.rays import RayCaster
@@ -100,10 +100,9 @@ def forget_sequence() -> None:
 
 def _build(split: SplitRecipe, stated: SequenceRecipe, salt: bytes, device: str) -> SimulatedSequence:
     streams = split.streams_of(stated, salt)
-    where = f"split {split.name}: sequence {stated.name}"
-    recipe = draw(stated, lambda key: float(streams.generator("drawn", key).random()), where)
+    recipe = split.drawn(stated, salt)
     rig = split.rig_of(recipe)
-    check_cameras(rig, where)
+    check_cameras(rig, f"split {split.name}: sequence {stated.name}")
     world = build_world(recipe, streams)
     path = build_path(recipe, world.ground_height, world.obstacle_height, streams)
     life = build_life(recipe, world, path, streams)

@@ -7,6 +7,7 @@ import pytest
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.recipe import load_split
 from oysterbench.simulation.conditions import conditions
+from oysterbench.simulation.simulated_sequence import build_sequence
 from tests.helpers.tiny import TINY_SPLIT, make_split
 
 
@@ -77,6 +78,17 @@ key = "reef.oysters"
 between = [20, 24]
 
 [sequence.path]"""
+
+
+def test_conditions_of_a_public_split_are_of_the_values_that_it_draws():
+    """They are those of the dive that is rendered, not those that the recipe states and replaces."""
+    split = make_split(TINY_SPLIT.replace("\n[sequence.path]", DRAWN).replace("[20, 24]", "[200, 900]"))
+    found, dive = conditions(split, "tiny-01"), build_sequence(split, "tiny-01", b"").recipe
+    assert 200 <= dive.reef.oysters <= 900
+    assert dive.path.speed_m_s != split.sequence[0].path.speed_m_s
+    assert found["speed_m_s"] == round(dive.path.speed_m_s, 3)
+    assert found["oysters_per_m2"] == round(dive.reef.oyster_count / 25, 3)
+    assert found["density"] == ("dense" if dive.reef.oyster_count >= 375 else "sparse")
 
 
 def test_what_a_hidden_split_draws_is_no_condition():
