@@ -20,8 +20,8 @@ class Image:
     in the optical frame; visibility (H, W) float32, unoccluded fraction of the instance at a pixel, NaN = none; light
     (H, W, 3) float32, 1 = a white matte surface in full daylight: clean (without water), and direct + forward_scatter +
     backscatter + snow, which add up to what reaches the lens; dynamic (H, W) uint8, 1 = moves by itself; flow (H, W, 2)
-    float32 px to the right and down until the next frame, NaN = none; transmittance (H, W) float32, fraction of green
-    light that arrives through the water, 0 = none.
+    float32 px to the right and down until the image of the next frame, NaN = none; transmittance (H, W) float32,
+    fraction of green light that arrives through the water, 0 = none.
     """
 
     stamp_ns: int

@@ -25,6 +25,7 @@ from oysterbench.sensors.camera_messages import (
     optical_frame,
     read_colour,
 )
+from oysterbench.sensors.clock import kept
 from oysterbench.sensors.exposure import exposures
 from oysterbench.sensors.faults import Fault, spans
 from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, topic
@@ -147,15 +148,18 @@ def render_frame(world: SensedWorld, camera: CameraRecipe, index: int) -> Frame:
     return renderer.render(taken.T_map_cam, noise, taken.time_s, taken.T_map_base, taken.passage, taken.exposure)
 
 
-def render_layers(world: SensedWorld, camera: CameraRecipe, index: int) -> dict[str, NDArray[Any]]:
-    """Render those layers of frame `index` that the camera's recipe names and that are not part of a frame itself."""
+def render_layers(world: SensedWorld, camera: CameraRecipe, index: int, after: int | None) -> dict[str, NDArray[Any]]:
+    """Render those layers of frame `index` that the camera's recipe names and that are not part of a frame itself.
+
+    after: index of the frame to which flow leads; None where there is none, and flow is NaN.
+    """
     wanted = [name for name in camera.layers if name not in FRAME_LAYERS]
     if not wanted:
         return {}
     from oysterbench.render.passage import Moment
 
     taken = shot(world, camera, index)
-    next_s = (index + 1) / camera.rate_hz
+    next_s = (index if after is None else after) / camera.rate_hz
     following = Moment(next_s, *_passing(world, camera, next_s, 0.0))
     found = world.renderers[camera.name].layers(
         taken.T_map_cam, [*wanted, "instances"], taken.time_s, taken.T_map_base, taken.passage, following
@@ -163,6 +167,8 @@ def render_layers(world: SensedWorld, camera: CameraRecipe, index: int) -> dict[
     layers: dict[str, NDArray[Any]] = dict(found)
     if "visibility" in layers:
         layers["visibility"] = layers["visibility"][layers["instances"]]
+    if "flow" in layers and after is None:
+        layers["flow"] = np.full_like(layers["flow"], np.nan)
     return {name: layers[name] for name in wanted}
 
 
@@ -276,6 +282,7 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
         given = self.read_calibration(world.calibration.given[self.key][recipe.name])
         every = round(recipe.rate_hz / recipe.layer_rate_hz) if recipe.layer_rate_hz else 0
         pictures = shown(world, recipe)
+        arriving = np.flatnonzero(kept(len(pictures), recipe, world.streams.at("camera", recipe.name)))
         for index in at.wanted.tolist():
             picture = int(pictures[index])
             frame = render_frame(world, recipe, picture)
@@ -286,7 +293,8 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
                     "class": frame.classes,
                     "instance": frame.instances,
                 }
-                made |= render_layers(world, recipe, picture)
+                later = arriving[arriving > index]
+                made |= render_layers(world, recipe, picture, int(pictures[later[0]]) if len(later) else None)
                 layers = {name: made[name] for name in recipe.layers}
             yield CameraFrame(int(at.stamps_ns[index]), recipe.name, frame.colour, layers, given)
 

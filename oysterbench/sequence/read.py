@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -34,8 +34,9 @@ from oysterbench.sequence.file import (
     read_messages,
     read_metadata,
 )
+from oysterbench.sequence.true_camera import TrueCamera
 from oysterbench.sequence.truth import TRUTH, TRUTH_POSE, odometry_row, pose_row, read_truth
-from oysterbench.sequence.types import Sequence
+from oysterbench.sequence.types import CameraCalibration, Sequence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -141,25 +142,40 @@ class McapSequence(Sequence):
         return any(topic == f"/{sensor}" or topic.startswith(f"/{sensor}/") for topic in self.types)
 
     def truly_calibrated(self) -> Sequence:
-        late_s = self._decoded(self._clock_offsets_s)
-        if TRUE_CALIBRATION not in self.attachments and not any(late_s.values()):
+        clocks, shown_ns = self._decoded(self._clocks), self._decoded(self._repeats)
+        if TRUE_CALIBRATION not in self.attachments and not shown_ns and not any(map(any, clocks.values())):
             return self
         twin = McapSequence(self.path)
         if TRUE_CALIBRATION in self.attachments:
             twin._calibrate(self._decoded(lambda: read_json(self.attachments[TRUE_CALIBRATION])))
-        twin.cameras = {
-            name: replace(camera, time_offset_s=round(camera.time_offset_s + late_s.get(name, 0.0), DIGITS))
-            for name, camera in twin.cameras.items()
-        }
-        twin.uncertainty = None
+        cameras: dict[str, CameraCalibration] = {}
+        for name, camera in twin.cameras.items():
+            late_s, jitter_s = clocks.get(name, (0.0, 0.0))
+            offset_s = round(camera.time_offset_s + late_s, DIGITS)
+            jitter_s = math.hypot(camera.time_jitter_s, jitter_s)
+            known = {**vars(camera), "time_offset_s": offset_s, "time_jitter_s": jitter_s}
+            cameras[name] = TrueCamera(**known, shown_ns=shown_ns.get(name, {}), even=name in clocks and jitter_s > 0)
+        twin.cameras, twin.uncertainty = cameras, None
         return twin
 
-    def _clock_offsets_s(self) -> dict[str, float]:
-        """Camera -> offset of its clock by the recipe, s, which is in no calibration; empty without a recipe."""
+    def _clocks(self) -> dict[str, tuple[float, float]]:
+        """Camera -> offset and jitter of its clock by the recipe, s, which are in no calibration; empty without a
+        recipe."""
         if not {SPLIT_SOURCE, RIG_SOURCE} <= self.attachments.keys():
             return {}
         rig = rig_tables(self.attachments[SPLIT_SOURCE].decode(), self.attachments[RIG_SOURCE].decode(), self.name)
-        return {camera["name"]: 1e-3 * float(camera.get("clock_offset_ms", 0.0)) for camera in rig["camera"]}
+        keys = ("clock_offset_ms", "clock_jitter_ms")
+        found = {camera["name"]: [1e-3 * float(camera.get(key, 0.0)) for key in keys] for camera in rig["camera"]}
+        return {name: (offset_s, jitter_s) for name, (offset_s, jitter_s) in found.items()}
+
+    def _repeats(self) -> dict[str, dict[int, int]]:
+        """Camera -> stamp of each frame that repeats an image -> stamp of the frame whose image it shows."""
+        table = self.taken()
+        repeats = table[table["stamp_ns"] != table["shown_ns"]]
+        found: dict[str, dict[int, int]] = {}
+        for camera, stamp_ns, shown_ns in zip(repeats["camera"], repeats["stamp_ns"], repeats["shown_ns"], strict=True):
+            found.setdefault(str(camera), {})[int(stamp_ns)] = int(shown_ns)
+        return found
 
     @property
     def duration_s(self) -> float:

@@ -249,8 +249,10 @@ class Sequence(ABC):
         """The same sequence with the true calibrations, which fit the ground truth, in place of the given ones, for
         evaluators; the sequence itself where they do not differ.
 
-        The time offset of a camera is then that of its stamps, `clock_offset_ms` of the recipe included; a file without
-        its recipe (split.toml and rig.toml) does not know it. Clocks of other sensors are in no calibration.
+        The time offset of a camera is then that of its stamps, `clock_offset_ms` of the recipe included, and its
+        `taken_ns` is when the image that a frame shows was truly taken: earlier where it repeats one, and without the
+        jitter of stamps. A file without its recipe (split.toml and rig.toml) knows neither offset nor jitter of a
+        clock. Clocks of other sensors are in no calibration.
         """
         return self
 

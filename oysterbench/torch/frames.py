@@ -67,7 +67,8 @@ class FrameDataset(Dataset[Any]):
     visibility     (H, W) float32       unoccluded share of the instance at a pixel, NaN is none
     normals        (3, H, W) float32    outward, in the optical frame (x right, y down, z forward)
     dynamic        (H, W) uint8         1 where something moves by itself
-    flow           (2, H, W) float32    px to the right and down until the next frame, NaN is none
+    flow           (2, H, W) float32    px to the right and down until the image of the next frame
+                                        in the file: 0 if that repeats this one; NaN is none
     transmittance  (H, W) float32       share of green light that gets through the water, 0 is none
     clean, direct, (3, H, W) float32    light; 1 is a white surface in full daylight
     forward_scatter, backscatter, snow

@@ -44,6 +44,9 @@ class WindowDataset(Dataset[Any]):
 
     Notes
     -----
+    Inertial samples are those between the stamps of frames; poses are of the times when the images were taken. A frame
+    that repeats an image has the pose of that image: `taken_ns` tells such frames, which methods see as they are.
+
     An item is a dict. K is the greatest number of IMU samples between two frames anywhere in the data set, so that all
     items have the same shape and the default collate function can batch them:
 
@@ -57,7 +60,9 @@ class WindowDataset(Dataset[Any]):
                                             t + 1, the latter included; 0 after the last one
     imu_stamp_ns   (T - 1, K) int64         of the samples, ns; 0 after the last one
     imu_count      (T - 1,) int64           samples before the padding
-    pose           (T, 4, 4) float64        true T_map_body when each frame was taken, m
+    taken_ns       (T,) int64               true times at which the images were taken, ns: earlier than the stamp where
+                                            a frame repeats an image, or the camera's stamps are late
+    pose           (T, 4, 4) float64        true T_map_body at taken_ns, m; the same for an image that is repeated
     relative_pose  (T - 1, 4, 4) float32    true motion in the body frame: maps points from the body frame at
                                             frame t + 1 to the body frame at frame t, m
     intrinsics     (3, 3) float32           matrix of the camera, px
@@ -132,13 +137,15 @@ class _Part:
     """The F frames of one camera.
 
     imu, imu_stamps_ns: all IMU samples (N, 6) and their stamps (N,); edges (F,): number of samples up to each frame,
-    one at its stamp included; poses (F, 4, 4): T_map_body, NaN outside the ground truth; None without poses.
+    one at its stamp included; taken_ns (F,): when the images were taken; poses (F, 4, 4): T_map_body then, NaN outside
+    the ground truth; None without poses.
     """
 
     shots: Shots
     imu: NDArray[np.float32]
     imu_stamps_ns: NDArray[np.int64]
     edges: NDArray[np.intp]
+    taken_ns: NDArray[np.int64]
     poses: Array | None
     T_body_imu: Array
 
@@ -182,6 +189,7 @@ class _Part:
         }
         if self.poses is not None:
             poses = self.poses[begin:end]
+            item["taken_ns"] = torch.from_numpy(self.taken_ns[begin:end].copy())
             item["pose"] = torch.from_numpy(poses.copy())
             item["relative_pose"] = _small(invert(poses[:-1]) @ poses[1:])
         return item
@@ -207,13 +215,16 @@ def _parts_of(path: Path, asked: list[str] | None, poses: bool, chunks: Chunks) 
         calibration = sequence.cameras[camera]
         shots = Shots(file, sequence.name, camera, calibration, np.arange(len(stamps)), stamps)
         edges = np.searchsorted(imu_stamps, stamps, side="right")
-        known = _poses(sequence, path, camera, stamps) if poses else None
-        parts.append(_Part(shots, imu, imu_stamps, edges, known, sequence.imu_calibration.T_base_imu))
+        taken, known = _poses(sequence, path, camera, stamps) if poses else (stamps, None)
+        parts.append(_Part(shots, imu, imu_stamps, edges, taken, known, sequence.imu_calibration.T_base_imu))
     return parts
 
 
-def _poses(sequence: Sequence, path: Path, camera: str, stamps_ns: NDArray[np.int64]) -> Array:
-    """True T_map_body (F, 4, 4) when the frames with these stamps were taken; NaN outside the ground truth.
+def _poses(
+    sequence: Sequence, path: Path, camera: str, stamps_ns: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], Array]:
+    """When the images of the frames with these stamps were taken (F,), ns, and T_map_body (F, 4, 4) then; NaN outside
+    the ground truth.
 
     Raises SequenceError where the sequence has no ground truth.
     """
@@ -228,4 +239,4 @@ def _poses(sequence: Sequence, path: Path, camera: str, stamps_ns: NDArray[np.in
     inside = (taken >= truth.stamps_ns[0]) & (taken <= truth.stamps_ns[-1])
     found = np.full((len(stamps_ns), 4, 4), np.nan)
     found[inside] = truth.at(taken[inside]).matrices
-    return found
+    return taken, found

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import pytest
 import yaml
 
 import oysterbench
+from oysterbench.core.ros import EPOCH_NS
 from oysterbench.recipe import load_split
 from oysterbench.recipe.split import rig_tables
 from oysterbench.sequence.export import export_sequence
@@ -47,6 +50,29 @@ def test_the_offset_adds_to_that_of_a_measured_calibration(late, monkeypatch):
     )
     monkeypatch.setattr(late, "attachments", {**late.attachments, "truth/calibration.json": measured})
     assert late.truly_calibrated().cameras["cam_left"].time_offset_s == 0.064
+
+
+def test_the_true_time_of_a_repeated_frame_is_that_of_the_image_that_it_shows(dive_file, monkeypatch):
+    sequence = oysterbench.open(dive_file)
+    first, second = (image.stamp_ns for image in islice(sequence.images("cam_left"), 2))
+    rows = f"cam_left,{first},{first}\ncam_left,{second},{first}\n"
+    frames = f"camera,stamp_ns,shown_ns\n{rows}".encode()
+    monkeypatch.setattr(sequence, "attachments", {**sequence.attachments, "truth/frames.csv": frames})
+    true = sequence.truly_calibrated().cameras
+    assert true["cam_left"].taken_ns(second) == true["cam_left"].taken_ns(first) == first
+    assert true["cam_right"].taken_ns(second) == second
+    assert true["cam_left"].rows_taken_ns(second)[0] == first
+    assert sequence.for_method().cameras["cam_left"].taken_ns(second) == second
+
+
+def test_true_times_have_no_jitter(late, monkeypatch):
+    jittery = SPLIT.replace(b"clock_offset_ms = 60.0", b"clock_offset_ms = 60.0, clock_jitter_ms = 4.0")
+    monkeypatch.setattr(late, "attachments", {**late.attachments, "split.toml": jittery})
+    true = late.truly_calibrated().cameras["cam_left"]
+    assert (true.time_offset_s, true.time_jitter_s) == (0.06, 0.004)
+    assert [true.taken_ns(EPOCH_NS + 360_000_000 + off) - EPOCH_NS for off in (-44_999_999, 0, 12_345)] == [
+        300_000_000
+    ] * 3
 
 
 def test_rigs_of_released_recipes_have_the_offsets_of_their_sequences():

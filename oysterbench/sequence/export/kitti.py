@@ -48,8 +48,9 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     notes += [*left_out(names, pair), *port_notes(sequence, pair)]
     if truth:
         path, true = sequence.truth(), sequence.truly_calibrated().cameras[left]
-        taken = {true.taken_ns(stamp): stamp for stamp in kept}
-        known = [taken[time] for time in within(path, list(taken))]
+        times = {stamp: true.taken_ns(stamp) for stamp in kept}
+        spanned = set(within(path, times.values()))
+        known = [stamp for stamp in kept if times[stamp] in spanned]
         if len(known) < len(kept):
             notes.append(f"{len(kept) - len(known)} frames before or after the truth were left out: no pose is known")
         kept = known
@@ -66,8 +67,8 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
         folder / README, [head(sequence, "KITTI odometry"), "", *_about(sequence, pair, matrix, kept[0], truth)]
     )
     if truth:
-        times = np.array([true.taken_ns(stamp) for stamp in kept], dtype=np.int64)
-        poses = sensor_poses(path.at(times), true.T_base_cam @ transform(turns[0].T, np.zeros(3)))
+        taken = np.array([times[stamp] for stamp in kept], dtype=np.int64)
+        poses = sensor_poses(path.at(taken), true.T_base_cam @ transform(turns[0].T, np.zeros(3)))
         (folder / "poses").mkdir()
         write_lines(folder / "poses" / "00.txt", (_row(pose[:3]) for pose in invert(poses[0]) @ poses))
     return notes
