@@ -188,7 +188,9 @@ def info(sequence: Path, as_json: bool) -> None:
         return
     from rich.table import Table
 
-    echo(f"{facts['sequence']}: {facts['duration_s']:g} s, {facts['path_length_m'] or float('nan'):.2f} m of path")
+    length_m = facts["path_length_m"]
+    path = "no true path" if length_m is None else f"{length_m:.2f} m of path"
+    echo(f"{facts['sequence']}: {facts['duration_s']:g} s, {path}")
     for key, value in facts["metadata"].items():
         echo(f"  {key}: {value}")
     for name, camera in facts["cameras"].items():

@@ -53,6 +53,7 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
         truth = sequence.truth()
     except SequenceError:
         truth = None
+    rates = {topic: None if rate is None else round(rate, 1) for topic, rate in sequence.rates().items()}
     return {
         "sequence": sequence.name,
         "duration_s": round(sequence.duration_s, 9),
@@ -60,12 +61,7 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
         "metadata": dict(sequence.metadata),
         "cameras": cameras,
         "topics": [
-            {"topic": topic, "type": kind, "messages": n, "rate_hz": mean_rate(n, sequence.duration_s)}
+            {"topic": topic, "type": kind, "messages": n, "rate_hz": rates[topic]}
             for topic, kind, n in sequence.contents()
         ],
     }
-
-
-def mean_rate(messages: int, duration_s: float) -> float | None:
-    """Messages per second, to a tenth; None where all were at one instant, or there are none."""
-    return round(messages / duration_s, 1) if duration_s > 0 else None

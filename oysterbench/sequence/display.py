@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 from oysterbench.core.display import CardPicture, CardTable, card, picture
 from oysterbench.core.errors import OysterbenchError
-from oysterbench.sequence.truth import TRUTH
 from oysterbench.sequence.types import Sequence
 
 CAMERAS_SHOWN = 4
@@ -16,19 +15,15 @@ def outline(sequence: Sequence) -> str:
     """Summarise the content of a sequence in one line."""
     cameras = [f"{name} {c.width} x {c.height} at {c.rate_hz:g} Hz" for name, c in sequence.cameras.items()]
     others = [name for name in sequence.sensors() if name not in sequence.cameras]
-    truth = "truth" if has_truth(sequence) else "no truth"
+    truth = "truth" if sequence.has_truth else "no truth"
     return "; ".join([f"{sequence.duration_s:g} s", *cameras, *([", ".join(others)] if others else []), truth])
-
-
-def has_truth(sequence: Sequence) -> bool:
-    """Whether a sequence has ground-truth poses, according to its list of contents."""
-    return TRUTH in (topic for topic, _, _ in sequence.contents())
 
 
 def sequence_card(sequence: Sequence) -> str:
     """Card with facts, a frame of each camera (at most `CAMERAS_SHOWN`), and a row for each topic."""
+    rates = sequence.rates()
     rows = [
-        (topic, kind, count, f"{count / sequence.duration_s:.1f}" if sequence.duration_s > 0 else "")
+        (topic, kind, count, "" if rates[topic] is None else f"{rates[topic]:.1f}")
         for topic, kind, count in sequence.contents()
     ]
     tables = [CardTable(("topic", "type", "messages", "per second"), rows)]

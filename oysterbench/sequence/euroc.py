@@ -57,7 +57,7 @@ class EurocSequence(Sequence):
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
         root = self.folder / "mav0"
-        self._root = root
+        self._root, self._states = root, root / "state_groundtruth_estimate0" / "data.csv"
         self.name = as_unicode(self.folder.resolve().name)
         self.metadata = {"sequence": self.name, "format": "euroc"}
         if not (root / "imu0" / "data.csv").is_file():
@@ -123,11 +123,14 @@ class EurocSequence(Sequence):
         files = [(self._root / "imu0", "imu"), *((self._root / name, "camera") for name in self.cameras)]
         return [(folder.name, kind, _count(folder / "data.csv")) for folder, kind in files]
 
+    @property
+    def has_truth(self) -> bool:
+        return self._states.is_file()
+
     def truth(self) -> Trajectory:
-        path = self._root / "state_groundtruth_estimate0" / "data.csv"
-        if not path.is_file():
-            raise NoTruthError(f"{self.folder} has no ground truth: {path} is absent")
-        return read_trajectory(path)
+        if not self.has_truth:
+            raise NoTruthError(f"{self.folder} has no ground truth: {self._states} is absent")
+        return read_trajectory(self._states)
 
 
 def _within(stamp_ns: int, start_ns: int | None, end_ns: int | None) -> bool:

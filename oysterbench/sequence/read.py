@@ -40,6 +40,7 @@ from oysterbench.sequence.types import CameraCalibration, Sequence
 
 if TYPE_CHECKING:
     import pandas as pd
+    from mcap.summary import Summary
 
 __all__ = [
     "CALIBRATION",
@@ -90,6 +91,17 @@ def _oysters(data: bytes) -> pd.DataFrame:
     return found
 
 
+def _spans(summary: Summary) -> dict[str, tuple[int, int]]:
+    """Times, ns, of the first and last message of each topic that has any: a chunk holds messages of one topic only."""
+    found: dict[str, tuple[int, int]] = {}
+    for chunk in summary.chunk_indexes:
+        for channel in chunk.message_index_offsets:
+            topic = summary.channels[channel].topic
+            first, last = found.get(topic, (chunk.message_start_time, chunk.message_end_time))
+            found[topic] = (min(first, chunk.message_start_time), max(last, chunk.message_end_time))
+    return found
+
+
 class McapSequence(Sequence):
     """A sequence in an MCAP file. Each iterator opens the file anew, so that several may run at once."""
 
@@ -112,6 +124,7 @@ class McapSequence(Sequence):
             self.types = {
                 channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()
             }
+            self._spans = _spans(summary)
             self.name = self._plain(self.metadata["sequence"], "the sequence")
             document = read_json(self.attachments[CALIBRATION])
             self._calibrate(document)
@@ -183,6 +196,14 @@ class McapSequence(Sequence):
 
     def contents(self) -> list[tuple[str, str, int]]:
         return [(topic, self.types[topic], count) for topic, count in self.counts.items()]
+
+    def rates(self) -> dict[str, float | None]:
+        """Each over the time from the topic's own first message to its last: clocks of sensors may differ."""
+        spans_s = {topic: 1e-9 * (last - first) for topic, (first, last) in self._spans.items()}
+        return {
+            topic: (count - 1) / spans_s[topic] if count > 1 and spans_s[topic] > 0 else None
+            for topic, count in self.counts.items()
+        }
 
     def _measured(self, block: str, name: str, start_ns: int | None, end_ns: int | None) -> Iterator[Any]:
         kind = sensor_kinds()[block]

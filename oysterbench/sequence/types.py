@@ -35,7 +35,7 @@ from oysterbench.sensors.registry import AnyKind, calibrated_kinds, sensor_kinds
 from oysterbench.sensors.scanner import ScannerCalibration
 from oysterbench.sensors.sonar import SonarCalibration
 from oysterbench.sensors.uncertainty import Uncertainty
-from oysterbench.sequence.truth import TRUTH_TYPES
+from oysterbench.sequence.truth import TRUTH, TRUTH_TYPES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -229,6 +229,16 @@ class Sequence(ABC):
     def contents(self) -> list[tuple[str, str, int]]:
         """Name, type and number of messages of each topic."""
 
+    def rates(self) -> dict[str, float | None]:
+        """Mean number of messages per second of each topic; None where all were at one instant, or there are none."""
+        span_s = self.duration_s
+        return {topic: count / span_s if span_s > 0 else None for topic, _, count in self.contents()}
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether there are true poses, according to the list of contents."""
+        return TRUTH in (topic for topic, _, _ in self.contents())
+
     def stream(self, *sensors: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Any]:
         """Measurements of the IMU and of `sensors` (all cameras by default), merged in time order.
 
@@ -280,6 +290,8 @@ class SensorsOnly(Sequence):
         self.metadata = {"sequence": sequence.name}
         self._duration_s = sequence.duration_s
         self._contents = [row for row in sequence.contents() if is_measured(row[0])]
+        rates = sequence.rates()
+        self._rates = {topic: rates[topic] for topic, _, _ in self._contents}
         # Only the iterators are kept, in closures, not the sequence: nothing here leads to the truth by name.
         self._iterators: dict[str, Callable[..., Any]] = {
             "read": _closed(sequence._by_reader),
@@ -302,6 +314,9 @@ class SensorsOnly(Sequence):
 
     def contents(self) -> list[tuple[str, str, int]]:
         return list(self._contents)
+
+    def rates(self) -> dict[str, float | None]:
+        return dict(self._rates)
 
     def truth(self) -> Trajectory:
         self._hidden("truth()")

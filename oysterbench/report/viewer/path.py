@@ -13,7 +13,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.report.viewer.estimates import EstimatedPath
 from oysterbench.report.viewer.strips import round_values
-from oysterbench.sequence.display import has_truth
+from oysterbench.sequence.truth import TRUTH
 from oysterbench.sequence.types import Sequence
 
 SIDE = 400
@@ -85,7 +85,8 @@ def path_plot(sequence: Sequence, times: NDArray[np.int64], estimates: Several[E
     ]
     moving = {name: [window.dots(points) for points in found] for name, found in _moving(sequence, times).items()}
     kinds = "path and oysters" if dots else "path"
-    north = has_truth(sequence)  # in a sequence file `map` is east, north, up; other layouts do not say
+    # In a sequence file `map` is east, north, up; other layouts do not say.
+    north = TRUTH in (topic for topic, _, _ in sequence.contents())
     title = f"{kinds} from above" + (", east to the right" if north else "; north unknown")
     beside = [(estimate.label, window.line(estimate.poses.positions[:, :2])) for estimate in estimates]
     bar_px = bar * SIDE / (2 * window.half)
