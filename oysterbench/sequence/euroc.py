@@ -123,6 +123,10 @@ class EurocSequence(Sequence):
         files = [(self._root / "imu0", "imu"), *((self._root / name, "camera") for name in self.cameras)]
         return [(folder.name, kind, _count(folder / "data.csv")) for folder, kind in files]
 
+    def rates(self) -> dict[str, float | None]:
+        """Each over the time from the sensor's own first row to its last."""
+        return {name: _rate(self._root / name / "data.csv") for name, _, _ in self.contents()}
+
     @property
     def has_truth(self) -> bool:
         return self._states.is_file()
@@ -146,6 +150,14 @@ def _fault_of(picture: Path) -> str:
 def _count(path: Path) -> int:
     """Number of rows of a data.csv, valid or not; 0 where it is absent, as of a camera that nobody uses."""
     return sum(1 for _ in _fields(path)) if path.exists() else 0
+
+
+def _rate(path: Path) -> float | None:
+    """Mean number of rows of a data.csv per second; None where all are of one instant, or there are none."""
+    fields = _fields(path) if path.exists() else ()
+    stamps = [int(first) for _, (first, *_) in fields if STAMP.fullmatch(first)]
+    span_s = 1e-9 * (stamps[-1] - stamps[0]) if stamps else 0.0
+    return (len(stamps) - 1) / span_s if span_s > 0 else None
 
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str], str]]:
