@@ -6,8 +6,9 @@ given calibration. image_0 and image_1 are grey. Poses take rectified cam 0 into
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ from oysterbench.sequence.export.parts import (
     sensor_poses,
     stereo_partner,
     undistorting_maps,
+    unpaired,
     within,
     write_lines,
     write_png,
@@ -45,7 +47,8 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     stamps = [{image.stamp_ns for image in steps.counted(sequence.images(name))} for name in pair]
     kept = sorted(set.intersection(*stamps))
     notes = [f"image_{index} is {name}" for index, name in enumerate(pair)]
-    notes += [*left_out(names, pair), *port_notes(sequence, pair)]
+    faults = {name: unpaired(sequence.cameras[left], sequence.cameras[name]) for name in names if name not in pair}
+    notes += [*left_out(names, pair, faults), *port_notes(sequence, pair)]
     if truth:
         path, true = sequence.truth(), sequence.truly_calibrated().cameras[left]
         times = {stamp: true.taken_ns(stamp) for stamp in kept}
@@ -74,15 +77,17 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     return notes
 
 
-def left_out(names: Iterable[str], pair: list[str]) -> list[str]:
-    """Say which cameras are not exported, and why."""
+def left_out(names: Iterable[str], pair: list[str], faults: Mapping[str, str] = MappingProxyType({})) -> list[str]:
+    """Say which cameras are not exported, and why. faults: what keeps each from being the right one, as `unpaired`."""
     others = [name for name in names if name not in pair]
     if not others:
         return []
-    why = f"{pair[0]} and {pair[1]} are that pair" if len(pair) > 1 else f"{pair[0]} has none such to its right"
     limit = f"{np.rad2deg(PAIR_RAD):.0f} deg"
-    pairs = f"the layout has one pair, of cameras of one size, parallel to {limit}"
-    return [f"left out: {listed(others)}: {pairs}, and {why}"]
+    pairs = f"the layout has one pair, of cameras of one size, parallel to {limit} and side by side to {limit}"
+    if len(pair) > 1:
+        return [f"left out: {listed(others)}: {pairs}, and {pair[0]} and {pair[1]} are that pair"]
+    seen = "".join(f"; {name} is {fault}" for name, fault in faults.items())
+    return [f"left out: {listed(others)}: {pairs}{seen}; {pair[0]} has none such to its right"]
 
 
 def _about(sequence: Sequence, pair: list[str], matrix: Array, first_ns: int, truth: bool) -> list[str]:

@@ -88,18 +88,22 @@ def stereo_partner(sequence: Sequence, camera: str) -> str | None:
     """Camera that forms a stereo pair with `camera` once both are rectified: of the same size, to its right along its x
     axis, and rotated relative to it by no more than a calibration may find; None if there is none."""
     left = sequence.cameras[camera]
-    for name, right in sequence.cameras.items():
-        T_left_right = invert(left.T_base_cam) @ right.T_base_cam
-        offset = T_left_right[:3, 3]
-        if (
-            name != camera
-            and (left.width, left.height) == (right.width, right.height)
-            and scipy.spatial.transform.Rotation.from_matrix(T_left_right[:3, :3]).magnitude() < PAIR_RAD
-            and offset[0] > 1e-3
-            and np.hypot(*offset[1:]) < PAIR_RAD * offset[0]
-        ):
-            return name
-    return None
+    others = (name for name in sequence.cameras if name != camera)
+    return next((name for name in others if not unpaired(left, sequence.cameras[name])), None)
+
+
+def unpaired(left: CameraCalibration, right: CameraCalibration) -> str:
+    """What keeps two cameras from being a stereo pair, as said of the right one; empty where they are one."""
+    T_left_right = invert(left.T_base_cam) @ right.T_base_cam
+    turn = scipy.spatial.transform.Rotation.from_matrix(T_left_right[:3, :3]).magnitude()
+    across, aside = float(T_left_right[0, 3]), float(np.hypot(*T_left_right[1:3, 3]))
+    if (left.width, left.height) != (right.width, right.height):
+        return "of another size"
+    if turn >= PAIR_RAD:
+        return f"turned by {np.degrees(turn):.1f} deg"
+    if across <= 1e-3:
+        return "not to its right"
+    return f"{np.degrees(np.arctan2(aside, across)):.1f} deg off its x axis" if aside >= PAIR_RAD * across else ""
 
 
 def rectify(sequence: Sequence, pair: Iterable[str]) -> list[Array]:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
-from oysterbench.core.geometry import invert
+from oysterbench.core.geometry import invert, transform
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe, load_split, with_rig
 from oysterbench.sensors.registry import calibrate_rig, read_calibrations
 from oysterbench.sequence.export.kitti import left_out
-from oysterbench.sequence.export.parts import rectify, stereo_partner, undistorting_maps
+from oysterbench.sequence.export.parts import rectify, stereo_partner, undistorting_maps, unpaired
 
 PAIR = ("cam_left", "cam_right")
 POINT = np.array([1.4, 0.1, -0.9, 1.0])  # in base_link, m
@@ -57,8 +58,26 @@ def test_cameras_that_are_not_exported_are_told_of_with_the_reason():
     (alone,) = left_out(PAIR, ["cam_left"])
     assert alone.startswith("left out: cam_right: the layout has one pair, of cameras of one size, parallel to 3 deg")
     assert alone.endswith("cam_left has none such to its right")
+    (ahead,) = left_out(PAIR, ["cam_left"], {"cam_right": "15.0 deg off its x axis"})
+    assert ahead.endswith("; cam_right is 15.0 deg off its x axis; cam_left has none such to its right")
     (third,) = left_out((*PAIR, "cam_front"), list(PAIR))
     assert third.endswith("cam_left and cam_right are that pair")
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({}, ""),
+        ({"width": 100}, "of another size"),
+        ({"T_base_cam": transform(np.eye(3), np.array([0.12, 0.0, 0.032]))}, "14.9 deg off its x axis"),
+        ({"T_base_cam": transform(np.eye(3), np.array([-0.12, 0.0, 0.0]))}, "not to its right"),
+        ({"T_base_cam": transform(np.diag([1.0, -1.0, -1.0]), np.array([0.12, 0.0, 0.0]))}, "turned by 180.0 deg"),
+    ],
+)
+def test_what_keeps_cameras_from_being_a_pair_is_told(changes, fault):
+    left = replace(calibrated("exact", 1, "survey-stereo").cameras["cam_left"], T_base_cam=np.eye(4))
+    right = replace(left, T_base_cam=transform(np.eye(3), np.array([0.12, 0.0, 0.0])))
+    assert unpaired(left, replace(right, **changes)) == fault
 
 
 def test_a_pair_that_is_parallel_is_left_as_it_is():
