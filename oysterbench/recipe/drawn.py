@@ -24,6 +24,9 @@ def draw(recipe: SequenceRecipe, share: Callable[[str], float], where: str) -> S
     """
     if not recipe.drawn:
         return recipe
+    keys = [drawn.key for drawn in recipe.drawn]
+    if again := next((key for key in keys if keys.count(key) > 1), None):
+        raise RecipeError(f"{where}: key 'drawn': expected one range for each key, got several for {again!r}")
     table = as_plain(dataclasses.replace(recipe, drawn=(), rig=Table()))  # a rig is public: nothing of it is drawn
     for drawn in recipe.drawn:
         if drawn.key == "duration_s":

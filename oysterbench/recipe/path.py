@@ -97,7 +97,8 @@ def check_path(path: PathRecipe, size_m: float, where: str) -> None:
         if field.name in of_kinds - {*needed, *read} and getattr(path, field.name) != field.default:
             raise RecipeError(
                 f"{where}: key 'path.{field.name}': kind = {path.kind!r} does not read it; expected only "
-                f"{', '.join((*needed, *read))} and what every kind reads"
+                f"{', '.join((*needed, *read))} and what every kind reads. A key in [defaults] is a key of every "
+                "sequence: state it in those that read it"
             )
     if path.kind == "orbit" and path.rings > 1 and path.spacing_m is None:
         raise RecipeError(f"{where}: missing key 'path.spacing_m', which rings = {path.rings} need")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -56,6 +57,10 @@ def sequence_files(source: Source) -> list[Path]:
         if path.suffix == ".mcap":
             return [path]
         return list(split(source).fetch().values())
+    if not isinstance(source, Iterable):
+        opened = isinstance(source, Sequence)
+        got = f"the open sequence {source.name}: give the path of its file" if opened else type(source).__name__
+        raise SequenceError(f"expected a split, sequence files (.mcap) or folders of them, got {got}")
     files = [file for one in source for file in sequence_files(one)]
     if not files:
         raise SequenceError("expected a split, sequence files (.mcap) or a folder of them, got nothing")
@@ -84,7 +89,14 @@ def channels_first(pixels: NDArray[Any]) -> torch.Tensor:
 
 
 def place_of(number: int, ends: NDArray[np.intp]) -> tuple[int, int]:
-    """Part and index within it of an item in concatenated parts; ends (P,): end of each part. Raises IndexError."""
+    """Part and index within it of an item in concatenated parts; ends (P,): end of each part. Raises IndexError, and
+    TypeError for anything but a number."""
+    try:
+        number = operator.index(number)
+    except TypeError:
+        raise TypeError(
+            f"expected the number of an item, got {number!r:.80}; torch.utils.data.Subset(data, numbers) has several"
+        ) from None
     total = int(ends[-1]) if len(ends) else 0
     if not -total <= number < total:
         raise IndexError(f"expected an item from 0 to {total - 1}, got {number}")

@@ -126,3 +126,9 @@ def test_a_result_shows_itself(truth, estimate):
     missing = table[table["value"].isna()]
     assert (missing["reason"] != "").all()
     assert repr(truth) == "<Trajectory: 100 poses over 1.98 s and 0.792 m>"
+
+
+def test_poses_in_lists_are_refused_with_what_makes_arrays_of_them():
+    level = [[0.0, 0.0, 0.0, 1.0]] * 2
+    with pytest.raises(TrajectoryError, match=r"^positions: expected a NumPy array, got list; numpy\.array"):
+        oysterbench.Trajectory(np.array([0, 1]), [[0.0, 0, 0], [1, 0, 0]], level)

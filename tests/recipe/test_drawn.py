@@ -20,3 +20,9 @@ def test_a_duration_is_not_drawn(between):
         "tiny.toml: sequence tiny-01: key 'drawn': expected keys other than 'duration_s', which the files show anyway; "
         "state the duration as a number"
     )
+
+
+def test_a_key_has_one_range():
+    ranges = "".join(f'[[sequence.drawn]]\nkey = "path.speed_m_s"\nbetween = [0.2, {high}]\n\n' for high in (0.3, 0.4))
+    with pytest.raises(RecipeError, match=r"expected one range for each key, got several for 'path\.speed_m_s'"):
+        make_split(TINY_SPLIT.replace("[sequence.path]", f"{ranges}[sequence.path]"))

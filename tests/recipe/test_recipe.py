@@ -336,3 +336,9 @@ def test_a_dive_can_be_had_again_with_one_thing_otherwise():
 def test_a_difficulty_and_a_disturbance_are_checked(keys, told):
     with pytest.raises(RecipeError, match=told):
         make_split(TINY_SPLIT.replace("duration_s", f"{keys}\nduration_s", 1))
+
+
+def test_a_key_of_defaults_that_a_kind_of_path_does_not_read_is_told_where_it_belongs():
+    text = TINY_SPLIT.replace('kind = "loop"\nradius_m = 1.0', 'kind = "transect"\nlength_m = 2.0')
+    with pytest.raises(RecipeError, match=r"'path\.radius_m': kind = .*A key in \[defaults\] is a key of every"):
+        make_split(text.replace("[[sequence]]", "[defaults]\npath = { radius_m = 1.0 }\n\n[[sequence]]"))

@@ -101,3 +101,18 @@ def test_windows_over_a_gap_are_left_out_where_that_is_asked_for(dive_file):
 def test_lengths_that_make_no_window_are_refused(dive_file, options, pattern):
     with pytest.raises(OptionError, match=pattern):
         WindowDataset(dive_file, **options)
+
+
+@pytest.mark.parametrize("several", [slice(0, 2), [0, 1]])
+def test_several_items_at_once_are_refused_with_what_has_them(windows, several):
+    with pytest.raises(TypeError, match=r"expected the number of an item, got .*; torch.utils.data.Subset"):
+        windows[several]
+    assert windows[np.int64(1)]["name"] == windows[torch.tensor(1)]["name"] == windows[1]["name"]
+
+
+def test_what_is_no_source_is_refused_in_one_line(dive_file):
+    sequence = oysterbench.open(dive_file)
+    with pytest.raises(SequenceError, match="got the open sequence hand-made: give the path of its file"):
+        WindowDataset(sequence, length=2)
+    with pytest.raises(SequenceError, match=r"expected a split, sequence files \(.mcap\) or folders of them, got int"):
+        WindowDataset(3, length=2)

@@ -43,6 +43,12 @@ class Trajectory:
     T_body_estimate: Array | None = None
 
     def __post_init__(self) -> None:
+        for name in ("stamps_ns", "positions", "quaternions"):
+            value = getattr(self, name)
+            if not hasattr(value, "shape"):
+                raise TrajectoryError(
+                    f"{name}: expected a NumPy array, got {type(value).__name__}; numpy.array({name}) makes one"
+                )
         n = len(self.stamps_ns)
         if self.positions.shape != (n, 3) or self.quaternions.shape != (n, 4):
             raise TrajectoryError(
