@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 
 from oysterbench.core.errors import RecipeError
 from oysterbench.recipe.keys import as_plain, build, choice, number
-from oysterbench.recipe.lens import check_fisheye
+from oysterbench.recipe.lens import check_lens
 from oysterbench.recipe.sensors import NamedSensorRecipe, SensorRecipe
 
 LENSES = {"pinhole": (0,), "brown-conrady": (4, 5), "fisheye": (4,)}
@@ -123,8 +123,7 @@ class CameraRecipe(NamedSensorRecipe):
                 f"{where}: key 'camera.distortion': expected {wanted} coefficients for lens = {self.lens!r}, got "
                 f"{list(self.distortion)}"
             )
-        if self.lens == "fisheye":
-            check_fisheye(self, where)
+        check_lens(self, where)
         if len(set(self.layers)) < len(self.layers):
             raise RecipeError(f"{where}: key 'camera.layers': expected each layer once, got {list(self.layers)}")
         if "depth" in self.sent_layers and self.max_range_m > LONGEST_DEPTH_M:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.errors import RecipeError
 from oysterbench.core.geometry import Array, transform
 from oysterbench.recipe import CameraRecipe
-from oysterbench.recipe.lens import PORT_INDEX
+from oysterbench.recipe.lens import half_in_air
 
 R_FORWARD_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from an optical frame (z forward, x right, y down) to x forward, y left, z up (REP 103)."""
@@ -26,15 +26,7 @@ def camera_matrix(recipe: CameraRecipe) -> Array:
     Half the image width spans half of hfov_deg, for a Brown-Conrady lens before distortion. Raises RecipeError when
     the field of view is too wide for a flat port, or when a fisheye's coefficients turn the image inside out.
     """
-    half = np.radians(recipe.hfov_deg) / 2
-    if recipe.port_mm is not None:
-        sine = PORT_INDEX * np.sin(half)
-        if sine >= 0.995:
-            raise RecipeError(
-                f"camera {recipe.name}: key 'camera.hfov_deg': expected at most 96 behind a flat port, where light is "
-                f"reflected beyond, got {recipe.hfov_deg:g}"
-            )
-        half = np.arcsin(sine)
+    half = half_in_air(recipe)
     extent = np.tan(half)
     if recipe.lens == "fisheye":
         powers = half ** np.arange(2, 2 * len(recipe.distortion) + 1, 2)

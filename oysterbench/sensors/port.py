@@ -45,7 +45,8 @@ def fit_in_water(camera: CameraRecipe) -> InWater:
     """
     from scipy.optimize import least_squares  # a third of a second, where no camera is behind a port
 
-    from oysterbench.render.lens import distort, pixel_rays
+    from oysterbench.recipe.lens import distort
+    from oysterbench.render.lens import pixel_rays
 
     columns, rows = np.meshgrid(*(np.linspace(0, n - 1, k) for n, k in zip(_size(camera), GRID, strict=True)))
     columns, rows = np.rint(columns).astype(int).ravel(), np.rint(rows).astype(int).ravel()
