@@ -35,7 +35,7 @@ from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FeatureTracks, Ob
 from oysterbench_baselines.gtsam_vi.graph import Model, StartPrior
 from oysterbench_baselines.gtsam_vi.handover import correct_filter
 from oysterbench_baselines.gtsam_vi.health import HealthWatch
-from oysterbench_baselines.gtsam_vi.initialisation import FilterStartSettings, Initialiser, Start
+from oysterbench_baselines.gtsam_vi.initialisation import FilterStartSettings, Initialiser
 from oysterbench_baselines.gtsam_vi.keyframes import (
     DataAssociation,
     has_turned,
