@@ -267,17 +267,28 @@ def _notes(
             f"no oyster in any of {given} masks: if there are oysters, the threshold or the meaning of the masks' "
             "values is wrong (--threshold, --masks-kind)"
         )
-    labelled = max((n for topic, _, n in sequence.contents() if topic == f"/{camera}/class"), default=0)
-    if given < labelled:
+    unmasked = _unmasked(sequence, camera, given)
+    if unmasked:
         notes.append(
-            f"{labelled - given} of {labelled} labelled images have no mask and are left out; an image without oysters "
-            "needs an empty mask for its ground to count as seen"
+            f"{unmasked} have no mask and are left out; an image without oysters needs an empty mask for its ground to "
+            "count as seen"
         )
     if counts["without_pose"]:
         notes.append(f"{counts['without_pose']} of {given} images have no pose and are left out: {reasons}")
     if counts["without_depth"]:
         notes.append(f"{counts['without_depth']} of {given} images have no depth and are left out")
     return notes
+
+
+def _unmasked(sequence: Sequence, camera: str, given: int) -> str:
+    """How many images of a camera have no mask, if `given` have one, in words; empty for none. Of a rendered sequence,
+    usually only the labelled images have masks, so these are expected unless more are given."""
+    counts = {name: count for name, _, count in sequence.contents()}
+    labelled = counts.get(f"/{camera}/class", 0)
+    kind, expected = "labelled images", labelled
+    if given > labelled:
+        kind, expected = "images", counts.get(f"/{camera}/image", counts.get(camera, 0))  # a topic; a folder of EuRoC
+    return f"{expected - given} of {expected} {kind}" if given < expected else ""
 
 
 def _check(sequence: Sequence, camera: str, depth: str, counts: dict[str, int], used: int, reasons: str) -> None:

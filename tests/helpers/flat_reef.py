@@ -82,7 +82,7 @@ class FlatReef(Sequence):
         return float(self.seconds[-1])
 
     def contents(self):
-        return [(f"/cam/{layer}", "", len(self.places)) for layer in self.layers]
+        return [(f"/cam/{layer}", "", len(self.places)) for layer in ("image", *self.layers)]
 
     def truth(self) -> Trajectory:
         positions = np.column_stack([self.places, np.full(len(self.places), BOTTOM + ALTITUDE)])

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.mapping import Seen, true_seen
+from oysterbench.mapping.survey import _unmasked
 from oysterbench.report.density_files import map_page, summary
 from tests.helpers.flat_reef import LANE, FlatReef, scattered
 from tests.mapping.test_density_map import SETTINGS, map_of
@@ -39,8 +41,26 @@ def test_labelled_images_without_a_mask_are_counted(reef):
     (note,) = [note for note in map_of(reef, seen=lambda: half).notes if "mask" in note]
     assert note.startswith("4 of 8 labelled images have no mask and are left out")
     assert not any("mask" in note for note in map_of(reef).notes)
-    unlabelled = FlatReef(LANE, reef.discs, layers=("depth", "instance"))
-    assert not any("mask" in note for note in map_of(unlabelled, seen=lambda: half).notes)
+
+
+def test_images_of_an_own_dive_without_a_mask_are_counted(reef):
+    dive = FlatReef(LANE, reef.discs, layers=("depth", "instance"))
+    masks = list(true_seen(reef, "cam"))
+    (note,) = [note for note in map_of(dive, seen=lambda: masks[::2]).notes if "mask" in note]
+    assert note.startswith("4 of 8 images have no mask and are left out; an image without oysters needs an empty mask")
+    assert not any("mask" in note for note in map_of(dive, seen=lambda: masks).notes)
+
+
+def test_images_without_a_mask_are_counted_by_the_names_of_topics_and_of_folders(reef):
+    def said(given, **counts):
+        named = SimpleNamespace(contents=lambda: [(name.replace("_", "/"), "", n) for name, n in counts.items()])
+        return _unmasked(named, "cam0", given)
+
+    assert said(24, cam0=81, cam1=90, imu0=2000) == "57 of 81 images"
+    assert said(81, cam0=81) == ""
+    assert said(30, _cam0_image=200, _cam0_class=40) == "10 of 40 labelled images"
+    assert said(40, _cam0_image=200, _cam0_class=40) == ""
+    assert said(150, _cam0_image=200, _cam0_class=40) == "50 of 200 images"
 
 
 def test_images_without_a_pose_are_counted_with_the_reason(reef):
