@@ -132,6 +132,7 @@ def map_command(
                          instance numbers
       .json              COCO annotations; categories live and dead, or oyster with a `state`,
                          distinguish the two
+
     An image without oysters needs an empty mask, or no annotation: images that are missing are left out.
 
     \b

@@ -2,8 +2,9 @@
 
 Images are a sample of the bottom. What neighbours have in common is no further evidence: frames of a video follow each
 other over the same ground, so blocks of time are resampled, each as a whole (Carlstein 1986), with the mean of the
-blocks weighted by their denominators (`evaluate.statistics.bootstrap_interval`). An interval covers the scatter of
-sampling, but not the method's own over- or undercounting.
+blocks weighted by their denominators (`evaluate.statistics.bootstrap_interval`). Blocks that are all equal, as where no
+oyster is found, have no scatter to resample: the interval is then the exact one of a count or a share
+(`evaluate.exact`). An interval covers the scatter of sampling, but not the method's own over- or undercounting.
 """
 
 from __future__ import annotations
@@ -17,7 +18,11 @@ from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
 from oysterbench.counting.measure import PictureCount
-from oysterbench.evaluate.statistics import LEAST_SEQUENCES, Interval, bootstrap_interval, mean_of, too_few
+from oysterbench.evaluate.exact import count_interval, share_interval
+from oysterbench.evaluate.statistics import LEAST_SEQUENCES, LEVEL, Interval, bootstrap_interval, mean_of, too_few
+
+Exact = Callable[[float, float], tuple[float, float]]
+"""Function of the sums above and below that returns the ends of the exact interval of their ratio."""
 
 BLOCK_S = 10.0
 """Length of a block of a video, s: at the 0.1 to 0.3 m/s of a survey, a camera then sees other ground."""
@@ -57,8 +62,30 @@ def block_labels(pictures: Sequence[PictureCount], neighbours: int | None = None
     return np.array([known[key] for key in keys], dtype=np.intp)
 
 
-def ratio(above: Sequence[float], below: Sequence[float], labels: NDArray[np.intp], noun: str = "block") -> Ratio:
-    """Sum of `above` over that of `below`, each (n,), for images of the blocks `labels` (n,)."""
+def of_counts(count: float, size: float) -> tuple[float, float]:
+    """Exact interval of a count per unit of `size`: images, or square metres."""
+    low, high = count_interval(count, count)
+    return low / size, high / size
+
+
+def of_percent(part: float, whole: float) -> tuple[float, float]:
+    """Exact interval, in %, of a share of things that are counted; part: 100 times their number."""
+    low, high = share_interval(part / 100.0, whole)
+    return 100.0 * low, 100.0 * high
+
+
+def ratio(
+    above: Sequence[float],
+    below: Sequence[float],
+    labels: NDArray[np.intp],
+    noun: str = "block",
+    exact: Exact | None = None,
+) -> Ratio:
+    """Sum of `above` over that of `below`, each (n,), for images of the blocks `labels` (n,).
+
+    exact: for blocks that all have the same value; without it, these have no interval. The images of such a block show
+    the same ground, so what they show counts once.
+    """
     sums, weights = _by_block(above, labels), _by_block(below, labels)
     held = weights > 0
     values, weights = sums[held] / weights[held], weights[held]
@@ -67,7 +94,15 @@ def ratio(above: Sequence[float], below: Sequence[float], labels: NDArray[np.int
         return Ratio(math.nan, Interval(math.nan, math.nan, "there is nothing to count"), 0)
     if n < LEAST_SEQUENCES:
         return Ratio(mean_of(values, weights), Interval(math.nan, math.nan, too_few(n, noun)), n)
-    return Ratio(mean_of(values, weights), bootstrap_interval(values, weights), n)
+    if values.min() < values.max():
+        interval = bootstrap_interval(values, weights)
+    elif exact is None:
+        reason = f"all {n} {noun}s have the same value: resampling them gives no {LEVEL:.0%} interval"
+        interval = Interval(math.nan, math.nan, reason)
+    else:
+        per_block = np.count_nonzero(np.asarray(below) > 0) / n
+        interval = Interval(*exact(sums[held].sum() / per_block, weights.sum() / per_block))
+    return Ratio(mean_of(values, weights), interval, n)
 
 
 def ratio_of(
@@ -76,13 +111,14 @@ def ratio_of(
     above: Callable[[PictureCount], float | None],
     below: Callable[[PictureCount], float] = lambda one: 1.0,
     noun: str = "block",
+    exact: Exact | None = None,
 ) -> Ratio:
     """As `ratio`, of values computed for each image; images for which `above` is None are left out."""
     known = [
         (value, below(one), k) for one, k in zip(pictures, labels, strict=True) if (value := above(one)) is not None
     ]
     sums, weights, own = zip(*known, strict=True) if known else ((), (), ())
-    return ratio(sums, weights, np.array(own, dtype=np.intp), noun)
+    return ratio(sums, weights, np.array(own, dtype=np.intp), noun, exact)
 
 
 def likeness(values: Sequence[float], labels: NDArray[np.intp]) -> float:

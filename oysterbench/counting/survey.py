@@ -11,7 +11,16 @@ import numpy as np
 
 from oysterbench.counting.accuracy import Accuracy
 from oysterbench.counting.doubts import doubts
-from oysterbench.counting.intervals import BLOCK_S, Ratio, block_labels, likeness, ratio_of
+from oysterbench.counting.intervals import (
+    BLOCK_S,
+    Exact,
+    Ratio,
+    block_labels,
+    likeness,
+    of_counts,
+    of_percent,
+    ratio_of,
+)
 from oysterbench.counting.least import EVERY_SIZE, Least
 from oysterbench.counting.measure import PictureCount
 from oysterbench.hub.model import Figure
@@ -161,11 +170,20 @@ def survey(
         above: Callable[[PictureCount], float | None],
         below: Callable[[PictureCount], float] = lambda one: 1.0,
         about: str = "",
+        exact: Exact | None = None,
     ) -> Measure:
-        return Measure(key, heading, unit, digits, about, ratio_of(pictures, labels, above, below, noun))
+        return Measure(key, heading, unit, digits, about, ratio_of(pictures, labels, above, below, noun, exact))
 
     measures = [
-        measure("oysters", "Oysters per image", "", 1, lambda one: one.oysters, about="oysters counted in an image"),
+        measure(
+            "oysters",
+            "Oysters per image",
+            "",
+            1,
+            lambda one: one.oysters,
+            about="oysters counted in an image",
+            exact=of_counts,
+        ),
         measure("cover", "Cover", "%", 1, _percent_covered, about="share of an image, or quadrat, that is oyster"),
         measure(
             "live",
@@ -175,6 +193,7 @@ def survey(
             lambda one: 100.0 * one.live,
             lambda one: one.live + one.dead,
             "of the oysters of which the method tells live from dead",
+            exact=of_percent,
         ),
         measure(
             "per_m2",
@@ -185,6 +204,7 @@ def survey(
             lambda one: one.area_m2 or 0.0,
             "all oysters over all ground; those "
             + ("whose centre is in a quadrat" if scale == "quadrat" else "that the edge of an image cuts count a half"),
+            exact=of_counts,
         ),
         measure(
             "length_mm",

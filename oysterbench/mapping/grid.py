@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
 from oysterbench.evaluate.density.restoration import RESTORATION_CLASSES, restoration_class
+from oysterbench.evaluate.exact import count_interval
 from oysterbench.mapping.cover import Cover, covered_m2
-from oysterbench.mapping.intervals import clumping, count_interval, doubt_variance
+from oysterbench.mapping.intervals import clumping, doubt_variance
 from oysterbench.mapping.settings import MapSettings
 
 STATES = ("live", "dead", "unknown")

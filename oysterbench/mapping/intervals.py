@@ -1,29 +1,12 @@
-"""Confidence intervals of counts and densities: counting, clumping, doubtful oysters and area combined."""
+"""What adds to the variance of a count of oysters: clumping, and doubtful oysters."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from oysterbench.core.geometry import Array
-
-LEVEL = 0.95
-
-
-def count_interval(count: float, variance: float) -> tuple[float, float]:
-    """Ends of the 95 % confidence interval of the mean behind a `count` with a given variance.
-
-    If the variance equals the count, this is the exact interval of a Poisson count (Garwood 1936); if it is D times the
-    count, D times the interval of count / D (McCullagh & Nelder 1989, sec. 6.2). For a count of 0, the upper end is
-    that of the exact interval.
-    """
-    times = variance / count if count > 0 and variance > 0 else 1.0
-    tail = (1.0 - LEVEL) / 2.0
-    whole = count / times
-    low = times * float(gammaincinv(whole, tail)) if count > 0 else 0.0
-    return low, times * float(gammaincinv(whole + 1.0, 1.0 - tail))
 
 
 def clumping(counts: Array, areas_m2: Array) -> float:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.html import environment
 from oysterbench.evaluate.density.restoration import RESTORATION_CLASSES, TARGET_PER_M2, THRESHOLD_PER_M2
-from oysterbench.mapping.intervals import LEVEL
+from oysterbench.evaluate.statistics import LEVEL
 from oysterbench.mapping.survey import OysterMap
 from oysterbench.report.density_figure import density_pixels, figure, mosaic, notes, numbers, panels, titles
 from oysterbench.report.figures import encoded, png_of, svg_of

@@ -99,3 +99,38 @@ def test_a_summary_has_no_number_that_is_not_one():
     assert plain["measures"]["oysters"]["low"] is None
     assert plain["measures"]["oysters"]["reason"]
     assert plain["failures"] == {"c": "broken"}
+
+
+def intervals(pictures, neighbours=None):
+    return {one.key: one.ratio.interval for one in survey("dive", "m", pictures, {}, neighbours).measures}
+
+
+def test_no_oyster_in_any_picture_leaves_an_upper_end_and_cover_without_an_interval():
+    found = intervals([picture(f"{k}", 0, cover=0.0, area_m2=0.12) for k in range(10)])
+    # Of none counted, the mean may be up to 3.7 (Poisson, 97.5 %), as on a map.
+    assert (found["oysters"].low, found["per_m2"].low) == (0.0, 0.0)
+    assert found["oysters"].high == pytest.approx(3.689 / 10, rel=1e-3)
+    assert found["per_m2"].high == pytest.approx(3.689 / 1.2, rel=1e-3)
+    assert found["cover"].reason == "all 10 images have the same value: resampling them gives no 95% interval"
+
+
+def test_where_all_are_alive_or_all_dead_the_share_is_not_certain():
+    alive = intervals([picture(f"{k}", 2, live=2) for k in range(10)])["live"]
+    dead = intervals([picture(f"{k}", 2, dead=2) for k in range(10)])["live"]
+    assert (alive.low, alive.high) == (pytest.approx(100 * 0.025 ** (1 / 20)), 100.0)  # Clopper & Pearson, of 20
+    assert (dead.low, dead.high) == (0.0, pytest.approx(100 - alive.low))
+
+
+def test_frames_of_the_same_ground_are_no_further_evidence_that_there_is_no_oyster():
+    found = intervals(frames("d.mp4", 60, counts=[0] * 60))["oysters"]
+    assert found.high == pytest.approx(3.689 / 6, rel=1e-3), "six blocks of 10 s"
+    assert intervals([picture(f"{k}", 0) for k in range(60)], 10)["oysters"] == found
+
+
+@pytest.mark.parametrize(("mean", "images"), [(0.05, 6), (0.05, 20), (0.3, 6)])
+def test_intervals_hold_the_mean_of_sparse_ground(mean, images):
+    random, tries, held = stream(images, b"", "test", "sparse"), 100, 0
+    for _ in range(tries):
+        interval = intervals([picture(f"{k}", int(n)) for k, n in enumerate(random.poisson(mean, images))])["oysters"]
+        held += interval.low <= mean <= interval.high
+    assert held / tries >= 0.9

@@ -10,9 +10,10 @@ import pytest
 from scipy.stats import poisson
 
 from oysterbench.evaluate.density.restoration import restoration_class
+from oysterbench.evaluate.exact import count_interval
 from oysterbench.mapping.depth import carried_on, fit_plane
 from oysterbench.mapping.grid import Oyster, live_share
-from oysterbench.mapping.intervals import clumping, count_interval, doubt_variance
+from oysterbench.mapping.intervals import clumping, doubt_variance
 from oysterbench.report.figures import figure_style, new_figure, png_of, svg_of
 
 
