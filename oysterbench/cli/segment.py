@@ -105,7 +105,7 @@ def segment_command(
       index.html      one page: counts and cover with intervals, outlines, warnings, how to check it
       pictures.csv    oysters, cover, live and dead, novelty of each image      summary.json  totals
       oysters.csv     box, area, score, state, length and width of each oyster
-      masks/          16-bit PNG, a number for each oyster   overlays/, videos/  outlines
+      masks/          16-bit PNG, a number for each oyster that counts   overlays/, videos/  outlines
 
     Images are JPEG, PNG, TIFF, BMP or WebP, rotated by their EXIF orientation. Of a method that gives only masks, the
     connected parts are counted, so that touching oysters are one; specks below --min-mm or --min-px are not. Corners
@@ -148,7 +148,7 @@ def segment_command(
     from oysterbench.counting.store import Store
     from oysterbench.counting.survey import survey
     from oysterbench.methods.weights import have_weights, weights_digests, weights_of
-    from oysterbench.report.counting import Making, check_folder, write_counts
+    from oysterbench.report.counting import COCO, Making, check_folder, write_counts
 
     scale, about_scale, table = _scale(scaling, found.sources)
     weights = weights_of(chosen)
@@ -201,6 +201,8 @@ def segment_command(
             f"{out}: masks and overlays of {len(earlier)} {noun} of earlier counts are still there, and not in the "
             f"tables: {', '.join(earlier[:3])}{more}"
         )
+    if not coco and (out / COCO).exists():
+        message(f"{out / COCO} is of an earlier count, and may not agree with the tables: --coco writes it anew")
     written = write_counts(result, counted, store, Making(command, identity, said), coco)
     if as_json:
         echo(json.dumps({**result.as_plain(), "files": [str(path) for path in written]}, indent=2))

@@ -14,7 +14,7 @@ from oysterbench.methods.finding import versions_of
 from oysterbench.methods.weights import weights_of
 from oysterbench.version import VERSION
 
-FORMAT = "oysterbench-count/2"
+FORMAT = "oysterbench-count/3"
 
 
 def method_identity(reference: str, method: object, options: Mapping[str, Any]) -> dict[str, Any]:

@@ -97,7 +97,7 @@ def ratio(
     if values.min() < values.max():
         interval = bootstrap_interval(values, weights)
     elif exact is None:
-        reason = f"all {n} {noun}s have the same value: resampling them gives no {LEVEL:.0%} interval"
+        reason = f"where all {n} {noun}s have the same value, resampling gives no {LEVEL:.0%} interval"
         interval = Interval(math.nan, math.nan, reason)
     else:
         per_block = np.count_nonzero(np.asarray(below) > 0) / n

@@ -124,7 +124,7 @@ def measure(
         cut=sum(row.cut for row in counted),
         live=sum(row.state == "live" for row in counted),
         dead=sum(row.state == "dead" for row in counted),
-        cover=None if found.numbers is None else _cover(_without(found.numbers, small), scale, region),
+        cover=None if found.numbers is None else _cover(without(found.numbers, small) > 0, scale, region),
         area_m2=None if scale is None else area_m2(scale, shape),
         novelty=_known(found.novelty),
         measured=len(lengths),
@@ -156,10 +156,10 @@ def _row(one: Oyster, region: Array, scale: Scale | None, shortest_mm: float, fe
     )
 
 
-def _without(numbers: NDArray[np.uint16], left_out: list[int]) -> NDArray[np.bool_]:
-    """Mask (H, W) of the oysters whose numbers are not left out."""
-    kept = np.ones(int(numbers.max(initial=0)) + 1, dtype=bool)
-    kept[[0, *(number for number in left_out if number < len(kept))]] = False
+def without(numbers: NDArray[np.uint16], left_out: list[int]) -> NDArray[np.uint16]:
+    """Numbers (H, W) of oysters, 0 for those that are left out."""
+    kept = np.arange(int(numbers.max(initial=0)) + 1, dtype=np.uint16)
+    kept[[number for number in left_out if number < len(kept)]] = 0
     return np.asarray(kept[numbers])
 
 

@@ -18,7 +18,7 @@ from oysterbench.counting.copies import Copies, thumbnail
 from oysterbench.counting.film import film_rate, write_film
 from oysterbench.counting.identity import key_of
 from oysterbench.counting.least import Least
-from oysterbench.counting.measure import PictureCount, measure
+from oysterbench.counting.measure import PictureCount, measure, without
 from oysterbench.counting.overlay import jpeg, overlay
 from oysterbench.counting.oysters import TooManyError, oysters_of
 from oysterbench.counting.reading import Sampling, Video, VideoFrame, decode
@@ -163,7 +163,9 @@ class Counting:
         picture = replace(picture, index=work.index, time_s=work.time_s)
         region = work.scale.region((height, width)) if isinstance(work.scale, QuadratScale) else None
         drawn = overlay(work.pixels, found.numbers, rows, picture, region)
-        self.store.write(work.key, picture, rows, found.numbers, jpeg(drawn), work.small)
+        left_out = [row.number for row in rows if not row.counted]
+        numbers = None if found.numbers is None else without(found.numbers, left_out)
+        self.store.write(work.key, picture, rows, numbers, jpeg(drawn), work.small)
         self._made.add(work.name)
         self._keep(work.place, picture)
 

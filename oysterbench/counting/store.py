@@ -1,7 +1,7 @@
 """Folder of counts: finished work is stored image by image, so that the same command resumes from there.
 
 ```
-masks/NAME.png        16 bits: numbers of oysters, 0 for none; no file if a method gives only boxes
+masks/NAME.png        16 bits: numbers of oysters that count, 0 for none; no file if a method gives only boxes
 overlays/NAME.jpg     the image with outlines
 videos/NAME.mp4       overlays of the frames of a video
 finished/NAME.json    the count, and the digest of what it depends on; written last
@@ -56,7 +56,7 @@ class Store:
         return (self.folder / "finished").is_dir()
 
     def mask(self, name: str) -> Path:
-        """Path of the numbers of an image's oysters."""
+        """Path of the numbers of an image's oysters that count."""
         return self.folder / "masks" / f"{name}.png"
 
     def overlay(self, name: str) -> Path:

@@ -29,6 +29,12 @@ from oysterbench.results.records import plain
 PARTS = "connected parts of a mask, not separate oysters"
 """Description of what is counted if a method gives only masks."""
 
+WHOLE_IMAGES = (
+    "the check counts whole images, this count only quadrats: oysters outside the quadrats that are not labelled count "
+    "as too many in the error on labelled images"
+)
+"""Warning about an error that was measured over other oysters than those counted."""
+
 
 @dataclass(frozen=True)
 class Measure:
@@ -219,6 +225,9 @@ def survey(
     known = tuple(one for one in measures if not math.isnan(one.ratio.value))
     alike = likeness([one.oysters for one in pictures], labels)
     length_mm = next((one.ratio.value for one in known if one.key == "length_mm"), math.nan)
+    warnings = list(doubts(method, pictures, length_mm, scale, copies, quadrat_m2))
+    if accuracy is not None and scale == "quadrat":
+        warnings.append(WHOLE_IMAGES)
     return Survey(
         title,
         method,
@@ -229,7 +238,7 @@ def survey(
         alike,
         accuracy,
         tuple(figures),
-        tuple(doubts(method, pictures, length_mm, scale, copies, quadrat_m2)),
+        tuple(warnings),
         least.described(any(one.parts for one in pictures), bool(scale)),
     )
 

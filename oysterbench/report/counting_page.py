@@ -73,7 +73,7 @@ def counting_page(
         "films": [_film(found, store, name, path) for name, path in films.items()],
         "colours": _colours(found),
         "scale": _scale(settings),
-        "accuracy": _accuracy(found, settings.get("threshold")),
+        "accuracy": _accuracy(found, settings),
         "figures": [f"{one.heading.lower()} on {one.split} {reached(one)} per image" for one in found.figures],
         "settings": settings,
         "coco": coco,
@@ -201,14 +201,16 @@ def _scale(settings: Mapping[str, Any]) -> str:
     return SCALES[scale["kind"]].format(**scale) if scale else ""
 
 
-def _accuracy(found: Survey, threshold: float | None) -> str:
-    """Counting error of the method on labelled images, in words, and how that count differs from the page's; empty if
-    it is not known. threshold: minimum score on the page."""
-    one = found.accuracy
+def _accuracy(found: Survey, settings: Mapping[str, Any]) -> str:
+    """Counting error of the method on labelled images, in words, and how that count differs from the page's, which has
+    these settings; empty if it is not known."""
+    one, threshold = found.accuracy, settings.get("threshold")
     if one is None or math.isnan(one.percent):
         return ""
     direction = "too many" if one.percent > 0 else "too few"
     differing = [f"what is smaller than {found.at_least}, too"] if found.at_least else []
+    if (settings.get("scale") or {}).get("kind") == "quadrat":
+        differing.append("what is outside the quadrats, too")
     if one.threshold not in (None, threshold):
         differing.append(f"from a score of {one.threshold:g}, not {threshold:g}")
     unlike = f" Unlike this page, that check counts {', and '.join(differing)}." if differing else ""

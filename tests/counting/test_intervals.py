@@ -111,7 +111,7 @@ def test_no_oyster_in_any_picture_leaves_an_upper_end_and_cover_without_an_inter
     assert (found["oysters"].low, found["per_m2"].low) == (0.0, 0.0)
     assert found["oysters"].high == pytest.approx(3.689 / 10, rel=1e-3)
     assert found["per_m2"].high == pytest.approx(3.689 / 1.2, rel=1e-3)
-    assert found["cover"].reason == "all 10 images have the same value: resampling them gives no 95% interval"
+    assert found["cover"].reason == "where all 10 images have the same value, resampling gives no 95% interval"
 
 
 def test_where_all_are_alive_or_all_dead_the_share_is_not_certain():

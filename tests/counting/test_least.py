@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from oysterbench.annotations.image import read_plane
 from oysterbench.counting.least import Least
 from oysterbench.counting.measure import measure
 from oysterbench.counting.oysters import oysters_of
@@ -15,7 +16,7 @@ from oysterbench.counting.sources import find_sources
 from oysterbench.counting.store import Store
 from oysterbench.methods.images import Detections, Segmentation
 from tests.helpers.image_methods import Light
-from tests.helpers.people_pictures import discs, write
+from tests.helpers.people_pictures import Discs, discs, write
 
 SHAPE = (480, 640)
 
@@ -89,3 +90,20 @@ def test_a_mask_of_more_parts_than_can_be_numbered_is_a_failure_of_its_image_alo
     made = Counting(sources, Specks(), {}, Store(tmp_path / "out"), Settings()).run()
     assert [one.name for one in made.pictures] == ["b"]
     assert "at most 65535 oysters in an image, got 67600 connected parts" in made.failures["a"]
+
+
+def test_masks_hold_what_counts_and_nothing_else(tmp_path):
+    write(tmp_path / "in" / "a.png", discs((40, 40), (100, 60), radius=4) | discs((130, 90)))
+    sources = find_sources([tmp_path / "in"]).sources
+    square = np.array([[70, 10], [155, 10], [155, 115], [70, 115.0]])
+
+    def numbers(out, **settings):
+        store = Store(tmp_path / out)
+        Counting(sources, Discs(), {}, store, Settings(**settings)).run()
+        kept = set(np.unique(read_plane(store.mask("a"))).tolist()) - {0}
+        assert kept == {row.number for row in store.oysters("a") if row.counted}
+        return len(kept), len(store.oysters("a"))
+
+    assert numbers("all") == (3, 3)
+    assert numbers("large", least=Least(area_px=100)) == (1, 3)
+    assert numbers("inside", scale=lambda source, name: QuadratScale(0.4, square)) == (2, 3)
