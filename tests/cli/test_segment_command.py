@@ -279,6 +279,22 @@ def test_quadrats_altitudes_and_checks_by_files(folder, tmp_path):
     assert_one_line(run("segment", folder, *DISCS, "--checked", "check"), "expected results of discs .* got other")
 
 
+def test_a_check_of_whole_images_is_told_apart_from_a_count_in_quadrats(folder, tmp_path):
+    corners = "".join(f"{k},70,20,130,20,130,110,70,110\n" for k in range(6))
+    (tmp_path / "c.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n" + corners)
+    write_results(tmp_path / "check" / "results.json", [result("discs")])
+    checked = ("segment", folder, *DISCS, "--checked", "check", "--json", "--out", "out")
+    told = "the check counts whole images, this count only quadrats: oysters outside the quadrats that are not labelled"
+    assert told not in run(*checked).stderr
+    assert "Unlike this page" not in (tmp_path / "out" / "index.html").read_text()
+    done = run(*checked, "--quadrat", 0.5, "--corners", "c.csv")
+    assert told in done.stderr
+    assert any(warning.startswith(told) for warning in json.loads(done.stdout)["warnings"])
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert "Unlike this page, that check counts what is outside the quadrats, too." in page
+    assert "also those outside the quadrat, which instances.json does not have" in page
+
+
 def test_lines_of_frames_that_were_not_counted_are_told_of(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_video(tmp_path / "dive.avi", [discs((60, 60))] * 20)
