@@ -19,6 +19,7 @@ from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import LARGEST_IMAGE_PX
 from oysterbench.evaluate.detection import ImageInstances, Instance
 from oysterbench.evaluate.detection.instances import OUTSIDE, Runs, mask_tools, numpy_2
+from oysterbench.evaluate.detection.states import ALIVE
 from oysterbench.evaluate.segmentation import EstimateImage
 
 PACKED = re.compile(rb"([P-o]{0,6}[0-O])+")
@@ -131,6 +132,12 @@ class CocoFile:
         single = (item for item in self.items[name] if not item.values.get("iscrowd"))
         return (self.mask_of(name, item) for item in single), crowd
 
+    def living(self, name: str) -> dict[int, bool]:
+        """Whether oysters of an image are alive, by their numbers from 1 in the order of `truth`; unknown ones are left
+        out."""
+        live = [_live(item) for item in self.items[name] if not item.values.get("iscrowd")]
+        return {number: one >= ALIVE for number, one in enumerate(live, start=1) if not math.isnan(one)}
+
 
 def read_coco(path: Path, truth: CocoFile | None = None, category: str = "oyster") -> CocoFile:
     """Read a document, or a list of results on the images of `truth`, of which only the items of a category are kept.
@@ -163,7 +170,10 @@ def read_coco(path: Path, truth: CocoFile | None = None, category: str = "oyster
     for number in names.values():
         _check_id(number, f"{path}: categories")
     if category not in names:
-        raise LabelError(f"{path}: no category is named {category!r}; its categories: {', '.join(names) or 'none'}")
+        raise LabelError(
+            f"{path}: no category is named {category!r}; its categories: {', '.join(names) or 'none'}; name the one of "
+            f'{category}s so; whether each is alive is said by "state": "live" or "dead" in its annotation'
+        )
     categories = {one: name for name, one in names.items()}
     own = _images(path, content["images"])
     items = _checked(path, "annotations", content["annotations"], own, categories)

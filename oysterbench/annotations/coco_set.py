@@ -48,4 +48,6 @@ def _read(coco: CocoFile, image: CocoImage, file: Path, clip: str) -> LabelledIm
         )
     oysters, crowd = coco.truth(image.name)
     classes, instances = planes_of(list(oysters), height, width)
-    return LabelledImage(image.name, clip, pixels, classes, instances, crowd & (instances == 0))
+    return LabelledImage(
+        image.name, clip, pixels, classes, instances, crowd & (instances == 0), living=coco.living(image.name)
+    )

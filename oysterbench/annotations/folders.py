@@ -42,8 +42,8 @@ def _read(image: Path, mask: Path, further: dict[str, Path], name: str, clip: st
     known = [int(value) for value in np.unique(values) if value]
     if len(known) > 1:
         raise LabelError(
-            f"{mask}: expected 0 and one other value, got {known[:6]}; several classes need one file each; put pixels "
-            "to be ignored in ignore/"
+            f"{mask}: expected 0 and one other value, got {known[:6]}; put numbers of oysters in instances/, beside "
+            "masks of 0 and 255 here, or in COCO annotations, and pixels to be ignored in ignore/"
         )
     oysters = values > 0
     if "instances" in further:

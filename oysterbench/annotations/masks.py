@@ -153,17 +153,18 @@ class MaskFiles:
         return values.astype(np.uint8)
 
 
-def as_mask(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
-    """Convert a plane of 0 and one other number, which marks oysters, to a mask. Raises LabelError for more numbers."""
+ESTIMATE_KINDS = "for probabilities, classes or numbers of oysters say so (--estimate-kind; of a map --masks-kind)"
+
+
+def as_mask(values: NDArray[Any], where: str, advice: str = ESTIMATE_KINDS) -> NDArray[np.bool_]:
+    """Convert a plane of 0 and one other number, which marks oysters, to a mask. Raises LabelError, which ends with the
+    advice, for more numbers."""
     if values.dtype == bool:
         return values
     greatest = values.max(initial=0)
     if not ((values == 0) | (values == greatest)).all():
         found = [f"{number:g}" for number in np.unique(values)[:6]]
-        raise LabelError(
-            f"{where}: expected a mask of 0 and one other number, got {', '.join(found)}...; for probabilities, "
-            "classes or numbers of oysters say so (--estimate-kind; of a map --masks-kind)"
-        )
+        raise LabelError(f"{where}: expected a mask of 0 and one other number, got {', '.join(found)}...; {advice}")
     return values > 0
 
 

@@ -30,6 +30,12 @@ from oysterbench.sequence.export.ply import points_at, rays_at
 IGNORED = 255
 """Value of pixels to be ignored in class images."""
 
+TRUTH_KINDS = (
+    "for a number to be ignored give --ignore-value, for classes --truth-kind classes; numbers of oysters belong in COCO "
+    "annotations (as `oysterbench segment --coco` writes them), or in instances/ beside images/ and masks/"
+)
+"""What to do about a true mask of several numbers."""
+
 GRID = 16  # px between the rays from which the area of seabed in an image is computed
 
 Seen = tuple[TruthImage, NDArray[np.uint8] | None]
@@ -188,7 +194,9 @@ def _labelled_clips(place: Path) -> list[LabelledSequence]:
         for entry in entries:
             image = entry.read()
             ignore = image.ignore if image.ignore.any() else None
-            yield TruthImage(image.name, image.classes, False, ignore, instances=image.instances), image.pixels
+            live = {number: float(alive) for number, alive in image.living.items()}
+            truth = TruthImage(image.name, image.classes, False, ignore, instances=image.instances, live=live)
+            yield truth, image.pixels
 
     return [
         LabelledSequence(
@@ -265,7 +273,7 @@ def _plain_truth(name: str, path: Path, labels: str, ignore_value: int | None) -
         values = np.where(ignore, 0, values)
         ignore = ignore if ignore.any() else None
     if labels != "classes":
-        mask = as_mask(values, str(path))
+        mask = as_mask(values, str(path), TRUTH_KINDS)
         return TruthImage(name, np.where(mask, np.uint8(OYSTER), np.uint8(0)), False, ignore)
     unknown = sorted(set(np.unique(values).tolist()) - set(CLASSES))
     if unknown:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import oysterbench
-from oysterbench.annotations import LabelledSet, joined, open_labelled, write_folder
+from oysterbench.annotations import LabelledSet, joined, open_labelled, open_truth, write_folder
+from oysterbench.annotations.export.examples import Example
 from oysterbench.core.errors import LabelError
 from oysterbench.core.polygons import mask_polygons, rasterise
 from oysterbench.recipe import OYSTER
@@ -251,6 +252,31 @@ def test_coco_polygons_crowds_and_other_categories(tmp_path):
     assert crowd.ignore.sum() == 16 * 12
     assert not crowd.oysters.any()
     assert not open_labelled(coco_file(tmp_path, [box], category_id=8))[0].oysters.any()
+
+
+@pytest.mark.parametrize(("state", "alive"), [("live", True), ("dead", False)])
+def test_a_coco_file_says_which_oysters_are_alive(state, alive, tmp_path):
+    folder = coco_file(tmp_path, [[8, 8, 24, 8, 24, 20, 8, 20]], state=state)
+    assert open_labelled(folder)[0].living == {1: alive}
+    (clip,) = open_truth(folder / "all.json")
+    assert [one.live for one in clip.instances(next(clip.images())[0]).instances] == [alive]
+
+
+def test_own_labels_are_scored_and_exported_with_the_states_of_their_coco_file(tmp_path):
+    folder = coco_file(tmp_path / "set", [[8, 8, 24, 8, 24, 20, 8, 20]], state="dead")
+    (tmp_path / "set" / "images").mkdir()
+    (folder / "a.png").rename(folder / "images" / "a.png")
+    (clip,) = open_truth(folder)
+    ((found, _),) = clip.single()
+    assert [one.live for one in found.instances] == [0.0]
+    assert [one["state"] for one in Example("a", open_labelled(folder)[0], ".png", b"").objects()] == ["dead"]
+
+
+def test_without_a_category_for_oysters_a_coco_file_is_told_how_to_say_states(tmp_path):
+    place = coco_file(tmp_path, [[8, 8, 24, 8, 24, 20]]) / "all.json"
+    place.write_text(place.read_text().replace('"oyster"', '"live"'))
+    with pytest.raises(LabelError, match=r"its categories: live, stone; .* \"state\": \"live\" or \"dead\""):
+        open_labelled(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -82,3 +82,21 @@ def test_a_sequence_is_a_clip_with_the_truth_that_training_has(tiny_file):
         assert {number: truth.live[number] == 1 for number in numbers.tolist()}.items() <= living.items()
         assert [one.live for one in singles] == [float(living[number]) for number in numbers.tolist()]
         assert truth.footprint_m2 > 0.1  # a camera that looks ahead sees far
+
+
+def test_a_true_mask_of_several_numbers_is_told_what_helps_for_truth(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.array([[0, 128, 255]], np.uint8))
+    (clip,) = open_truth(tmp_path)
+    with pytest.raises(LabelError, match=r"got 0, 128, 255\.\.\.; .*--ignore-value.*--truth-kind.*COCO") as error:
+        list(clip.images())
+    assert "--estimate-kind" not in str(error.value)
+    (clip,) = open_truth(tmp_path, ignore_value=128)
+    assert next(clip.images())[0].ignore.sum() == 1
+
+
+def test_numbered_masks_of_a_labelled_folder_are_told_where_numbers_belong(tmp_path):
+    for kind in ("images", "masks"):
+        (tmp_path / kind).mkdir()
+        cv2.imwrite(str(tmp_path / kind / "a.png"), np.array([[0, 1, 2]], np.uint16))
+    with pytest.raises(LabelError, match=r"got \[1, 2\]; put numbers of oysters in instances/"):
+        open_labelled(tmp_path)[0]
