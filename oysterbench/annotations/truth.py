@@ -31,8 +31,8 @@ IGNORED = 255
 """Value of pixels to be ignored in class images."""
 
 TRUTH_KINDS = (
-    "for a number to be ignored give --ignore-value, for classes --truth-kind classes; numbers of oysters belong in COCO "
-    "annotations (as `oysterbench segment --coco` writes them), or in instances/ beside images/ and masks/"
+    "for a number to be ignored give --ignore-value, for classes --truth-kind classes; numbers of oysters belong in "
+    "COCO annotations (as `oysterbench segment --coco` writes them), or in instances/ beside images/ and masks/"
 )
 """What to do about a true mask of several numbers."""
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import LARGEST_IMAGE_PX, decode_picture
+from oysterbench.counting.edits import shown_share
 from oysterbench.counting.faults import counts_frames, picture_fault, video_fault
 
 # FFmpeg's own messages on a broken file would break up the progress bar; the error is reported in one line here.
@@ -32,6 +33,10 @@ ROUNDING_S = 1e-3
 RESTART_S = 1.0
 """Step back of a video's timestamps, s, above which they began again, as where recordings were joined; frames that are
 merely out of order step back by less."""
+
+
+MOST_WIDENING = 4.0
+"""Maximum ratio of the sides of a pixel: cameras have at most 2, and more is a mistake in the file."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +114,9 @@ class Video:
         rate = self._capture.get(cv2.CAP_PROP_FPS)
         self.rate_hz = float(rate) if 0 < rate < 10_000 else 0.0
         self.claimed = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+        if counts_frames(path):
+            self.claimed = round(self.claimed * shown_share(path))
+        self._widening = _widening(self._capture)
         self._reached = 0.0
 
     def estimate(self, sampling: Sampling) -> int:
@@ -165,4 +173,17 @@ class Video:
         read, pixels = self._capture.retrieve()
         if not read:
             raise LabelError(f"{self.path}: a frame could not be decoded")
+        if self._widening != 1:
+            size = (max(1, round(pixels.shape[1] * self._widening)), pixels.shape[0])
+            pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_LINEAR)
         return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def _widening(capture: cv2.VideoCapture) -> float:
+    """Factor by which the frames of a video must become wider for square pixels, as players show them."""
+    wide, high = capture.get(cv2.CAP_PROP_SAR_NUM), capture.get(cv2.CAP_PROP_SAR_DEN)
+    ratio = wide / high if wide > 0 and high > 0 else 1.0
+    if not 1 / MOST_WIDENING <= ratio <= MOST_WIDENING:
+        return 1.0
+    on_its_side = round(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 180 == 90  # the ratio is that before turning
+    return 1 / ratio if on_its_side else ratio
