@@ -13,9 +13,10 @@ from oysterbench.core.pictures import LARGEST_IMAGE_PX
 AGAIN = "copy it again from the camera"
 UNREADABLE = {b"hei": "HEIC", b"hev": "HEIC", b"mif": "HEIC", b"avi": "AVIF", b"crx": "a raw image"}
 """First bytes of the brand of an ISO 14496-12 file -> its format, which OpenCV's wheels cannot decode."""
-KIND, BITS, PHOTOMETRIC, PLANES = 254, 258, 262, 284
-"""Tags of a TIFF (Adobe, TIFF 6.0): NewSubfileType, where bit 0 marks a reduced copy of another page; BitsPerSample;
-PhotometricInterpretation, where 0 means that white is 0; PlanarConfiguration, where 2 means separate planes."""
+KIND, WIDTH, HEIGHT, BITS, PHOTOMETRIC, PLANES = 254, 256, 257, 258, 262, 284
+"""Tags of a TIFF (Adobe, TIFF 6.0): NewSubfileType, where bit 0 marks a reduced copy of another page; ImageWidth;
+ImageLength; BitsPerSample; PhotometricInterpretation, where 0 means that white is 0; PlanarConfiguration, where 2 means
+separate planes."""
 
 DAMAGE = ("Corrupt JPEG data", "Premature end of JPEG")
 """Messages of libjpeg for an image whose scans it cannot read to their end; OpenCV reports other errors itself."""
@@ -44,6 +45,21 @@ def picture_fault(data: bytes) -> str:
     if _moves(data):
         return "an animation: expected one image in a file: save it as a GIF or video, or each image as a file"
     return ""
+
+
+def picture_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height, px, that the header of a JPEG, PNG or TIFF states; None for another format, or if damaged."""
+    if data.startswith(b"\xff\xd8"):
+        try:
+            height, width, *_ = simplejpeg.decode_jpeg_header(data)
+        except ValueError:
+            return None
+        return width, height
+    if data.startswith(b"\x89PNG") and len(data) >= 24:
+        width, height = struct.unpack_from(">II", data, 16)
+        return width, height
+    first = next(iter(_tiff_pages(data)), {})
+    return (first[WIDTH], first[HEIGHT]) if WIDTH in first and HEIGHT in first else None
 
 
 def counts_frames(path: Path) -> bool:

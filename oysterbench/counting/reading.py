@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import LARGEST_IMAGE_PX, decode_picture
 from oysterbench.counting.edits import shown_share
-from oysterbench.counting.faults import counts_frames, picture_fault, video_fault
+from oysterbench.counting.faults import counts_frames, picture_fault, picture_size, video_fault
 
 # FFmpeg's own messages on a broken file would break up the progress bar; the error is reported in one line here.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -66,9 +66,13 @@ def decode(data: bytes, where: str) -> NDArray[np.uint8]:
     with _quiet():  # not directly as RGB: for a 16-bit TIFF, OpenCV 5.0 then returns uninitialised memory
         pixels = decode_picture(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if pixels is None:
+        most = f"{LARGEST_IMAGE_PX // 1_000_000} megapixels"
+        width, height = picture_size(data) or (0, 0)
+        if width * height > LARGEST_IMAGE_PX:
+            raise LabelError(f"{where}: expected at most {most}, got {width} x {height} px: cut it into tiles")
         raise LabelError(
             f"{where}: cannot be decoded as an image ({len(data)} bytes): it is damaged, of another format than its "
-            f"name says, or has more than {LARGEST_IMAGE_PX // 1_000_000} megapixels (then cut it into tiles)"
+            f"name says{'' if width else f', or has more than {most} (then cut it into tiles)'}"
         )
     if pixels.dtype not in (np.uint8, np.uint16):
         raise LabelError(f"{where}: expected an image of 8 or 16 bits, got {pixels.dtype}: save it as one of these")

@@ -95,8 +95,14 @@ class _Names:
 
     def find(self, said: str, where: str) -> str | None:
         """Return the name of the source or frame that is meant; None if there is none. Raises LabelError if several
-        images have that name."""
-        said = composed(said)
+        images have that name.
+
+        An apostrophe before it is that of pictures.csv, which keeps spreadsheets from running names as formulas.
+        """
+        found = self._named(composed(said), where)
+        return self._named(composed(said[1:]), where) if found is None and said.startswith("'") else found
+
+    def _named(self, said: str, where: str) -> str | None:
         video, _, frame = said.rpartition("/")
         if video in self._videos and frame.isascii() and frame.isdigit():
             return f"{self._videos[video]}/{frame.lstrip('0').zfill(6)}"  # as `run.frame_name` writes it

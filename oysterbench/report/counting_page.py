@@ -208,6 +208,8 @@ def _accuracy(found: Survey, settings: Mapping[str, Any]) -> str:
     if one is None or math.isnan(one.percent):
         return ""
     direction = "too many" if one.percent > 0 else "too few"
+    size = f"{abs(one.percent):.0f}" if abs(one.percent) >= 1 else f"{abs(one.percent):.1g}"
+    error = f"{size} % {direction}" if one.percent else "as many"
     differing = [f"what is smaller than {found.at_least}, too"] if found.at_least else []
     if (settings.get("scale") or {}).get("kind") == "quadrat":
         differing.append("what is outside the quadrats, too")
@@ -216,7 +218,7 @@ def _accuracy(found: Survey, settings: Mapping[str, Any]) -> str:
     unlike = f" Unlike this page, that check counts {', and '.join(differing)}." if differing else ""
     return (
         f"On labelled images ({one.where}), {found.method} counted {one.counted:.0f} oysters where "
-        f"{one.labelled:.0f} are labelled: {abs(one.percent):.0f} % {direction}"
+        f"{one.labelled:.0f} are labelled: {error}"
         f"{', but with different weights' if one.other_weights else ''}.{unlike}"
     )
 

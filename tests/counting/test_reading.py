@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import zlib
 
 import cv2
 import numpy as np
@@ -172,6 +173,22 @@ def test_a_format_that_cannot_be_read_is_named_whatever_its_file_is_called():
 @pytest.mark.parametrize(("data", "said"), [(b"", "empty file"), (b"GIF, or so", "cannot be decoded")])
 def test_what_is_no_picture_is_one_line(data, said):
     with pytest.raises(LabelError, match=f"a: {said}"):
+        decode(data, "a")
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
+def test_a_picture_that_is_too_large_is_told_its_size(suffix):
+    data = encoded(suffix, np.zeros((1 << 6, 1 << 5), np.uint8))
+    if suffix == ".jpg":
+        at = data.find(b"\xff\xc0") + 5
+        data = data[:at] + struct.pack(">HH", 8000, 12000) + data[at + 4 :]
+    elif suffix == ".png":
+        header = b"IHDR" + struct.pack(">II", 12000, 8000) + data[24:29]
+        data = data[:12] + header + struct.pack(">I", zlib.crc32(header)) + data[33:]
+    else:
+        data = data.replace(struct.pack("<HHII", 256, 3, 1, 1 << 5), struct.pack("<HHII", 256, 4, 1, 12000))
+        data = data.replace(struct.pack("<HHII", 257, 3, 1, 1 << 6), struct.pack("<HHII", 257, 4, 1, 8000))
+    with pytest.raises(LabelError, match=r"a: expected at most 67 megapixels, got 12000 x 8000 px: cut it into tiles"):
         decode(data, "a")
 
 

@@ -14,6 +14,7 @@ from oysterbench.counting.per_picture import ALTITUDE, CORNERS, altitudes, quadr
 from oysterbench.counting.scale import AltitudeScale, PlainScale, QuadratScale, area_m2, border, length_and_width_mm
 from oysterbench.counting.sources import Source, find_sources
 from oysterbench.counting.tables import read_table
+from oysterbench.report.renderers.csv import field
 
 SHAPE = (480, 640)
 MATRIX = np.array([[400.0, 0, 330], [0, 410, 235], [0, 0, 1]])
@@ -285,6 +286,16 @@ def test_names_with_umlauts_are_the_same_however_they_are_composed(tmp_path):
         "Mu\u0308ll.mp4/000010": (2.0,),
         "Mu\u0308ll 2": (3.0,),
     }
+
+
+def test_names_may_have_the_apostrophe_that_pictures_csv_puts_before_formulas(tmp_path):
+    for name in ("=1+1.jpg", "-lead.mp4", "'quoted.png"):
+        (tmp_path / name).write_bytes(b"x")
+    sources = find_sources([tmp_path]).sources
+    text = "picture,altitude_m\n" + "".join(f"{field(n)},1\n" for n in ("=1+1", "-lead.mp4/000010", "'quoted"))
+    assert "\n'=1+1,1\n'-lead" in text
+    assert set(table(tmp_path, text, sources, ALTITUDE).rows) == {"=1+1", "-lead.mp4/000010", "'quoted"}
+    assert table(tmp_path, "picture,altitude_m\n'x,1\n", sources, ALTITUDE).unused == ("'x",)
 
 
 def test_a_table_of_a_spreadsheet_may_have_semicolons_and_decimal_commas(tmp_path, sources):

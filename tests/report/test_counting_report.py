@@ -158,6 +158,12 @@ def test_the_page_says_how_far_counts_are_off_where_that_was_measured(folder, tm
     assert "how to measure it" not in said
 
 
+@pytest.mark.parametrize(("counted", "error"), [(200.0, "as many."), (199.0, "0.5 % too few.")])
+def test_a_count_that_is_right_is_not_called_too_few(folder, tmp_path, counted, error):
+    counts(folder, tmp_path, accuracy=Accuracy(200.0, counted, "mine", threshold=0.5))
+    assert f"where 200 are labelled: {error}" in words(tmp_path / "index.html")
+
+
 def test_the_page_says_how_the_check_counted_otherwise(folder, tmp_path):
     counts(folder, tmp_path, accuracy=Accuracy(200.0, 230.0, "mine", threshold=0.5), least=Least(area_px=49.0))
     told = "15 % too many. Unlike this page, that check counts what is smaller than 49 px, too."
