@@ -118,8 +118,10 @@ class Video:
         rate = self._capture.get(cv2.CAP_PROP_FPS)
         self.rate_hz = float(rate) if 0 < rate < 10_000 else 0.0
         self.claimed = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-        if counts_frames(path):
-            self.claimed = round(self.claimed * shown_share(path))
+        self._counts = counts_frames(path)  # whether `claimed` is a number of frames rather than a duration
+        if self._counts and (share := shown_share(path)) < 1:
+            # By duration: how many of the frames are hidden depends on their rate there, which may vary.
+            self._counts, self.claimed = False, round(self.claimed * share)
         self._widening = _widening(self._capture)
         self._reached = 0.0
 
@@ -146,10 +148,9 @@ class Video:
             raise LabelError(
                 f"{self.path}: the video cannot be read, none of its frames were: {video_fault(self.path)}"
             )
-        counts = counts_frames(self.path)
-        if max(index, 0 if counts else self._reached) < COMPLETE * self.claimed:
+        if max(index, 0 if self._counts else self._reached) < COMPLETE * self.claimed:
             what = f"{index} of {self.claimed} frames were"
-            if not counts and self.rate_hz:
+            if not self._counts and self.rate_hz:
                 what = f"{self._reached / self.rate_hz:.1f} of {self.claimed / self.rate_hz:.1f} s were"
             raise LabelError(
                 f"{self.path}: the video cannot be read to its end: {what}; these are counted; copy it again from the "

@@ -61,6 +61,18 @@ def test_a_clip_trimmed_without_encoding_it_again_is_whole(whole, tmp_path, begi
     assert found[0] == pytest.approx(greys(whole)[round(RATE_HZ * begin_s)], abs=3)
 
 
+def test_a_trimmed_clip_may_have_most_of_its_frames_in_the_hidden_part(whole, tmp_path):
+    data = whole.read_bytes()
+    step = struct.unpack_from(">I", data, data.find(b"stts") + 16)[0]
+    times = struct.pack(">6I", 0, 2, 30, step // 2, 30, step + step // 2)  # 20 Hz for 1.5 s, then 7 Hz for 4.5 s
+    (tmp_path / "varied.mp4").write_bytes(
+        boxed(data, b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts", content=times)
+    )
+    clip = trimmed(tmp_path / "varied.mp4", tmp_path / "clip.mp4", 1.5, 6.0)
+    assert Video(clip).claimed == 45
+    assert len(greys(clip)) == 30
+
+
 def test_a_trimmed_clip_that_breaks_off_is_still_named(whole, tmp_path, monkeypatch):
     clip = Video(trimmed(whole, tmp_path / "clip.mp4", 1.7, 6.0))
     grab, left = clip._capture.grab, iter(range(30))
@@ -73,7 +85,7 @@ def test_a_trimmed_clip_that_breaks_off_is_still_named(whole, tmp_path, monkeypa
             return getattr(capture, name)
 
     capture, clip._capture = clip._capture, BreaksOff()
-    with pytest.raises(LabelError, match=r"cannot be read to its end: 30 of 43 frames were"):
+    with pytest.raises(LabelError, match=r"cannot be read to its end: 3\.0 of 4\.3 s were"):
         list(clip.frames(Sampling(every=1)))
 
 
