@@ -74,7 +74,7 @@ def motion_factors(
         if n:
             # All are preintegrated about one bias, that of the last state.
             factors += model.motion(keyframes[n - 1], keyframes[n], states[n - 1], states[n], states[-1].bias)
-        if keyframes[n].stationary:
+        if keyframes[n].stationary and not keyframes[n].blind:
             factors.append(model.zero_velocity(keyframes[n].index))
     return factors
 

@@ -376,7 +376,7 @@ class Estimator:
             self.info["smoothed_error_px"] = float(np.median(smoothed.bundle.errors_px))
         try:
             known = smoothed.covariances(invert(self.imu.T_base_imu)[:3, 3], self.model)
-        except RuntimeError:  # GTSAM: a landmark is too weakly determined to be eliminated; the poses are unaffected
+        except RuntimeError:  # the system is singular there; the poses are unaffected
             self.info["covariances_failed"] = 1
             return self._trajectory(smoothed.poses, [])
         return self._trajectory(smoothed.poses, between_keyframes(known, keyframes, self.frames))

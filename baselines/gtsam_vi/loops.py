@@ -155,7 +155,8 @@ class LoopCloser:
         distance = float(np.linalg.norm(after.estimate.matrix[:3, 3] - before.estimate.matrix[:3, 3]))
         duration = (after.stamp_ns - before.stamp_ns) * 1e-9
         between = keyframes[before.index + 1 : after.index + 1]
-        blind = sum(k.segment.duration for k in between if len(k.observations.ids) < settings.recognition.min_landmarks)
+        seen = settings.recognition.min_landmarks
+        blind = sum(k.segment.duration for k in between if len(k.observations.ids) < seen and not k.lost)
         lost = sum(k.segment.duration for k in between if k.lost)
         heading = settings.loops.drift_heading**2 * duration + (settings.recovery.unknown_rate * lost) ** 2
         position = settings.loops.drift_position**2 * (distance + 0.01 * duration)

@@ -47,8 +47,9 @@ TOLERANCE = 1e-4
 """Share of the error by which it falls at least, or the adjustment ends."""
 HALVINGS = 3
 """Number of times that a step which does not reduce the error is halved before it is given up."""
-LOOSE, UNIT = np.eye(3) * 1e-3, gtsam.noiseModel.Unit.Create(3)
-"""Root information, 1/m, by which a landmark is held where it is: to a kilometre."""
+LOOSE, UNIT = np.eye(3) * 1e-5, gtsam.noiseModel.Unit.Create(3)
+"""Root information, 1/m, by which a landmark may be held where it is: to a hundred kilometres, as thousands of them
+must not hold the path."""
 KEPT_VIEWS = 300_000
 """Number of views of a path up to which its factors are kept from one step to the next: 60 MB, twenty minutes with one
 camera. Those of a longer path are rebuilt."""
@@ -234,11 +235,11 @@ class PiecewiseSystem:
         return linear, ordering
 
     def _linear(self, piece: int) -> gtsam.GaussianFactorGraph:
-        """A piece's own factors, linearised. Its landmarks are held loosely where they are: after a bold step all views
-        of one may have it behind them, and say nothing about it."""
+        """A piece's own factors, linearised. Where there are no squares to fail, its landmarks are held loosely where
+        they are: after a bold step all views of one may have it behind them, and say nothing about it."""
         path = self._path
         linear = path.graph(piece, self._times).linearize(self.values)
-        for landmark in path.ids[path.owner == piece].tolist():
+        for landmark in path.ids[path.owner == piece].tolist() if self._elimination is Orthogonal else ():
             linear.push_back(gtsam.JacobianFactor(L(landmark), LOOSE, np.zeros(3), UNIT))
         return linear
 
@@ -292,7 +293,7 @@ def adjust_piecewise(
 
 
 def _system(path: Piecewise, values: gtsam.Values) -> PiecewiseSystem | None:
-    """The system at values; None where a landmark there is too weakly determined to be eliminated."""
+    """The system at values; None where its equations cannot be solved."""
     try:
         return path.system(values)
     except RuntimeError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 
@@ -28,6 +29,7 @@ class Recovery:
     def __init__(self, model: Model) -> None:
         self._model = model
         self._bad_keyframes = 0
+        self._misfits = False  # whether tracks that fit no point are all that was bad
         self._good: tuple[int, State] | None = None  # a keyframe's index, and its state then
         self._coasted = 0  # index of the keyframe up to which the path has been coasted since
 
@@ -51,9 +53,12 @@ class Recovery:
             fastest = min(fastest, limits.max_blind_speed * model.usual_speed)
         if not np.isfinite(state.matrix).all() or np.linalg.norm(state.nav.velocity()) > fastest:
             return True
-        bad = window.lost_share > limits.max_lost_share or window.misfits >= limits.max_misfits
-        self._bad_keyframes = self._bad_keyframes + 1 if bad else 0
-        if model.bias_sigmas(state.bias) > limits.max_bias_sigmas or self._bad_keyframes >= limits.max_bad_keyframes:
+        misled, misfits = window.lost_share > limits.max_lost_share, window.misfits >= limits.max_misfits
+        self._bad_keyframes = self._bad_keyframes + 1 if misled or misfits else 0
+        if model.bias_sigmas(state.bias) > limits.max_bias_sigmas:
+            return True
+        if self._bad_keyframes >= limits.max_bad_keyframes:
+            self._misfits = not misled
             return True
         if self._bad_keyframes == 0:
             self.accept(keyframe)
@@ -67,13 +72,20 @@ class Recovery:
         for keyframe in keyframes[good + 1 :]:
             keyframe.lost = True
         if len(keyframes) > good + 1:
-            keyframes[good + 1].astray = True
+            keyframes[good + 1].astray = not (self._misfits and self._had_seen_nothing(keyframes[: good + 1]))
         for keyframe in keyframes[good + 1 : -1]:
             keyframe.distrust_sight()
         for frame in frames:
             if frame.keyframe > good:
                 frame.health = Health.COASTING
-        self._bad_keyframes = 0
+        self._bad_keyframes, self._misfits = 0, False
+
+    def _had_seen_nothing(self, keyframes: list[Keyframe]) -> bool:
+        """Whether there was nothing to see for most of the blind time up to the last of these keyframes. What is known
+        by inertia alone is not doubtful; but where hardly any of what is seen makes a landmark, that may be silt."""
+        blind = takewhile(lambda keyframe: keyframe.blind, reversed(keyframes))
+        counts = [len(keyframe.observations.ids) for keyframe in blind]
+        return bool(counts) and float(np.median(counts)) < self._model.settings.recovery.min_landmarks
 
     def predict(self, keyframes: list[Keyframe], frames: list[Frame]) -> Anchor:
         """Coast the path from the last good keyframe, slowing down, also for the frames whose poses have been given

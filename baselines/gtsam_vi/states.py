@@ -69,8 +69,9 @@ class Keyframe:
     blind: bool = False
 
     def distrust_sight(self) -> None:
-        """Drop its observations, which fit nothing seen later: it is then as blind as one that saw nothing."""
-        self.observations, self.blind = NOTHING, True
+        """Drop its observations, which fit nothing seen later, and the rest that they seemed to show: it is then as
+        blind as one that saw nothing."""
+        self.observations, self.blind, self.stationary = NOTHING, True, False
 
     @cached_property
     def rates(self) -> Rates | None:

@@ -11,6 +11,7 @@ from gtsam.symbol_shorthand import B, L, V, X
 from scipy.spatial.transform import Rotation
 
 from oysterbench_baselines.common.inertial import Segment
+from oysterbench_baselines.gtsam_vi.bundle import motion_factors
 from oysterbench_baselines.gtsam_vi.elimination import Cholesky, Orthogonal
 from oysterbench_baselines.gtsam_vi.frontend import Observations
 from oysterbench_baselines.gtsam_vi.keyframes import is_stationary
@@ -168,3 +169,36 @@ def test_a_path_that_ends_lost_is_smoothed_to_its_end():
     assert len(smoothed.covariances) == len(smoothed)
     sigma = np.sqrt(np.einsum("nii->n", smoothed.covariances[:, :3, :3]))
     assert sigma[-1] > 10 * sigma[seen].max()
+
+
+def transect(times: np.ndarray) -> np.ndarray:
+    """A survey on a straight line at 0.4 m/s that hardly turns, as a heavy vehicle flies it."""
+    sway, angle = 2 * np.pi * times, np.radians(0.3)
+    return dive.poses_of(
+        0.4 * times + 0.06 * np.sin(0.21 * sway) - 5.0,
+        0.1 * np.sin(0.17 * sway + 1.0),
+        0.06 * np.sin(0.27 * sway + 0.5) - 3.0,
+        *(angle * np.sin(0.15 * sway + phase) for phase in (0.0, 0.7, 0.2)),
+    )
+
+
+def test_a_blind_stretch_after_which_nothing_fits_is_bridged_from_both_sides():
+    """The estimator starts anew, as its velocity is off by too much; what it had by inertia alone is not doubtful."""
+    measured = dive.make_dive(0, duration_s=30.0, most=60, pose=transect, blind=(8.0, 20.0))
+    estimator = estimate(measured)
+    assert estimator.info["restarts"] >= 1
+    assert not any(keyframe.astray for keyframe in estimator.keyframes)
+    smoothed = estimator.smoothed()
+    assert position_error(measured.truth, smoothed) < 0.1 < position_error(measured.truth, estimator.online())
+
+
+def test_what_is_distrusted_shows_no_rest(estimator):
+    keyframe = replace(estimator.keyframes[5], stationary=True)
+    keyframe.distrust_sight()
+    assert not keyframe.stationary
+    blind = [*estimator.keyframes[:5], replace(estimator.keyframes[5], stationary=True, blind=True)]
+    seeing = [*estimator.keyframes[:5], replace(estimator.keyframes[5], stationary=True)]
+    states = [one.estimate for one in seeing]
+    counts = [len(motion_factors(estimator.model, path, states, range(6))) for path in (blind, seeing)]
+    rests = [estimator.model.drag(seeing[5])]  # what a blind keyframe has in its place
+    assert counts[0] == counts[1] - 1 + len(rests)

@@ -42,7 +42,7 @@ def test_what_is_smoothed_piece_by_piece_is_what_is_smoothed_as_one(estimator):
     np.testing.assert_allclose(pieces.positions, whole.positions, atol=1e-6)
     scale = np.sqrt(np.einsum("nii->ni", whole.covariances))
     difference = (pieces.covariances - whole.covariances) / (scale[:, :, None] * scale[:, None, :])
-    assert np.abs(difference).max() < 1e-4
+    assert np.abs(difference).max() < 1e-7
 
 
 def test_a_step_to_where_nothing_can_be_solved_is_halved(estimator, monkeypatch):
