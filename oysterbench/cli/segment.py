@@ -109,9 +109,9 @@ def segment_command(
 
     Images are JPEG, PNG, TIFF, BMP or WebP, rotated by their EXIF orientation. Of a method that gives only masks, the
     connected parts are counted, so that touching oysters are one; specks below --min-mm or --min-px are not. Corners
-    are in px of the upright image, in any order; for a video, give one line for all frames, or VIDEO/NUMBER for one
-    frame. Within a quadrat, an oyster counts if its centre is inside. Without one, an oyster cut by the image edge
-    counts as half in oysters per square metre.
+    are in px of the upright image as a player shows it, with square pixels, in any order; for a video, give one line
+    for all frames, or VIDEO/NUMBER for one frame. Within a quadrat, an oyster counts if its centre is inside. Without
+    one, an oyster cut by the image edge counts as half in oysters per square metre.
 
     Intervals resample images and, for a video, blocks of 10 s, since neighbouring frames show the same ground; --block
     N resamples N neighbours together. The intervals cover sampling only, not the method's overcounting or

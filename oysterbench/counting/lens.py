@@ -59,18 +59,30 @@ class Lens:
             found = cv2.projectPoints(ahead, still, still, self.matrix, self.distortion)[0]
         return np.asarray(found, dtype=float).reshape(-1, 2)
 
-    def resized(self, width: int, height: int) -> Lens:
+    def resized(self, width: int, height: int, stored_width: int | None = None) -> Lens:
         """Return the lens for the same images at another size, or in portrait if it was calibrated in landscape, and
-        vice versa (`turned`). Raises SequenceError if the aspect ratio differs."""
-        if (width, height) == (self.width, self.height):
-            return self
-        if _alike(width, height, self.height, self.width) and not _alike(width, height, self.width, self.height):
-            return self.turned().resized(width, height)
-        if not _alike(width, height, self.width, self.height):
+        vice versa (`turned`). Raises SequenceError if the aspect ratio differs.
+
+        stored_width: px, of images whose pixels were not square and have been made so: a lens may have been calibrated
+        with the images as they are stored, too.
+        """
+        if not self._fits(width, height) and stored_width is not None and self._fits(stored_width, height):
+            return self.resized(stored_width, height)._scaled(width, height)
+        if not self._fits(width, height):
             raise SequenceError(
                 f"calibration: of images of {self.width} x {self.height} px, got one of {width} x {height}: expected "
                 "the same aspect ratio, lying or upright, since cameras crop differently in other modes"
             )
+        return (self if _alike(width, height, self.width, self.height) else self.turned())._scaled(width, height)
+
+    def _fits(self, width: int, height: int) -> bool:
+        """Whether images of a size have the aspect ratio of those that it was calibrated with, lying or upright."""
+        return any(_alike(width, height, *size) for size in ((self.width, self.height), (self.height, self.width)))
+
+    def _scaled(self, width: int, height: int) -> Lens:
+        """Return the lens for the same images at another size, whatever its aspect ratio."""
+        if (width, height) == (self.width, self.height):
+            return self
         across, down = width / self.width, height / self.height
         matrix = self.matrix.copy()
         matrix[0, 0], matrix[1, 1] = matrix[0, 0] * across, matrix[1, 1] * down

@@ -50,11 +50,12 @@ class Sampling:
 @dataclass(frozen=True)
 class VideoFrame:
     """A frame of a video. index: from 0, over all frames of the video; time_s: from its start; pixels: (H, W, 3) uint8
-    RGB, None if they were not needed."""
+    RGB, square, None if they were not needed; stored_width: px, before they were made square."""
 
     index: int
     time_s: float
     pixels: NDArray[np.uint8] | None
+    stored_width: int | None = None
 
 
 def decode(data: bytes, where: str) -> NDArray[np.uint8]:
@@ -141,7 +142,8 @@ class Video:
             if wanted:
                 # What fell due in a gap is not made up for by frames close together behind it.
                 due_s = due_s + step_s if due_s + step_s > time_s - ROUNDING_S else time_s + step_s
-                yield VideoFrame(index, time_s, None if done(index) else self._pixels())
+                pixels, stored_width = (None, None) if done(index) else self._pixels()
+                yield VideoFrame(index, time_s, pixels, stored_width)
             index += 1
         self._capture.release()
         if index == 0:
@@ -174,14 +176,16 @@ class Video:
                 time_s = stamp_s + offset_s
             yield time_s
 
-    def _pixels(self) -> NDArray[np.uint8]:
+    def _pixels(self) -> tuple[NDArray[np.uint8], int]:
+        """Pixels of the frame that was grabbed last, made square, and its width before, px."""
         read, pixels = self._capture.retrieve()
         if not read:
             raise LabelError(f"{self.path}: a frame could not be decoded")
+        height, stored_width = pixels.shape[:2]
         if self._widening != 1:
-            size = (max(1, round(pixels.shape[1] * self._widening)), pixels.shape[0])
+            size = (max(1, round(stored_width * self._widening)), height)
             pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_LINEAR)
-        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8), stored_width
 
 
 def _widening(capture: cv2.VideoCapture) -> float:

@@ -230,7 +230,7 @@ class Counting:
             return
         try:
             key, scale = self._key(source, name, digest, frame.index)
-            work = self._work(place, name, key, frame.pixels, scale)
+            work = self._work(place, name, key, frame.pixels, scale, frame.stored_width)
         except (LabelError, SequenceError) as error:
             self._fail(name, str(error))
             return
@@ -268,9 +268,11 @@ class Counting:
         }
         return key_of(values), scale
 
-    def _work(self, place: int, name: str, key: str, pixels: Pixels, scale: Scale | None) -> _Work:
+    def _work(
+        self, place: int, name: str, key: str, pixels: Pixels, scale: Scale | None, stored_width: int | None = None
+    ) -> _Work:
         height, width = pixels.shape[:2]
-        return _Work(place, name, key, pixels, None if scale is None else scale.fitted((height, width)))
+        return _Work(place, name, key, pixels, None if scale is None else scale.fitted((height, width), stored_width))
 
     def _fail(self, name: str, why: str) -> None:
         self.result.failures[name] = why

@@ -37,8 +37,11 @@ FLAT = 1000
 class Scale(Protocol):
     """Scale of an image: maps its points to metres on the bottom."""
 
-    def fitted(self, shape: tuple[int, int]) -> Scale:
-        """Return the scale for an image (H, W). Raises SequenceError or LabelError if it does not fit the image."""
+    def fitted(self, shape: tuple[int, int], stored_width: int | None = None) -> Scale:
+        """Return the scale for an image (H, W). Raises SequenceError or LabelError if it does not fit the image.
+
+        stored_width: px, of an image that was widened or narrowed until its pixels were square.
+        """
         ...
 
     def region(self, shape: tuple[int, int]) -> Array:
@@ -64,7 +67,7 @@ class PlainScale:
     def __post_init__(self) -> None:
         _above_zero("--mm-per-px", self.mm_per_px, "millimetres")
 
-    def fitted(self, shape: tuple[int, int]) -> PlainScale:
+    def fitted(self, shape: tuple[int, int], stored_width: int | None = None) -> PlainScale:
         """Return the scale itself: it fits an image of any size."""
         return self
 
@@ -91,9 +94,9 @@ class AltitudeScale:
     def __post_init__(self) -> None:
         _above_zero("--altitude", self.altitude_m, "metres")
 
-    def fitted(self, shape: tuple[int, int]) -> AltitudeScale:
+    def fitted(self, shape: tuple[int, int], stored_width: int | None = None) -> AltitudeScale:
         """Return the scale with the lens resized to the image."""
-        return replace(self, lens=self.lens.resized(shape[1], shape[0]))
+        return replace(self, lens=self.lens.resized(shape[1], shape[0], stored_width))
 
     def region(self, shape: tuple[int, int]) -> Array:
         """The whole picture."""
@@ -132,7 +135,7 @@ class QuadratScale:
         square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * size_m
         self._matrix = cv2.getPerspectiveTransform(self.corners.astype(np.float32), square.astype(np.float32))
 
-    def fitted(self, shape: tuple[int, int]) -> QuadratScale:
+    def fitted(self, shape: tuple[int, int], stored_width: int | None = None) -> QuadratScale:
         """Return the scale itself: its corners are of one image. Raises LabelError if that shows too little of it."""
         seen = polygon_area(self.region(shape)) / polygon_area(self.corners)
         if seen < LEAST_SEEN:

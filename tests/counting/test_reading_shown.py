@@ -9,8 +9,14 @@ import pytest
 
 from oysterbench.core.errors import LabelError
 from oysterbench.counting.edits import shown_share
+from oysterbench.counting.lens import Lens
+from oysterbench.counting.per_picture import same_for_all
 from oysterbench.counting.reading import Sampling, Video
-from tests.helpers.people_pictures import SHAPE, boxed, write_video
+from oysterbench.counting.run import Counting, Settings
+from oysterbench.counting.scale import AltitudeScale
+from oysterbench.counting.sources import find_sources
+from oysterbench.counting.store import Store
+from tests.helpers.people_pictures import SHAPE, Discs, boxed, write_video
 
 RATE_HZ = 10.0
 
@@ -102,9 +108,18 @@ def test_an_index_that_cannot_be_read_hides_nothing(whole, tmp_path, damage):
 @pytest.mark.parametrize(("wide", "high", "width"), [(4, 3, 213), (1, 2, 80), (1, 1, 160), (1, 0, 160), (9, 1, 160)])
 def test_pixels_that_are_not_square_become_so(whole, tmp_path, wide, high, width):
     first = next(iter(Video(of_pixels(whole, tmp_path / "hdv.mp4", wide, high)).frames(Sampling())))
-    assert first.pixels.shape == (SHAPE[0], width, 3)
+    assert (first.pixels.shape, first.stored_width) == ((SHAPE[0], width, 3), SHAPE[1])
     lit = (first.pixels[60, :, 0] > 10).sum()
     assert lit == pytest.approx(width / 2, abs=2)
+
+
+def test_a_video_is_measured_with_a_calibration_of_its_frames_as_they_are_stored(whole, tmp_path):
+    clip = of_pixels(whole, tmp_path / "hdv.mp4", 4, 3)
+    lens = Lens(SHAPE[1], SHAPE[0], np.array([[150.0, 0, 80], [0, 200, 60], [0, 0, 1]]), np.zeros(4))
+    settings = Settings(sampling=Sampling(every=60), scale=same_for_all(AltitudeScale(lens, 2.0)))
+    found = Counting(find_sources([clip]).sources, Discs(), {}, Store(tmp_path / "out", False), settings).run()
+    assert not found.failures
+    assert found.pictures[0].area_m2 == pytest.approx(160 / 150 * 2 * 120 / 200 * 2)
 
 
 def test_pixels_of_a_video_on_its_side_are_those_before_it_was_turned(whole, tmp_path):

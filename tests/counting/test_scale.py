@@ -107,6 +107,24 @@ def test_a_calibration_holds_for_the_same_pictures_at_another_size_and_no_others
 
 
 @pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])
+def test_a_calibration_with_frames_as_they_are_stored_holds_where_they_are_made_wider(model):
+    distortion = np.array([-0.2, 0.05, 0.001, -0.002] if model == "plumb_bob" else [0.02, -0.01, 0.003, 0.0])
+    stored = AltitudeScale(Lens(640, 480, MATRIX, distortion, model), 1.5)
+    points = np.array([[100.0, 200.0], [600, 30], [20, 450]])
+    wide = stored.fitted((480, 853), 640)
+    assert wide.to_ground(points * [853 / 640, 1]) == pytest.approx(stored.to_ground(points), abs=1e-9)
+    assert area_m2(wide, (480, 853)) == pytest.approx(area_m2(stored, SHAPE), rel=1e-3)
+    half = stored.fitted((240, 427), 320)
+    assert half.to_ground(points * [427 / 640, 0.5]) == pytest.approx(stored.to_ground(points), abs=1e-9)
+    upright = stored.fitted((640, 360), 480)  # held upright, pixels are as much higher
+    turned = np.stack([480 - points[:, 1], points[:, 0]], axis=1) * [0.75, 1]
+    x, y = stored.to_ground(points).T
+    assert upright.to_ground(turned) == pytest.approx(np.stack([-y, x], axis=1), abs=1e-9)
+    shown = AltitudeScale(Lens(853, 480, MATRIX, np.zeros(4)), 1.0)
+    assert shown.fitted((480, 853), 640).lens is shown.lens, "calibrated with widened frames"
+
+
+@pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])
 def test_upright_pictures_are_of_the_lens_turned(model):
     distortion = np.array([-0.2, 0.05, 0.001, -0.002] if model == "plumb_bob" else [0.02, -0.01, 0.003, 0.0])
     lens = Lens(640, 480, MATRIX, distortion, model)
