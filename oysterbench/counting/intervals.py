@@ -24,6 +24,9 @@ from oysterbench.evaluate.statistics import LEAST_SEQUENCES, LEVEL, Interval, bo
 Exact = Callable[[float, float], tuple[float, float]]
 """Function of the sums above and below that returns the ends of the exact interval of their ratio."""
 
+ROUNDING = 1e-9
+"""Relative difference up to which values of blocks are equal: sums of areas are rounded, by how many there are."""
+
 BLOCK_S = 10.0
 """Length of a block of a video, s: at the 0.1 to 0.3 m/s of a survey, a camera then sees other ground."""
 
@@ -94,7 +97,7 @@ def ratio(
         return Ratio(math.nan, Interval(math.nan, math.nan, "there is nothing to count"), 0)
     if n < LEAST_SEQUENCES:
         return Ratio(mean_of(values, weights), Interval(math.nan, math.nan, too_few(n, noun)), n)
-    if values.min() < values.max():
+    if not np.allclose(values, values[0], rtol=ROUNDING, atol=0.0):
         interval = bootstrap_interval(values, weights)
     elif exact is None:
         reason = f"where all {n} {noun}s have the same value, resampling gives no {LEVEL:.0%} interval"

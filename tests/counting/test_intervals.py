@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -125,6 +126,13 @@ def test_frames_of_the_same_ground_are_no_further_evidence_that_there_is_no_oyst
     found = intervals(frames("d.mp4", 60, counts=[0] * 60))["oysters"]
     assert found.high == pytest.approx(3.689 / 6, rel=1e-3), "six blocks of 10 s"
     assert intervals([picture(f"{k}", 0) for k in range(60)], 10)["oysters"] == found
+
+
+@pytest.mark.parametrize("count", [60, 63, 67])
+def test_blocks_that_differ_by_rounding_alone_are_equal(count):
+    found = intervals([replace(one, area_m2=0.12) for one in frames("d.mp4", count, counts=[3] * count)])["per_m2"]
+    assert found.low < 18, "exact, of 3 on 0.12 m2 in each of 6 or 7 blocks: 25 per m2"
+    assert found.high > 35
 
 
 @pytest.mark.parametrize(("mean", "images"), [(0.05, 6), (0.05, 20), (0.3, 6)])
