@@ -25,7 +25,7 @@ def shown_share(path: Path) -> float:
                 (media_hz, stored), *_ = map(_clock, _find(track, b"mdia", b"mdhd"))
                 shown = [duration for edits in _find(track, b"edts", b"elst") for duration in _durations(edits)]
                 # A duration of 0 lasts to the end.
-                return min(1.0, sum(shown) / movie_hz * media_hz / stored) if all(shown) and shown else 1.0
+                return min(1.0, sum(shown) / movie_hz / (stored / media_hz)) if all(shown) and shown else 1.0
     except (ValueError, struct.error, ZeroDivisionError):
         pass
     return 1.0

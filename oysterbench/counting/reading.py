@@ -24,6 +24,10 @@ COMPLETE = 0.95
 """Share of the frames, or of the duration, that a video claims to have below which it is truncated: the claim is often
 off by a frame or two."""
 
+SHOWN = 0.99
+"""Share of a video's duration from which on its edit list counts as showing all of it: many are off by a tick of a
+clock, or by a frame."""
+
 PTS = getattr(cv2, "CAP_PROP_PTS", 71)
 """OpenCV's property of a frame's timestamp from the container's start, in frames at the nominal rate; always 0 before
 OpenCV 4.11."""
@@ -120,7 +124,7 @@ class Video:
         self.rate_hz = float(rate) if 0 < rate < 10_000 else 0.0
         self.claimed = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
         self._counts = counts_frames(path)  # whether `claimed` is a number of frames rather than a duration
-        if self._counts and (share := shown_share(path)) < 1:
+        if self._counts and (share := shown_share(path)) < SHOWN:
             # By duration: how many of the frames are hidden depends on their rate there, which may vary.
             self._counts, self.claimed = False, round(self.claimed * share)
         self._widening = _widening(self._capture)

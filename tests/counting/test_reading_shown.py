@@ -79,19 +79,30 @@ def test_a_trimmed_clip_may_have_most_of_its_frames_in_the_hidden_part(whole, tm
     assert len(greys(clip)) == 30
 
 
-def test_a_trimmed_clip_that_breaks_off_is_still_named(whole, tmp_path, monkeypatch):
+class Grabs:
+    """A capture whose `grab` is replaced."""
+
+    def __init__(self, capture, grab):
+        self._capture, self.grab = capture, grab
+
+    def __getattr__(self, name):
+        return getattr(self._capture, name)
+
+
+def test_a_trimmed_clip_that_breaks_off_is_still_named(whole, tmp_path):
     clip = Video(trimmed(whole, tmp_path / "clip.mp4", 1.7, 6.0))
     grab, left = clip._capture.grab, iter(range(30))
-
-    class BreaksOff:
-        def grab(self):
-            return next(left, None) is not None and grab()
-
-        def __getattr__(self, name):
-            return getattr(capture, name)
-
-    capture, clip._capture = clip._capture, BreaksOff()
+    clip._capture = Grabs(clip._capture, lambda: next(left, None) is not None and grab())
     with pytest.raises(LabelError, match=r"cannot be read to its end: 3\.0 of 4\.3 s were"):
+        list(clip.frames(Sampling(every=1)))
+
+
+@pytest.mark.parametrize("short_s", [0.0, 0.001, 0.05])
+def test_frames_missing_in_the_middle_are_told_of_although_an_edit_list_is_a_tick_short(whole, tmp_path, short_s):
+    clip = Video(trimmed(whole, tmp_path / "clip.mp4", 0.0, 6.0 - short_s))
+    grab, taken = clip._capture.grab, iter(range(60))
+    clip._capture = Grabs(clip._capture, lambda: all(grab() for _ in range(11 if next(taken) == 20 else 1)))
+    with pytest.raises(LabelError, match="cannot be read to its end: 50 of 60 frames were"):
         list(clip.frames(Sampling(every=1)))
 
 
@@ -99,8 +110,9 @@ def test_a_trimmed_clip_that_breaks_off_is_still_named(whole, tmp_path, monkeypa
 def test_an_index_that_cannot_be_read_hides_nothing(whole, tmp_path, damage):
     data = trimmed(whole, tmp_path / "clip.mp4", 1.7, 6.0).read_bytes()
     at = data.find(damage)
-    (tmp_path / "clip.mp4").write_bytes(data[: at + 4] + bytes(12) + data[at + 16 :])
-    assert 0 <= shown_share(tmp_path / "clip.mp4") <= 1
+    assert shown_share(tmp_path / "clip.mp4") == pytest.approx(4.3 / 6, abs=0.01)
+    (tmp_path / "clip.mp4").write_bytes(data[: at + 4] + bytes(16) + data[at + 20 :])  # ticks per second and all before
+    assert shown_share(tmp_path / "clip.mp4") == 1
     (tmp_path / "clip.mp4").write_bytes(data[: at + 6])
     assert shown_share(tmp_path / "clip.mp4") == 1
 
