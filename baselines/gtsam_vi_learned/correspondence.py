@@ -16,7 +16,6 @@ from oysterbench.core.geometry import Array, invert
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.recipe import LIFE_CLASSES, REEF_CLASSES, load_split, split_names
 from oysterbench.sequence import open_sequence
-from oysterbench.sequence.types import CameraCalibration, Sequence
 from oysterbench_baselines.gtsam_vi_learned.lens import TrueLens
 
 AT_REST = frozenset({"bottom", "oyster", "stone", "sponge"})
@@ -54,14 +53,14 @@ class Footage:
         taken: list[int] = []
         depths = {item.stamp_ns: item.pixels for item in sequence.layer(camera, "depth")}
         classes = {item.stamp_ns: item.pixels for item in sequence.layer(camera, "class")}
-        stale = _repeated(sequence, camera)
         for image in sequence.images(camera):
-            if image.stamp_ns in stale:
+            taken_ns = true.cameras[camera].taken_ns(image.stamp_ns)
+            if taken_ns in taken[-1:]:  # it repeats the image before
                 continue
             if image.stamp_ns in depths:
                 self.anchors.append(Anchor(len(taken), _at_rest(depths[image.stamp_ns], classes[image.stamp_ns])))
             self.pictures.append(np.asarray(cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY), dtype=np.uint8))
-            taken.append(_on_time(true.cameras[camera], image.stamp_ns, int(self._path.stamps_ns[0])))
+            taken.append(taken_ns)
         self.taken_ns = np.array(taken, dtype=np.int64)
 
     def pairs(self, most_s: float) -> list[tuple[int, int]]:
@@ -112,19 +111,6 @@ def _at_rest(depth: NDArray[np.float32], classes: NDArray[np.uint8]) -> NDArray[
     # The inverse depth of a plane is linear over the image, and its mean about a pixel is the pixel's own.
     good = np.isin(classes, numbers) & (depth > 0) & (np.abs(cv2.blur(inverse, (3, 3)) - inverse) < EDGE * inverse)
     return np.where(good, depth, 0.0).astype(np.float32)
-
-
-def _repeated(sequence: Sequence, camera: str) -> set[int]:
-    """Stamps of frames that show another frame's image."""
-    table = sequence.taken()
-    table = table[(table["camera"] == camera) & (table["stamp_ns"] != table["shown_ns"])]
-    return {int(stamp) for stamp in table["stamp_ns"]}
-
-
-def _on_time(camera: CameraCalibration, stamp_ns: int, start_ns: int) -> int:
-    """True time, ns, at which a frame was taken: frames are taken evenly from the start; only their stamps jitter."""
-    period = 1e9 / camera.rate_hz
-    return start_ns + round(round((camera.taken_ns(stamp_ns) - start_ns) / period) * period)
 
 
 def files_of(name: str, wanted: Iterable[str] = ()) -> list[Path]:

@@ -17,10 +17,15 @@ from scipy.ndimage import fourier_shift  # noqa: E402
 from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
 from oysterbench.core.streams import Streams, stream  # noqa: E402
 from oysterbench.methods import find_method  # noqa: E402
+from oysterbench.sequence import open_sequence  # noqa: E402
 from oysterbench.sequence.types import CameraCalibration  # noqa: E402
 from oysterbench_baselines.gtsam_vi.pictures import even_contrast, without_veil  # noqa: E402
 from oysterbench_baselines.gtsam_vi.settings import FrontEndSettings  # noqa: E402
-from oysterbench_baselines.gtsam_vi_learned import GtsamViLearned, GtsamViLearnedSettings  # noqa: E402
+from oysterbench_baselines.gtsam_vi_learned import (  # noqa: E402
+    GtsamViLearned,
+    GtsamViLearnedSettings,
+    correspondence,
+)
 from oysterbench_baselines.gtsam_vi_learned.command import command  # noqa: E402
 from oysterbench_baselines.gtsam_vi_learned.correspondence import Footage, read_footage  # noqa: E402
 from oysterbench_baselines.gtsam_vi_learned.disturbances import Disturbances, disturbed  # noqa: E402
@@ -171,6 +176,18 @@ def test_rays_behind_a_flat_port_are_bent_and_found_again():
     tangent = np.linalg.norm(flat)
     in_water = np.arcsin(np.sin(np.arctan(tangent)) / 1.33)
     assert np.linalg.norm(points[0, :2]) == pytest.approx(0.01 * tangent + 0.59 * np.tan(in_water))
+
+
+def test_each_picture_is_learned_from_once_as_of_when_it_was_taken(tiny_file, monkeypatch):
+    sequence = open_sequence(tiny_file)
+    stamps = [image.stamp_ns for image in sequence.images("cam_front")]
+    lost = stamps[2] + 50_000_000  # a picture whose own frame was lost, so that only those that repeat it show it
+    shown = [stamps[0], stamps[0], stamps[2], lost, lost, *stamps[5:]]
+    rows = "".join(f"cam_front,{one},{other}\n" for one, other in zip(stamps, shown, strict=True))
+    table = {"truth/frames.csv": f"camera,stamp_ns,shown_ns\n{rows}".encode()}
+    monkeypatch.setattr(sequence, "attachments", {**sequence.attachments, **table})
+    monkeypatch.setattr(correspondence, "open_sequence", lambda path: sequence)
+    assert Footage(tiny_file).taken_ns.tolist() == [stamps[0], stamps[2], lost, *stamps[5:]]
 
 
 def test_points_of_a_rendered_picture_are_found_in_the_next_where_the_truth_says(footage):
