@@ -165,7 +165,8 @@ os.symlink(os.environ["PLACE"], sys.argv[2])
 
 def test_a_program_is_given_a_folder_of_pictures_and_leaves_masks(labelled, tmp_path):
     (tmp_path / "code" / "program.py").write_text(PROGRAM)
-    adapter = ExternalCommand(f"{sys.executable} {tmp_path}/code/program.py {{images}} {{out}}", "mine", "segmentation")
+    command = f"'{sys.executable}' {tmp_path}/code/program.py {{images}} {{out}}"
+    adapter = ExternalCommand(command, "mine", "segmentation")
     done = run(labelled, tmp_path, adapter)
     assert done.failure is None, done.failure
     assert done.scored.record.failure is None
@@ -175,6 +176,7 @@ def test_a_program_is_given_a_folder_of_pictures_and_leaves_masks(labelled, tmp_
 def test_a_link_to_the_truth_is_no_prediction(labelled, tmp_path, monkeypatch):
     monkeypatch.setenv("PLACE", str(labelled / "masks"))
     (tmp_path / "code" / "links.py").write_text(LINKS)
-    adapter = ExternalCommand(f"{sys.executable} {tmp_path}/code/links.py {{images}} {{out}}", "links", "segmentation")
+    command = f"'{sys.executable}' {tmp_path}/code/links.py {{images}} {{out}}"
+    adapter = ExternalCommand(command, "links", "segmentation")
     done = run(labelled, tmp_path, adapter)
     assert "wrote no masks or COCO annotations to {out}" in done.failure
