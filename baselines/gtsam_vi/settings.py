@@ -214,7 +214,7 @@ class RecoverySettings:
     memory_s: float = 2.0  # for which the last velocity is a guess at the next one
     min_landmarks: int = 8  # in a keyframe; with fewer it knows its velocity by the IMU alone
     blind_speed: float = 1.0  # times the usual speed: 1 sigma of a velocity that nothing measures
-    unknown_speed: float = 0.5  # m/s, 1 sigma of the error in velocity while the measurements are not trusted
+    unknown_speed: float = 0.5  # m/s, 1 sigma of the error in velocity where it went astray or is lost
     unknown_rate: float = 0.2  # rad/s, while there are none
     known_bias: float = 0.25  # of the turn-on bias: by how much a bias may be off that was known before a loss
 
