@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 
 from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.core.text import in_one_line
 from oysterbench.hub.canonical import canonical, decode, parse
+from oysterbench.tracks import TRACKS
 from oysterbench_leaderboard.boards.ranking import columns_of
 from oysterbench_leaderboard.publishing.contradictions import check_contradictions, check_drawn
 from oysterbench_leaderboard.storage.curves import FORMAT as CURVES
 from oysterbench_leaderboard.storage.curves import Curve, Curves
+from oysterbench_leaderboard.storage.record import Record, check_time
 from oysterbench_leaderboard.storage.record_summary import read_record
 from oysterbench_leaderboard.storage.store import KINDS, RecordStore
 
 ROUNDED_M = 0.003
 """Greatest difference between the error of a curve's point and the distance of its positions, which are rounded to a
 millimetre each."""
+
+CLOCKS_DIFFER = timedelta(days=1)
+"""Farthest into the future that the clock of another machine may be."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,8 @@ def _check(store: RecordStore, kind: str, name: str, known: dict[str, set[str]])
 def _check_record(store: RecordStore, data: bytes, name: str, known: dict[str, set[str]]) -> None:
     record = read_record(data, name)
     columns_of(record, name)
+    _check_evaluator(record)
+    _check_times(record)
     check_contradictions(record)
     if record.supersedes and record.supersedes not in known["records"]:
         raise ResultError(f"the record that it supersedes, {record.supersedes[:12]}, is missing")
@@ -79,6 +87,25 @@ def _check_record(store: RecordStore, data: bytes, name: str, known: dict[str, s
     except OysterbenchError as error:
         raise ResultError(f"the curves that it names, {record.curves[:12]}, cannot be used: {error}") from None
     check_drawn(record, curves)
+
+
+def _check_evaluator(record: Record) -> None:
+    """Refuse an evaluator that is neither its track's present one nor an earlier version of it."""
+    track = TRACKS.get(record.track, TRACKS["steering"])  # rollouts have a name of their own
+    name, _, latest = track.evaluator.rpartition(" ")
+    if record.evaluator_version not in [f"{name} {version}" for version in range(1, int(latest) + 1)]:
+        expected = f"{name} 1" if latest == "1" else f"{name} 1 to {latest}"
+        raise ResultError(f"key 'evaluator_version': expected {expected}, got {record.evaluator_version!r:.60}")
+
+
+def _check_times(record: Record) -> None:
+    """Refuse times that have not come yet, and a record that is older than its results."""
+    created, run = record.created, max(result.created for result in record.results)
+    check_time("results.created", run)
+    if datetime.fromisoformat(created) > datetime.now(UTC) + CLOCKS_DIFFER:
+        raise ResultError(f"key 'created': expected a time that has come, got {created}")
+    if datetime.fromisoformat(run) > datetime.fromisoformat(created) + CLOCKS_DIFFER:
+        raise ResultError(f"key 'created': expected a time after that of its results, {run}, got {created}")
 
 
 def _read_curves(data: bytes) -> Curves:

@@ -239,10 +239,10 @@ def records_made() -> dict[str, Record]:
     nasty. "old" is of an earlier evaluator. Two methods are on a board of segmentation, two on one of steering, of
     which "straight" is worse than chance, and one on one of detection, whose AP over all images is no mean of clips.
     """
-    carp = record_made(skill=0.84, runs=3, tier="baseline", url="https://example.org/carp", summary="Smooths a window.")
+    named: dict[str, Any] = {"skill": 0.84, "runs": 3, "tier": "baseline", "url": "https://example.org/carp"}
     segmented: dict[str, Any] = {"track": "segmentation", "split": "seg-val", "tier": "baseline"}
     found = {
-        "carp1": replace(carp, created="2026-10-01T09:00:00Z", summary="Smooths a short window."),
+        "carp1": record_made(**named, created="2026-10-01T09:00:00Z", summary="Smooths a short window."),
         "cod": record_made("cod", "harbour group", 0.83, runs=2, created="2026-11-02T08:00:00Z"),
         "drift": record_made("drift", skill=0.2, tier="baseline", created="2026-10-03T10:00:00Z"),
         "eel": record_made("eel", "harbour group", 0.7, failed=("val-07", "val-08"), created="2026-10-04T10:00:00Z"),
@@ -255,7 +255,8 @@ def records_made() -> dict[str, Record]:
         "steer": record_made("steer", skill=0.5, track="steering", split="steer-val", tier="baseline"),
         "straight": record_made("straight", skill=-0.1, track="steering", split="steer-val", tier="baseline"),
     }
-    found["carp2"] = replace(carp, supersedes=found["carp1"].digest, reason="A longer window.")
+    earlier: dict[str, Any] = {"supersedes": found["carp1"].digest, "reason": "A longer window."}
+    found["carp2"] = record_made(**named, summary="Smooths a window.", **earlier)
     for i, (method, team) in enumerate(NASTY):
         text: dict[str, Any] = {
             "summary": f"{method} by {team}",

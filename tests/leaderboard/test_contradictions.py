@@ -46,6 +46,10 @@ def first(**changes: Any) -> Forge:
     return lambda values: values["results"][0].update(changes)
 
 
+def every(**changes: Any) -> Forge:
+    return lambda values: [one.update(changes) for one in values["results"]]
+
+
 def metric(**changes: Any) -> Forge:
     return lambda values: values["results"][0]["metrics"].update(changes)
 
@@ -108,8 +112,13 @@ PUBLIC: list[tuple[Forge, str]] = [
     (lambda values: values.update(estimates={"val-01/1": "y"}), "estimate of val-01/1: expected a SHA-256"),
     (lambda values: values.update(data_set={"metrics": {"score": 0.99}}), "the track slam has none, got score"),
     (lambda values: values.update(data_set={"means": {"ate_percent": 0.001}}), "as the results give, got 0.001"),
-    (lambda values: [one.update(split="../x") for one in values["results"]], "expected the name of a split"),
-    (lambda values: [one.update(split_digest="x") for one in values["results"]], "key 'split_digest': expected a SHA"),
+    (every(split="../x"), "expected the name of a split"),
+    (every(split_digest="x"), "key 'split_digest': expected a SHA"),
+    (every(evaluator_version="slam 4"), "key 'evaluator_version': expected slam 1 to 3, got 'slam 4'"),
+    (every(evaluator_version="mine 1"), "key 'evaluator_version': expected slam 1 to 3, got 'mine 1'"),
+    (lambda values: values.update(created="2999-01-01T00:00:00Z"), "expected a time that has come, got 2999"),
+    (first(created="2026-11-20T00:00:00Z"), "expected a time after that of its results, 2026-11-20"),
+    (first(created="soon"), "key 'results.created': expected a UTC time"),
 ]
 
 
