@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -24,7 +26,21 @@ def coco_document(store: Store, pictures: Sequence[PictureCount]) -> dict[str, A
         images.append({"id": k, "file_name": file, "width": one.width, "height": one.height})
         for annotation in _annotations(store, one):
             annotations.append({"id": len(annotations) + 1, "image_id": k, "category_id": 1, **annotation})
-    return {"categories": [CATEGORY], "images": images, "annotations": annotations}
+    found = {"categories": [CATEGORY], "images": images, "annotations": annotations}
+    return {"info": {"description": "oysters, as counted", "sha256": _digest(found)}, **found}
+
+
+def is_as_counted(path: Path) -> bool:
+    """Whether a file is as `coco_document` made it: not one that was corrected since."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        return bool(found.pop("info")["sha256"] == _digest(found))
+    except (OSError, ValueError, AttributeError, LookupError, TypeError):
+        return False
+
+
+def _digest(found: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
 
 
 def _annotations(store: Store, picture: PictureCount) -> Iterator[dict[str, Any]]:

@@ -12,7 +12,7 @@ from typing import Any
 
 from oysterbench.core.atomic import appearing, write_atomically
 from oysterbench.core.errors import LabelError
-from oysterbench.counting.coco import coco_document
+from oysterbench.counting.coco import coco_document, is_as_counted
 from oysterbench.counting.measure import OysterRow, PictureCount
 from oysterbench.counting.run import Counted
 from oysterbench.counting.store import Store
@@ -36,13 +36,16 @@ class Making:
 
 
 def check_folder(store: Store, with_coco: bool = False) -> None:
-    """Raise LabelError where the count would overwrite files in the folder that are not from an earlier count."""
+    """Raise LabelError where the count would overwrite files in the folder that are not from an earlier count, or
+    were corrected since."""
     there = [name for name in _files(with_coco) if (store.folder / name).exists()]
     if there and not store.begun and FORMAT not in _text(store.folder / SUMMARY):
         raise LabelError(
             f"{store.folder}: the count would overwrite {', '.join(there)}, which no count has left there: give "
             "another folder by --out"
         )
+    if with_coco and (path := store.folder / COCO).exists() and not is_as_counted(path):
+        raise LabelError(f"{path}: --coco would overwrite what was changed in it by hand: move it elsewhere first")
 
 
 def _text(path: Path) -> str:

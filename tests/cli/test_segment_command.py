@@ -136,6 +136,20 @@ def test_annotations_of_an_earlier_count_are_told_of(folder):
     assert told not in run("segment", folder, *DISCS, "--out", "out", "--coco").stderr
 
 
+def test_corrected_annotations_are_not_overwritten(folder, tmp_path):
+    assert run("segment", folder, *DISCS, "--out", "out", "--coco").returncode == 0
+    path = tmp_path / "out" / "instances.json"
+    document = json.loads(path.read_text())
+    del document["annotations"][0]
+    path.write_text(json.dumps(document))
+    done = run("segment", folder, *DISCS, "--out", "out", "--coco", "--again")
+    assert_one_line(done, "--coco would overwrite what was changed in it by hand: move it elsewhere first")
+    assert json.loads(path.read_text()) == document
+    path.rename(tmp_path / "corrected.json")
+    assert run("segment", folder, *DISCS, "--out", "out", "--coco").returncode == 0
+    assert len(json.loads(path.read_text())["annotations"]) == len(document["annotations"]) + 1
+
+
 @pytest.mark.parametrize("words", [("--out", ""), ("--out=",), ("",)])
 def test_an_empty_argument_is_no_folder(folder, words):
     done = run("segment", folder, *DISCS, *words)
