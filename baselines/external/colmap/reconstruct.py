@@ -27,7 +27,7 @@ def main(task_file: str, folder: str, out: str) -> None:
     rows = (Path(folder) / "mav0" / "cam0" / "data.csv").read_text(encoding="utf-8").splitlines()
     fields = [row.split(",") for row in rows if row and not row.startswith("#")]
     step = max(1, round(task["frame_rate_hz"] / task["rate_hz"]))
-    stamps = {file.strip(): int(stamp) for stamp, file, *_ in fields[::step]}
+    stamps = {file.strip(): int(stamp) + task["shift_ns"] for stamp, file, *_ in fields[::step]}
     pycolmap.set_random_seed(task["seed"])
     with tempfile.TemporaryDirectory() as scratch:
         database = Path(scratch) / "database.db"
