@@ -11,7 +11,7 @@ from oysterbench.sequence.types import Sequence, imu_arrays
 
 
 class Template:
-    """The template. speed_m_s: speed that it assumes; an option, as in `oysterbench run "template[speed_m_s=0.4]"`."""
+    """The template. speed_m_s: speed that it assumes; an option, as in `my_slam:MySlam[speed_m_s=0.4]`."""
 
     name = "template"
     track = "slam"

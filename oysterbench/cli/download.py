@@ -57,7 +57,7 @@ def download(
     Examples:
       oysterbench download slam-val --from https://hub.example.org --key 9f86d0...
       oysterbench download slam-val --from /mnt/hub --sequence 'val-0*'
-      oysterbench download slam-val --topics /imu --topics '/cam_front/*' --out small
+      oysterbench download slam-val --topics /imu --topics '/cam_left/*' --out small
       oysterbench download slam-val --dry-run
       oysterbench download unet    trained weights; `oysterbench models --hub` lists them
 
