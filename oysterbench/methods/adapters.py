@@ -82,6 +82,11 @@ class MethodAdapter(ABC):
     def seed(self, number: int) -> int | None:
         """Return the seed of run `number`, from 0; None if the method takes none."""
 
+    def preparation(self, given: Path, folder: Path, number: int) -> list[str] | None:
+        """Return a command that is run before that of run `number`, with the same arguments, and not measured: it
+        writes what the run reads. None if nothing has to be written."""
+        return None
+
     @abstractmethod
     def command(self, given: Path, folder: Path, number: int) -> list[str]:
         """Return the command of run `number`. given: the input in its form; folder: where the predictions go."""

@@ -204,8 +204,8 @@ def _run(
                 on_output({title: read_output(folders[title]) for title in titles if title in folders})
             for future in ended:
                 job, outcome = running.pop(future), future.result()
-                peak = int(outcome.process["peak_bytes"])
-                peaks[job.adapter.name] = max(peaks.get(job.adapter.name, 0), peak)
+                if peak := int(outcome.process["peak_bytes"]):  # 0 where it never started
+                    peaks[job.adapter.name] = max(peaks.get(job.adapter.name, 0), peak)
                 yield job, outcome
     finally:
         # Also if the caller stops iterating or is interrupted: no process is left running unattended.
@@ -252,10 +252,16 @@ def run_job(
     try:
         job.adapter.check(job.sequence)
         given = inputs.of(job)
-        command += job.adapter.command(given, folder, job.number)
-        ended = processes.run(command, job.limit_s, folder, hidden, visible=[given], fixed=[root])
-        process = {key: getattr(ended, key) for key in outcome.process}
-        outcome = replace(outcome, wall_s=ended.wall_s, cpu_s=ended.cpu_s, process=process)
+        run = partial(processes.run, limit_s=job.limit_s, folder=folder, hidden=hidden, visible=[given], fixed=[root])
+        preparation = job.adapter.preparation(given, folder, job.number)
+        prepared = run(preparation) if preparation else None
+        if prepared is not None and prepared.failure is not None:
+            ended = prepared
+        else:
+            command += job.adapter.command(given, folder, job.number)
+            ended = run(command)
+            process = {key: getattr(ended, key) for key in outcome.process}
+            outcome = replace(outcome, wall_s=ended.wall_s, cpu_s=ended.cpu_s, process=process)
         unfit = _unfit(folder / job.adapter.interface.out)
         _move(folder, kept)
         if ended.failure is not None:

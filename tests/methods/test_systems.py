@@ -68,6 +68,9 @@ def test_a_system_is_built_and_run_by_name(toy, dive_file, tmp_path):
     assert record.info["run"]["versions"]["commit"] == find_system("toy").description.commit
     assert len(record.info["log_sha256"]) == 64
     assert list(record.info["configuration_sha256"]) == ["word.txt"]
+    assert record.info["run"]["command"][0] == str(place / "build" / "toy")
+    assert record.metrics["peak_memory_mb"] < 40  # a shell's, and not that of whatever wrote word.txt
+    assert record.metrics["cpu_s"] < 0.2
 
     others = ("--align", "posyaw", "--timeout", 60)
     given = run("run", "toy", "--on", dive_file.parent, "--out", tmp_path / "se3", *others)
@@ -179,6 +182,27 @@ def test_a_system_that_fails_has_its_last_words(toy, dive_file, tmp_path):
     done = run("run", "toy[word=wrong]", "--on", dive_file, "--out", tmp_path / "out")
     assert done.returncode == 1
     assert "toy begins" in done.stderr
+
+
+@needs_tools
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("raise MethodError('Toy: expected a fisheye')", "exit status 1; last output: Toy: expected a fisheye"),
+        ("raise SystemExit", "its configure.py ended before it returned a command line"),
+    ],
+)
+def test_a_configuration_that_cannot_be_written_fails_the_run_and_costs_the_system_nothing(
+    toy, dive_file, tmp_path, body, said
+):
+    building.build(find_system("toy"), [tmp_path / "upstream"], announce=lambda text: None)
+    imported = "from oysterbench.core.errors import MethodError"
+    (toy / "configure.py").write_text(f"{imported}\n\ndef command(launch):\n    {body}\n")
+    assert run("run", "toy", "--on", dive_file, "--out", tmp_path / "out").returncode == 1
+    (record,) = read_results(tmp_path / "out" / "results.json")
+    assert record.failure is not None
+    assert record.failure.endswith(f": {said}")
+    assert "cpu_s" not in record.metrics
 
 
 def test_every_system_has_a_container_recipe():

@@ -17,7 +17,7 @@ from oysterbench.methods.interfaces.slam import SequencePath
 from oysterbench.methods.options import with_options
 from oysterbench.methods.processes import STDOUT
 from oysterbench.methods.systems.building import find_build
-from oysterbench.methods.systems.launch import cameras_of
+from oysterbench.methods.systems.launch import cameras_of, printed_command
 from oysterbench.methods.systems.manifest import file_options, split_reference
 from oysterbench.sequence import open_sequence
 from oysterbench.version import VERSION
@@ -101,10 +101,13 @@ class SystemAdapter(MethodAdapter):
     def seed(self, number: int) -> int | None:
         return None if self.method.deterministic else number
 
-    def command(self, given: Path, folder: Path, number: int) -> list[str]:
+    def preparation(self, given: Path, folder: Path, number: int) -> list[str]:
         # The path under the home is passed, as a method's environment does not say where the home is.
         asked = [self.reference, str(self.system.place), str(given), str(folder), str(number)]
         return [sys.executable, "-m", "oysterbench.methods.systems.launch", *asked]
+
+    def command(self, given: Path, folder: Path, number: int) -> list[str]:
+        return printed_command(folder / STDOUT)
 
     def check(self, sequence: RunSequence) -> None:
         """Check besides that the sequence has as many cameras as the method uses."""

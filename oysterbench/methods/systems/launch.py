@@ -1,14 +1,15 @@
-"""Writes the configuration of a published system for one sequence, then becomes its program.
+"""Writes the configuration of a published system for one sequence, and prints the command line of its program.
 
     python -m oysterbench.methods.systems.launch REFERENCE BUILD INPUT FOLDER NUMBER
 
 The module `configure` in the system's folder has a function `command`, which receives a `Launch`, writes what the
-program reads into `Launch.folder`, and returns the command line.
+program reads into `Launch.folder`, and returns the command line, which becomes the last line of the output, as JSON.
+It is a process of its own that ends before the program starts: the peak memory of a process outlasts `exec`.
 """
 
 from __future__ import annotations
 
-import os
+import json
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -97,13 +98,21 @@ def launch_of(reference: str, place: Path, given: Path, folder: Path, number: in
 
 
 def main(reference: str, place: str, given: str, folder: str, number: str) -> None:
-    """Launch a system with the arguments of the command line."""
+    """Prepare a run with the arguments of the command line."""
     try:
         _, command = launch_of(reference, Path(place), Path(given), Path(folder), int(number))
     except OysterbenchError as error:
         sys.exit(str(error))
-    sys.stdout.flush()
-    os.execv(command[0], command)
+    print(json.dumps([*map(str, command)]))
+
+
+def printed_command(stdout: Path) -> list[str]:
+    """Read the command line that a launch printed. Raises MethodError where there is none."""
+    try:
+        command: list[str] = json.loads(stdout.read_text(encoding="utf-8").splitlines()[-1])
+    except (OSError, ValueError, IndexError):
+        raise MethodError("its configure.py ended before it returned a command line") from None
+    return command
 
 
 if __name__ == "__main__":
