@@ -31,3 +31,15 @@ def test_a_system_for_two_cameras_is_refused_on_one(tmp_path, monkeypatch):
     system.name, system.method = "pair", SimpleNamespace(track="slam", sensors=("stereo",))
     with pytest.raises(MethodError, match="pair: expected a sequence with 2 cameras, got mine with cam0"):
         system.check(SlamSequence("mine", tmp_path))
+
+
+@pytest.mark.parametrize("contents", [[("imu0", "imu", 0)], [("/cam0/image", "sensor_msgs/msg/Image", 9)]])
+def test_an_inertial_system_is_refused_without_inertial_measurements(contents, tmp_path, monkeypatch):
+    found = SimpleNamespace(name="mine", cameras={"cam0": None}, contents=lambda: contents)
+    monkeypatch.setattr("oysterbench.methods.systems.adapter.open_sequence", lambda path: found)
+    system = SystemAdapter.__new__(SystemAdapter)
+    system.name, system.method = "inertial[a=1]", SimpleNamespace(track="slam", sensors=("mono", "imu"))
+    with pytest.raises(MethodError, match=r"^inertial: expected .* inertial measurements, got mine .* --topics /imu"):
+        system.check(SlamSequence("mine", tmp_path))
+    system.method.sensors = ("mono",)
+    system.check(SlamSequence("mine", tmp_path))

@@ -162,6 +162,19 @@ def test_options_are_those_of_the_manifest(toy):
         split_reference("toy[word=never]")
 
 
+def test_options_of_which_only_the_range_is_known_have_values_of_its_kind(toy):
+    with open(toy / "system.toml", "a") as file:
+        file.write("\n[options.levels]\nrange = [2, 4]\n\n[options.sigma]\nrange = [0.5, 2.0]\n")
+    forget()
+    _, _, options = split_reference("toy[levels=7,sigma=1]")
+    assert (options["levels"], options["sigma"]) == (7, 1.0)
+    for wrong in ("abc", "2.9"):
+        with pytest.raises(MethodError, match=f"option 'levels' .*: expected a whole number, such as 2, got '{wrong}'"):
+            split_reference(f"toy[levels={wrong}]")
+    with pytest.raises(MethodError, match=r"option 'sigma' .*: expected a number, such as 0\.5, got 'abc'"):
+        split_reference("toy[sigma=abc]")
+
+
 def test_a_wrong_manifest_is_named_with_file_and_key(toy):
     text = (toy / "system.toml").read_text()
     (toy / "system.toml").write_text(text.replace('sensors = ["mono"]', 'sensors = ["nose"]'))

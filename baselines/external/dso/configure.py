@@ -34,6 +34,8 @@ def camera_file(camera: CameraCalibration) -> str:
     model = "RadTan" if camera.distortion_model == "plumb_bob" else "KannalaBrandt"
     numbers = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *k[:4]]
     width, height = (side - side % LEVELS for side in (camera.width, camera.height))
-    straight = not k.any() and (width, height) == (camera.width, camera.height)
+    # Without any coefficients only a pinhole leaves the images as they are: `none` passes them through.
+    pinhole = camera.distortion_model == "plumb_bob" and not k.any()
+    straight = pinhole and (width, height) == (camera.width, camera.height)
     lines = [f"{model} {' '.join(repr(float(number)) for number in numbers)}", f"{camera.width} {camera.height}"]
     return "\n".join([*lines, "none" if straight else "crop", f"{width} {height}"]) + "\n"

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import invert
 from oysterbench.methods.systems.launch import Launch
 from oysterbench.sequence import Sequence
@@ -62,19 +63,27 @@ def imu_chain(sequence: Sequence) -> str:
 
 
 def camera_chain(sequence: Sequence, cameras: list[str]) -> str:
-    """kalibr_imucam_chain.yaml. T_imu_cam takes points of a camera into the inertial unit; t_imu = t_cam + shift."""
+    """kalibr_imucam_chain.yaml. T_imu_cam takes points of a camera into the inertial unit; t_imu = t_cam + shift.
+
+    Raises MethodError for a camera whose model OpenVINS has not, or of more than four coefficients.
+    """
     lines = ["%YAML:1.0", ""]
     for index, name in enumerate(cameras):
         camera = sequence.cameras[name]
         K = camera.matrix
-        coefficients = np.resize(np.append(camera.distortion, np.zeros(4)), max(4, len(camera.distortion)))[:4]
+        coefficients = np.append(camera.distortion, np.zeros(4))
+        if camera.distortion_model not in MODELS or coefficients[4:].any():
+            raise MethodError(
+                f"OpenVINS: expected four coefficients of {' or '.join(MODELS)}, got {len(camera.distortion)} of "
+                f"{camera.distortion_model}"
+            )
         lines += [
             f"cam{index}:",
             "  T_imu_cam:",
             *matrix(invert(sequence.imu_calibration.T_base_imu) @ camera.T_base_cam),
             f"  cam_overlaps: [{', '.join(str(other) for other in range(len(cameras)) if other != index)}]",
             "  camera_model: pinhole",
-            f"  distortion_coeffs: [{', '.join(f'{value:.12g}' for value in coefficients)}]",
+            f"  distortion_coeffs: [{', '.join(f'{value:.12g}' for value in coefficients[:4])}]",
             f"  distortion_model: {MODELS[camera.distortion_model]}",
             f"  intrinsics: [{K[0, 0]:.9f}, {K[1, 1]:.9f}, {K[0, 2]:.9f}, {K[1, 2]:.9f}]",
             f"  resolution: [{camera.width}, {camera.height}]",

@@ -22,6 +22,9 @@ from oysterbench.methods.systems.manifest import file_options, split_reference
 from oysterbench.sequence import open_sequence
 from oysterbench.version import VERSION
 
+INERTIAL = ("/imu", "imu0")
+"""Names of the inertial measurements in the contents of a sequence file and of an EuRoC folder."""
+
 
 class SystemAdapter(MethodAdapter):
     """A method of a published system that has been built here."""
@@ -110,14 +113,21 @@ class SystemAdapter(MethodAdapter):
         return printed_command(folder / STDOUT)
 
     def check(self, sequence: RunSequence) -> None:
-        """Check besides that the sequence has as many cameras as the method uses."""
+        """Check besides that the sequence has the sensors that the method uses: cameras, and inertial measurements."""
         super().check(sequence)
         if self.method.track == "slam" and isinstance(sequence, SequencePath):
             try:
                 opened = open_sequence(sequence.path)
             except OysterbenchError:  # the run itself will report it
                 return
-            cameras_of(self.name.partition("[")[0], self.method, opened)
+            name = self.name.partition("[")[0]
+            cameras_of(name, self.method, opened)
+            inertial = sum(count for topic, _, count in opened.contents() if topic in INERTIAL)
+            if "imu" in self.method.sensors and not inertial:
+                raise MethodError(
+                    f"{name}: expected a sequence with inertial measurements, got {opened.name} without any; of a "
+                    "split, --topics /imu adds them"
+                )
 
     def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
         if not (folder / self.interface.out).exists():

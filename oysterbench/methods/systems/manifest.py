@@ -204,7 +204,7 @@ def split_reference(reference: str) -> tuple[System, str, dict[str, Any]] | None
                 f"method {method!r} has no option {key!r}; {meant}its options: {', '.join(known) or 'none'}"
             )
         option = known[key]
-        sample = option.default if option.default is not None else next(iter(option.choices), None)
+        sample = option.default if option.default is not None else next(iter(option.ends), None)
         values[key] = read_value(text, sample, f"option {key!r} of method {method!r}")
         if option.choices and values[key] not in option.choices:
             expected = ", ".join(map(str, option.choices))

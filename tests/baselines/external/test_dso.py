@@ -42,6 +42,8 @@ def test_a_camera_is_undistorted_to_sides_that_can_be_halved(camera):
 def test_a_fisheye_is_one_of_kannala_and_brandt(camera):
     bent = replace(camera, distortion_model="equidistant", distortion=np.array([0.43, 2.4, -6.3, 10.0]))
     assert re.match(r"KannalaBrandt .* 0\.43 2\.4 -6\.3 10\.0\n640 480\ncrop\n", camera_file(bent))
+    ideal = replace(camera, distortion_model="equidistant", distortion=np.zeros(4))
+    assert camera_file(ideal).endswith("\ncrop\n640 480\n")  # equal angles are no pinhole
 
 
 @pytest.mark.parametrize("bent", [{"distortion_model": "rational"}, {"distortion": np.array([0.1, 0, 0, 0, 0.01])}])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from copy import copy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -61,6 +64,15 @@ def test_the_chains_hold_the_calibration(sequence):
     expected = np.linalg.inv(sequence.imu_calibration.T_base_imu) @ camera.T_base_cam
     np.testing.assert_allclose(found, expected, atol=1e-12)
     assert f"gyroscope_noise_density: {sequence.imu_calibration.gyro_noise_density:.9e}" in imu_chain(sequence)
+
+
+@pytest.mark.parametrize("bent", [{"distortion_model": "rational"}, {"distortion": np.array([0.1, 0, 0, 0, 0.2])}])
+def test_a_lens_that_it_has_no_model_for_is_refused(sequence, bent):
+    (name, *_) = sequence.cameras
+    other = copy(sequence)
+    other.cameras = {name: replace(sequence.cameras[name], **bent)}
+    with pytest.raises(MethodError, match=r"OpenVINS: expected four coefficients of plumb_bob or equidistant, got \d"):
+        camera_chain(other, [name])
 
 
 def test_its_keys_are_those_of_the_authors_example():
