@@ -74,7 +74,7 @@ def track_options() -> dict[str, Option]:
     "or a system's own; for a rollout 4 hours]",
 )
 @click.option("--again", is_flag=True, help="Rerun finished runs.")
-@click.option("--retry", is_flag=True, help="Rerun failed runs.")
+@click.option("--retry", is_flag=True, help="Rerun failed runs, also those that could not be scored.")
 @click.option("--out", type=FOLDER, help="Folder of the results.  [default: under the home folder]")
 @output_options
 def run_command(

@@ -47,7 +47,7 @@ def run_jobs(
     root: Path,
     workers: int | None = 1,
     again: bool = False,
-    retry: bool = False,
+    retry: Callable[[Job, Outcome], bool] | None = None,
     exports: Path | None = None,
     hardware: Callable[[], Mapping[str, Any]] = dict,
     announce: Announce = lambda text: None,
@@ -57,8 +57,9 @@ def run_jobs(
     """Yield each job with its outcome as it finishes; jobs that were finished before come first and are not run.
 
     root: folder of the results, which only one runner at a time may use. again: run finished jobs again, or
-    go on with that where it was interrupted; retry: rerun what failed, which is rerun in any case if files of its
-    sequence or method have changed.
+    go on with that where it was interrupted; retry: rerun what failed, and what it is true of, such as of a run that
+    cannot be scored; None to keep these. What failed is rerun in any case if files of its sequence or method have
+    changed.
     workers: jobs at a time; None for one per core. exports: folder where inputs are kept for other runs. hardware:
     describes a machine; scheduler: address of a Dask cluster to run the jobs on. on_output: called with the latest
     output of jobs that run here.
@@ -125,11 +126,11 @@ def _check(jobs: Sequence[Job]) -> None:
             raise found[0]
 
 
-def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
+def _finished(job: Job, root: Path, retry: Callable[[Job, Outcome], bool] | None) -> Outcome | None:
     """Return the outcome of a job that need not be run, else None. Raises MethodError where it is of another job."""
     folder = job.folder(root)
     outcome = read_outcome(folder)
-    if outcome is None or (retry and outcome.failure is not None):
+    if outcome is None or (retry is not None and outcome.failure is not None):
         return None
     if outcome.identity != job.identity:
         changed = _changed_files(outcome.identity, job.identity)
@@ -144,7 +145,8 @@ def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
             f"{folder}: holds run {job.number + 1} of a different {job.adapter.name} ({differs}); "
             "it was left unchanged: rerun it with --again, or choose another folder with --out"
         )
-    return replace(outcome, earlier=True)
+    known = replace(outcome, earlier=True)
+    return None if retry is not None and retry(job, known) else known
 
 
 def _changed_files(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:

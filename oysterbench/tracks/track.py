@@ -123,7 +123,7 @@ class Request:
     options: of the track, by key; methods: references, empty for the track's defaults; template, name: command line
     and name of an external program instead;
     runs: number per method and sequence; jobs: run at a time, one per core if None; limit_s: time limit of a run;
-    again, retry: repeat finished, or failed, runs; workers: rendering processes; scheduler: address of a Dask cluster
+    again, retry: repeat finished runs, or those without a score; workers: rendering processes; scheduler: address of a Dask cluster
     that runs the methods; exports: folder where inputs of programs are kept for other runs;
     on_output: called every second with the latest output of the runs in progress
     """
@@ -264,7 +264,7 @@ class Track(ABC):
                 unscored.append(each)
             else:
                 runs.append(each.scored)
-                if each.outcome.earlier and each.outcome.failure is not None:
+                if each.outcome.earlier and each.failure is not None:
                     earlier.append(each.scored.record)
                 request.finished(runs)
         places = {sequence.name: i for i, sequence in enumerate(sequences)}
@@ -304,12 +304,25 @@ class Track(ABC):
             for adapter in adapters
             for k in range(request.runs)
         ]
+        known: dict[str, Finished] = {}
+
+        def finish(job: Job, outcome: Outcome) -> Finished:
+            own = job.adapter.evaluation
+            judged = self.settings({**own, **request.options}) if own else settings
+            return Finished(job, outcome, self.score(job, outcome, request.out, judged) if outcome.finished else None)
+
+        def failed(job: Job, outcome: Outcome) -> bool:
+            found = finish(job, outcome)
+            if found.failure is None:
+                known[job.title] = found  # not scored once more
+            return found.failure is not None
+
         finished = run_jobs(
             jobs,
             request.out,
             request.jobs,
             request.again,
-            request.retry,
+            failed if request.retry else None,
             request.exports,
             hardware,
             request.announce,
@@ -317,9 +330,7 @@ class Track(ABC):
             request.on_output,
         )
         for job, outcome in finished:
-            own = job.adapter.evaluation
-            judged = self.settings({**own, **request.options}) if own else settings
-            yield Finished(job, outcome, self.score(job, outcome, request.out, judged) if outcome.finished else None)
+            yield known.pop(job.title, None) or finish(job, outcome)
 
 
 def about_sequence(

@@ -182,6 +182,30 @@ def test_a_failure_of_an_earlier_run_is_told_as_one(folder, tmp_path):
     assert "; this is the result of an earlier run: --retry repeats it\n" in second.stderr
 
 
+def test_a_run_that_could_not_be_scored_is_one_that_failed_and_is_retried(folder, tmp_path, monkeypatch):
+    folder.write("state_groundtruth_estimate0/data.csv", TRUTH)
+    work = tmp_path / "work"  # programs write there, and cannot do so beside the results
+    work.mkdir()
+    answer, log = work / "answer.tum", work / "log"
+    notes = "open(argv[0] + '/log', 'a').write('run\\n'); import shutil; shutil.copy(argv[0] + '/answer.tum', argv[2])"
+    monkeypatch.setitem(PROGRAMS, "notes", notes)
+    notes = ExternalCommand(command(tmp_path, "notes", work, "euroc"), "notes")
+
+    def tried(**options):
+        """Failure of a run, and how often it was run so far."""
+        (found,) = run(folder, tmp_path, notes, **options)
+        return found.failure, len(log.read_text().splitlines())
+
+    answer.write_text("".join(f"{stamp * 1e-9:.9f} 0 0 0 0 0 0 1\n" for stamp in SAMPLES[:2]))
+    failure, count = tried()
+    assert "expected at least 5" in failure
+    assert tried() == (failure, count)
+    assert tried(retry=True) == (failure, count + 1)
+    write_answer(work)
+    assert tried(retry=True) == (None, count + 2)
+    assert tried(retry=True) == (None, count + 2)
+
+
 def test_without_ground_truth_a_method_that_never_initialised_is_told_of_and_leaves_its_health(folder, tmp_path):
     done = run_here("run", "reading:Reads", "--on", folder.path, "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
