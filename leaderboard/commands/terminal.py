@@ -15,13 +15,13 @@ from oysterbench.core.names import did_you_mean, listed, nearest
 from oysterbench_leaderboard.commands.options import Place, find_place
 
 if TYPE_CHECKING:
-    from oysterbench_leaderboard.boards.board import BoardInfo, BoardReader
+    from oysterbench_leaderboard.boards.board import BoardInfo, BoardPage, BoardReader
 
 TOP = 5
 """Maximum number of rows of each board, where there are several."""
 
 MOST = 100_000
-"""Maximum number of rows of a single board."""
+"""Maximum number of rows of a single board, and of each in CSV."""
 
 
 def show_boards(
@@ -48,11 +48,14 @@ def show_boards(
         raise click.UsageError("--json, --csv, --tex, --md: at most one of them can go to stdout")
     index = place.reader()
     chosen = _chosen(index, track, split, board, every)
-    size = rows or (MOST if len(chosen) == 1 else TOP)
-    pages = [index.page(each.id, Query(text=words, size=size)) for each in chosen]
+
+    def pages_of(size: int) -> list[BoardPage]:
+        return [index.page(each.id, Query(text=words, size=rows or size)) for each in chosen]
+
+    pages = pages_of(MOST if len(chosen) == 1 else TOP)
     tables = [board_table(page) for page in pages]
     makers = {
-        "csv": lambda: boards_csv(pages),
+        "csv": lambda: boards_csv(pages_of(MOST)),
         "tex": lambda: latex_tables(tables),
         "md": lambda: "\n".join(map(markdown_table, tables)),
     }

@@ -92,6 +92,15 @@ def test_json_csv_tex_and_md_say_the_same(board, tmp_path):
         assert text.index("carp") < text.index("cod") < text.index("drift")
 
 
+def test_csv_has_all_rows_of_several_boards_unless_fewer_are_asked_for(board):
+    fill(board)
+    assert "5 of 8 rows" in shown().stdout
+    rows = list(csv.DictReader(io.StringIO(shown("--csv", "-").stdout)))
+    assert sum(row["split"] == "slam-val" for row in rows) == 8
+    assert len(shown("--rows", 1, "--csv", "-").stdout.splitlines()) == 1 + len({row["board"] for row in rows})
+    assert "a line per record" in shown("--help").stdout
+
+
 def test_what_is_asked_wrongly_is_refused_in_one_line(board):
     fill(board)
     assert "slam on slam-val, segmentation on seg-val" in refused("leaderboard", "--split", "nowhere")
