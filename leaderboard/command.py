@@ -68,7 +68,9 @@ class Lazy(click.Group):
 @click.option("--track", help="Boards of this track, such as slam or steering.")
 @click.option("--split", help="Boards of this split.")
 @click.option("--id", "board", help="One board by its id, including boards of older evaluators.")
-@click.option("--rows", type=click.IntRange(min=1), help="Rows per board.  [default: 5, or all of a single board and in CSV]")
+@click.option(
+    "--rows", type=click.IntRange(min=1), help="Rows per board.  [default: 5, or all of a single board and in CSV]"
+)
 @click.option("--search", "words", default="", help="Only rows whose method or team name contains this.")
 @click.option("--all", "every", is_flag=True, help="Include boards of older evaluators and former recipes.")
 @click.option("--json", "as_json", is_flag=True, help="Print only JSON on stdout.")

@@ -123,8 +123,8 @@ class Request:
     options: of the track, by key; methods: references, empty for the track's defaults; template, name: command line
     and name of an external program instead;
     runs: number per method and sequence; jobs: run at a time, one per core if None; limit_s: time limit of a run;
-    again, retry: repeat finished runs, or those without a score; workers: rendering processes; scheduler: address of a Dask cluster
-    that runs the methods; exports: folder where inputs of programs are kept for other runs;
+    again, retry: repeat finished runs, or those without a score; workers: rendering processes; scheduler: address of a
+    Dask cluster that runs the methods; exports: folder where inputs of programs are kept for other runs;
     on_output: called every second with the latest output of the runs in progress
     """
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from oysterbench.core.geometry import Array, invert
-from oysterbench.sequence.export.parts import number, numbers, port_notes, write_lines
+from oysterbench.sequence.export.parts import number, numbers, port_notes, unpaired, write_lines
 from oysterbench.sequence.export.readme import write_readme
 from oysterbench.sequence.export.steps import Steps
 from oysterbench.sequence.types import CameraCalibration, Sequence
@@ -29,11 +29,15 @@ def write_calibration(sequence: Sequence, folder: Path, image_topics: Iterable[s
     """Write Kalibr's files for any topics: of the cameras, in their order, and of the IMU."""
     notes = port_notes(sequence, sequence.cameras)
     lines: list[str] = []
+    cameras = list(sequence.cameras.values())
     previous: Array | None = None
     for index, ((name, camera), topic) in enumerate(zip(sequence.cameras.items(), image_topics, strict=True)):
         if camera.distortion_model == "plumb_bob" and np.any(camera.distortion[4:]):
             notes.append(f"{name}: Kalibr's radtan has no k3: its {camera.distortion[4]:g} was left out")
         lines += [f"cam{index}:", *(f"  {line}" for line in _camera(sequence, camera, previous))]
+        # Of Kalibr's own chains: cameras that see the same, which its validator rectifies as pairs.
+        overlaps = [at for at, other in enumerate(cameras) if not (unpaired(camera, other) and unpaired(other, camera))]
+        lines += [f"  cam_overlaps: [{', '.join(map(str, overlaps))}]"]
         lines += [f"  rostopic: {topic}", f"  timeshift_cam_imu: {number(0.0 - camera.time_offset_s)}"]
         if camera.readout_s:  # as kalibr_calibrate_rs_cameras writes it
             lines += ["  # s from one row to the next; stamps are those of the middle row, not of the first"]

@@ -13,7 +13,7 @@ from oysterbench.version import VERSION
 README = "README.txt"
 
 NAMES = {
-    "plumb_bob": {
+    "k1 k2 p1 p2 of OpenCV, without k3": {
         "EuRoC": "radial-tangential",
         "ROS": "plumb_bob",
         "Kalibr, OpenVINS": "radtan",
@@ -22,9 +22,19 @@ NAMES = {
         "VINS-Fusion": "PINHOLE",
         "DSO": "RadTan",
         "COLMAP": "OPENCV",
-        "Basalt": "none, as its pinhole has no distortion; undistort",
+        "Basalt": "pinhole-radtan8",
     },
-    "equidistant": {
+    "k1 k2 p1 p2 k3 of OpenCV; with k4 k5 k6, if a model has them, 0": {
+        "EuRoC": "radial-tangential",
+        "ROS": "plumb_bob",
+        "Kalibr, OpenVINS, DSO": "none, as their models have no k3; undistort",
+        "OKVIS2": "radialtangential8",
+        "ORB-SLAM3": "PinHole with k1 k2 p1 p2 k3",
+        "VINS-Fusion": "PINHOLE_FULL",
+        "COLMAP": "FULL_OPENCV",
+        "Basalt": "pinhole-radtan8",
+    },
+    "k1 k2 k3 k4 of OpenCV's fisheye": {
         "EuRoC, ROS, Kalibr, OpenVINS, OKVIS2": "equidistant",
         "ORB-SLAM3": "KannalaBrandt8",
         "VINS-Fusion": "KANNALA_BRANDT",
@@ -33,9 +43,7 @@ NAMES = {
         "Basalt": "kb4",
     },
 }
-"""Distortion model, as in sensor_msgs/CameraInfo -> systems -> what they call it in their configurations."""
-
-COEFFICIENTS = {"plumb_bob": "k1 k2 p1 p2 k3", "equidistant": "k1 k2 k3 k4"}
+"""Coefficients of a lens -> systems -> what they call its model in their configurations."""
 
 
 def write_readme(
@@ -53,10 +61,18 @@ def write_readme(
         if late_s != camera.time_offset_s:
             lines.append(f"  in truth they are late by {number(late_s)} s, which methods are not told")
         lines.append("")
-    for model in dict.fromkeys(sequence.cameras[name].distortion_model for name in cameras.values()):
-        lines.append(f"Names of this distortion ({COEFFICIENTS[model]} of OpenCV):")
-        lines += [*(f"  {systems}: {name}" for systems, name in NAMES[model].items()), ""]
+    for coefficients in dict.fromkeys(_coefficients(sequence.cameras[name]) for name in cameras.values()):
+        lines.append(f"Names of this distortion ({coefficients}):")
+        lines += [*(f"  {systems}: {name}" for systems, name in NAMES[coefficients].items()), ""]
     write_lines(folder / README, [*lines, *_imu(sequence.imu_calibration), "", *further])
+
+
+def _coefficients(camera: CameraCalibration) -> str:
+    """Key of NAMES for a camera."""
+    without_k3, with_k3, fisheye = NAMES
+    if camera.distortion_model == "equidistant":
+        return fisheye
+    return with_k3 if any(camera.distortion[4:]) else without_k3
 
 
 def head(sequence: Sequence, layout: str) -> str:

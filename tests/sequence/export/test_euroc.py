@@ -15,7 +15,7 @@ import oysterbench
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import invert
 from oysterbench.sequence.export import export_sequence
-from oysterbench.sequence.export.readme import camera_lines
+from oysterbench.sequence.export.readme import camera_lines, write_readme
 from oysterbench.sequence.types import imu_arrays
 from tests.helpers import hand_made_dive as dive
 
@@ -107,6 +107,33 @@ def test_a_folder_says_what_its_layout_has_no_place_for(form, said, sequence, fo
     assert "The truth is in " in text
     blind, _ = export_sequence(sequence, form, tmp_path / "blind", truth=False)
     assert "The truth was left out." in (blind / "README.txt").read_text()
+
+
+@pytest.mark.parametrize(
+    ("lens", "said", "unsaid"),
+    [
+        ({"distortion": np.zeros(5)}, ("VINS-Fusion: PINHOLE\n", "DSO: RadTan\n", "COLMAP: OPENCV\n"), "undistort"),
+        (
+            {"distortion": np.array([0.1, 0, 0, 0, 0.2])},
+            (
+                "VINS-Fusion: PINHOLE_FULL\n",
+                "DSO: none, as their",
+                "COLMAP: FULL_OPENCV\n",
+                "OKVIS2: radialtangential8\n",
+            ),
+            ": radtan",
+        ),
+        ({"distortion_model": "equidistant"}, ("Basalt: kb4\n", "COLMAP: OPENCV_FISHEYE\n"), "radtan"),
+    ],
+)
+def test_a_folder_names_the_models_that_a_lens_fits(lens, said, unsaid, sequence, dive_file, tmp_path):
+    bent = oysterbench.open(dive_file)
+    bent.cameras = {"cam_left": replace(sequence.cameras["cam_left"], **lens)}
+    write_readme(bent, tmp_path, "EuRoC/ASL", {"cam0": "cam_left"}, False, [])
+    text = (tmp_path / "README.txt").read_text()
+    assert [words for words in said if words not in text] == []
+    assert unsaid not in text
+    assert ("Basalt: pinhole-radtan8\n" in text) == ("distortion_model" not in lens)
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
 
+import oysterbench
 from oysterbench.core.geometry import invert
 from oysterbench.sequence.export import export_sequence
+from oysterbench.sequence.export.kalibr import write_calibration
 from tests.helpers import hand_made_dive as dive
 
 T_BASE_IMU = np.array(dive.calibration()["imu"]["T_base_imu"])
@@ -24,6 +28,7 @@ def test_kalibr_chains_imu_and_cameras(sequence, folders):
         assert entry["intrinsics"] == [60.0, 60.0, 31.5, 23.5]
         assert entry["rostopic"] == f"/{name}/image"
         assert (entry["camera_model"], entry["distortion_model"]) == ("pinhole", "radtan")
+    assert [chain[key]["cam_overlaps"] for key in ("cam0", "cam1")] == [[1], [0]]
     T_right_left = np.array(chain["cam1"]["T_cn_cnm1"])
     np.testing.assert_allclose(T_right_left[:3, 3], [-0.12, 0, 0], atol=1e-12)
     unit = yaml.safe_load((folders["kalibr"] / "imu.yaml").read_text())
@@ -35,6 +40,16 @@ def test_kalibr_chains_imu_and_cameras(sequence, folders):
         "rostopic": "/imu",
         "update_rate": 100.0,
     }
+
+
+def test_cameras_that_look_elsewhere_overlap_with_none(sequence, tmp_path):
+    turned = oysterbench.open(sequence.path)
+    right = sequence.cameras["cam_right"]
+    T_base_back = right.T_base_cam @ np.diag([-1.0, 1.0, -1.0, 1.0])
+    turned.cameras = {**sequence.cameras, "cam_right": replace(right, T_base_cam=T_base_back)}
+    write_calibration(turned, tmp_path, ["/left", "/back"], "/imu")
+    chain = yaml.safe_load((tmp_path / "camchain-imucam.yaml").read_text())
+    assert [chain[key]["cam_overlaps"] for key in ("cam0", "cam1")] == [[], []]
 
 
 @pytest.mark.parametrize("truth", [True, False])
