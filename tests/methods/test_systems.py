@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from importlib import import_module
 
 import pytest
 
@@ -152,6 +153,18 @@ def test_packages_that_are_missing_are_named(toy, monkeypatch):
         building.build(find_system("toy"))
 
 
+def test_without_the_renderer_a_system_that_renders_is_refused_before_it_is_compiled(toy, tmp_path, monkeypatch):
+    text = (toy / "system.toml").read_text()
+    (toy / "system.toml").write_text(text.replace('program = "toy"', 'program = "toy"\nrenders = true'))
+    forget()
+    monkeypatch.setattr(building, "missing_packages", lambda packages: [])
+    monkeypatch.setattr(building, "RENDERER", "nowhere_to_be_found")
+    with pytest.raises(MethodError, match=r"toy renders sequences .*; type: pip install 'oysterbench\[render\]'$"):
+        building.build(find_system("toy"), [tmp_path / "upstream"], announce=lambda text: None)
+    assert building.built(find_system("toy")) is None
+    assert 'OYSTERBENCH="oysterbench[render,slam]==' in containerfile(find_system("toy"))
+
+
 def test_options_are_those_of_the_manifest(toy):
     system, name, options = split_reference("toy[gain=2]")
     assert (system.name, name, options) == ("toy", "toy[gain=2]", {"word": "ready", "gain": 2.0})
@@ -223,3 +236,5 @@ def test_every_system_has_a_container_recipe():
         text = containerfile(system)
         assert f"oysterbench systems build {system.name}" in text
         assert all(package in text for package in system.description.packages)
+        configured = import_module(f"{system.module}.configure")
+        assert system.description.renders == hasattr(configured, "prepare") == ("[render," in text)

@@ -19,6 +19,7 @@ import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import IO
 
@@ -30,6 +31,8 @@ from oysterbench.methods.systems.manifest import Submodule, System
 from oysterbench.version import VERSION
 
 BUILT, LOG, EDITS = "built.json", "build.log", "edits.toml"
+RENDERER = "warp"
+"""Module without which nothing can be rendered; the extra `render` installs it."""
 STEP = re.compile(r"^\[(\d+)/(\d+)\]|^\[ *(\d+)%\]")
 """Start of the progress lines of Ninja and Make."""
 
@@ -141,6 +144,11 @@ def _check_packages(system: System) -> None:
         )
     if system.description.source and shutil.which("git") is None:
         raise MethodError(f"{system.name} needs git to obtain its source; type: sudo apt-get install git")
+    if system.description.renders and find_spec(RENDERER) is None:
+        raise MethodError(
+            f"{system.name} renders sequences once it is compiled, and needs the renderer, which is not installed; "
+            "type: pip install 'oysterbench[render]'"
+        )
 
 
 def _obtain(system: System, given: Sequence[Path], log: IO[bytes], announce: Announce) -> None:

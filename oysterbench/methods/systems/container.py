@@ -10,11 +10,13 @@ def containerfile(system: System) -> str:
     """Text of a Containerfile: Debian with the system's packages, this project, and the built system."""
     packages = " ".join(["python3-venv", "git", *system.description.packages])
     described = system.description
-    extra = "slam" if any(method.track == "slam" for method in described.methods.values()) else "score"
+    extras = "slam" if any(method.track == "slam" for method in described.methods.values()) else "score"
+    if described.renders:
+        extras = f"render,{extras}"
     return f"""# {described.title} ({described.licence}), built from its own source, and oysterbench, which runs it.
 FROM debian:12
 # The wheel of a release, or an address that pip takes.
-ARG OYSTERBENCH="oysterbench[{extra}]=={VERSION}"
+ARG OYSTERBENCH="oysterbench[{extras}]=={VERSION}"
 RUN apt-get update && apt-get install --yes --no-install-recommends {packages} && rm -rf /var/lib/apt/lists/*
 RUN python3 -m venv /opt/oysterbench && /opt/oysterbench/bin/pip install --no-cache-dir "$OYSTERBENCH"
 ENV PATH=/opt/oysterbench/bin:$PATH OYSTERBENCH_HOME=/data

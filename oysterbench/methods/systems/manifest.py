@@ -82,7 +82,8 @@ class Description:
     source: URL of its repository; commit: 40 hexadecimal digits; folders: folders of the repository that are needed,
     all if empty; submodules: path in its tree -> other repository, as in git; packages: Debian packages needed to build
     and run it; python: requirements, for a system that is a Python package; program: file that the build produces;
-    cpu_minutes, disk_mb: CPU time and disk space that building takes
+    renders: whether `prepare` of its configure.py, which ends a build, renders sequences; cpu_minutes, disk_mb: CPU
+    time and disk space that building takes
     """
 
     title: str
@@ -97,6 +98,7 @@ class Description:
     submodules: Mapping[str, Submodule] = field(default_factory=dict)
     packages: tuple[str, ...] = ()
     python: tuple[str, ...] = ()
+    renders: bool = False
     cpu_minutes: float = 0.0
     disk_mb: float = 0.0
     options: Mapping[str, SystemOption] = field(default_factory=dict)
