@@ -330,7 +330,7 @@ class Track(ABC):
             request.on_output,
         )
         for job, outcome in finished:
-            yield known.pop(job.title, None) or finish(job, outcome)
+            yield known.pop(job.title) if job.title in known else finish(job, outcome)
 
 
 def about_sequence(
