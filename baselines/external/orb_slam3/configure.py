@@ -25,7 +25,8 @@ EXTRACTOR = ("nFeatures", "scaleFactor", "nLevels", "iniThFAST", "minThFAST")
 """Options that are keys of the settings under `ORBextractor`."""
 
 TAUGHT_ON = (("slam-mini", "mini-01"), ("slam-train", "train-02"))
-"""Split and sequence of the pictures that the vocabulary is trained on; none is of what methods are compared on."""
+"""Split and sequence of the pictures that the vocabulary is trained on: none of slam-val and slam-stress. Results on
+slam-mini are with a vocabulary that knows its pictures."""
 
 EVERY = 4
 """One picture in four: those between show the same."""
