@@ -11,7 +11,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench.hub.model import Figure
 from oysterbench.hub.weights import weights_here
 from oysterbench.results.card_figures import weights_in
-from oysterbench.results.records import read_results
+from oysterbench.results.records import ResultRecord, read_results
 
 TRUTH, ESTIMATE = "count_truth", "count_estimate"
 TRACK = "detection"
@@ -38,7 +38,8 @@ class Accuracy:
 
 
 def read_accuracy(path: Path, method: str, weights: Mapping[str, str] | None = None) -> Accuracy:
-    """Read the accuracy of a method from a results.json of the detection track (or its folder), over all sequences.
+    """Read the accuracy of a method from a results.json of the detection track (or its folder), over all sequences,
+    with the mean counts of several runs on one.
 
     weights: SHA-256 of the weights that are here, by name. Raises ResultError if it has no results of the method.
     """
@@ -55,7 +56,13 @@ def read_accuracy(path: Path, method: str, weights: Mapping[str, str] | None = N
             f"{remedy}"
         )
     places = dict.fromkeys(one.split or one.sequence for one in own)
-    labelled, counted = (math.fsum(one.metrics[key] for one in own) for key in (TRUTH, ESTIMATE))
+    runs: dict[tuple[str, str], list[ResultRecord]] = {}
+    for one in own:
+        runs.setdefault((one.split, one.sequence), []).append(one)
+    labelled, counted = (
+        math.fsum(math.fsum(one.metrics[key] for one in of) / len(of) for of in runs.values())
+        for key in (TRUTH, ESTIMATE)
+    )
     other = any(weights_in(one) != dict(weights) for one in own if weights_in(one)) if weights else False
     return Accuracy(labelled, counted, ", ".join(places), other, own[0].settings.get("threshold"))
 

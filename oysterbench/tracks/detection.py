@@ -8,7 +8,7 @@ from typing import Any
 
 from oysterbench.annotations import CocoFile, LabelledSequence
 from oysterbench.evaluate.detection import EVALUATOR, DetectionClip, DetectionScorer, DetectionSettings, ImageInstances
-from oysterbench.evaluate.detection.clip import over_clips
+from oysterbench.evaluate.detection.clip import join, over_clips
 from oysterbench.evaluate.detection.panoptic import paint
 from oysterbench.methods.interfaces.images import Prediction
 from oysterbench.report.images import DatasetRow, Sample
@@ -66,10 +66,11 @@ class DetectionTrack(ImageTrack):
                 samples.append(overlay(*seen, paint(estimate, counted) > 0, method))
         return scorer.result(), samples
 
-    def over_dataset(self, method: str, results: Sequence[DetectionClip]) -> DatasetRow:
+    def over_dataset(self, method: str, results: Sequence[Sequence[DetectionClip]]) -> DatasetRow:
         """Result over all images together."""
-        whole, intervals = over_clips(results)
-        return DatasetRow(self.name, method, whole.metrics, whole.reasons, intervals, len(results), whole)
+        runs = len(results[0])
+        whole, intervals = over_clips([join(one) for one in results], runs)
+        return DatasetRow(self.name, method, whole.metrics, whole.reasons, intervals, len(results), whole, runs)
 
 
 TRACK = DetectionTrack()

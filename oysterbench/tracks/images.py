@@ -118,20 +118,19 @@ class ImageTrack(Track):
         """Convert the COCO annotations of an image to the evaluator's type."""
 
     @abstractmethod
-    def over_dataset(self, method: str, results: Sequence[Any]) -> DatasetRow:
-        """The result of a method over all sequences."""
+    def over_dataset(self, method: str, results: Sequence[Sequence[Any]]) -> DatasetRow:
+        """The result of a method over all sequences, from those of its runs on each, as many on one as on another."""
 
     def dataset_rows(self, runs: Sequence[ImageRun]) -> list[DatasetRow]:
         """Result over all sequences for each method that could be scored on all of them."""
-        groups: dict[str, list[ImageRun]] = {}
+        groups: dict[str, dict[str, list[Any]]] = {}
         for run in runs:
-            groups.setdefault(run.record.method, []).append(run)
-        rows = []
-        for method, group in groups.items():
-            results = [run.result for run in group if run.result is not None]
-            if len(results) == len(group):
-                rows.append(self.over_dataset(method, results))
-        return rows
+            groups.setdefault(run.record.method, {}).setdefault(run.record.sequence, []).append(run.result)
+        return [
+            self.over_dataset(method, list(sequences.values()))
+            for method, sequences in groups.items()
+            if all(result is not None for results in sequences.values() for result in results)
+        ]
 
     def failed_metrics(self, labelled: LabelledSequence, settings: Any) -> Mapping[str, float]:
         """Metrics with which a failed run counts in a mean over sequences."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from oysterbench.annotations import CocoFile, LabelledSequence
 from oysterbench.evaluate.segmentation import EVALUATOR, ClipResult, ClipScorer, EstimateImage, SegmentationSettings
+from oysterbench.evaluate.segmentation.clip import mean_of_runs
 from oysterbench.evaluate.segmentation.dataset import over_dataset
 from oysterbench.methods.interfaces.images import Prediction
 from oysterbench.report.images import DatasetRow, Sample
@@ -86,12 +87,11 @@ class SegmentationTrack(ImageTrack):
         metrics = scorer.result().metrics
         return {key: value for key, value in metrics.items() if key.endswith(("_px", "images"))}
 
-    def over_dataset(self, method: str, results: Sequence[ClipResult]) -> DatasetRow:
+    def over_dataset(self, method: str, results: Sequence[Sequence[ClipResult]]) -> DatasetRow:
         """Result over all images together."""
-        found = over_dataset(results)
-        return DatasetRow(
-            self.name, method, found.whole.metrics, found.whole.reasons, found.intervals, found.clips, found.whole
-        )
+        found = over_dataset([mean_of_runs(list(runs)) for runs in results])
+        whole, runs = found.whole, len(results[0])
+        return DatasetRow(self.name, method, whole.metrics, whole.reasons, found.intervals, found.clips, whole, runs)
 
 
 TRACK = SegmentationTrack()

@@ -29,6 +29,13 @@ def test_counts_of_all_sequences_are_added_up(tmp_path):
     assert (found.threshold, read_accuracy(tmp_path, "m").threshold) == (None, 0.25)
 
 
+def test_several_runs_on_a_sequence_label_no_more_oysters(tmp_path):
+    several = [record(estimate=23 + k, run=k) for k in range(3)] + [record(sequence="more", truth=80, estimate=61)]
+    write_results(tmp_path / "results.json", several)
+    found = read_accuracy(tmp_path, "m")
+    assert (found.labelled, found.counted) == (100, 85)
+
+
 def test_results_with_other_weights_are_told_apart(tmp_path):
     write_results(tmp_path / "results.json", [record(method_settings={"weights": {"net": "aa"}})])
     assert read_accuracy(tmp_path, "m", {"net": "bb"}).other_weights

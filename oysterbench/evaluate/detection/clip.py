@@ -14,7 +14,8 @@ from oysterbench.evaluate.detection.counting import ImageCount, count, count_met
 from oysterbench.evaluate.detection.instances import ImageInstances, mask_tools, numpy_2
 from oysterbench.evaluate.detection.matching import Matches, match
 from oysterbench.evaluate.detection.panoptic import PanopticCounts, pair
-from oysterbench.evaluate.detection.precision import PrecisionCurve, average_precision, join
+from oysterbench.evaluate.detection.precision import PrecisionCurve, average_precision
+from oysterbench.evaluate.detection.precision import join as join_matches
 from oysterbench.evaluate.detection.settings import DetectionSettings
 from oysterbench.evaluate.detection.states import STATE_METRICS, StateCounts, state_metrics, states_of
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
@@ -24,6 +25,8 @@ NO_MASKS = "the ground truth has boxes, and no masks"
 NOTHING = "there is neither a true nor an estimated oyster"
 NO_MATCH = "no estimate matches an oyster"
 RESAMPLES = 1000  # for the interval of AP: each needs a curve of its own
+TOTALS = ("images", "count_truth", "count_estimate", "count_error", "live_error")
+"""Metrics that are sums over images."""
 
 
 @dataclass(frozen=True)
@@ -146,12 +149,13 @@ def finish(
     return DetectionClip(metrics, {**reasons, **why, **untold}, matches, counts, quality, states, curve, settings)
 
 
-def over_clips(clips: Sequence[DetectionClip]) -> tuple[DetectionClip, dict[str, Interval]]:
-    """Compute the result over all clips, and intervals of AP, panoptic quality and counts by resampling clips, each
-    with all its images."""
+def join(clips: Sequence[DetectionClip]) -> DetectionClip:
+    """Compute the result over all images of several clips, or of several runs on one."""
+    if len(clips) == 1:
+        return clips[0]
     kinds = [kind for kind in ("mask", "box") if all(kind in clip.matches for clip in clips)]
     matches = {
-        kind: {area: join([clip.matches[kind][area] for clip in clips]) for area in clips[0].matches[kind]}
+        kind: {area: join_matches([clip.matches[kind][area] for clip in clips]) for area in clips[0].matches[kind]}
         for kind in kinds
     }
     parts = [clip.panoptic for clip in clips if clip.panoptic is not None]
@@ -159,7 +163,16 @@ def over_clips(clips: Sequence[DetectionClip]) -> tuple[DetectionClip, dict[str,
     told = [clip.states for clip in clips if clip.states is not None]
     states = sum(told, StateCounts()) if len(told) == len(clips) else None
     counts = tuple(one for clip in clips for one in clip.counts)
-    whole = finish(matches, counts, quality, states, clips[0].settings)
+    return finish(matches, counts, quality, states, clips[0].settings)
+
+
+def over_clips(clips: Sequence[DetectionClip], runs: int = 1) -> tuple[DetectionClip, dict[str, Interval]]:
+    """Compute the result over all clips, and intervals of AP, panoptic quality and counts by resampling clips, each
+    with all its images. runs: number of runs joined in each clip; totals over images are as of one run."""
+    whole = join(clips)
+    whole = replace(whole, metrics={**whole.metrics, **{key: whole.metrics[key] / runs for key in TOTALS}})
+    kinds = whole.matches
+    parts = [clip.panoptic for clip in clips if clip.panoptic is not None]
     intervals = {f"ap_{kind}": _interval([clip.matches[kind]["all"] for clip in clips]) for kind in kinds}
     return whole, {**intervals, **_count_intervals([clip.counts for clip in clips]), **_quality_interval(parts, clips)}
 

@@ -107,3 +107,12 @@ def join(results: list[ClipResult]) -> ClipResult:
     counts = np.sum(histograms, axis=0) if len(histograms) == len(results) else None
     images = tuple(image for result in results for image in result.images)
     return finish(add([result.tally for result in results]), counts, images, results[0].settings)
+
+
+def mean_of_runs(runs: list[ClipResult]) -> ClipResult:
+    """Compute the result on a clip over several runs: ratios of the counts of all of them, and counts as of one run."""
+    if len(runs) == 1:
+        return runs[0]
+    whole = join(runs)
+    tally = {key: count / len(runs) for key, count in whole.tally.items()}
+    return finish(tally, whole.histogram, whole.images, whole.settings)

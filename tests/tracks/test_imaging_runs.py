@@ -1,0 +1,77 @@
+"""Several runs on the same images are no further evidence: over a data set, a sequence counts once, with all its runs."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from oysterbench.evaluate.detection import DetectionScorer
+from oysterbench.evaluate.detection.instances import from_planes
+from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage
+from oysterbench.report import dataset_tables
+from oysterbench.tracks import TRACKS
+from tests.helpers.masks import truth_of
+
+SCORERS = {"segmentation": ClipScorer, "detection": DetectionScorer}
+
+
+def result(track, found, images=2):
+    """The result on images of ten oysters in a row, of which the first `found` are found."""
+    true = np.zeros((30, 100), np.int32)
+    for k in range(10):
+        true[10:16, 10 * k : 10 * k + 6] = k + 1
+    scorer = SCORERS[track]()
+    for name in map(str, range(images)):
+        said = np.where(true <= found, true, 0)
+        if track == "segmentation":
+            scorer.add(truth_of(true > 0, name=name), EstimateImage(name, oyster=said > 0))
+        else:
+            scores = dict.fromkeys(range(1, 11), 0.9)
+            scorer.add(from_planes(name, true), from_planes(name, said, scores=scores))
+    return scorer.result()
+
+
+def row_of(track, found, runs):
+    """The row of a method that finds so many oysters on each sequence; in each of the runs, so many more."""
+    made = [
+        SimpleNamespace(record=SimpleNamespace(method="m", sequence=str(k)), result=result(track, count + more))
+        for k, count in enumerate(found)
+        for more in runs
+    ]
+    (row,) = TRACKS[track].dataset_rows(made)
+    return row
+
+
+@pytest.mark.parametrize("track", SCORERS)
+def test_a_method_that_finds_the_same_in_each_run_has_the_row_of_one_run(track):
+    once, thrice = (row_of(track, range(2, 9), runs) for runs in ((0,), (0, 0, 0)))
+    assert (once.clips, thrice.clips, thrice.runs) == (7, 7, 3)
+    assert thrice.metrics == pytest.approx(once.metrics, nan_ok=True)
+    for key, interval in once.intervals.items():
+        found = thrice.intervals[key]
+        assert (found.low, found.high) == pytest.approx((interval.low, interval.high), nan_ok=True)
+        assert found.reason == interval.reason
+    key = "iou" if track == "segmentation" else "pq"
+    assert once.intervals[key].known
+
+
+@pytest.mark.parametrize("track", SCORERS)
+def test_runs_make_no_interval_of_too_few_sequences_and_the_note_says_what_totals_are(track):
+    row = row_of(track, (2, 5), (0, 1, 2))
+    note = dataset_tables([row])[0].notes[0]
+    assert note == (
+        "All images of 2 sequences together, in 3 runs on each; totals are as of one run; 2 sequences: no 95% interval "
+        "is possible with fewer than 6."
+    )
+
+
+def test_over_runs_that_differ_ratios_are_of_all_and_totals_their_means():
+    row = row_of("segmentation", (2, 5), (0, 1, 2))
+    assert row.metrics["iou"] == pytest.approx((2 + 3 + 4 + 5 + 6 + 7) / 60)
+    assert (row.metrics["images"], row.metrics["truth_px"], row.metrics["estimate_px"]) == (4, 1440, 2 * 36 * (3 + 6))
+    row = row_of("detection", (2, 5), (0, 1, 2))
+    assert row.metrics["rq"] == pytest.approx(27 / (27 + 0.5 * (60 - 27)))
+    assert [row.metrics[f"count_{key}"] for key in ("truth", "estimate", "error")] == [40, 18, -22]
+    assert (row.metrics["images"], row.metrics["count_bias"]) == (4, pytest.approx(-5.5))
