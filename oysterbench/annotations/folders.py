@@ -1,7 +1,8 @@
 """Data sets as folders of masks: images/NAME.png or .jpg, masks/NAME.png, and optional further files.
 
 masks/NAME.png      8 bits: 0 and one other value for oysters (1 or 255, as you like)
-instances/NAME.png  16 or 8 bits, optional: a number for each oyster; without it, each connected part is one
+instances/NAME.png  16 or 8 bits, optional: a number for each oyster; without it, each part connected by
+                    edges or corners is one, as in a mask that is scored
 ignore/NAME.png     8 bits, optional: non-zero for pixels to be ignored
 manifest.csv        optional: id, clip, split
 """
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, read_picture, read_plane
 from oysterbench.annotations.manifest import FILE, files_of, images_with
+from oysterbench.annotations.parts import connected_parts
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import LabelError
 from oysterbench.recipe import OYSTER
@@ -51,7 +53,7 @@ def _read(image: Path, mask: Path, further: dict[str, Path], name: str, clip: st
         if instances.shape == oysters.shape and (instances[~oysters] > 0).any():
             raise LabelError(f"{further['instances']}: has instances outside the mask {mask}")
     else:
-        instances = cv2.connectedComponents(oysters.astype(np.uint8), connectivity=4)[1].astype(np.uint16)
+        instances = connected_parts(oysters)[0].astype(np.uint16)
     ignore = read_plane(further["ignore"]) > 0 if "ignore" in further else np.zeros(oysters.shape, dtype=bool)
     classes = np.where(oysters, OYSTER, 0).astype(np.uint8)
     return LabelledImage(name, clip, pixels, classes, instances, ignore)

@@ -239,3 +239,15 @@ def test_a_mask_of_another_size_is_named_by_its_file_and_advised_of_as_a_mask(fo
     assert done.exit_code == 1
     assert f"{file}: expected an estimate of the truth's size, 30 x 20, got 15 x 10; resize masks" in done.output
     assert "bilinear" not in done.output
+
+
+def test_masks_are_cut_into_the_same_oysters_as_ground_truth_and_as_estimate(tmp_path):
+    mask = np.zeros((60, 60), np.uint8)
+    mask[10:20, 10:20] = mask[20:30, 20:30] = 255  # two squares that meet at a corner
+    for folder in ("truth/images", "truth/masks", "estimate"):
+        (tmp_path / folder).mkdir(parents=True)
+        assert cv2.imwrite(str(tmp_path / folder / "a.png"), mask)
+    (run,) = TRACKS["detection"].score_files(tmp_path / "truth", tmp_path / "estimate", {}).runs
+    metrics = run.record.metrics
+    values = [metrics[key] for key in ("count_truth", "count_estimate", "ap_mask", "pq")]
+    assert values == pytest.approx([1, 1, 1, 1])

@@ -1,4 +1,4 @@
-"""Several runs on the same images are no further evidence: over a data set, a sequence counts once, with all its runs."""
+"""Several runs on the same images are no further evidence: a sequence of a data set counts once, with all its runs."""
 
 from __future__ import annotations
 
