@@ -6,6 +6,9 @@ import os
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from oysterbench.annotations.coco import CocoFile, CocoImage, read_coco
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
 from oysterbench.core.errors import LabelError
@@ -19,19 +22,15 @@ def coco_set(path: Path) -> LabelledSet:
     other categories are skipped. The keys clip and split of an image are used if present; without them, each image is
     a clip of its own. Raises LabelError naming the item that is wrong.
     """
-    coco, folder = read_coco(path), path.parent.absolute()
+    coco = read_coco(path)
     entries = []
     for key, image in coco.images.items():
-        name = image.file_name
-        if os.path.isabs(name) and Path(name).is_relative_to(folder):
-            name = os.path.relpath(name, folder)
-        if leads_out(name):
+        if leads_out(_name_beside(path, image)):
             raise LabelError(
                 f"{path}: image {key}: expected a file_name relative to this folder or to images/ in it, got one that "
                 f"leads out of it: {image.file_name!r:.80}; put the image there and correct its name"
             )
-        places = (path.parent / name, path.parent / "images" / name)
-        file = next((place for place in places if place.is_file()), None)
+        file = picture_file(path, image)
         if file is None:
             raise LabelError(f"{path}: image {key}: no file {image.file_name} beside it, nor in images/")
         clip = image.clip or image.name
@@ -39,15 +38,36 @@ def coco_set(path: Path) -> LabelledSet:
     return LabelledSet(path.resolve().parent.name, entries)
 
 
-def _read(coco: CocoFile, image: CocoImage, file: Path, clip: str) -> LabelledImage:
+def picture_file(path: Path, image: CocoImage) -> Path | None:
+    """File of an image of the COCO file at `path`, beside it or in images/ there; None if there is none."""
+    name = _name_beside(path, image)
+    places = () if leads_out(name) else (path.parent / name, path.parent / "images" / name)
+    return next((place for place in places if place.is_file()), None)
+
+
+def _name_beside(path: Path, image: CocoImage) -> str:
+    """The file_name of an image, relative to the folder of the COCO file where it is an absolute path into it."""
+    name, folder = image.file_name, path.parent.absolute()
+    inside = os.path.isabs(name) and Path(name).is_relative_to(folder)
+    return os.path.relpath(name, folder) if inside else name
+
+
+def read_coco_picture(file: Path, image: CocoImage) -> NDArray[np.uint8]:
+    """Read the pixels (H, W, 3) uint8 RGB of an image. Raises LabelError if they are not of the size that the COCO file
+    states."""
     pixels = read_picture(file)
     height, width = pixels.shape[:2]
     if (image.width, image.height) != (width, height):
         raise LabelError(
             f"{file}: expected {image.width} x {image.height} px, as the COCO file says, got {width} x {height}"
         )
+    return pixels
+
+
+def _read(coco: CocoFile, image: CocoImage, file: Path, clip: str) -> LabelledImage:
+    pixels = read_coco_picture(file, image)
     oysters, crowd = coco.truth(image.name)
-    classes, instances = planes_of(list(oysters), height, width)
+    classes, instances = planes_of(oysters, image.height, image.width)
     return LabelledImage(
         image.name, clip, pixels, classes, instances, crowd & (instances == 0), living=coco.living(image.name)
     )

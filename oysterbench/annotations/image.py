@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -139,13 +139,16 @@ class LabelledSet:
 
 
 def planes_of(
-    masks: Sequence[NDArray[np.bool_]], height: int, width: int
+    masks: Iterable[NDArray[np.bool_]], height: int, width: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-    """Class and instance planes (H, W) of oyster masks, number k + 1 for masks[k]. Where several overlap, a pixel
-    belongs to the smallest: an oyster on top of another is usually seen whole, in front of it."""
+    """Class and instance planes (H, W) of oyster masks (H, W), which are numbered from 1. Where several overlap, a
+    pixel belongs to the smallest: an oyster on top of another is usually seen whole, in front of it."""
     instances = np.zeros((height, width), dtype=np.uint16)
-    for k in sorted(range(len(masks)), key=lambda k: -int(masks[k].sum())):
-        instances[masks[k]] = k + 1
+    areas = np.full((height, width), height * width, dtype=np.int32)
+    for number, mask in enumerate(masks, start=1):
+        area = np.count_nonzero(mask)
+        on_top = mask & (area <= areas)
+        instances[on_top], areas[on_top] = number, area
     return np.where(instances > 0, OYSTER, 0).astype(np.uint8), instances
 
 

@@ -27,7 +27,7 @@ def open_labelled(path: str | Path) -> LabelledSet:
     path = Path(path)
     if not path.exists():
         raise LabelError(f"{path}: no such file or folder; expected {'; or '.join(KINDS.values())}")
-    found = _kinds(path)
+    found = kinds_at(path)
     if len(found) != 1:
         got = f"what could be {' or '.join(found)}" if found else "none of them"
         raise LabelError(f"{path}: expected {'; or '.join(KINDS.values())}; got {got}")
@@ -48,7 +48,8 @@ def open_labelled(path: str | Path) -> LabelledSet:
     return coco_set(path if path.is_file() else next(iter(sorted(path.glob("*.json")))))
 
 
-def _kinds(path: Path) -> list[str]:
+def kinds_at(path: Path) -> list[str]:
+    """Kinds of labelled data (keys of `KINDS`) that a path could be."""
     if path.is_file():
         return {".mcap": ["sequences"], ".json": ["coco"]}.get(path.suffix.lower(), [])
     found = ["sequences"] if any(path.glob("*.mcap")) else []

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.coco import CocoFile, read_coco
-from oysterbench.annotations.image import Entry, is_colour
+from oysterbench.annotations.coco_set import picture_file, read_coco_picture
+from oysterbench.annotations.image import Entry, is_colour, planes_of
 from oysterbench.annotations.manifest import FILE, read_manifest
 from oysterbench.annotations.masks import as_mask, read_png
-from oysterbench.annotations.opening import open_labelled
+from oysterbench.annotations.opening import kinds_at, open_labelled
 from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import Array
 from oysterbench.evaluate.detection import ImageInstances
@@ -46,7 +47,8 @@ Seen = tuple[TruthImage, NDArray[np.uint8] | None]
 class LabelledSequence:
     """Images of one recording. names: of all of them, known without reading any; images: reads them one by one.
 
-    digest: of the files; coco: set if the truth is COCO annotations, whose instances may overlap
+    digest: of the files; coco: set if the truth is COCO annotations, whose instances may overlap; pixels: reads the
+    image of a name, without the truth; None if only `images` reads them
     """
 
     name: str
@@ -55,6 +57,7 @@ class LabelledSequence:
     digest: str
     conditions: Mapping[str, float | str] = field(default_factory=dict)
     coco: CocoFile | None = None
+    pixels: Callable[[str], NDArray[np.uint8] | None] | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -62,6 +65,13 @@ class LabelledSequence:
         lacking = "" if self.coco is None else self.coco.without_mask
         why = f"no metrics of masks, as oysters of the ground truth have a box alone: {lacking}; outline or remove them"
         return (why,) if lacking else ()
+
+    def pictures(self) -> Iterator[tuple[str, NDArray[np.uint8] | None]]:
+        """Yield name and pixels of each image; of COCO annotations, also where the truth has boxes without masks."""
+        if self.pixels is None:
+            yield from ((truth.name, pixels) for truth, pixels in self.images())
+        else:
+            yield from ((name, self.pixels(name)) for name in self.names)
 
     def instances(self, truth: TruthImage) -> ImageInstances:
         """Return the single oysters of one of the images. Raises LabelError if the truth does not separate them."""
@@ -165,18 +175,15 @@ def footprint_m2(depth_m: NDArray[np.float32], rays: Array, T_map_camera: Array)
 
 
 def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = None) -> list[LabelledSequence]:
-    """Open the clips at a path: sequences, labelled folders (`opening.KINDS`), COCO annotations without their
-    images, or a plain folder of PNG files, masks or (labels="classes") class numbers.
+    """Open the clips at a path: sequences, labelled folders (`opening.KINDS`), COCO annotations with or without
+    their images, or a plain folder of PNG files, masks or (labels="classes") class numbers.
 
     Clips of a plain folder are its subfolders, or as given in its manifest.csv (id, clip). ignore_value: value of
     pixels to be ignored; for classes 255 by default.
     """
-    if place.suffix.lower() == ".json" and place.is_file():
-        return _coco_clips(place)
+    if kinds_at(place) == ["coco"]:
+        return _coco_clips(place if place.is_file() else next(place.glob("*.json")), place)
     if place.is_dir() and not (place / "images").is_dir() and not any(place.glob("*.mcap")):
-        annotations = sorted(place.glob("*.json"))
-        if len(annotations) == 1:
-            return _coco_clips(annotations[0])
         return _plain_clips(place, labels, ignore_value)
     if place.suffix == ".mcap" or any(place.glob("*.mcap")):
         return [labelled_sequence(path) for path in ([place] if place.is_file() else sorted(place.glob("*.mcap")))]
@@ -209,24 +216,36 @@ def _labelled_clips(place: Path) -> list[LabelledSequence]:
     ]
 
 
-def _coco_clips(path: Path) -> list[LabelledSequence]:
+def _coco_clips(path: Path, place: Path) -> list[LabelledSequence]:
+    """The clips of a COCO file; without any, all is one, named after the place, the file or its folder."""
     file = read_coco(path)
+    own = {image.name: image for image in file.images.values()}
+    beside = {name: found for name, image in own.items() if (found := picture_file(path, image)) is not None}
+    whole = place.stem if place.is_file() else place.resolve().name
     groups: dict[str, list[str]] = {}
-    for image in file.images.values():
-        groups.setdefault(image.clip or path.stem, []).append(image.name)
+    for name, image in own.items():
+        groups.setdefault(image.clip or whole, []).append(name)
+
+    def pixels(name: str) -> NDArray[np.uint8] | None:
+        return read_coco_picture(beside[name], own[name]) if name in beside else None
 
     def images(names: list[str]) -> Iterator[Seen]:
         for name in names:
             oysters, crowd = file.truth(name)
-            classes = np.zeros(crowd.shape, dtype=np.uint8)
-            for mask in oysters:
-                classes[mask] = OYSTER
+            classes, instances = planes_of(oysters, *crowd.shape)
             ignore = crowd & (classes != OYSTER)
-            yield TruthImage(name, classes, False, ignore if ignore.any() else None), None
+            truth = TruthImage(name, classes, False, ignore if ignore.any() else None, instances=instances)
+            yield truth, pixels(name)
 
-    digest = _digest([path])
     return [
-        LabelledSequence(clip, tuple(names), partial(images, names), digest, coco=file)
+        LabelledSequence(
+            clip,
+            tuple(names),
+            partial(images, names),
+            _digest([path, *(beside[name] for name in names if name in beside)]),
+            coco=file,
+            pixels=pixels,
+        )
         for clip, names in groups.items()
     ]
 

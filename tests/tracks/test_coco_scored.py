@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
+from oysterbench.core.errors import LabelError
 from oysterbench.tracks import TRACKS
+from tests.helpers.labelled_folders import write_png
 
 SQUARES = [[10 * k, 5, 8, 8] for k in range(5)]
 
@@ -25,15 +28,19 @@ def items(**changes):
     return [found[0] | changes, *found[1:]]
 
 
+def write(place, content, categories=({"id": 2, "name": "oyster"},)):
+    """A COCO file of annotations of one image; the path."""
+    images = [{"id": 1, "file_name": "a.png", "width": 60, "height": 20}]
+    place.write_text(json.dumps({"images": images, "categories": categories, "annotations": content}))
+    return place
+
+
 @pytest.fixture
 def score(tmp_path):
     def call(truth, estimate, track="detection", categories=({"id": 2, "name": "oyster"},)):
-        images = [{"id": 1, "file_name": "a.png", "width": 60, "height": 20}]
-        document = {"images": images, "categories": categories, "annotations": truth}
-        places = [tmp_path / "truth.json", tmp_path / "mine.json"]
-        for place, content in zip(places, (document, estimate), strict=True):
-            place.write_text(json.dumps(content))
-        found = TRACKS[track].score_files(*places, {})
+        place, mine = write(tmp_path / "truth.json", truth, categories), tmp_path / "mine.json"
+        mine.write_text(json.dumps(estimate))
+        found = TRACKS[track].score_files(place, mine, {})
         (run,) = found.runs
         notes = " ".join(run.record.notes)
         assert all(note in " ".join(found.printed[0].notes) for note in run.record.notes)
@@ -80,3 +87,38 @@ def test_a_result_without_a_mask_is_named_and_the_others_keep_theirs(score):
     metrics, notes = score(items(), items(segmentation=[]))
     assert metrics["ap_mask"] == pytest.approx(0.642, abs=0.001)  # among equal scores, the first is wrong
     assert notes == "oysters with a box alone overlap no mask: 1 of 5 (mine.json: [0])"
+
+
+@pytest.mark.parametrize("folder", [".", "images"])
+@pytest.mark.parametrize("given", [".", "all.json"])
+def test_images_beside_annotations_or_in_images_are_run_on(folder, given, tmp_path):
+    write(tmp_path / "all.json", items())
+    pixels = np.full((20, 60, 3), 7, np.uint8)
+    write_png(tmp_path / folder / "a.png", pixels)
+    track = TRACKS["detection"]
+    (sequence,) = track.run_sequences(None, {"mine": tmp_path / given}, {})
+    assert sequence.name == (tmp_path.name if given == "." else "all")
+    ((name, found),) = sequence.labelled.pictures()
+    assert (name, found.tolist()) == ("a", pixels.tolist())
+    ((_, (truth, seen)),) = sequence.labelled.single()
+    assert (truth.instances.max(), seen.tolist()) == (5, pixels.tolist())
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "mine.json").write_text(json.dumps(items()))
+    (run,) = track.score_files(tmp_path / given, tmp_path / "results" / "mine.json", {}).runs
+    assert run.record.metrics["ap_mask"] == 1.0
+    write_png(tmp_path / folder / "a.png", pixels + 1)
+    (again,) = track.run_sequences(None, {"mine": tmp_path / given}, {})
+    assert again.origin != sequence.origin
+
+
+def test_images_of_annotations_with_boxes_alone_are_run_on_too(tmp_path):
+    write(tmp_path / "all.json", items(segmentation=[]))
+    write_png(tmp_path / "a.png", np.zeros((20, 60, 3), np.uint8))
+    (sequence,) = TRACKS["detection"].run_sequences(None, {"mine": tmp_path}, {})
+    assert [pixels.shape for _, pixels in sequence.labelled.pictures()] == [(20, 60, 3)]
+
+
+def test_annotations_without_their_images_say_where_these_belong(tmp_path):
+    (sequence,) = TRACKS["detection"].run_sequences(None, {"mine": write(tmp_path / "all.json", items())}, {})
+    with pytest.raises(LabelError, match=r"a: expected an image .* their file_name, beside these or in images/ there"):
+        sequence.write_input("images", tmp_path / "out", None)
