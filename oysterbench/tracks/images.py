@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -64,8 +65,12 @@ class PictureSequence(RunSequence):
 
     @property
     def origin(self) -> str:
-        """Split, digest of its recipe, and name for a sequence of a public split; else the digest of the files."""
-        if self.split is None or self.split.hidden:
+        """Split, digest of its recipe, and name for a sequence of a public split; for others the digest of the files,
+        and for one's own also of the names of the images, by which methods are given them."""
+        if self.split is None:
+            known = "\0".join((self.labelled.digest, *self.labelled.names))
+            return hashlib.sha256(known.encode(errors="surrogateescape")).hexdigest()
+        if self.split.hidden:
             return self.labelled.digest
         return f"{self.split.name} {digest(self.split)} {self.name}"
 
@@ -84,10 +89,13 @@ class PictureSequence(RunSequence):
         write_pictures(self._pictures(), out)
 
     def _pictures(self) -> Iterator[Picture]:
-        for truth, pixels in self.labelled.images():
+        for name, pixels in self.labelled.pictures():
             if pixels is None:
-                raise LabelError(f"{truth.name}: expected an image to run a method on, got only the ground truth")
-            yield Picture(truth.name, pixels)
+                raise LabelError(
+                    f"{name}: expected an image to run a method on, got only the ground truth; images of COCO "
+                    "annotations are found by their file_name, beside these or in images/ there"
+                )
+            yield Picture(name, pixels)
 
 
 class ImageTrack(Track):

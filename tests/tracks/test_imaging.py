@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -14,12 +15,14 @@ from oysterbench.cli.main import main
 from oysterbench.core.errors import LabelError, MethodError
 from oysterbench.core.streams import stream
 from oysterbench.evaluate.segmentation import TruthImage
+from oysterbench.methods.exports import key_of
 from oysterbench.methods.images import Detections, Segmentation
 from oysterbench.recipe import OYSTER
 from oysterbench.report import dataset_tables, html_report, images_csv
 from oysterbench.results.records import ResultRecord
 from oysterbench.tracks import TRACKS
 from oysterbench.tracks.images import PictureSequence, instances_of
+from tests.helpers.labelled_folders import write_png
 from tests.helpers.track_runs import runs_of
 
 
@@ -251,3 +254,17 @@ def test_masks_are_cut_into_the_same_oysters_as_ground_truth_and_as_estimate(tmp
     metrics = run.record.metrics
     values = [metrics[key] for key in ("count_truth", "count_estimate", "ap_mask", "pq")]
     assert values == pytest.approx([1, 1, 1, 1])
+
+
+def test_images_that_were_renamed_are_given_to_programs_by_their_new_names(tmp_path):
+    def key_of_images(*names):
+        shutil.rmtree(tmp_path / "mine", ignore_errors=True)
+        for k, name in enumerate(names):
+            for folder, value in (("images", 10 * k), ("masks", 255)):
+                write_png(tmp_path / "mine" / folder / f"{name}.png", np.full((4, 4), value, np.uint8))
+        (sequence,) = TRACKS["segmentation"].run_sequences(None, {"mine": tmp_path / "mine"}, {})
+        return key_of(sequence, "images")
+
+    before = key_of_images("1", "2")
+    assert key_of_images("reef-a", "reef-b") != before
+    assert key_of_images("1", "2") == before
