@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError
-from oysterbench.core.pictures import decode_picture
+from oysterbench.core.pictures import decode_picture, jpeg_end, upper_bits
 from oysterbench.recipe import OYSTER
 
 
@@ -172,9 +172,14 @@ def file_digest(path: Path) -> str:
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
-    """Read an image file as (H, W, 3) uint8 RGB. Raises LabelError naming the file."""
-    pixels = _decoded(path, cv2.IMREAD_COLOR)
-    return np.ascontiguousarray(pixels[..., ::-1], dtype=np.uint8)
+    """Read an image file as (H, W, 3) uint8 RGB; of more than 8 bits the upper 8 that are used are kept
+    (`upper_bits`), as where oysters are counted. Raises LabelError naming the file."""
+    pixels = _decoded(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    if pixels.dtype == np.uint16:
+        pixels = upper_bits(pixels)
+    if pixels.dtype != np.uint8:
+        raise LabelError(f"{path}: expected an image of 8 or 16 bits, got {pixels.dtype}: save it as one of these")
+    return np.ascontiguousarray(pixels[..., ::-1])
 
 
 def read_plane(path: Path) -> NDArray[Any]:
@@ -205,7 +210,7 @@ def _decoded(path: Path, flags: int) -> NDArray[Any]:
     values = decode_picture(data, flags)
     if values is None:
         raise LabelError(f"{path}: not an image that can be decoded ({len(data)} bytes); get the file again")
-    if (path.suffix.lower() in (".jpg", ".jpeg")) and not data.rstrip(b"\0\r\n").endswith(b"\xff\xd9"):
+    if data.startswith(b"\xff\xd8") and jpeg_end(data) < 0:
         # A truncated JPEG is silently decoded, with the rest filled in grey.
         raise LabelError(f"{path}: the JPEG ends before its end marker: the file is truncated; get it again")
     return values

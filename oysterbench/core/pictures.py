@@ -26,3 +26,33 @@ def decode_picture(data: bytes | NDArray[np.uint8], flags: int) -> NDArray[Any] 
         return cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags) if len(data) else None
     except cv2.error:
         return None
+
+
+def upper_bits(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Upper 8 of the bits that an image of any shape uses: 8, or those of a camera stored in 16: 10, 12, 14 or 16.
+    Taken as 16 bits, an image of 12 bits would be almost black.
+
+    >>> import numpy as np
+    >>> upper_bits(np.array([0, 2048, 4095], np.uint16)), upper_bits(np.array([0, 255], np.uint16))
+    (array([  0, 128, 255], dtype=uint8), array([  0, 255], dtype=uint8))
+    """
+    import numpy as np
+
+    bits = int(pixels.max(initial=0)).bit_length()
+    used = max(8, bits + bits % 2)
+    return (pixels >> (used - 8)).astype(np.uint8)
+
+
+def jpeg_end(data: bytes) -> int:
+    """Offset of the end marker of a JPEG after its first scan; -1 if there is none. A thumbnail may have an end marker
+    before it, and cameras may append data after it, so that it need not be at the end of the file."""
+    at = 2
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        kind = data[at + 1]
+        if kind == 0xFF:  # fill
+            at += 1
+            continue
+        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+        if kind == 0xDA:
+            return data.find(b"\xff\xd9", at)
+    return -1

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import simplejpeg
 
-from oysterbench.core.pictures import LARGEST_IMAGE_PX
+from oysterbench.core.pictures import LARGEST_IMAGE_PX, jpeg_end
 
 AGAIN = "copy it again from the camera"
 UNREADABLE = {b"hei": "HEIC", b"hev": "HEIC", b"mif": "HEIC", b"avi": "AVIF", b"crx": "a raw image"}
@@ -34,7 +34,7 @@ def picture_fault(data: bytes) -> str:
     the rest of a truncated JPEG or PNG with grey, and decode only the first of several images."""
     if not data:
         return "empty file"
-    if data.startswith(b"\xff\xd8") and ((end := _jpeg_end(data)) < 0 or _jpeg_damaged(data, end)):
+    if data.startswith(b"\xff\xd8") and ((end := jpeg_end(data)) < 0 or _jpeg_damaged(data, end)):
         return f"the JPEG is damaged or ends before its end marker: {AGAIN}"
     if data.startswith(b"\x89PNG") and b"IEND" not in data[-64:]:
         return f"the PNG ends before its end marker: {AGAIN}"
@@ -86,21 +86,6 @@ def video_fault(path: Path) -> str:
             "it to H.264"
         )
     return f"{size} bytes of no known video format, or of one that is damaged: {AGAIN}"
-
-
-def _jpeg_end(data: bytes) -> int:
-    """Offset of the end marker after the first scan; -1 if there is none. A thumbnail may have an end marker before it,
-    and cameras may append data after it, so that it need not be at the end of the file."""
-    at = 2
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        kind = data[at + 1]
-        if kind == 0xFF:  # fill
-            at += 1
-            continue
-        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-        if kind == 0xDA:
-            return data.find(b"\xff\xd9", at)
-    return -1
 
 
 def _jpeg_damaged(data: bytes, end: int) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError
-from oysterbench.core.pictures import LARGEST_IMAGE_PX, decode_picture
+from oysterbench.core.pictures import LARGEST_IMAGE_PX, decode_picture, upper_bits
 from oysterbench.counting.edits import shown_share
 from oysterbench.counting.faults import counts_frames, picture_fault, picture_size, video_fault
 
@@ -64,7 +64,7 @@ class VideoFrame:
 
 def decode(data: bytes, where: str) -> NDArray[np.uint8]:
     """Decode an image file to (H, W, 3) uint8 RGB, rotated by its EXIF orientation; grey becomes RGB, alpha is dropped,
-    and of more than 8 bits the upper 8 that are used are kept (`used_bits`). Raises LabelError, starting with `where`,
+    and of more than 8 bits the upper 8 that are used are kept (`upper_bits`). Raises LabelError, starting with `where`,
     for an image that cannot be decoded completely, and for several images in one file."""
     if fault := picture_fault(data):
         raise LabelError(f"{where}: {fault}")
@@ -82,19 +82,8 @@ def decode(data: bytes, where: str) -> NDArray[np.uint8]:
     if pixels.dtype not in (np.uint8, np.uint16):
         raise LabelError(f"{where}: expected an image of 8 or 16 bits, got {pixels.dtype}: save it as one of these")
     if pixels.dtype == np.uint16:
-        pixels = (pixels >> (used_bits(pixels) - 8)).astype(np.uint8)
+        pixels = upper_bits(pixels)
     return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-
-
-def used_bits(pixels: NDArray[np.uint16]) -> int:
-    """Number of bits that an image uses: 8, or those of a camera stored in 16: 10, 12, 14 or 16. Taken as 16 bits, an
-    image of 12 bits would be almost black.
-
-    >>> used_bits(np.array([0, 4095], np.uint16)), used_bits(np.array([0, 255], np.uint16))
-    (12, 8)
-    """
-    bits = int(pixels.max(initial=0)).bit_length()
-    return max(8, bits + bits % 2)
 
 
 @contextmanager

@@ -168,6 +168,26 @@ def test_a_truncated_jpeg_is_refused_and_not_half_grey(tmp_path):
         open_labelled(folder)[0]
 
 
+def test_a_jpeg_is_whole_whatever_a_camera_appended_to_it(tmp_path):
+    folder = yolo_folder(tmp_path / "set", {"a": ""})
+    (folder / "images" / "a.png").unlink()
+    data = cv2.imencode(".jpg", picture(0))[1].tobytes()
+    for suffix in (".jpg", ".png"):  # whatever its name says
+        (folder / "images" / f"a{suffix}").write_bytes(data + b"SEFT" * 9)
+        assert open_labelled(folder)[0].pixels.shape == (HEIGHT, WIDTH, 3)
+        (folder / "images" / f"a{suffix}").unlink()
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_labelled_images_of_more_than_8_bits_are_read_as_counted_ones(bits, channels, tmp_path):
+    ramp = np.linspace(0, 255, HEIGHT * WIDTH).astype(np.uint16).reshape(HEIGHT, WIDTH)
+    ramp = np.stack([np.roll(ramp, k) for k in range(channels)], axis=-1)
+    folder = yolo_folder(tmp_path / "set", {"a": ""})
+    write_png(folder / "images" / "a.png", (ramp << (bits - 8)).squeeze())
+    assert np.array_equal(open_labelled(folder)[0].pixels, np.broadcast_to(ramp, (HEIGHT, WIDTH, 3)))
+
+
 @pytest.mark.parametrize("data", [b"", b"not a picture"])
 def test_what_is_no_image_is_refused(data, tmp_path):
     folder = yolo_folder(tmp_path / "set", {"a": ""})
