@@ -83,7 +83,7 @@ def read_yolo(path: Path, classes: Mapping[int, str]) -> list[NDArray[np.float64
     COCO files. Raises LabelError naming file and line."""
     polygons = []
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise LabelError(f"{path}: cannot be read as text: {error}") from None
     for number, line in enumerate(lines, start=1):

@@ -38,6 +38,12 @@ def read_json(data: bytes | str) -> Any:
     return value
 
 
+def separator(table: str) -> str:
+    """Separator of a CSV table: a semicolon if the first line has one, as spreadsheets write it where the comma is the
+    decimal sign, else a comma."""
+    return ";" if ";" in table.partition("\n")[0] else ","
+
+
 def printable(text: str) -> str:
     r"""Escape, as JSON does, everything in a text that a terminal may obey or that nobody sees.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from oysterbench.core.errors import LabelError
-from oysterbench.core.text import composed
+from oysterbench.core.text import composed, separator
 from oysterbench.counting.sources import Source
 
 PICTURE = "picture"
@@ -49,8 +49,8 @@ def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) ->
         raise LabelError(f"{path}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
         raise LabelError(f"{path}: expected a CSV table in UTF-8: in a spreadsheet, save it as 'CSV UTF-8'") from None
-    semicolons = ";" in text.partition("\n")[0]
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=";" if semicolons else ",")
+    mark = separator(text)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark)
     try:
         lines = list(reader)
     except csv.Error as error:
@@ -76,7 +76,7 @@ def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) ->
             continue
         if name in rows:
             raise LabelError(f"{where}: {said} is listed twice")
-        rows[name] = tuple(_number(v.replace(",", ".") if semicolons else v, where) for v in values)
+        rows[name] = tuple(_number(v.replace(",", ".") if mark == ";" else v, where) for v in values)
     return PictureTable(path, rows, tuple(unused))
 
 

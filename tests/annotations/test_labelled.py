@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 
 import cv2
@@ -73,6 +74,18 @@ def test_a_manifest_gives_clips_splits_and_order(tmp_path):
     assert [entry.name for entry in found.of_split("train").entries] == ["a"]
     with pytest.raises(LabelError, match="no image of split 'val'; its splits: test, train"):
         found.of_split("val")
+
+
+@pytest.mark.parametrize("mark", [",", ";"])
+def test_what_a_spreadsheet_or_editor_saves_as_utf_8_is_read(mark, tmp_path):
+    rows = (("id", "clip", "split"), ("a", "Bänke, Süd", "train"), ("b", "two", "test"), ("", "", ""))
+    folder = yolo_folder(tmp_path / "set", {"a": SQUARE, "b": ""})
+    with open(folder / "manifest.csv", "w", newline="", encoding="utf-8-sig") as file:
+        csv.writer(file, delimiter=mark).writerows(rows)
+    (folder / "labels" / "a.txt").write_text(SQUARE, encoding="utf-8-sig")
+    found = open_labelled(folder)
+    assert [(one.name, one.clip, one.split) for one in found.entries] == list(rows[1:-1])
+    assert found[0].oysters.sum() == HEIGHT * WIDTH / 4
 
 
 @pytest.mark.parametrize(
