@@ -18,7 +18,7 @@ from oysterbench.annotations.parts import connected_parts
 from oysterbench.core.errors import LabelError, MethodError
 from oysterbench.core.masks import as_mask
 from oysterbench.evaluate.detection import ImageInstances
-from oysterbench.evaluate.detection.instances import Instance, from_mask, from_planes, instance_numbers
+from oysterbench.evaluate.detection.instances import Instance, from_mask, from_planes, instance_numbers, renumbered
 from oysterbench.evaluate.segmentation import EstimateImage, check_size
 from oysterbench.methods.checks import check_count, check_shape, checked_boxes, checked_masks, checked_scores
 from oysterbench.methods.images import Detections, Picture, Segmentation
@@ -217,7 +217,8 @@ class ImageTrack(Track):
         numbers = files.numbers(name)
         prediction: Prediction = Segmentation(name, found.oyster, found.probability, found.classes)
         if numbers is not None and self.single:
-            prediction = Detections(name, np.ones(numbers.max(initial=0)), numbers=numbers)
+            known, numbers = renumbered(numbers)
+            prediction = Detections(name, np.ones(len(known)), numbers=numbers)
         return self.of_prediction(prediction, str(files.place), shape, settings)
 
     def score_files(self, truth: Path, estimate: Path, options: Mapping[str, Any]) -> Evaluation:

@@ -155,6 +155,13 @@ def test_average_precision_is_that_of_101_recalls(oysters, kind):
     assert metrics.average_recall(*oysters, kind=kind) == 0.5
 
 
+def test_numbers_may_be_as_large_as_an_int32_holds(oysters):
+    """Those that panoptic tools compose of red, green and blue are."""
+    true, said = oysters
+    large = np.where(said > 0, np.iinfo(np.int32).max - 9 + said, 0).astype(np.int32)
+    assert metrics.average_precision(true, large) == metrics.average_precision(true, said)
+
+
 def test_panoptic_quality_is_overlaps_by_matches_and_half_of_what_has_none(oysters):
     assert metrics.panoptic_quality(*oysters) == pytest.approx(1.0 / (1 + 0.5 + 0.5))
     assert metrics.panoptic_quality(*(np.stack([one, one]) for one in oysters)) == pytest.approx(0.5)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from oysterbench.annotations import LabelledSequence
+from oysterbench.annotations import LabelledSequence, open_predictions
 from oysterbench.cli.main import main
 from oysterbench.core.errors import LabelError, MethodError
 from oysterbench.core.streams import stream
@@ -268,3 +268,10 @@ def test_images_that_were_renamed_are_given_to_programs_by_their_new_names(tmp_p
     before = key_of_images("1", "2")
     assert key_of_images("reef-a", "reef-b") != before
     assert key_of_images("1", "2") == before
+
+
+def test_files_may_number_oysters_as_panoptic_tools_do(tmp_path):
+    np.save(tmp_path / "a.npy", np.where(ONE, np.iinfo(np.int32).max, 0).astype(np.int32))
+    track = TRACKS["detection"]
+    found = track.of_masks(open_predictions(tmp_path, "instances"), "a", ONE.shape, track.settings({}))
+    assert [(one.area, one.score) for one in found.instances] == [(ONE.sum(), 1.0)]

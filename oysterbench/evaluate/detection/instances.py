@@ -140,8 +140,18 @@ def pieces(numbers: NDArray[np.integer]) -> dict[int, tuple[int, int, NDArray[np
     """Top, left and mask of each number of a plane (H, W) except 0, the mask cropped to its bounding box."""
     from scipy.ndimage import find_objects
 
-    found = {}
-    for k, box in enumerate(find_objects(numbers.astype(np.int32)), start=1):
-        if box is not None:
-            found[k] = (box[0].start, box[1].start, numbers[box] == k)
-    return found
+    known, plane = renumbered(numbers)
+    return {
+        number: (box[0].start, box[1].start, plane[box] == k)
+        for k, (number, box) in enumerate(zip(known.tolist(), find_objects(plane), strict=True), start=1)
+    }
+
+
+def renumbered(numbers: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.int32]]:
+    """The numbers (N,) in a plane (H, W), except 0 and in order, and the plane with 1 to N in their place: numbers
+    composed of colours, as panoptic tools write them, are too large for a list of all up to the greatest."""
+    oysters = numbers > 0
+    known = np.unique(numbers[oysters])
+    plane = np.zeros(numbers.shape, np.int32)
+    plane[oysters] = np.searchsorted(known, numbers[oysters]) + 1
+    return known, plane
