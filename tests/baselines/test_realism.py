@@ -17,6 +17,8 @@ from oysterbench_baselines.realism.distance import kid, kid_between, kid_within
 
 torch = pytest.importorskip("torch")
 efficientnet = pytest.importorskip("oysterbench_baselines.learning.efficientnet")
+sets = pytest.importorskip("oysterbench_baselines.realism.features")
+report = pytest.importorskip("oysterbench_baselines.realism.report")
 
 
 def features(seed: int, count: int, shift: float = 0.0) -> np.ndarray:
@@ -64,6 +66,19 @@ def test_of_few_blocks_there_is_no_interval():
 def test_a_set_has_no_distance_to_itself():
     assert kid_within(features(1, 400), np.arange(400) // 10) == pytest.approx(0.0, abs=0.02)
     assert np.isnan(kid_within(features(1, 4), np.zeros(4)))
+
+
+def test_distances_are_json_for_every_reader_and_say_why_there_is_no_interval():
+    rng = stream(6, b"", "sets")
+    one, few = (
+        sets.FeatureSet(name, tuple("x" * n), (), rng.normal(size=(n, 8)), sets.blocks_of([name] * n))
+        for name, n in (("one", 60), ("few", 12))
+    )
+    lines = json.loads(report.document(report.distances([one], [one, few])), parse_constant=pytest.fail)
+    reasons = {(line["kind"], line["set"], line["real"]): line["interval"]["reason"] for line in lines}
+    assert reasons["real", "few", "few"] == "between the halves of one set"
+    assert "too few" in reasons["synthetic", "one", "few"]
+    assert all(line["interval"]["low"] is None for line in lines if line["interval"]["reason"])
 
 
 def test_a_side_becomes_half_rounded_up_at_each_stride():
