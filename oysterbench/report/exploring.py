@@ -7,7 +7,7 @@ from typing import Literal
 
 from oysterbench.core.html import capital
 from oysterbench.evaluate.statistics import Interval, compare
-from oysterbench.evaluate.steering.dataset import Constant, Whole, over_sequences
+from oysterbench.evaluate.steering.dataset import Constant, Whole, over_sequences, together
 from oysterbench.evaluate.steering.metrics import STEERING
 from oysterbench.evaluate.steering.rollouts import NormalisedScore, normalised_score
 from oysterbench.recipe import SteeringRecipe
@@ -32,14 +32,18 @@ LOWER, UPPER = "random", "expert"
 
 def whole_of(runs: Sequence[PictureRun]) -> dict[str, Whole]:
     """Score each method over all images together, if it failed on no sequence."""
-    groups: dict[str, list[PictureRun]] = {}
+    groups: dict[str, dict[str, list[PictureRun]]] = {}
     for run in runs:
-        groups.setdefault(run.record.method, []).append(run)
+        groups.setdefault(run.record.method, {}).setdefault(run.record.sequence, []).append(run)
     found = {}
-    for method, group in groups.items():
-        parts = [(run.labels, run.commands) for run in group if run.labels is not None and run.commands is not None]
-        if len(parts) == len(group):
-            found[method] = over_sequences(parts)
+    for method, sequences in groups.items():
+        parts = [
+            [(run.labels, run.commands) for run in group if run.labels is not None and run.commands is not None]
+            for group in sequences.values()
+        ]
+        counts = [len(group) for group in sequences.values()]
+        if [len(part) for part in parts] == counts:
+            found[method] = over_sequences([together(part) for part in parts], counts[0])
     return found
 
 
@@ -58,6 +62,7 @@ def pictures_table(wholes: Mapping[str, Whole], constant: Constant | None, task:
     for whole in list(wholes.values())[:1]:
         n, pictures = whole.sequences, whole.score.metrics["pictures"]
         about = f"{pictures:.0f} images of {n} sequence{'' if n == 1 else 's'} together"
+        about += f", in {whole.runs} runs on each" if whole.runs > 1 else ""
         reason = whole.intervals[INTERVALS[0]].reason
         notes.append(f"{about}; {reason or 'sequences are resampled for the interval'}.")
     if constant is not None:

@@ -16,6 +16,9 @@ from oysterbench.evaluate.steering import Commands, Labels, labels, normalised_s
 from oysterbench.evaluate.steering.dataset import best_constant, over_sequences
 from oysterbench.evaluate.steering.metrics import PICTURES, ROLLOUTS
 from oysterbench.evaluate.steering.rollouts import episodes, seen_so_far
+from oysterbench.report.exploring import pictures_table, whole_of
+from oysterbench.report.steering import PictureRun
+from oysterbench.results.records import ResultRecord
 from tests.helpers.exploring_made import PITCH, YAW, made_log, made_split
 
 TASK: Any = made_split().steering
@@ -170,6 +173,22 @@ def test_several_sequences_together_are_scored_as_one_and_resampled_whole():
         assert interval.low < found.score.metrics[key] < interval.high
     few = over_sequences(parts[:2])
     assert "2 sequences" in few.intervals["skill"].reason
+
+
+def test_several_runs_on_a_sequence_are_resampled_with_it_and_its_images_counted_once():
+    parts = [made(8 + k, 20 + k) for k in range(7)]
+    once = over_sequences(parts)
+    about = {"track": "steering", "split": "", "method": "m"}
+    records = [ResultRecord(**about, sequence=f"{k}", run=run) for k in range(7) for run in range(3)]
+    whole = whole_of([PictureRun(record, *parts[int(record.sequence)]) for record in records])["m"]
+    assert (whole.sequences, whole.runs) == (7, 3)
+    assert whole.score.metrics == pytest.approx(once.score.metrics)
+    for key, interval in once.intervals.items():
+        assert (whole.intervals[key].low, whole.intervals[key].high) == pytest.approx((interval.low, interval.high))
+    few = whole_of([PictureRun(record, *parts[0]) for record in records[:6]])["m"]
+    assert "2 sequences: no" in few.intervals["skill"].reason
+    note = pictures_table({"m": few}, None, TASK).notes[0]
+    assert note.startswith("16 images of 2 sequences together, in 3 runs on each; 2 sequences")
 
 
 def _ratio(parts, counts, top, bottom) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,11 +23,12 @@ from oysterbench.evaluate.steering.pictures import (
 @dataclass(frozen=True)
 class Whole:
     """Result over several sequences. score: over all images; intervals: of its metrics that have one, with the reason
-    if it is unknown."""
+    if it is unknown; runs: on each sequence, of which images are counted once."""
 
     score: PictureScore
     intervals: Mapping[str, Interval]
     sequences: int
+    runs: int = 1
 
 
 @dataclass(frozen=True)
@@ -66,14 +67,16 @@ def _constant(truth: Labels, pair: Sequence[int]) -> Commands:
     return Commands(np.tile(np.array(pair, dtype=np.int64), (n, 1)), yaw, pitch)
 
 
-def over_sequences(parts: Sequence[tuple[Labels, Commands]]) -> Whole:
-    """Score the commands for the images of one or more sequences together; all are of the same task."""
-    score, scores = score_pictures(*_together(parts)), [score_pictures(*part) for part in parts]
+def over_sequences(parts: Sequence[tuple[Labels, Commands]], runs: int = 1) -> Whole:
+    """Score the commands for the images of one or more sequences together; all are of the same task. runs: number of
+    runs that each part holds (`together`)."""
+    score, scores = score_pictures(*together(parts)), [score_pictures(*part) for part in parts]
+    score = replace(score, metrics={**score.metrics, "pictures": score.metrics["pictures"] / runs})
     n = len(parts)
     counts = resample_counts(n)
     if counts is None:
         unknown = Interval(math.nan, math.nan, too_few(n))
-        return Whole(score, dict.fromkeys((*_sums(parts, scores), *_F1), unknown), n)
+        return Whole(score, dict.fromkeys((*_sums(parts, scores), *_F1), unknown), n, runs)
     intervals = {}
     with np.errstate(divide="ignore", invalid="ignore"):
         for key, (tops, bottoms) in _sums(parts, scores).items():
@@ -82,13 +85,14 @@ def over_sequences(parts: Sequence[tuple[Labels, Commands]]) -> Whole:
     for axis, key in zip(AXES, _F1, strict=True):
         confusions = [getattr(each, axis).astype(float) for each in scores]
         intervals[key] = resampled_interval(_macro_f1(counts, confusions), n)
-    return Whole(score, intervals, n)
+    return Whole(score, intervals, n, runs)
 
 
 _F1 = tuple(f"{axis}_macro_f1" for axis in AXES)
 
 
-def _together(parts: Sequence[tuple[Labels, Commands]]) -> tuple[Labels, Commands]:
+def together(parts: Sequence[tuple[Labels, Commands]]) -> tuple[Labels, Commands]:
+    """Join labels and commands of several sequences, or of several runs on one."""
     truths, commands = zip(*parts, strict=True)
     return (
         Labels(
