@@ -59,7 +59,7 @@ def track_options() -> dict[str, Option]:
     multiple=True,
     metavar="PATH",
     type=click.Path(path_type=Path),
-    help="Your own data instead: a sequence, or a folder of them.",
+    help="Your own data instead: a sequence, a folder of them, or labelled images.",
 )
 @click.option("--sequence", "sequences", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
 @click.option("--topics", multiple=True, metavar="GLOB", help="Render only these and the ground truth; repeatable.")
