@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from oysterbench_baselines.learning.trained import checkpoint_path, start_training, tell_end, training_options
+from oysterbench_baselines.learning.trained import checkpoint_path, tell_end, training_options
 
 
 @click.command("gtsam_vi_learned", short_help="The learned front end of gtsam_vi, on rendered dives.")
@@ -43,10 +43,9 @@ def command(
     settings = MapTrainingSettings()
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
     path = out or checkpoint_path(NAME)
-    start_training(path, again)
     files = [file for name in names for file in files_of(name, wanted)]
     with frames_bar("reading", "sequences") as loading:
         footages = read_footage(files, loading)
     with frames_bar(f"training {NAME} on {len(footages)} sequences", "steps") as progress:
-        checkpoint = train(footages, path, settings, seed, progress)
+        checkpoint = train(footages, path, settings, seed, progress, again)
     tell_end(checkpoint, path)

@@ -83,8 +83,9 @@ def train(
     settings: MapTrainingSettings,
     seed: int,
     progress: Progress = lambda done, total: None,
+    again: bool = False,
 ) -> Checkpoint:
-    """Train on rendered sequences, or resume from the checkpoint at `path`."""
+    """Train on rendered sequences, or resume from the checkpoint at `path`; with `again`, start over."""
     pairs, streams = Pairs(footages, settings.pairs), Streams(seed).at(NAME)
 
     def loss(network: torch.nn.Module, *batch: torch.Tensor) -> torch.Tensor:
@@ -102,6 +103,7 @@ def train(
         torch.device("cpu"),
         initial_seed(streams),
         progress,
+        again,
     )
 
 

@@ -17,6 +17,7 @@ import torch
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import MethodError
 from oysterbench.core.text import in_one_line
+from oysterbench.hub.verify import kept_card
 from oysterbench.version import VERSION
 
 FORMAT = "oysterbench-checkpoint/1"
@@ -47,10 +48,13 @@ class Checkpoint:
     measured: dict[str, Any] = field(default_factory=dict)
 
     def write(self, path: Path) -> None:
-        """Write as one file. It holds only tensors and plain values, so that reading it runs no code."""
+        """Write as one file. It holds only tensors and plain values, so that reading it runs no code. The card of
+        weights that were downloaded to this path is removed, as it does not describe these."""
         data = io.BytesIO()
         torch.save({"format": FORMAT, **asdict(self)}, data)
         write_atomically(path, data.getvalue())
+        if kept_card(path) is not None:
+            path.with_suffix(".json").unlink(missing_ok=True)
 
     def digest(self) -> str:
         """SHA-256 of the weights."""

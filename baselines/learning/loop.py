@@ -98,13 +98,15 @@ def run_training(
     progress: Progress = lambda done, total: None,
     keep: Callable[[Checkpoint], None] = lambda checkpoint: None,
     keep_s: float | None = None,
+    again: bool = False,
 ) -> Checkpoint:
     """Train, or resume from the checkpoint at `path`, and return the finished checkpoint, which is also at `path`.
 
     network: its description in the checkpoint; keep: called after each checkpoint is written, every `keep_s` seconds.
-    Raises MethodError where `path` holds a training of another identity.
+    again: start over; what is at `path` stays there until the first checkpoint of the new training replaces it. Raises
+    MethodError where `path` holds a training of another identity.
     """
-    known = read_checkpoint(path) if path.is_file() else None
+    known = read_checkpoint(path) if path.is_file() and not again else None
     if known is not None and known.identity != dict(identity):
         raise MethodError(
             f"{path}: {_difference(known.identity, identity)}; remove it to train anew, or choose another --out"
@@ -215,8 +217,9 @@ def fit(
     device: torch.device,
     first_seed: int,
     progress: Progress = lambda done, total: None,
+    again: bool = False,
 ) -> Checkpoint:
-    """Train a network by AdamW, or resume from the checkpoint at `path` (`run_training`).
+    """Train a network by AdamW, or resume from the checkpoint at `path`; with `again`, start over (`run_training`).
 
     make: creates the network, its weights drawn from torch's generator; batch: returns the tensors of a step; loss: of
     the network on them.
@@ -230,7 +233,7 @@ def fit(
             model.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
         return Fitting(model, batch, loss, settings, device)
 
-    return run_training(begin, network, identity, settings.steps, path, progress)
+    return run_training(begin, network, identity, settings.steps, path, progress, again=again)
 
 
 def channels_last(network: Network) -> Network:

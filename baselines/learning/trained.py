@@ -69,15 +69,6 @@ def trained(name: str, checkpoint: str = "") -> Path:
     return existing(name, checkpoint_path(name, checkpoint))
 
 
-def start_training(path: Path, again: bool) -> None:
-    """Prepare the path of a training: with `again`, remove the checkpoint there. Where there is no checkpoint, also
-    remove the card of fetched weights, which does not describe those that will be there."""
-    if again:
-        path.unlink(missing_ok=True)
-    if not path.is_file():
-        path.with_suffix(".json").unlink(missing_ok=True)
-
-
 @contextmanager
 def on_torch(name: str) -> Iterator[None]:
     """Wrap a block that imports torch. Raises MethodError where torch is not installed."""
@@ -104,12 +95,12 @@ def run_training(
     from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.learning.loop import pick_device
 
-    start_training(path, again)
+    chosen = pick_device(device)
     with (
         frames_bar("reading", "images") as loading,
         frames_bar(f"training {name} on {len(labelled)} images", "steps") as progress,
     ):
-        checkpoint = train(labelled, path, settings, seed, pick_device(device), progress, loading)
+        checkpoint = train(labelled, path, settings, seed, chosen, progress, loading, again=again)
     tell_end(checkpoint, path)
 
 

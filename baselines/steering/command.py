@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from oysterbench.cli.echo import message
-from oysterbench_baselines.learning.trained import checkpoint_path, start_training, tell_end, training_options
+from oysterbench_baselines.learning.trained import checkpoint_path, tell_end, training_options
 
 
 def _renamed(context: click.Context, parameter: click.Parameter, value: float | None) -> None:
@@ -50,8 +50,6 @@ def command(
     commands, and continues training on them as well. May be interrupted, even killed: the same command resumes from the
     last checkpoint and the last finished rollout, and gives the same weights.
     """
-    import shutil
-
     from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.steering.dagger import Rounds, learn_rounds, reef_of
     from oysterbench_baselines.steering.examples import files_of, read_all
@@ -62,18 +60,15 @@ def command(
     settings = SteeringSettings()
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
     path = out or checkpoint_path("steering")
-    start_training(path, again)
-    if again:
-        shutil.rmtree(path.with_suffix(".rounds"), ignore_errors=True)
     files = [file for name in names for file in files_of(name)]
     with frames_bar("reading", "sequences") as loading:
         examples = read_all(files, settings.network, loading)
     if rounds:
         reefs, plan = [reef_of(file) for file in files], Rounds(rounds, rollout_s)
-        checkpoint = learn_rounds(examples, reefs, path, settings, plan, seed, workers, frames_bar)
+        checkpoint = learn_rounds(examples, reefs, path, settings, plan, seed, workers, frames_bar, again)
     else:
         with frames_bar(f"training steering on {len(examples)} views", "steps") as progress:
-            checkpoint = train(examples, path, settings, seed, progress)
+            checkpoint = train(examples, path, settings, seed, progress, again=again)
     if val is not None:
         unseen = read_all(files_of(val), settings.network)
         message(f"{val}: {score(SteeringModel.of(checkpoint), unseen)}")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -81,19 +82,23 @@ def learn_rounds(
     seed: int,
     workers: int = 1,
     bar: Bar = silent,
+    again: bool = False,
 ) -> Checkpoint:
     """Train on examples, then roll out over the reefs and train further, round by round; return the checkpoint of the
     last round, which is also at `path`.
 
-    bar: creates progress bars. Raises MethodError where `path` or a file beside it is of another training, LabelError
-    for reefs of a hidden split, whose ground truth is not available.
+    bar: creates progress bars. again: start over, without the rounds that are there. Raises MethodError where `path` or
+    a file beside it is of another training, LabelError for reefs of a hidden split, whose ground truth is not
+    available.
     """
     for reef in reefs:
         if reef.split.hidden:
             raise LabelError(f"{reef.split.name}: expected reefs to learn on, got those of a hidden split")
     folder = path.with_suffix(".rounds")
     known: dict[str, Any] = {"examples": examples.digest()}
-    if path.is_file() and read_checkpoint(path).identity.get("data", {}).get("examples") != known["examples"]:
+    if again:
+        shutil.rmtree(folder, ignore_errors=True)
+    elif path.is_file() and read_checkpoint(path).identity.get("data", {}).get("examples") != known["examples"]:
         raise MethodError(
             f"{path}: holds a training on other examples; remove it to train anew, or choose another --out"
         )

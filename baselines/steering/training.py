@@ -100,9 +100,11 @@ def train(
     progress: Progress = lambda done, total: None,
     begun: Checkpoint | None = None,
     data: Mapping[str, Any] | None = None,
+    again: bool = False,
 ) -> Checkpoint:
     """Train on examples, or resume from the checkpoint at `path`. begun: a training from whose weights this one starts;
-    data: identity of the examples, by default their digest. Raises LabelError where there are no examples."""
+    data: identity of the examples, by default their digest; again: start over. Raises LabelError where there are no
+    examples."""
     if not len(examples):
         raise LabelError("steering: expected views to train on, got none")
     streams = Streams(seed).at("steering")
@@ -130,6 +132,7 @@ def train(
         torch.device("cpu"),
         initial_seed(streams),
         progress,
+        again,
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -145,8 +144,8 @@ def _train(
     labelled = open_all(names, side)
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
 
-    def train(*arguments: Any) -> Checkpoint:
+    def train(*arguments: Any, again: bool) -> Checkpoint:
         with frames_bar("measuring", "images") as measuring:
-            return partial(trained, measuring=measuring, begun=begun)(*arguments)
+            return trained(*arguments, measuring=measuring, begun=begun, again=again)
 
     run_training(name, labelled, settings, train, out or checkpoint_path(name), seed, device, again)

@@ -103,10 +103,11 @@ def train(
     loading: Progress = lambda done, total: None,
     measuring: Progress = lambda done, total: None,
     begun: Checkpoint | None = None,
+    again: bool = False,
 ) -> Checkpoint:
     """Train on a set, or resume from the checkpoint at `path`; then measure the trained network (`measure`). loading,
     measuring: called with the number of images read, and measured on. begun: the training from whose weights this one
-    starts, of the same network. Raises LabelError where the set is empty."""
+    starts, of the same network. again: start over. Raises LabelError where the set is empty."""
     if not len(labelled):
         raise LabelError(f"{labelled.name}: expected images to train on, got none")
     learnt_from, kept = kept_back(labelled) if settings.measured else (labelled, labelled.where(lambda entry: False))
@@ -124,6 +125,7 @@ def train(
         device,
         initial_seed(streams),
         progress,
+        again,
     )
     if settings.measured and not checkpoint.measured:
         checkpoint.measured = measure(checkpoint, learnt_from, kept, device, measuring)

@@ -48,8 +48,10 @@ def train(
     device: torch.device,
     progress: Progress = lambda done, total: None,
     loading: Any = lambda done, total: None,
+    again: bool = False,
 ) -> Checkpoint:
-    """Train on a set, or go on where `path` was left. loading: is told how many images have been read."""
+    """Train on a set, or go on where `path` was left; with `again`, start over. loading: is told how many images have
+    been read."""
     if not len(labelled):
         raise LabelError(f"{labelled.name}: expected images to train on, got none")
     dataset = LabelledDataset(labelled, settings.network.scale).load(loading)
@@ -66,4 +68,5 @@ def train(
         device,
         initial_seed(streams),
         progress,
+        again,
     )
