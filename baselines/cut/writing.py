@@ -17,6 +17,8 @@ from oysterbench_baselines.cut.drift import Drift, mask_drift
 from oysterbench_baselines.cut.judge import Judge, Verdict, together
 
 FILE = "drift.csv"
+LAYERS = ("images", "masks", "instances", "ignore", "manifest.csv")
+"""What `write_folder` writes into a folder."""
 JUDGED = ("iou", "iou_after", "vanished", "appeared")
 """Columns of `FILE` in addition to those of a Drift: the shares of a Verdict."""
 
@@ -42,8 +44,11 @@ def write_translated(
     """Write the images that `change` returns into `out`, and the measurements of each into `FILE` there.
 
     share: images on which the judge's IoU falls below this share of its former value are left out; 0 keeps all. Raises
-    MethodError where none is left.
+    MethodError where none is left, and, before anything is read, where `out` holds other images than an earlier
+    translation.
     """
+    check_out(source, out)
+    write_atomically(out / FILE, _table([]).encode())  # first, so that an interrupted translation can be repeated
     found: list[Measured] = []
 
     def kept() -> Iterator[LabelledImage]:
@@ -65,6 +70,22 @@ def write_translated(
             f"written; {FILE} there has the numbers: lower --keep, or translate less"
         )
     return found
+
+
+def check_out(source: LabelledSet, out: Path) -> None:
+    """Raise MethodError where a folder to write holds images that are not of an earlier translation, or some that are
+    to be translated."""
+    there = [name for name in LAYERS if (out / name).exists()]
+    if there and not (out / FILE).is_file():
+        raise MethodError(
+            f"{out}: expected a new folder, or that of an earlier translation, with {FILE}, got one with "
+            f"{', '.join(there)}, which was left unchanged; choose another --out"
+        )
+    for path in sorted({file for entry in source.entries for file in entry.files}):
+        if path.resolve().is_relative_to(out.resolve()):
+            raise MethodError(
+                f"{out}: holds {path.name}, which is to be translated; it was left unchanged: choose another --out"
+            )
 
 
 def sentences(found: list[Measured]) -> Iterator[str]:

@@ -140,6 +140,36 @@ def test_a_translation_of_which_nothing_is_left_is_an_error(judge, tmp_path):
     assert len(rows(tmp_path)) == 3
 
 
+def bytes_in(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("earlier", [False, True])
+def test_labelled_images_of_ones_own_are_never_written_over(tmp_path, earlier):
+    mine, other = tmp_path / "mine", tmp_path / "other"
+    for folder in (mine, other):
+        write_folder(labelled(3), folder)
+    if earlier:  # a translation that is itself to be translated
+        (mine / FILE).write_text("id\n")
+    before = bytes_in(mine)
+    why = "holds .*reef-0.png, which is to be" if earlier else "expected a new folder, .* got one with images"
+    for source in (mine,) if earlier else (mine, other):
+        with pytest.raises(MethodError, match=f"{why}.*left unchanged.*choose another --out"):
+            write_translated(open_labelled(source), iter, mine, None, 0.0, lambda done, total: None)
+        assert bytes_in(mine) == before
+
+
+def test_a_translation_that_was_interrupted_can_be_repeated(tmp_path):
+    def stop(images):
+        yield next(iter(images))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_translated(labelled(3), stop, tmp_path / "out", None, 0.0, lambda done, total: None)
+    write_translated(labelled(3), iter, tmp_path / "out", None, 0.0, lambda done, total: None)
+    assert len(open_labelled(tmp_path / "out")) == len(rows(tmp_path / "out")) == 3
+
+
 def test_the_commands_take_a_judge(weights, tmp_path, home):
     write_folder(labelled(6), tmp_path / "rendered")
     write_folder(labelled(6, "real", tint=20), tmp_path / "real")
