@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from oysterbench.core.errors import MethodError
 from oysterbench_baselines.gtsam_vi.settings import FrontEndSettings
 from oysterbench_baselines.gtsam_vi_learned.network import MULTIPLE, MapNetwork, MapNetworkSettings
-from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_finished
 from oysterbench_baselines.learning.loop import channels_last
 
 KIND = "gtsam_vi_learned"
@@ -49,8 +49,8 @@ class MapModel:
 
     @classmethod
     def read(cls, path: Path) -> MapModel:
-        """Read from a file."""
-        return cls.of(read_checkpoint(path))
+        """Read from a file. Raises MethodError where it is of another or an unfinished training."""
+        return cls.of(read_finished(path))
 
     def __call__(self, even: NDArray[np.uint8], with_maps: bool = True) -> LearnedMaps:
         """Compute the maps of an image (H, W) uint8 of even contrast, of any size."""

@@ -11,7 +11,7 @@ import torch
 
 from oysterbench.core.errors import MethodError
 from oysterbench.hub.model import Origin, Training
-from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_finished
 from oysterbench_baselines.moving.labels import SET as MOVING
 
 LAST = 50
@@ -25,15 +25,9 @@ def describe(name: str, path: Path) -> Training:
 
     Raises MethodError where the file is not a checkpoint, or is one of another or an unfinished training.
     """
-    checkpoint = read_checkpoint(path)
+    checkpoint = read_finished(path)
     if (found := kind_of(checkpoint)) != name:
         raise MethodError(f"{path}: expected weights of {name}, got those of {found or 'a training that is not known'}")
-    unmeasured = checkpoint.identity["settings"].get("measured") and not checkpoint.measured
-    if not checkpoint.finished or unmeasured:
-        raise MethodError(
-            f"{path}: the training is not finished, it has done {checkpoint.step} steps; the `oysterbench train` that "
-            "began it resumes where it was left"
-        )
     identity = checkpoint.identity
     encoder = str(checkpoint.network.get("encoder") or "")
     return Training(

@@ -91,6 +91,19 @@ def read_checkpoint(path: Path) -> Checkpoint:
         raise MethodError(f"{path}: not a checkpoint of this version ({line}); delete it and train again") from None
 
 
+def read_finished(path: Path) -> Checkpoint:
+    """Read the checkpoint of a training that has ended, its measurements included. Raises MethodError as
+    `read_checkpoint` does, and where the training was interrupted."""
+    checkpoint = read_checkpoint(path)
+    unmeasured = checkpoint.identity.get("settings", {}).get("measured") and not checkpoint.measured
+    if not checkpoint.finished or unmeasured:
+        raise MethodError(
+            f"{path}: the training is not finished, it has done {checkpoint.step} steps; the `oysterbench train` that "
+            "began it resumes where it was left"
+        )
+    return checkpoint
+
+
 def _damaged_part(path: Path) -> str:
     """Name of the first part of a checkpoint that is not as it was written; torch does not check them."""
     with zipfile.ZipFile(path) as archive:

@@ -59,11 +59,11 @@ def _read(path: Path) -> MaskModel:
     with on_torch("mask"):
         import torch
 
-        from oysterbench_baselines.learning.checkpoint import read_checkpoint
+        from oysterbench_baselines.learning.checkpoint import read_finished
         from oysterbench_baselines.moving.labels import SET
         from oysterbench_baselines.unet.model import unet_model
     torch.set_num_threads(1)
-    checkpoint = read_checkpoint(path)
+    checkpoint = read_finished(path)
     learnt = list(checkpoint.identity.get("data", {}))
     if not learnt or not all(name.startswith(SET) for name in learnt):
         raise MethodError(

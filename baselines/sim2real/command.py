@@ -105,13 +105,13 @@ def command(
     from oysterbench.cli.render import frames_bar
     from oysterbench.core.places import home
     from oysterbench.report.renderers import terminal_table
-    from oysterbench_baselines.learning.checkpoint import read_checkpoint
+    from oysterbench_baselines.learning.checkpoint import read_finished
     from oysterbench_baselines.sim2real.experiment import run, run_sites
     from oysterbench_baselines.sim2real.settings import SCHEDULES, ExperimentSettings
     from oysterbench_baselines.sim2real.work import Source
 
     sets = {name: open_all(places, name=name) for name, places in parts.items()}
-    sources: dict[str, Source] = {**sets, **{name: read_checkpoint(path) for name, path in weights.items()}}
+    sources: dict[str, Source] = {**sets, **{name: read_finished(path) for name, path in weights.items()}}
     if schedule not in SCHEDULES:
         raise click.UsageError(f"--schedule: expected one of {', '.join(SCHEDULES)}, got {schedule!r}")
     if leave_site_out and hold_out:

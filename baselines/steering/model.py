@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.steering import VehicleState
 from oysterbench.recipe import SteeringRecipe
-from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_finished
 from oysterbench_baselines.learning.loop import channels_last
 from oysterbench_baselines.learning.samples import standardised, statistics
 from oysterbench_baselines.steering.examples import Floats, TrainingExamples, check_classes, senses_of, small
@@ -48,8 +48,8 @@ class SteeringModel:
 
     @classmethod
     def read(cls, path: Path) -> SteeringModel:
-        """Read the model from a checkpoint file."""
-        return cls.of(read_checkpoint(path))
+        """Read the model from a checkpoint file. Raises MethodError where it is of another or an unfinished training."""
+        return cls.of(read_finished(path))
 
     def check(self, task: SteeringRecipe) -> None:
         """Raise MethodError where a task has other classes than the training."""

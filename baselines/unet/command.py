@@ -127,12 +127,12 @@ def _train(
     """Train one of the networks on the data named by a command, with a progress bar for each stage."""
     from oysterbench.cli.labelled import open_all
     from oysterbench.cli.render import frames_bar
-    from oysterbench_baselines.learning.checkpoint import read_checkpoint
+    from oysterbench_baselines.learning.checkpoint import read_finished
     from oysterbench_baselines.unet.model import check_kind
     from oysterbench_baselines.unet.training import begun_settings
     from oysterbench_baselines.unet.training import train as trained
 
-    begun = None if begin is None else read_checkpoint(begin)
+    begun = None if begin is None else read_finished(begin)
     if begun is not None:
         check_kind(begun, name, begin)
         if encoder not in (None, begun.network["encoder"]):

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError
-from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_finished
 from oysterbench_baselines.learning.efficientnet import EfficientNetLite, pretrained
 from oysterbench_baselines.learning.loop import channels_last
 from oysterbench_baselines.learning.masks import MaskModel, enlarged, probability
@@ -123,8 +123,9 @@ def unet_model(checkpoint: Checkpoint, device: torch.device | None = None, views
 
 
 def read_unet(path: Path, device: torch.device | None = None, views: int = 1, kind: str = "") -> UNetModel:
-    """Read the model from a checkpoint file. kind: training that it must be of (`network.kind_of`); empty for any."""
-    checkpoint = read_checkpoint(path)
+    """Read the model from a checkpoint file. kind: training that it must be of (`network.kind_of`); empty for any.
+    Raises MethodError where it is of another or an unfinished one."""
+    checkpoint = read_finished(path)
     model = unet_model(checkpoint, device, views)
     if kind:
         check_kind(checkpoint, kind, path)

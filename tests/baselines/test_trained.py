@@ -1,4 +1,4 @@
-"""What a training leaves of the files that are there before it."""
+"""What a training leaves of the files that are there before it, and what takes weights that it has not finished."""
 
 from __future__ import annotations
 
@@ -13,8 +13,12 @@ from click.testing import CliRunner  # noqa: E402
 
 from oysterbench.cli.main import main  # noqa: E402
 from oysterbench.core.errors import MethodError  # noqa: E402
-from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
+from oysterbench_baselines.gtsam_vi_learned.model import MapModel  # noqa: E402
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.trained import run_training  # noqa: E402
+from oysterbench_baselines.moving.mask import MovingMask  # noqa: E402
+from oysterbench_baselines.steering.model import SteeringModel  # noqa: E402
+from oysterbench_baselines.unet.model import read_unet  # noqa: E402
 from oysterbench_baselines.unet.training import train  # noqa: E402
 from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
 
@@ -65,3 +69,20 @@ def test_data_that_cannot_be_read_costs_no_weights(tmp_path, command):
     words = ["train", command, "--data", str(tmp_path / "data"), "--out", str(tmp_path / "mine.pt"), "--again"]
     assert CliRunner().invoke(main, words).exit_code != 0
     assert (tmp_path / "mine.pt").read_bytes() == b"an hour of training"
+
+
+@pytest.mark.parametrize("finished", [False, True])
+@pytest.mark.parametrize("read", [read_unet, SteeringModel.read, MapModel.read, MovingMask])
+def test_weights_of_a_training_that_was_interrupted_are_refused(tmp_path, read, finished):
+    """Also of one that had taken all steps, but had not measured its thresholds."""
+    path = tmp_path / "half.pt"
+    Checkpoint({"settings": {"measured": True}}, {}, {}, {}, {}, 30, finished, [1.0], 0.0).write(path)
+    with pytest.raises(MethodError, match=r"half\.pt: the training is not finished, it has done 30 steps.*resumes"):
+        read(path if read is not MovingMask else str(path))
+
+
+def test_no_training_begins_with_weights_of_one_that_was_interrupted(labelled, tmp_path):
+    train(labelled, tmp_path / "half.pt", ONE, 0, torch.device("cpu"))
+    dataclasses.replace(read_checkpoint(tmp_path / "half.pt"), finished=False).write(tmp_path / "half.pt")
+    words = ["train", "unet_small", "--data", str(tmp_path), "--begin", str(tmp_path / "half.pt")]
+    assert "the training is not finished" in " ".join(CliRunner().invoke(main, words).stderr.split())

@@ -12,7 +12,7 @@ from torch.nn import functional
 from transformers import SegformerConfig, SegformerForSemanticSegmentation
 
 from oysterbench.core.errors import MethodError
-from oysterbench_baselines.learning.checkpoint import read_checkpoint
+from oysterbench_baselines.learning.checkpoint import read_finished
 from oysterbench_baselines.learning.masks import MaskModel
 
 OUTPUTS = ("oyster", "depth")
@@ -59,8 +59,8 @@ def described(settings: SegFormerSettings) -> dict[str, Any]:
 
 
 def read_model(path: Path, device: torch.device) -> MaskModel:
-    """From a training. Raises MethodError where it is of another network."""
-    checkpoint = read_checkpoint(path)
+    """From a finished training. Raises MethodError where it is of another network, or not finished."""
+    checkpoint = read_finished(path)
     known = dict(checkpoint.network)
     if known.pop("kind", None) != "segformer":
         raise MethodError(
