@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations import Entry, LabelledImage, LabelledSet
+from oysterbench.annotations import Entry, LabelledImage, LabelledSet, ends_of
 from oysterbench_baselines.learning.masks import probability
 from oysterbench_baselines.learning.samples import Floats
 from oysterbench_baselines.unet.instances import LARGEST, Division, Instances, find_instances, means
@@ -18,7 +18,8 @@ from oysterbench_baselines.unet.views import Look
 T = TypeVar("T")
 
 SHARE = 10
-"""Of each clip the last 1 / SHARE of the images are held out; of clips with fewer images, one clip in SHARE."""
+"""Of each clip the last 1 / SHARE of each camera's images are held out; of clips with fewer images, one clip in
+SHARE."""
 MOST, SOME = 240, 80
 """Maximum number of images to measure on, evenly spaced; and how many of these are used to compare divisions. The score
 above which oysters are counted needs many: with 80 images of rendered reefs the count is off by 5 % (1 sigma)."""
@@ -66,19 +67,19 @@ class Calibration:
 
 
 def kept_back(labelled: LabelledSet) -> tuple[LabelledSet, LabelledSet]:
-    """Split a set into the images to train on and those to measure on; the latter are none where there are too few."""
+    """Split a set into the images to train on and those to measure on; the latter are none where there are too few.
+    Images that several cameras took at the same instant fall on the same side."""
     by_clip: dict[str, list[Entry]] = {}
     for entry in labelled.entries:
         by_clip.setdefault(entry.clip, []).append(entry)
     kept: set[str] = set()
     short = 0
     for entries in by_clip.values():
-        if len(entries) >= SHARE:
-            kept |= {entry.name for entry in entries[len(entries) - len(entries) // SHARE :]}
-        else:
+        ends = ends_of(entries, 1 / SHARE)
+        if not ends:
             short += 1
-            if short % SHARE == 0:
-                kept |= {entry.name for entry in entries}
+            ends = entries if short % SHARE == 0 else []
+        kept |= {entry.name for entry in ends}
     return labelled.where(lambda entry: entry.name not in kept), labelled.where(lambda entry: entry.name in kept)
 
 

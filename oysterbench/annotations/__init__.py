@@ -4,7 +4,7 @@ from oysterbench.annotations.coco import CocoFile, read_coco
 from oysterbench.annotations.duplicates import Duplicate, check_leakage, near_duplicates
 from oysterbench.annotations.folders import remove_image, write_folder
 from oysterbench.annotations.forms import FORMS
-from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, joined
+from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, ends_of, joined
 from oysterbench.annotations.masks import MaskFiles, open_predictions
 from oysterbench.annotations.opening import open_labelled
 from oysterbench.annotations.truth import LabelledSequence, labelled_sequence, open_truth
@@ -19,6 +19,7 @@ __all__ = [
     "LabelledSet",
     "MaskFiles",
     "check_leakage",
+    "ends_of",
     "joined",
     "labelled_sequence",
     "near_duplicates",

@@ -76,6 +76,16 @@ class Entry:
     files: tuple[Path, ...]
     split: str = ""
 
+    @property
+    def camera(self) -> str:
+        """What took it, as far as names say: frames of sequences are named SEQUENCE/CAMERA/STAMP."""
+        return self.name.rpartition("/")[0]
+
+    @property
+    def instant(self) -> str:
+        """When it was taken, as far as names say: the same for cameras that looked at the same time."""
+        return self.name.rpartition("/")[2]
+
 
 class LabelledSet:
     """Images in a fixed order, each read on access."""
@@ -150,6 +160,17 @@ def planes_of(
         on_top = mask & (area <= areas)
         instances[on_top], areas[on_top] = number, area
     return np.where(instances > 0, OYSTER, 0).astype(np.uint8), instances
+
+
+def ends_of(entries: Sequence[Entry], share: float) -> list[Entry]:
+    """Select the last share (rounded down) of what each camera took, of the images of one clip in order of time; an
+    image of another camera at the same instant, which shows the same ground, is selected too."""
+    cameras: dict[str, list[Entry]] = {}
+    for entry in entries:
+        cameras.setdefault(entry.camera, []).append(entry)
+    ends = (entry for taken in cameras.values() for entry in taken[len(taken) - int(share * len(taken)) :])
+    instants = {entry.instant for entry in ends}
+    return [entry for entry in entries if entry.instant in instants]
 
 
 def joined(sets: Iterable[LabelledSet], name: str) -> LabelledSet:

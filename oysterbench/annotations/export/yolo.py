@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.export.examples import TRAIN, VAL, Example, Parts, examples
-from oysterbench.annotations.image import Entry
+from oysterbench.annotations.image import Entry, ends_of
 from oysterbench.core.disk_space import link
 from oysterbench.core.geometry import Array
 from oysterbench.core.polygons import mask_polygons
@@ -57,7 +57,7 @@ def write(name: str, parts: Parts, folder: Path, step: Callable[[], None]) -> li
 
 def with_val(parts: Parts) -> tuple[Parts, list[str]]:
     """Return the parts with one for validation, and notes about it. If there is none, it takes whole clips of train, or
-    the last images if there is only one clip, or each image is one. Clips are drawn by their names, so that the same
+    the last images of each camera if there is only one clip, or each image is one. Clips are drawn by their names, so that the same
     clips give the same parts."""
     if VAL in parts or TRAIN not in parts:
         return parts, []
@@ -77,7 +77,7 @@ def with_val(parts: Parts) -> tuple[Parts, list[str]]:
         held = [entry for entry in entries if entry.clip in chosen]
         note = f"val is {len(chosen)} of {len(clips)} clips of train: {', '.join(sorted(chosen)[:8])}"
     else:
-        held = entries[math.ceil((1 - VAL_SHARE) * len(entries)) :] or entries[-1:]
+        held = ends_of(entries, VAL_SHARE) or [one for one in entries if one.instant == entries[-1].instant]
         note = "val is the end of the only clip, which resembles the rest of it; another split (-val) says more"
     taken = {entry.name for entry in held}
     kept: list[Entry] = [entry for entry in entries if entry.name not in taken]

@@ -118,6 +118,13 @@ def test_the_only_clip_is_divided_by_time_and_that_is_said():
     assert parts["train"] == parts["val"]
 
 
+def test_of_the_only_clip_all_cameras_are_divided_at_the_same_time():
+    parts, _ = with_val({"train": [entry(f"a/{camera}/{n}", "a") for camera in "xy" for n in range(10)]})
+    assert [one.name for one in parts["val"]] == ["a/x/8", "a/x/9", "a/y/8", "a/y/9"]
+    parts, _ = with_val({"train": [entry(f"a/{camera}/{n}", "a") for camera in "xy" for n in range(3)]})
+    assert [one.name for one in parts["val"]] == ["a/x/2", "a/y/2"]
+
+
 def test_a_part_for_validation_is_taken_as_it_is():
     parts = {"train": [entry("a/0", "a")], "val": [entry("b/0", "b")]}
     assert with_val(parts) == (parts, [])
