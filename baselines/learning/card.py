@@ -16,6 +16,7 @@ from oysterbench_baselines.moving.labels import SET as MOVING
 
 LAST = 50
 """Number of final steps over which the loss is averaged."""
+BEGUN_LICENCE = "under the licence of those weights"
 ENCODER_LICENCE = "Apache License 2.0; learnt from ImageNet, whose pictures are for research and teaching"
 ENCODER_SOURCE = "https://github.com/tensorflow/tpu/tree/master/models/official/efficientnet/lite"
 
@@ -29,9 +30,8 @@ def describe(name: str, path: Path) -> Training:
     if (found := kind_of(checkpoint)) != name:
         raise MethodError(f"{path}: expected weights of {name}, got those of {found or 'a training that is not known'}")
     identity = checkpoint.identity
-    encoder = str(checkpoint.network.get("encoder") or "")
     return Training(
-        data=data_of(identity),
+        data=all_data_of(identity),
         steps=checkpoint.step,
         seed=int(identity["seed"]),
         settings={"network": plain(checkpoint.network), **plain(identity["settings"])},
@@ -40,9 +40,7 @@ def describe(name: str, path: Path) -> Training:
         loss=float(np.mean(checkpoint.losses[-LAST:])),
         cpu_s=round(checkpoint.seconds, 1),
         versions=dict(checkpoint.versions),
-        begun=Origin(f"EfficientNet-{encoder} trained on ImageNet", ENCODER_LICENCE, ENCODER_SOURCE)
-        if encoder
-        else None,
+        begun=origin_of(identity, str(checkpoint.network.get("encoder") or "")),
     )
 
 
@@ -60,6 +58,33 @@ def data_of(identity: Mapping[str, Any]) -> dict[str, str]:
     """Training data: name -> digest."""
     known = identity.get("data") or {key: identity[key] for key in ("source", "target") if key in identity}
     return {str(name): str(digest) for name, digest in known.items()}
+
+
+def all_data_of(identity: Mapping[str, Any]) -> dict[str, str]:
+    """Training data, those of the trainings from whose weights it began included: name -> digest. Where earlier data
+    have the name of other, later ones, that is said."""
+    own, before = data_of(identity), all_data_of(identity["begun"]) if "begun" in identity else {}
+    same = {name: own.get(name, digest) == digest for name, digest in before.items()}
+    return {**{name if same[name] else f"{name} (earlier)": digest for name, digest in before.items()}, **own}
+
+
+def origin_of(identity: Mapping[str, Any], encoder: str) -> Origin | None:
+    """Weights from which a training began: those of other trainings and, at first, of an encoder; None for random
+    ones."""
+    whats, licences, sources = [], [], []
+    while "begun" in identity:
+        identity = identity["begun"]
+        name, steps, data = identity["method"], identity["steps"], ", ".join(data_of(identity))
+        whats.append(f"weights of {name} after {steps} steps on {data}")
+        licences.append(BEGUN_LICENCE)
+        sources.append(f"oysterbench train {name}")
+    if encoder:
+        whats.append(f"EfficientNet-{encoder} trained on ImageNet")
+        licences.append(ENCODER_LICENCE)
+        sources.append(ENCODER_SOURCE)
+    if not whats:
+        return None
+    return Origin(", begun from ".join(whats), "; ".join(dict.fromkeys(licences)), "; ".join(dict.fromkeys(sources)))
 
 
 def plain(value: Any) -> Any:

@@ -48,7 +48,7 @@ class SteeringModel:
 
     @classmethod
     def read(cls, path: Path) -> SteeringModel:
-        """Read the model from a checkpoint file. Raises MethodError where it is of another or an unfinished training."""
+        """Read the model from a file. Raises MethodError where it is of another or an unfinished training."""
         return cls.of(read_finished(path))
 
     def check(self, task: SteeringRecipe) -> None:

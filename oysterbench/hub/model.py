@@ -29,7 +29,7 @@ class WeightsFile(Pieced, msgspec.Struct, frozen=True):
 
 
 class Origin(msgspec.Struct, frozen=True):
-    """Third-party weights from which a training started. source: an address"""
+    """Weights from which a training started. source: an address, or the command that made them"""
 
     what: str
     licence: str

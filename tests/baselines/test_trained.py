@@ -14,12 +14,13 @@ from click.testing import CliRunner  # noqa: E402
 from oysterbench.cli.main import main  # noqa: E402
 from oysterbench.core.errors import MethodError  # noqa: E402
 from oysterbench_baselines.gtsam_vi_learned.model import MapModel  # noqa: E402
+from oysterbench_baselines.learning.card import describe  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.trained import run_training  # noqa: E402
 from oysterbench_baselines.moving.mask import MovingMask  # noqa: E402
 from oysterbench_baselines.steering.model import SteeringModel  # noqa: E402
-from oysterbench_baselines.unet.model import read_unet  # noqa: E402
-from oysterbench_baselines.unet.training import train  # noqa: E402
+from oysterbench_baselines.unet.model import described, read_unet  # noqa: E402
+from oysterbench_baselines.unet.training import begun_settings, identity, train  # noqa: E402
 from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
 
 ONE = dataclasses.replace(SMALL, fit=dataclasses.replace(SMALL.fit, steps=1))
@@ -86,3 +87,27 @@ def test_no_training_begins_with_weights_of_one_that_was_interrupted(labelled, t
     dataclasses.replace(read_checkpoint(tmp_path / "half.pt"), finished=False).write(tmp_path / "half.pt")
     words = ["train", "unet_small", "--data", str(tmp_path), "--begin", str(tmp_path / "half.pt")]
     assert "the training is not finished" in " ".join(CliRunner().invoke(main, words).stderr.split())
+
+
+def finished(settings, data, steps, begun=None):
+    """A checkpoint as such a training leaves it, without weights."""
+    known = identity(settings, data, 0, torch.device("cpu"), begun)
+    network, measured = described(settings.network), {"calibration": {}}
+    return Checkpoint(known, network, {}, {}, {}, steps, True, [1.0], 1.0, measured=measured)
+
+
+@pytest.mark.parametrize("encoder", ["", "lite0"])
+def test_the_card_of_weights_that_began_with_others_says_so_and_what_those_had_learnt_from(tmp_path, encoder):
+    settings = dataclasses.replace(SMALL, network=dataclasses.replace(SMALL.network, encoder=encoder))
+    name = "unet" if encoder else "unet_small"
+    first = finished(settings, {"seg-train": "aa"}, 2000)
+    second = finished(begun_settings(settings, first), {"mine": "bb"}, 200, first)
+    third = finished(begun_settings(settings, second), {"mine": "cc"}, 100, second)
+    third.write(tmp_path / "third.pt")
+    card = describe(name, tmp_path / "third.pt")
+    assert card.data == {"seg-train": "aa", "mine (earlier)": "bb", "mine": "cc"}
+    begun = [f"weights of {name} after 200 steps on mine", f"weights of {name} after 2000 steps on seg-train"]
+    begun += ["EfficientNet-lite0 trained on ImageNet"] if encoder else []
+    assert card.begun.what == ", begun from ".join(begun)
+    assert card.begun.source.startswith(f"oysterbench train {name}")
+    assert ("Apache" in card.begun.licence) == bool(encoder)

@@ -56,9 +56,9 @@ def write(name: str, parts: Parts, folder: Path, step: Callable[[], None]) -> li
 
 
 def with_val(parts: Parts) -> tuple[Parts, list[str]]:
-    """Return the parts with one for validation, and notes about it. If there is none, it takes whole clips of train, or
-    the last images of each camera if there is only one clip, or each image is one. Clips are drawn by their names, so that the same
-    clips give the same parts."""
+    """Return the parts with one for validation, and notes about it. If there is none, it takes whole clips of train; of
+    the only clip, each camera's last images; and the last images if each is a clip. Clips are drawn by their names, so
+    that the same clips give the same parts."""
     if VAL in parts or TRAIN not in parts:
         return parts, []
     entries = parts[TRAIN]
