@@ -23,6 +23,10 @@ LAST = 50
 """Number of final steps whose mean loss is reported at the end."""
 
 seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+side_option = click.option(
+    "--side",
+    help="Of data whose manifest.csv has splits, only images of this one; other data is used whole.  [default: train]",
+)
 
 
 def device_option(default: str) -> Callable[[Any], Any]:

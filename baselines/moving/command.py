@@ -27,12 +27,12 @@ def command(
     which nothing moves are skipped. May be interrupted, even killed: the same command resumes from the last checkpoint
     and gives the same weights.
     """
-    from oysterbench.cli.labelled import open_all
+    from oysterbench.cli.labelled import open_training_data
     from oysterbench_baselines.moving.labels import moving_set
     from oysterbench_baselines.moving.training import MovingSettings
     from oysterbench_baselines.unet.training import train
 
-    labelled = moving_set(open_all(names, None))
+    labelled = moving_set(open_training_data(names))
     settings = MovingSettings()
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
     path = out or checkpoint_path("moving")

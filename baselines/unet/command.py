@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oysterbench.core.errors import MethodError
-from oysterbench_baselines.learning.trained import checkpoint_path, device_option, run_training, training_options
+from oysterbench_baselines.learning.trained import (
+    checkpoint_path,
+    device_option,
+    run_training,
+    side_option,
+    training_options,
+)
 
 if TYPE_CHECKING:
     from oysterbench_baselines.learning.checkpoint import Checkpoint
@@ -19,9 +25,6 @@ begin_option = click.option(
     "--begin",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="Initial weights from another training of the method, such as one on rendered images.",
-)
-side_option = click.option(
-    "--side", help="Only images of this split, as named in the data's manifest.csv, such as train."
 )
 
 
@@ -125,7 +128,7 @@ def _train(
     encoder: str | None = None,
 ) -> None:
     """Train one of the networks on the data named by a command, with a progress bar for each stage."""
-    from oysterbench.cli.labelled import open_all
+    from oysterbench.cli.labelled import open_training_data
     from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.learning.checkpoint import read_finished
     from oysterbench_baselines.unet.model import check_kind
@@ -141,7 +144,7 @@ def _train(
                 "out, or begin with weights of such a one"
             )
         settings = begun_settings(settings, begun)
-    labelled = open_all(names, side)
+    labelled = open_training_data(names, side)
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
 
     def train(*arguments: Any, again: bool) -> Checkpoint:

@@ -271,10 +271,11 @@ def _single(path: Path) -> NDArray[Any]:
     return read()
 
 
-def check_names(truth: Iterable[str], predicted: Iterable[str], place: Path) -> None:
+def check_names(truth: Iterable[str], predicted: Iterable[str], place: Path, unscored: Iterable[str] = ()) -> None:
     """Refuse predictions that are not of exactly the truth's images: missing ones would otherwise be silently left
-    out."""
-    wanted, given = set(truth), set(predicted)
+    out. unscored: further images of the truth, which may have predictions."""
+    wanted = set(truth)
+    given = set(predicted) - (set(unscored) - wanted)
     for missing, text in ((wanted - given, "no prediction for"), (given - wanted, "no image of the truth is named")):
         if missing:
             names = sorted(missing)

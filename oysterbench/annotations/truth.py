@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -39,6 +40,9 @@ TRUTH_KINDS = (
 
 GRID = 16  # px between the rays from which the area of seabed in an image is computed
 
+TRAIN, TEST = "train", "test"
+"""Sides of a manifest.csv; where there is a test side, it alone is scored."""
+
 Seen = tuple[TruthImage, NDArray[np.uint8] | None]
 """Truth of an image and its pixels (H, W, 3) uint8 RGB, if there are any."""
 
@@ -49,6 +53,8 @@ class LabelledSequence:
 
     digest: of the files; coco: set if the truth is COCO annotations, whose instances may overlap; pixels: reads the
     image of a name, without the truth; None if only `images` reads them
+    sides: which sides of a manifest.csv are scored, as a sentence; empty where there are none. unscored: names of the
+    images of other sides
     """
 
     name: str
@@ -58,6 +64,8 @@ class LabelledSequence:
     conditions: Mapping[str, float | str] = field(default_factory=dict)
     coco: CocoFile | None = None
     pixels: Callable[[str], NDArray[np.uint8] | None] | None = None
+    sides: str = ""
+    unscored: frozenset[str] = frozenset()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -178,8 +186,8 @@ def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = Non
     """Open the clips at a path: sequences, labelled folders (`opening.KINDS`), COCO annotations with or without
     their images, or a plain folder of PNG files, masks or (labels="classes") class numbers.
 
-    Clips of a plain folder are its subfolders, or as given in its manifest.csv (id, clip). ignore_value: value of
-    pixels to be ignored; for classes 255 by default.
+    Clips of a plain folder are its subfolders, or as given in its manifest.csv (id, clip). Of a manifest.csv with a
+    split test, only that is opened. ignore_value: value of pixels to be ignored; for classes 255 by default.
     """
     if kinds_at(place) == ["coco"]:
         return _coco_clips(place if place.is_file() else next(place.glob("*.json")), place)
@@ -192,6 +200,8 @@ def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = Non
 
 def _labelled_clips(place: Path) -> list[LabelledSequence]:
     found = open_labelled(place)
+    unscored, sides = _sides({entry.name: entry.split for entry in found.entries})
+    found = found.where(lambda entry: entry.name not in unscored)
     if all(entry.clip == entry.name for entry in found.entries):  # no clips are known
         groups = {found.name: list(found.entries)}
     else:
@@ -211,9 +221,25 @@ def _labelled_clips(place: Path) -> list[LabelledSequence]:
             tuple(entry.name for entry in entries),
             partial(images, entries),
             _digest([path for entry in entries for path in entry.files]),
+            sides=sides,
+            unscored=unscored,
         )
         for clip, entries in groups.items()
     ]
+
+
+def _sides(side_of: Mapping[str, str]) -> tuple[frozenset[str], str]:
+    """Names of the images that are not scored, as they are not on the test side of their manifest.csv, and a note on
+    its sides. side_of: side of each image, by its name; all empty where there are none."""
+    counts = Counter(side for side in side_of.values() if side)
+    if not counts or set(counts) == {TEST}:
+        return frozenset(), ""
+    if TEST not in counts:
+        learnt = f"images of the side {TRAIN} in {FILE} are scored too: a method may have learnt from them"
+        return frozenset(), learnt if TRAIN in counts else ""
+    others = ", ".join(f"{count} of {side}" for side, count in counts.items() if side != TEST)
+    note = f"only images of the side {TEST} in {FILE} are scored, {counts[TEST]} in all, and not {others}"
+    return frozenset(name for name, side in side_of.items() if side != TEST), note
 
 
 def _coco_clips(path: Path, place: Path) -> list[LabelledSequence]:
@@ -268,8 +294,9 @@ def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Lab
     for name in files:
         if listed and name not in listed:
             raise LabelError(f"{place / FILE}: does not assign a clip to {name}")
+    unscored, sides = _sides({name: listed[name].split if listed else "" for name in files})
     groups: dict[str, list[str]] = {}
-    for name in files:
+    for name in (name for name in files if name not in unscored):
         clip = listed[name].clip if listed else name.rpartition("/")[0] or place.resolve().name
         groups.setdefault(clip, []).append(name)
 
@@ -278,7 +305,14 @@ def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Lab
             yield _plain_truth(name, files[name], labels, ignore_value), None
 
     return [
-        LabelledSequence(clip, tuple(names), partial(images, names), _digest([files[name] for name in names]))
+        LabelledSequence(
+            clip,
+            tuple(names),
+            partial(images, names),
+            _digest([files[name] for name in names]),
+            sides=sides,
+            unscored=unscored,
+        )
         for clip, names in groups.items()
     ]
 

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from oysterbench.annotations import LabelledSet
 
 
+TRAIN = "train"
+"""Side of a manifest.csv to train on, by default."""
+
+
 class LabelledData(click.ParamType):  # type: ignore[type-arg]
     """Option type for labelled data; a name that does not exist is refused before anything heavy is loaded."""
 
@@ -83,9 +87,39 @@ def _named(text: str, option: str, form: str, taken: Collection[str]) -> tuple[s
     return name, place
 
 
-def open_all(names: Sequence[str], side: str | None = None, name: str = "") -> LabelledSet:
-    """Open several data sets as one set. side: use only the images of this part of each."""
+def open_all(names: Sequence[str], name: str = "") -> LabelledSet:
+    """Open several data sets as one set."""
+    return _as_one([open_data(one) for one in names], name)
+
+
+def open_training_data(names: Sequence[str], side: str | None = None) -> LabelledSet:
+    """Open several data sets as one set to train on. Of one whose manifest.csv names sides, only `side` is used, by
+    default train, which is said; one without sides is used whole. Raises LabelError where a set that has sides, or
+    every set, lacks that which was asked for."""
+    sets = [open_data(one) for one in names]
+    if side is not None and not any(one.splits for one in sets):
+        return _as_one([one.of_split(side) for one in sets])
+    return _as_one([_training_side(one, side) for one in sets])
+
+
+def _training_side(labelled: LabelledSet, side: str | None) -> LabelledSet:
+    from oysterbench.cli.echo import message
+
+    if not labelled.splits or (side is None and labelled.splits == (TRAIN,)):
+        return labelled
+    if side is None and TRAIN not in labelled.splits:
+        message(
+            f"{labelled.name}: all images are used: manifest.csv has no side {TRAIN}, but {', '.join(labelled.splits)}"
+        )
+        return labelled
+    chosen = labelled.of_split(side or TRAIN)
+    message(
+        f"{labelled.name}: {len(chosen)} of {len(labelled)} images are used, the side {side or TRAIN} of manifest.csv"
+    )
+    return chosen
+
+
+def _as_one(sets: Sequence[LabelledSet], name: str = "") -> LabelledSet:
     from oysterbench.annotations import joined
 
-    sets = [open_data(one) if side is None else open_data(one).of_split(side) for one in names]
     return sets[0] if len(sets) == 1 else joined(sets, name or "+".join(one.name for one in sets))

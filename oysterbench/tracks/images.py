@@ -188,7 +188,8 @@ class ImageTrack(Track):
         return get, ()
 
     def _notes_on(self, labelled: LabelledSequence) -> tuple[str, ...]:
-        return labelled.notes if self.single else ()
+        sides = (labelled.sides,) if labelled.sides else ()
+        return (*sides, *labelled.notes) if self.single else sides
 
     def file_predictor(
         self, place: Path, labelled: Sequence[LabelledSequence], settings: Any, form: Form = "auto"
@@ -196,13 +197,14 @@ class ImageTrack(Track):
         """Return a function that reads the prediction for an image from files, and notes on these. Raises LabelError
         where an image has none, or where there is one too many."""
         wanted = [name for one in labelled for name in one.names]
+        unscored = [name for one in labelled for name in one.unscored]
         if place.suffix.lower() != ".json":
             files = open_predictions(place, form)
-            check_names(wanted, files.names, place)
+            check_names(wanted, files.names, place, unscored)
             return lambda name, shape: self.of_masks(files, name, shape, settings), files.notes
         coco = next((one.coco for one in labelled if one.coco is not None), None)
         file = read_coco(place, coco)
-        check_names(wanted, file.names, place)
+        check_names(wanted, file.names, place, unscored)
         notes = file.notes
         outlined = any(one.coco is None or not one.coco.boxes_alone for one in labelled)
         if self.single and outlined and file.boxes_alone:

@@ -13,6 +13,8 @@ from oysterbench.annotations.truth import footprint_m2, footprint_rays
 from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import transform
 from oysterbench.sequence import CameraCalibration
+from oysterbench.tracks.detection import TRACK as DETECTION
+from oysterbench.tracks.segmentation import TRACK as SEGMENTATION
 
 HEIGHT, WIDTH, FOCAL = 240, 320, 200.0
 
@@ -100,3 +102,47 @@ def test_numbered_masks_of_a_labelled_folder_are_told_where_numbers_belong(tmp_p
         cv2.imwrite(str(tmp_path / kind / "a.png"), np.array([[0, 1, 2]], np.uint16))
     with pytest.raises(LabelError, match=r"got \[1, 2\]; put numbers of oysters in instances/"):
         open_labelled(tmp_path)[0]
+
+
+def sided(folder, text, *kinds):
+    """A folder of three small images, of the kinds given, with that manifest."""
+    for kind in kinds:
+        (folder / kind).mkdir(exist_ok=True)
+        for name in "abc":
+            cv2.imwrite(str(folder / kind / f"{name}.png"), np.array([[0, 255, 255]], np.uint8))
+    (folder / "manifest.csv").write_text(f"id,clip,split\n{text}")
+    return folder
+
+
+@pytest.mark.parametrize("labels", [("images", "masks"), ("plain",)])
+def test_only_the_test_side_of_a_manifest_is_scored_and_that_is_said(tmp_path, labels):
+    form = "plain/{0},one,{1}\n" if labels == ("plain",) else "{0},one,{1}\n"
+
+    def clips(*sides):
+        text = "".join(form.format(name, side) for name, side in zip("abc", sides, strict=True))
+        return open_truth(sided(tmp_path, text, *labels))
+
+    (clip,) = clips("train", "test", "test")
+    assert [name[-1] for name in clip.names] == ["b", "c"]
+    assert [truth.name[-1] for truth, _ in clip.images()] == ["b", "c"]
+    assert clip.sides == "only images of the side test in manifest.csv are scored, 2 in all, and not 1 of train"
+    assert {name[-1] for name in clip.unscored} == {"a"}
+    (clip,) = clips("train", "train", "val")
+    assert len(clip.names) == 3
+    assert "images of the side train in manifest.csv are scored too" in clip.sides
+    for sides in (("", "", ""), ("test", "test", "test")):
+        (clip,) = clips(*sides)
+        assert (len(clip.names), clip.sides, clip.unscored) == (3, "", frozenset())
+
+
+@pytest.mark.parametrize("track", [SEGMENTATION, DETECTION])
+def test_predictions_for_images_of_other_sides_are_no_error_and_results_say_what_was_scored(tmp_path, track):
+    truth = sided(tmp_path, "a,one,train\nb,one,test\nc,two,test\n", "images", "masks", "instances", "predicted")
+    evaluation = track.score_files(truth, tmp_path / "predicted", {})
+    assert [record.sequence for record in evaluation.records] == ["one", "two"]
+    for record in evaluation.records:
+        assert any(note.startswith("only images of the side test") for note in record.notes)
+    for path in (tmp_path / "predicted").glob("b.png"):
+        path.unlink()
+    with pytest.raises(LabelError, match="no prediction for b"):
+        track.score_files(truth, tmp_path / "predicted", {})

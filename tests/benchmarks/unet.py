@@ -42,7 +42,7 @@ def middle_ms(*parts: Callable[[], object]) -> list[float]:
 def main(threads: str = "1") -> None:
     torch.set_num_threads(int(threads))
     settings, streams = pretrained_settings("lite0"), Streams(0)
-    labelled = open_all(("seg-mini",), None)
+    labelled = open_all(("seg-mini",))
     mixture = Mixture([LabelledDataset(labelled, side=settings.network.side).load()], [settings.batch])
     network = channels_last(build_network(settings.network)).train()
     optimiser = torch.optim.AdamW(network.parameters(), lr=settings.fit.learning_rate)

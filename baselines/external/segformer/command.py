@@ -11,12 +11,12 @@ import click
 
 from oysterbench.core.places import home
 from oysterbench.methods.systems import find_system
-from oysterbench_baselines.learning.trained import device_option, run_training, training_options
+from oysterbench_baselines.learning.trained import device_option, run_training, side_option, training_options
 
 
 @click.command("segformer", short_help="SegFormer, from the package transformers, on any labelled images.")
 @training_options()
-@click.option("--side", help="Only images of this split, as named in the data's manifest.csv, such as train.")
+@side_option
 @click.option(
     "--size", type=click.Choice(["b0", "b1", "b2"]), default="b0", show_default=True, help="Size of the network."
 )
@@ -51,11 +51,11 @@ def command(
     if not os.path.samefile(sys.prefix, python.parent.parent):
         os.execv(python, [str(python), "-m", "oysterbench", *sys.argv[1:]])
 
-    from oysterbench.cli.labelled import open_all
+    from oysterbench.cli.labelled import open_training_data
     from oysterbench_baselines.external.segformer.network import SegFormerSettings
     from oysterbench_baselines.external.segformer.training import TrainingSettings, train
 
-    labelled = open_all(names, side)
+    labelled = open_training_data(names, side)
     settings = TrainingSettings(network=SegFormerSettings(size=size))
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
     path = out or home() / system.description.options["weights"].default
