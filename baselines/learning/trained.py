@@ -91,7 +91,7 @@ def run_training(
     seed: int,
     device: str,
     again: bool,
-) -> None:
+) -> Checkpoint:
     """Run a training on labelled images for a command, with progress bars for reading and steps, and report its end.
 
     train: a function like `unet.training.train`. again: start over, even if a checkpoint exists.
@@ -106,6 +106,7 @@ def run_training(
     ):
         checkpoint = train(labelled, path, settings, seed, chosen, progress, loading, again=again)
     tell_end(checkpoint, path)
+    return checkpoint
 
 
 def tell_end(checkpoint: Checkpoint, path: Path) -> None:

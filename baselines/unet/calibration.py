@@ -42,7 +42,8 @@ class Calibration:
     cut: the logit threshold that maximises IoU over all pixels, which becomes a probability of 0.5; rise: the value
     that gives the most correct oysters among as many detections as there are true ones; sure: the score above which
     that many oysters are counted (both: `instances.Division`). live_cut: the logit that best separates live oysters
-    from dead ones; states: balanced accuracy of that, 0 where it was not measured."""
+    from dead ones; states: balanced accuracy of that, 0 where it was not measured. images: number of images on which
+    all this was measured, 0 for default values."""
 
     temperature: float = 1.0
     cut: float = 0.0
@@ -50,6 +51,7 @@ class Calibration:
     sure: float = 0.5
     live_cut: float = 0.0
     states: float = 0.0
+    images: int = 0
 
     @property
     def tells(self) -> bool:
@@ -87,9 +89,10 @@ def measured(
     labelled: LabelledSet,
     look: Callable[[NDArray[np.uint8]], Look],
     progress: Callable[[int, int], None] = lambda done, total: None,
+    otherwise: Calibration | None = None,
 ) -> Calibration:
-    """Measure the calibration of a network whose predictions for an image (H, W, 3) uint8 RGB `look` returns. Where no
-    image shows an oyster, the default calibration."""
+    """Measure the calibration of a network whose predictions for an image (H, W, 3) uint8 RGB `look` returns.
+    otherwise: returned where no image shows an oyster; by default the default calibration."""
     taken = evenly(labelled.entries, MOST)
     seen = []
     for k, entry in enumerate(taken, start=1):
@@ -97,14 +100,14 @@ def measured(
         seen.append(Seen.of(image, look(image.pixels)))
         progress(k, len(taken) + len(RISES) + 1)
     if not any(one.numbers.any() for one in seen):
-        return Calibration()
+        return otherwise or Calibration()
     logits, truth = (np.concatenate(parts) for parts in zip(*(one.some() for one in seen), strict=True))
     cut = float(CUTS[np.argmax([_iou(logits > cut, truth) for cut in CUTS])])
     heat = float(TEMPERATURES[np.argmin([_entropy(logits / value, truth) for value in TEMPERATURES])])
     found = Calibration(round(heat, 3), round(cut, 3))
     live_cut, states = _telling(seen)
     rise, sure = _dividing(seen, found, lambda done: progress(len(taken) + done, len(taken) + len(RISES) + 1))
-    return replace(found, rise=rise, sure=sure, live_cut=live_cut, states=states)
+    return replace(found, rise=rise, sure=sure, live_cut=live_cut, states=states, images=len(seen))
 
 
 def evenly(entries: Sequence[T], most: int) -> list[T]:

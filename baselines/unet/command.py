@@ -128,11 +128,12 @@ def _train(
     encoder: str | None = None,
 ) -> None:
     """Train one of the networks on the data named by a command, with a progress bar for each stage."""
+    from oysterbench.cli.echo import message
     from oysterbench.cli.labelled import open_training_data
     from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.learning.checkpoint import read_finished
     from oysterbench_baselines.unet.model import check_kind
-    from oysterbench_baselines.unet.training import begun_settings
+    from oysterbench_baselines.unet.training import begun_settings, thresholds_of
     from oysterbench_baselines.unet.training import train as trained
 
     begun = None if begin is None else read_finished(begin)
@@ -151,4 +152,6 @@ def _train(
         with frames_bar("measuring", "images") as measuring:
             return trained(*arguments, measuring=measuring, begun=begun, again=again)
 
-    run_training(name, labelled, settings, train, out or checkpoint_path(name), seed, device, again)
+    path = out or checkpoint_path(name)
+    checkpoint = run_training(name, labelled, settings, train, path, seed, device, again)
+    message(thresholds_of(checkpoint, begun))

@@ -108,7 +108,7 @@ def unet_model(checkpoint: Checkpoint, device: torch.device | None = None, views
     settings = UNetworkSettings(**{key: value for key, value in checkpoint.network.items() if key != "kind"})
     network = build_network(settings)
     network.load_state_dict(checkpoint.weights)
-    device, measured = device or torch.device("cpu"), checkpoint.measured
+    device = device or torch.device("cpu")
     return UNetModel(
         channels_last(network.to(device)).eval(),
         settings.scale,
@@ -117,9 +117,14 @@ def unet_model(checkpoint: Checkpoint, device: torch.device | None = None, views
         settings.side,
         settings.outputs,
         views,
-        Calibration(**measured["calibration"]) if "calibration" in measured else Calibration(),
-        Novelty.read(measured["novelty"]) if "novelty" in measured else None,
+        calibration_of(checkpoint),
+        Novelty.read(checkpoint.measured["novelty"]) if "novelty" in checkpoint.measured else None,
     )
+
+
+def calibration_of(checkpoint: Checkpoint) -> Calibration:
+    """Calibration that a checkpoint holds; the default one where none was measured."""
+    return Calibration(**checkpoint.measured.get("calibration", {}))
 
 
 def read_unet(path: Path, device: torch.device | None = None, views: int = 1, kind: str = "") -> UNetModel:

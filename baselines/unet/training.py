@@ -24,7 +24,7 @@ from oysterbench_baselines.learning.samples import LabelledDataset
 from oysterbench_baselines.unet.calibration import evenly, kept_back
 from oysterbench_baselines.unet.calibration import measured as calibrated
 from oysterbench_baselines.unet.method import DEFAULT_VIEWS
-from oysterbench_baselines.unet.model import described, unet_model
+from oysterbench_baselines.unet.model import calibration_of, described, unet_model
 from oysterbench_baselines.unet.network import UNetworkSettings, build_network, kind_of
 
 MOST_ALIKE = 800
@@ -128,7 +128,7 @@ def train(
         again,
     )
     if settings.measured and not checkpoint.measured:
-        checkpoint.measured = measure(checkpoint, learnt_from, kept, device, measuring)
+        checkpoint.measured = measure(checkpoint, learnt_from, kept, device, measuring, begun)
         checkpoint.write(path)
     return checkpoint
 
@@ -139,11 +139,14 @@ def measure(
     kept: LabelledSet,
     device: torch.device,
     progress: Progress = lambda done, total: None,
+    begun: Checkpoint | None = None,
 ) -> dict[str, Any]:
     """Measure a trained network: its calibration on the images held out, and, with a pretrained encoder, the
-    distribution of the training images for novelty (`learning.novelty`)."""
+    distribution of the training images for novelty (`learning.novelty`). begun: the training from whose weights it
+    started, whose calibration it keeps where no image held out shows an oyster."""
     model = unet_model(checkpoint, device, DEFAULT_VIEWS)
-    found: dict[str, Any] = {"calibration": dataclasses.asdict(calibrated(kept, model.look, progress))}
+    before = None if begun is None else calibration_of(begun)
+    found: dict[str, Any] = {"calibration": dataclasses.asdict(calibrated(kept, model.look, progress, before))}
     if checkpoint.network["encoder"]:
         taken = evenly([*learnt_from.entries, *kept.entries], MOST_ALIKE)
         alike = []
@@ -153,3 +156,14 @@ def measure(
         if len(taken) > 1:
             found["novelty"] = learnt(np.array(alike), [entry.clip for entry in taken]).state()
     return found
+
+
+def thresholds_of(checkpoint: Checkpoint, begun: Checkpoint | None = None) -> str:
+    """A sentence on what the thresholds of a trained network were measured on. begun: as in `measure`."""
+    known = calibration_of(checkpoint)
+    if begun is not None and known == calibration_of(begun):
+        known_on = f", measured on {known.images} images" if known.images else ""
+        return f"no oyster in images held out: thresholds are those of the weights that it began with{known_on}"
+    if not known.images:
+        return "no oyster in images held out: thresholds are the default ones, and counts may be far off"
+    return f"thresholds were measured on {known.images} image{'s' * (known.images > 1)} held out"
