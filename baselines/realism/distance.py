@@ -8,16 +8,16 @@ tens of images.
 from __future__ import annotations
 
 import numpy as np
+import scipy.special
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.streams import stream
-from oysterbench.evaluate.statistics import Interval
+from oysterbench.evaluate.statistics import LEVEL, Interval
 
 HALVES = 400
 """Number of random halves of the images that are drawn for an interval."""
 LEAST_BLOCKS = 4
 """Minimum number of blocks of which halves can be drawn."""
-SIGMAS = 1.96
 
 
 def kernel(a: Array, b: Array) -> Array:
@@ -37,7 +37,8 @@ def kid_between(a: Array, b: Array, blocks_a: Array, blocks_b: Array) -> tuple[f
 
     Halves of the blocks are drawn without replacement, as copies would be nearer to each other than any two images; an
     estimate from half of the sample scatters about that from all of it as the latter does about the true value
-    (delete-half jackknife, Shao & Wu 1989).
+    (delete-half jackknife, Shao & Wu 1989). As that scatter is known from few blocks, the quantile is that of Student's
+    t, with a degree of freedom less than the smaller set has blocks.
     """
     own, other, both = kernel(a, a), kernel(b, b), kernel(a, b)
     value = float(_discrepancy(own, other, both, np.ones((1, len(a))), np.ones((1, len(b))))[0])
@@ -46,7 +47,8 @@ def kid_between(a: Array, b: Array, blocks_a: Array, blocks_b: Array) -> tuple[f
         return value, Interval(np.nan, np.nan, f"{fewest} blocks of pictures are too few, {LEAST_BLOCKS} are needed")
     rng = stream(0, b"", "realism", "halves")
     halves = _discrepancy(own, other, both, _halves(blocks_a, rng), _halves(blocks_b, rng))
-    reach = SIGMAS * float(np.sqrt(np.mean((halves - value) ** 2)))
+    quantile = float(scipy.special.stdtrit(fewest - 1, 0.5 + LEVEL / 2))
+    reach = quantile * float(np.sqrt(np.mean((halves - value) ** 2)))
     return value, Interval(value - reach, value + reach, "")
 
 
@@ -61,9 +63,17 @@ def kid_within(a: Array, blocks: Array) -> float:
 
 
 def _halves(blocks: Array, rng: np.random.Generator) -> Array:
-    """Draw weights (HALVES, N): 1 for the images of a random half of the blocks, 0 for the others."""
+    """Draw weights (HALVES, N): 1 for the images of a random half of the blocks, 0 for the others.
+
+    An estimate from k of n blocks has (n - k) / k of the variance that is wanted. Of an odd n, half rounded down is
+    therefore drawn as often as makes the mean of these ratios 1, which is in half / n of all draws, and half rounded up
+    in the others.
+    """
     numbers, places = np.unique(blocks, return_inverse=True)
-    drawn = np.argsort(rng.random((HALVES, len(numbers))), axis=1) < (len(numbers) + 1) // 2
+    count, half = len(numbers), len(numbers) // 2
+    turns = np.arange(HALVES + 1) * half // count
+    sizes = np.where((np.diff(turns) > 0) | (count % 2 == 0), half, half + 1)
+    drawn = np.argsort(rng.random((HALVES, count)), axis=1) < sizes[:, None]
     return drawn[:, places].astype(float)
 
 

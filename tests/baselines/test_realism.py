@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import combinations
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,7 @@ from click.testing import CliRunner
 from oysterbench.cli.main import main
 from oysterbench.core.errors import MethodError
 from oysterbench.core.streams import stream
-from oysterbench_baselines.realism.distance import kid, kid_between, kid_within
+from oysterbench_baselines.realism.distance import _halves, kid, kid_between, kid_within
 
 torch = pytest.importorskip("torch")
 efficientnet = pytest.importorskip("oysterbench_baselines.learning.efficientnet")
@@ -47,6 +48,25 @@ def test_the_interval_holds_the_truth_and_tells_sources_apart():
     assert held >= 52
     value, interval = kid_between(features(1, 60), features(2, 60, 0.6), blocks, blocks)
     assert 0 < interval.low < value < interval.high
+
+
+@pytest.mark.parametrize("count", [4, 5, 7, 8, 9])
+def test_halves_of_any_number_of_blocks_scatter_as_estimates_from_all_of_them(count):
+    """Of the mean, whose variance is known: that over halves is the unbiased estimate of it."""
+    numbers = np.random.default_rng(0).normal(size=(500, count))
+    weights = _halves(np.arange(count), stream(0, b"", "halves"))
+    means = numbers @ weights.T / weights.sum(axis=1)
+    estimated = ((means - numbers.mean(axis=1)[:, None]) ** 2).mean(axis=1)
+    assert (estimated / (numbers.var(axis=1, ddof=1) / count)).mean() == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_interval_from_few_blocks_is_as_wide_as_students_t_makes_it():
+    """Over all pairs of halves of four blocks: with three degrees of freedom, 95 % of t are within 3.18."""
+    a, b, blocks = features(1, 8), features(2, 8, 0.5), np.arange(8) // 2
+    halves = [np.isin(blocks, chosen) for chosen in combinations(range(4), 2)]
+    value, interval = kid_between(a, b, blocks, blocks)
+    sigma = np.sqrt(np.mean([(kid(a[one], b[other]) - value) ** 2 for one in halves for other in halves]))
+    assert (interval.high - value) / sigma == pytest.approx(3.182, rel=0.05)
 
 
 def test_neighbours_that_are_copies_make_an_interval_wider():
