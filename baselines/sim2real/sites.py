@@ -10,7 +10,7 @@ import numpy as np
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.streams import stream
-from oysterbench.evaluate.statistics import RESAMPLES, Interval
+from oysterbench.evaluate.statistics import LEAST_SEQUENCES, RESAMPLES, Interval, resampled_interval, too_few
 from oysterbench.report.table import Column, Estimate, Table, TableRow
 from oysterbench.results.records import ResultRecord
 from oysterbench_baselines.sim2real.scoring import WHOLE
@@ -18,7 +18,6 @@ from oysterbench_baselines.sim2real.settings import REAL
 from oysterbench_baselines.sim2real.table import block_sums, ratios
 
 TITLE = "Each site tested on by what was trained on all others"
-LEVEL = 0.95
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,11 @@ def _row(
 
 def _interval(pairs: Mapping[str, tuple[Array, ...]], seeds: int) -> Interval:
     """Bootstrap interval of the mean gain over sites: resamples the blocks of each site, and the seeds, which are the
-    same for all sites."""
+    same for all sites; its percentiles are those of as many values as the smallest site has blocks. None, with the
+    reason, where these are too few."""
+    fewest, site = min((mine.shape[1], site) for site, (mine, _) in pairs.items())
+    if fewest < LEAST_SEQUENCES:
+        return Interval(np.nan, np.nan, f"{site}: {too_few(fewest, 'block')}")
     chosen = stream(0, b"", "sim2real", "seeds").integers(0, seeds, (RESAMPLES, seeds))
     total = np.zeros(RESAMPLES)
     for site, (mine, other) in pairs.items():
@@ -92,8 +95,7 @@ def _interval(pairs: Mapping[str, tuple[Array, ...]], seeds: int) -> Interval:
         drawn = rng.multinomial(blocks, np.full(blocks, 1 / blocks), RESAMPLES)
         gains = ratios(np.einsum("rb,sbk->rsk", drawn, mine)) - ratios(np.einsum("rb,sbk->rsk", drawn, other))
         total += np.take_along_axis(gains, chosen, axis=1).mean(axis=1)
-    low, high = np.quantile(total / len(pairs), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return Interval(float(low), float(high))
+    return resampled_interval(total / len(pairs), fewest)
 
 
 def sites_table(rows: Sequence[SiteRow], remarks: Sequence[str] = ()) -> Table:

@@ -121,7 +121,21 @@ def test_gains_are_paired_and_their_mean_is_of_sites_however_many_images_these_h
     assert [column.heading for column in sites_table(list(rows.values())).columns][2:4] == ["large", "small"]
 
 
-SIZES = {"large": 16, "small": 4}
+SIZES = {"large": 24, "small": 12}
+
+
+def test_of_a_site_with_few_blocks_no_interval_is_made_up():
+    records = {
+        site: [
+            record(method, 0, 0, [(50 + more + k % 3, 20, 20 - more) for k in range(count)])
+            for method, more in (("real", 0), ("real + made", 4))
+        ]
+        for site, count in (("large", 24), ("small", 4))
+    }
+    (gained,) = (row for row in site_rows(records, block=2) if row.interval is not None)
+    assert gained.mean_gain > 0
+    assert not gained.interval.known
+    assert gained.interval.reason == "small: 2 blocks: no 95% interval is possible with fewer than 6"
 
 
 def test_a_training_that_one_site_lacks_has_no_row():
