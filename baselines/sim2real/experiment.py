@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
@@ -52,7 +52,7 @@ def run(
     """Run all cells that are not finished, and write table.md, report.html and results.json into `out`."""
     with bar("looking for near duplicates", "images") as progress:
         real = real_data(labelled, hold_out, settings.similarity, progress)
-    remarks = list(_remarks(labelled, real))
+    remarks = list(_remarks(labelled, real, settings.sizes))
     for remark in remarks:
         echo(remark)
     bench = Bench(real, synthetic, settings, device)
@@ -158,12 +158,17 @@ def _trivial(bench: Bench, cells: Path) -> list[ResultRecord]:
     return records
 
 
-def _remarks(labelled: LabelledSet, real: Real) -> Iterator[str]:
-    """Remarks on the data that a reader of the table should know."""
+def _remarks(labelled: LabelledSet, real: Real, sizes: Sequence[int]) -> Iterator[str]:
+    """Remarks on the data that a reader of the table should know. sizes: numbers of real images that are asked for."""
     yield (
         f"{labelled.name}: {len(real.train)} images to train on ({', '.join(real.train.clips)}), {len(real.test)} to "
         f"test on ({', '.join(real.test.clips)})"
     )
+    if larger := [size for size in sizes if size > len(real.train)]:
+        yield (
+            f"left out: size{'s' * (len(larger) > 1)} {', '.join(map(str, larger))}, as there are {len(real.train)} "
+            "real images to train on"
+        )
     for leak in real.leaks:
         yield (
             f"left out: training image {leak.one} shows what test image {leak.other} shows (correlation "

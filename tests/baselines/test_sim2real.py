@@ -330,6 +330,17 @@ def test_synthetic_sets_of_one_name_are_joined(real, tmp_path, monkeypatch):
         CliRunner().invoke(command, [*options, both[0]], catch_exceptions=False)
 
 
+def test_sizes_of_which_there_are_no_images_are_left_out_by_name(real, tmp_path):
+    sizes = dataclasses.replace(SETTINGS, sizes=(2, 40, 500))
+    echoed = []
+    experiment(real, {}, tmp_path, sizes, echoed, train=False)
+    assert "left out: sizes 40, 500, as there are 5 real images to train on" in echoed
+    assert "left out: sizes 40, 500" in (tmp_path / "report.html").read_text()
+    echoed.clear()
+    experiment(real, {}, tmp_path, dataclasses.replace(SETTINGS, sizes=(5, ALL)), echoed, train=False)
+    assert not any("left out: size" in str(line) for line in echoed)
+
+
 def test_weights_are_given_by_a_name_of_their_own(real, tmp_path):
     place = Path(real.entries[0].files[0]).parents[1]
     done = CliRunner().invoke(command, [f"--real={place}", "--weights=real=w.pt"])
