@@ -41,7 +41,7 @@ def sets_of(labelled: LabelledSet) -> dict[str, LabelledSet]:
     if len(labelled.clips) == len(labelled):
         whole = LabelledSet(labelled.name, (replace(entry, clip=labelled.name) for entry in labelled.entries))
         return {labelled.name: whole}
-    return {clip: labelled.where(lambda entry, clip=clip: entry.clip == clip, clip) for clip in labelled.clips}
+    return {clip: LabelledSet(clip, (e for e in labelled.entries if e.clip == clip)) for clip in labelled.clips}
 
 
 def feature_set(

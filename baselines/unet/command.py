@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -150,7 +151,7 @@ def _train(
 
     def train(*arguments: Any, again: bool) -> Checkpoint:
         with frames_bar("measuring", "images") as measuring:
-            return trained(*arguments, measuring=measuring, begun=begun, again=again)
+            return partial(trained, measuring=measuring, begun=begun, again=again)(*arguments)
 
     path = out or checkpoint_path(name)
     checkpoint = run_training(name, labelled, settings, train, path, seed, device, again)
