@@ -27,7 +27,7 @@ from oysterbench_leaderboard.boards.ranking import (
 from oysterbench_leaderboard.storage.record_summary import COLUMNS, RecordSummary
 from oysterbench_leaderboard.storage.store import RecordStore
 
-SCHEMA = f"15 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
+SCHEMA = f"16 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
 """Changes with every change of a table or of its contents: an index with another value is rebuilt."""
 
 CHUNK = 1000
@@ -130,11 +130,11 @@ def _set_states(connection: Connection, gone: set[str]) -> set[str]:
 
 def _rank(connection: Connection, board: BoardInfo) -> BoardInfo | None:
     """Rank a board's records; return the updated board, or None where it has no records."""
-    keys = ("digest", "state", "tier", "created", "low", "high", "summary_data")
+    keys = ("digest", "state", "team", "tier", "created", "summary_data", "low", "high")
     asked = select(*(ROWS.c[key] for key in keys)).where(ROWS.c.board == board.id).order_by(ROWS.c.digest)
     found = [
-        Ranked(row.digest, row.state, row.tier, row.created, RecordSummary.decode(row.summary_data), row.low, row.high)
-        for row in connection.execute(asked)
+        Ranked(*about, RecordSummary.decode(summary), low, high)
+        for *about, summary, low, high in connection.execute(asked)
     ]
     if not found:
         return None

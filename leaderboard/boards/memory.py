@@ -45,17 +45,13 @@ class MemoryIndex:
                 self._problems[digest] = str(error)
                 continue
             boards.setdefault(record.board, board_of(record))
-        keys = Claim.__dataclass_fields__
-        claims = [Claim(**{key: row[key] for key in keys}) for row in columns.values()]
+        claims = [Claim(**{key: row[key] for key in Claim.__dataclass_fields__}) for row in columns.values()]
         for digest, state in states(claims, withdrawn(changes)).items():
             columns[digest]["state"] = state
-        ranked = []
+        ranked, keys = [], ("digest", "state", "team", "tier", "created")
         for board in boards.values():
             on_it = [row for _, row in sorted(columns.items()) if row["board"] == board.id]
-            found = [
-                Ranked(row["digest"], row["state"], row["tier"], row["created"], summaries[row["digest"]])
-                for row in on_it
-            ]
+            found = [Ranked(*(row[key] for key in keys), summaries[row["digest"]]) for row in on_it]
             try:
                 board, places = rank(board, found)
             except (ArithmeticError, ValueError) as error:  # the other boards must go on

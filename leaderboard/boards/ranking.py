@@ -17,6 +17,7 @@ from oysterbench.evaluate.metrics import FAILED, TRACKS
 from oysterbench.results.records import comparable_key
 from oysterbench.results.standings import PRIMARY, ScoreTable, direction
 from oysterbench_leaderboard.boards.board import BoardInfo, State
+from oysterbench_leaderboard.boards.teams import standings_by_team
 from oysterbench_leaderboard.storage.record import RANKED, Record
 from oysterbench_leaderboard.storage.record_summary import (
     COLUMNS,
@@ -50,6 +51,7 @@ class Ranked:
 
     digest: str
     state: str
+    team: str
     tier: str
     created: str
     summary: RecordSummary
@@ -135,6 +137,9 @@ def rank(board: BoardInfo, found: Sequence[Ranked]) -> tuple[BoardInfo, list[dic
     The board's sequences are those of the ranked records; without any, those of the current ones; without any, those of
     all: withdrawn records take no part. Self-reported records are not ranked: anybody can write a number down. Like
     records that are not current, they have only a score, and follow in order of score.
+
+    Of a team that sends estimates (tier "scored"), only the best method counts ahead of others': one result under many
+    names must push nobody down. Every baseline counts: these are methods of many authors, and all of them are run by us.
     """
     summaries = [one.summary for one in found]
     current = [k for k, one in enumerate(found) if one.state == "current"]
@@ -157,7 +162,8 @@ def rank(board: BoardInfo, found: Sequence[Ranked]) -> tuple[BoardInfo, list[dic
     better = direction(board.metric)
     least = TRACKS[board.track].lost_below
     lost = None if least is None else (table.values < least).sum(axis=1).tolist()
-    standings = dict(zip(ranked, table.take(ranked).standings(better), strict=True)) if ranked else {}
+    teams = [composed(found[k].team) if found[k].tier == "scored" else k for k in ranked]
+    standings = dict(zip(ranked, standings_by_team(table.take(ranked), teams, better), strict=True)) if ranked else {}
     shared = Counter(standing.rank or standing.place for standing in standings.values())
     rows: list[dict[str, Any]] = []
     for k, one in enumerate(found):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-import logging.handlers
-import os
 import secrets
 import tempfile
 import threading
@@ -37,6 +34,7 @@ from oysterbench_leaderboard.submissions.database import (
     utc,
 )
 from oysterbench_leaderboard.submissions.estimates import Estimates, Upload
+from oysterbench_leaderboard.submissions.private_log import private_log
 from oysterbench_leaderboard.submissions.reading.refusals import SERVER_FAULTS, Refusal
 from oysterbench_leaderboard.submissions.sandbox import namespaces, sandbox
 from oysterbench_leaderboard.submissions.settings import FILE, SubmissionSettings
@@ -73,7 +71,7 @@ class Service:
         self._refusals = Sampler(settings.refusals_of_one, settings.refusals_of_strangers)
         self._checks = threading.Semaphore(settings.checks_at_once)
         self.forks = sandbox.fork_server()
-        self.log = _private_log(settings.folder / "private.log")
+        self.log = private_log(settings.folder / "private.log")
         self._settle()
 
     def now(self) -> str:
@@ -157,8 +155,7 @@ class Service:
         at_s = self.clock()
         at = utc(at_s)
         with self.database.writing() as connection:
-            # Lock the team, so that its quota and duplicates are checked without interference.
-            connection.execute(select(teams.c.name).where(teams.c.name == team).with_for_update()).first()
+            _lock(connection, team)
             known = self._same(connection, team, form, upload.digest)
             if known is not None:
                 return self._again(connection, known, at)
@@ -258,8 +255,9 @@ class Service:
 
     def publish(self, team: str, id: str) -> Submission:
         """Put a submission on the board, where it supersedes the team's current record of the same method; idempotent.
-        Raises Refusal where its state is not "done"."""
+        Raises Refusal where its state is not "done", or the same files are there under another name."""
         with self.database.writing() as connection:
+            _lock(connection, team)
             found = self._own(connection, team, id, lock=True)
             if found.state != "done":
                 raise Refusal("state", f"only finished submissions can be published; this one is {found.state}")
@@ -278,7 +276,8 @@ class Service:
 
     def _in_place(self, connection: Connection, found: Submission) -> Record:
         """Scored record of a submission, in place of the team's current record of the same method, if there is one.
-        Raises Refusal where it is a reported one in place of a ranked one."""
+        Raises Refusal where it is a reported one in place of a ranked one, or the team has published the same files
+        under another name."""
         c, record = submissions.c, self.scored.record(found.record)
         if ranked := ranked_instead(self.store, record):
             raise Refusal(
@@ -287,8 +286,14 @@ class Service:
                 f"{record.method}: withdraw that first, or send these under another method name",
             )
         same = (c.team == found.team, c.track == found.track, c.split == found.split)
-        of_method = c.method.in_(spellings(found.method))
-        before = [other for other in find(connection, *same, of_method, c.published != "") if other.state == "done"]
+        shown_now, of_method = (c.published != "", c.state == "done"), c.method.in_(spellings(found.method))
+        if others := find(connection, *same, *shown_now, c.digest == found.digest, ~of_method, limit=1):
+            raise Refusal(
+                "state",
+                f"these files are on the board already, as your method {others[0].method}: one result has one name; to "
+                f"change it, withdraw submission {others[0].id} first",
+            )
+        before = find(connection, *same, *shown_now, of_method)
         shown = [*(self.scored.record(other.published) for other in before), *self._rescored(before)]
         replaced = {each.supersedes for each in shown}
         current = [each for each in shown if each.board == record.board and each.digest not in replaced]
@@ -332,13 +337,14 @@ class Service:
 
     def _announce(self, gone: Sequence[Submission]) -> None:
         """Mark the records of withdrawn submissions, unless the operators have restored the published one since;
-        idempotent."""
+        idempotent. Those that are withdrawn already keep the reason: it may be that of the operators."""
         latest = {change.record: change for change in self.store.read_status_changes()[0]}
         for one in gone:
             last = latest.get(one.published)
             if last is not None and last.action == "restored" and last.created > one.notice:
                 continue
-            for digest in (one.published, *(record.digest for record in self._rescored([one]))):
+            there = [one.published, *(record.digest for record in self._rescored([one]))]
+            for digest in (each for each in there if each not in latest or latest[each].action != "withdrawn"):
                 self.store.add_status_change(StatusChange(digest, "withdrawn", one.reason, one.notice))
 
     def _settle(self) -> None:
@@ -384,16 +390,6 @@ class Service:
             raise ResultError(f"the record cannot be read again: {error}") from None
 
 
-def _private_log(path: Path) -> logging.Logger:
-    """Logger for operators only, with one rotating file per private folder."""
-    log = logging.getLogger(f"oysterbench.submissions.{path.parent.resolve()}")
-    log.propagate = False
-    log.setLevel(logging.INFO)
-    for handler in list(log.handlers):
-        handler.close()
-        log.removeHandler(handler)
-    handler = logging.handlers.RotatingFileHandler(path, maxBytes=20_000_000, backupCount=5, encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
-    log.addHandler(handler)
-    os.chmod(path, 0o600)
-    return log
+def _lock(connection: Connection, team: str) -> None:
+    """Lock a team, so that its quota, duplicates and published names are checked without interference."""
+    connection.execute(select(teams.c.name).where(teams.c.name == team).with_for_update()).first()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import shutil
 import threading
+import time
 from dataclasses import replace
 
 import pytest
@@ -91,6 +92,18 @@ def test_a_withdrawal_is_announced_and_logged(service, tmp_path):
     assert service.store.digests() == [found.published], "records stay"
     with pytest.raises(Refusal, match="this one is withdrawn"):
         service.publish("reef lab", found.id)
+
+
+def test_a_team_does_not_replace_the_operators_reason_by_its_own(service, tmp_path):
+    found = service.publish("reef lab", done(service, tmp_path))
+    service.store.change_status(found.published, "withdrawn", "The estimates were made from the truth.")
+    service.clock.now = time.time() + 3600
+    gone = service.withdraw("reef lab", found.id, "Replaced by a better version soon")
+    assert gone.state == "withdrawn"
+    service.close()
+    again = make_service(tmp_path)
+    assert [each.reason for each in again.store.status_changes()] == ["The estimates were made from the truth."]
+    again.close()
 
 
 def test_what_is_withdrawn_while_it_is_scored_stays_withdrawn(service, tmp_path, monkeypatch):
