@@ -92,7 +92,8 @@ def compare_page(site: Site, a: str, b: str) -> Page:
 
 
 def _find(site: Site, a: str, b: str) -> list[Row]:
-    """Find the rows of the two records that were asked for, on one board if possible. Raises PageError."""
+    """Find the rows of the two records that were asked for, on one board if possible. Raises PageError, also where a
+    name is that of several teams' methods there."""
     for name, value in (("a", a), ("b", b)):
         if not value.strip():
             raise PageError(f"{name}: expected a record's digest or a method, got nothing", 400, {"/": "all boards"})
@@ -101,6 +102,8 @@ def _find(site: Site, a: str, b: str) -> list[Row]:
     pairs = [(x, y) for x in found[0] for y in found[1] if x.board == y.board and x.digest != y.digest]
     pairs.sort(key=lambda pair: (boards[pair[0].board], -_stamp(pair[0]), -_stamp(pair[1])))
     if pairs:
+        for several, name in zip(found, (a, b), strict=True):
+            check_one_team([row for row in several if row.board == pairs[0][0].board], name)
         return list(pairs[0])
     if found[0][0].digest == found[1][0].digest:
         raise PageError(
@@ -128,6 +131,17 @@ def records_of(site: Site, name: str) -> list[Row]:
         hints = {"/": "all boards, with their methods"}
         raise PageError(f"expected a record's digest or a method, got {name!r:.80}", 404, hints)
     return current or rows
+
+
+def check_one_team(rows: Sequence[Row], name: str) -> None:
+    """Refuse a name that several teams' methods have on a board: it does not say which of them is meant. Raises
+    PageError.
+
+    rows: of the name, on that board
+    """
+    if len({row.team for row in rows}) > 1:
+        hints = {record_path(row.digest): f"{row.method} by {row.team}, of {row.created[:10]}" for row in rows}
+        raise PageError(f"several teams have a method named {name}: give the digest of a record", 409, hints)
 
 
 def labels_of(rows: Sequence[Row]) -> list[str]:

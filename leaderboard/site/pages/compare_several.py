@@ -23,7 +23,7 @@ from oysterbench_leaderboard.boards.tables import LEADING, machines_note, role_o
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.charts import drawings
 from oysterbench_leaderboard.site.page import Page, PageError
-from oysterbench_leaderboard.site.pages.compare import Side, labels_of, means_of, records_of, whole_board
+from oysterbench_leaderboard.site.pages.compare import Side, check_one_team, labels_of, means_of, records_of, whole_board
 from oysterbench_leaderboard.site.pages.heat import classes_heat, scores_of, sequences_heat
 from oysterbench_leaderboard.site.pages.ranks import rank_cells
 from oysterbench_leaderboard.site.paths import board_path, record_path
@@ -74,12 +74,15 @@ def several_page(site: Site, names: Sequence[str]) -> Page:
 
 
 def _common(site: Site, names: Sequence[str]) -> tuple[BoardInfo, list[Row]]:
-    """Find the first board that has all of them, and the newest record of each there, best first. Raises PageError."""
+    """Find the first board that has all of them, and the newest record of each there, best first. Raises PageError,
+    also where a name is that of several teams' methods there."""
     found = [records_of(site, name) for name in names]
     for info in sorted(site.index.boards(), key=lambda info: LEADING.index(role_of(info.split))):
-        here = [next((row for row in several if row.board == info.id), None) for several in found]
-        rows = list({row.digest: row for row in here if row is not None}.values())
-        if None not in here and len(rows) > 1:
+        here = [[row for row in several if row.board == info.id] for several in found]
+        rows = list({several[0].digest: several[0] for several in here if several}.values())
+        if all(here) and len(rows) > 1:
+            for several, name in zip(here, names, strict=True):
+                check_one_team(several, name)
             return info, sorted(rows, key=lambda row: (row.place is None, row.place or 0, row.digest))
     hints = {record_path(several[0].digest): several[0].method for several in found}
     raise PageError("these records share no board: expected records of one board", 409, hints)

@@ -29,7 +29,8 @@ def find_method(site: Site, slug: str) -> tuple[str, list[Row]]:
 
 
 def method_page(site: Site, slug: str) -> Page:
-    """Page of a method: current records first, each with its rank on its board, then superseded and withdrawn ones."""
+    """Page of a method: current records first, each with its rank on its board, then superseded and withdrawn ones. Of
+    several teams that have published under its name, each one's description stands by its own name."""
     name, rows = find_method(site, slug)
     boards = {info.id: info for info in site.index.boards()}
     order = {board: i for i, board in enumerate(boards)}
@@ -40,12 +41,14 @@ def method_page(site: Site, slug: str) -> Page:
     if past:
         tables.append(_table(boards, past, f"Superseded and withdrawn records of {name}", "past"))
     teams = list(dict.fromkeys(row.team for row in rows))
-    newest = current[0] if current else rows[0]
+    newest: dict[str, Row] = {}
+    for row in (*current, *past):
+        newest.setdefault(row.team, row)
     return Page(
         method_path(name),
         name,
         "method.html",
-        {"name": name, "teams": teams, "newest": newest},
+        {"name": name, "newest": newest},
         tuple(tables),
         plain({"method": name, "teams": teams, "records": [asdict(row) for row in (*current, *past)]}),
     )
