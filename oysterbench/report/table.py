@@ -22,6 +22,9 @@ ABSENT = "\N{EN DASH}"
 ASTRAY = 10_000
 """Numbers from which on decimals are meaningless: most are errors of diverged estimates."""
 
+ENDLESS = 1e9
+"""Numbers from which on three digits and a power of ten are shown, so that one cell does not widen a whole table."""
+
 MINUS = "\N{MINUS SIGN}"
 
 MOST_MORE = 6
@@ -169,6 +172,8 @@ class Column:
         if isinstance(value, str):
             return value
         shown, sign = value if self.factor == 1.0 else value * self.factor, "+" if self.signed else ""
+        if digits is not None and abs(shown) >= ENDLESS:
+            return f"{shown:{sign}.3g}".replace("-", MINUS)
         if self.cut and digits is not None:
             shown = math.floor(shown * 10**digits + 1e-9) / 10**digits
         if digits is not None and abs(shown) >= ASTRAY:

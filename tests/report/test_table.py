@@ -56,6 +56,13 @@ def test_numbers_of_a_column_are_shown_with_the_same_decimals():
     assert ATE.texts([0.25, 0.042]) == ["0.250", "0.042"]
 
 
+def test_no_number_is_a_hundred_digits_wide():
+    assert ATE.texts([999_999_999.0, 1e9, -1.234e99]) == ["999999999", "1e+09", "−1.23e+99"]
+    assert ATE.text(Interval(-1e99, 2.0)) == "−1e+99 to 2.00"
+    assert Column("share", digits=1, factor=100.0, cut=True, signed=True).text(1e99) == "+1e+101"
+    assert Column("poses", kind="number").text(12_345_678_901) == "12345678901"
+
+
 def test_what_is_cut_is_never_rounded_up():
     assert [row[4] for row in TABLE.texts] == ["99.9", "50.0", "–"]
 
