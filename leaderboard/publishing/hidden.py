@@ -32,6 +32,14 @@ split."""
 COSTS = ("wall_s", "cpu_s", "cpu_s_per_s", "realtime_factor", "peak_memory_mb", "images_per_s", "pictures_per_s")
 """Metrics of the run, not of its estimate: published as measured, as they reveal nothing of the ground truth."""
 
+DECIMALS = 3
+"""Decimals of dimensionless values over the split: digits of a small one, that of an answer to a few images, would tell
+what is right of it."""
+
+LEAST_ESTIMATE = 0.1
+"""Pixels of all masks, as a share of the true ones, from which on what is relative to the former (precision) is
+published: of a few chosen pixels it would tell which are right."""
+
 ABOUT = ("method", "run")
 """What of `info` is published: about the method and its run."""
 
@@ -66,19 +74,36 @@ def discreet(
 
     judged: the sandbox scored them, whose sentences say nothing of the ground truth.
     """
-    track = TRACKS[results[0].track]
+    name = results[0].track
+    track, few = TRACKS[name], _has_few_pixels(results)
     means = means_over_sequences(results, track.standing)
     value = (data_set or {}).get("metrics", {}).get(track.ranking)
-    whole = {} if value is None or math.isnan(value) else {track.ranking: significant(value, DIGITS["split"])}
+    whole = {} if value is None or math.isnan(value) else {track.ranking: _over_split(track.ranking, name, value)}
     return [_coarse(result, judged) for result in results], {
         "method": results[0].method,
         "metrics": whole,
         "means": {
-            # A median is the value of a single sequence.
-            key: None if mean is None else significant(mean, DIGITS["sequence" if key in track.errors else "split"])
+            key: None if mean is None or (few and _is_of_estimate(key, name)) else _over_split(key, name, mean)
             for key, mean in means.items()
         },
     }
+
+
+def _over_split(key: str, track: str, value: float) -> float:
+    # A median is the value of a single sequence.
+    rounded = significant(value, DIGITS["sequence" if key in TRACKS[track].errors else "split"])
+    metric = find_metric(key, track)
+    return rounded if key in COSTS or metric is None or metric.unit else round(rounded, DECIMALS)
+
+
+def _is_of_estimate(key: str, track: str) -> bool:
+    metric = find_metric(key, track)
+    return metric is not None and metric.weight == "estimate_px"
+
+
+def _has_few_pixels(results: Sequence[ResultRecord]) -> bool:
+    estimate, truth = (math.fsum(one.metrics.get(key, 0.0) for one in results) for key in ("estimate_px", "truth_px"))
+    return estimate < LEAST_ESTIMATE * truth
 
 
 def _coarse(result: ResultRecord, judged: bool) -> ResultRecord:

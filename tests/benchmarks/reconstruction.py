@@ -25,7 +25,7 @@ from oysterbench.evaluate.slam.scoring import score
 from oysterbench.evaluate.steering import Commands, Labels, score_pictures
 from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench.results.records import ResultRecord
-from oysterbench_leaderboard.publishing.hidden import discreet
+from oysterbench_leaderboard.publishing.hidden import LEAST_ESTIMATE, discreet
 from tests.helpers.pool import path
 
 SUBMISSIONS = 100
@@ -88,14 +88,17 @@ class Masks:
 
     def results(self, called: np.ndarray, sequences: Sequence[int]) -> list[ResultRecord]:
         """Of the blobs (SEQUENCES, BLOBS) that are called oysters."""
-        made = []
-        for s in sequences:
-            scorer = ClipScorer()
-            for k in range(IMAGES):
-                classes = np.where(self.picture(s, k, self.true[s]), 2, 1).astype(np.uint8)
-                scorer.add(TruthImage(str(k), classes), EstimateImage(str(k), oyster=self.picture(s, k, called[s])))
-            made.append(result("segmentation", s, scorer.result()))
-        return made
+        return [self.scored(s, self.areas[s] * called[s]) for s in sequences]
+
+    def scored(self, sequence: int, sizes: np.ndarray, wrong_px: int = 0) -> ResultRecord:
+        """Of the first pixels of each blob of a sequence, sizes (BLOBS,), and of some that no blob has."""
+        scorer = ClipScorer()
+        for k, rows in enumerate(np.split(np.arange(BLOBS), IMAGES)):
+            classes = np.where(self.picture(sequence, k, self.true[sequence]), 2, 1).astype(np.uint8)
+            oyster = np.arange(2 * MOST_PX) < sizes[rows, None]
+            oyster[:, MOST_PX:] = np.arange(len(rows) * MOST_PX).reshape(-1, MOST_PX) < wrong_px / IMAGES
+            scorer.add(TruthImage(str(k), classes), EstimateImage(str(k), oyster=oyster))
+        return result("segmentation", sequence, scorer.result())
 
     def iou(self, called: np.ndarray) -> float:
         both, either = self.areas[called & self.true].sum(), self.areas[called | self.true].sum()
@@ -126,6 +129,31 @@ class Masks:
             for s in some:
                 lost = base[s] - self.hits(seen, s, called, not at_once)
                 guess[s, blobs] = likeliest(lost, self.areas[s, blobs].astype(float), np.array([0.0, 1.0]))
+        return self.iou(guess)
+
+    def binary(self, publish: Told, each: int, padding: float = 0.0) -> float:
+        """IoU of what comes back by answering a few blobs of one sequence and nothing else, cut to sizes of which each
+        is twice the one before: how many pixels are right, which the precision tells, is then the answer in binary.
+
+        each: blobs of a submission; padding: pixels of no blob that are called oysters as well, as a share of the true
+        ones, so that the estimate is not too small to be told of
+        """
+        guess = np.ones((SEQUENCES, BLOBS), bool)
+        sizes = 2 ** np.arange(each) * int(0.8 * MOST_PX / 2 ** (each - 1))
+        wrong_px = round(padding * self.areas.sum() / 2 / SEQUENCES / IMAGES) * IMAGES
+        nothing = np.zeros(BLOBS, int)
+        silent = [self.scored(s, nothing, wrong_px) for s in range(SEQUENCES)]
+        largest = np.argsort(-self.areas, axis=1)
+        for k in range(SUBMISSIONS):
+            s, first = k % SEQUENCES, each * (k // SEQUENCES)
+            blobs = largest[s, first : first + each]
+            cut = nothing.copy()
+            cut[blobs] = np.minimum(sizes, self.areas[s, blobs])
+            seen = publish([*silent[:s], self.scored(s, cut, wrong_px), *silent[s + 1 :]])
+            if (-1, "precision") not in seen:
+                continue
+            hits = seen[-1, "precision"] * (cut.sum() + SEQUENCES * wrong_px)
+            guess[s, blobs] = likeliest(hits, cut[blobs].astype(float), np.array([0.0, 1.0]))
         return self.iou(guess)
 
 
@@ -318,7 +346,12 @@ def figures() -> dict[str, tuple[float, float, float]]:
         "masks: IoU": (
             masks.iou(np.ones_like(masks.true)),
             masks.attack(full, True, 4),
-            max(masks.attack(told, True, 1), masks.attack(told, False, 4)),
+            max(
+                masks.attack(told, True, 1),
+                masks.attack(told, False, 4),
+                masks.binary(told, 8),
+                *(masks.binary(told, each, LEAST_ESTIMATE) for each in (2, 3, 4)),
+            ),
         ),
         "single oysters: IoU": (
             oysters.iou(np.ones_like(oysters.true)),

@@ -15,11 +15,17 @@ from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.results.plausible import check_plausible
 from oysterbench.results.records import ResultRecord, write_results
 from oysterbench_leaderboard.publishing.contradictions import check_contradictions
-from oysterbench_leaderboard.publishing.hidden import COSTS, STEP, discreet
+from oysterbench_leaderboard.publishing.hidden import COSTS, LEAST_ESTIMATE, STEP, discreet, significant
 from oysterbench_leaderboard.publishing.publish import Attribution, records_of
-from oysterbench_leaderboard.site.pages.record import metrics_table
+from oysterbench_leaderboard.site.pages.record import NO_PRECISION, metrics_table
 from oysterbench_leaderboard.storage.record import Record
-from oysterbench_leaderboard.storage.record_summary import COLUMNS, column_means, data_set_value, summarise_record
+from oysterbench_leaderboard.storage.record_summary import (
+    COLUMNS,
+    column_means,
+    data_set_value,
+    means_over_sequences,
+    summarise_record,
+)
 from oysterbench_leaderboard.submissions.catalogue import SCORED
 from oysterbench_leaderboard.submissions.scoring import score_predictions
 from tests.benchmarks import reconstruction
@@ -140,6 +146,41 @@ def test_the_union_that_is_told_is_that_of_the_score_that_is_told():
         return float(np.average([result.metrics["iou"] for result in results], weights=weights))
 
     assert whole(seen) == pytest.approx(whole(made), abs=0.005)
+
+
+def of_pixels(estimate: float) -> ResultRecord:
+    """Masks of so many pixels, 72 % of them right, where 10 000 are true."""
+    both = 0.72 * estimate
+    metrics = {"iou": both / (10_000 + estimate - both), "precision": 0.72, "recall": both / 10_000}
+    pixels = {"estimate_px": estimate, "truth_px": 10_000.0, "union_px": 10_000 + estimate - both}
+    return ResultRecord(track="segmentation", split="s", sequence="a", method="m", metrics=metrics | pixels)
+
+
+def test_of_a_few_chosen_pixels_it_is_not_told_how_many_are_right():
+    _, few = discreet([of_pixels(255.0)])
+    assert few["means"]["precision"] is None
+    assert few["means"]["recall"] == 0.018, "a share has three decimals, as three digits of a small one tell as much"
+    assert NO_PRECISION in metrics_table([of_pixels(255.0)], "x", few).notes
+    _, many = discreet([of_pixels(5000.0)], {"metrics": {"iou": 0.0123456}})
+    assert (many["means"]["precision"], many["means"]["recall"]) == (0.72, 0.36)
+    assert many["metrics"]["iou"] == 0.012
+    assert NO_PRECISION not in metrics_table([of_pixels(5000.0)], "x", many).notes
+
+
+def full_means(results):
+    """Means over the split to three significant digits, whatever is small."""
+    return {
+        (-1, key): value and significant(value, 3)
+        for key, value in means_over_sequences(results, ["precision"]).items()
+    }
+
+
+def test_outlines_cut_to_powers_of_two_do_not_come_back_in_binary():
+    masks = reconstruction.Masks()
+    start = masks.iou(np.ones_like(masks.true))
+    assert masks.binary(full_means, 8) > start + 0.07, "as three significant digits told it"
+    assert masks.binary(reconstruction.told, 8) == start
+    assert masks.binary(reconstruction.told, 3, LEAST_ESTIMATE) < start + 0.05
 
 
 def test_a_skill_far_below_chance_is_told_as_the_least():

@@ -63,4 +63,6 @@ def test_a_name_of_several_teams_is_compared_by_no_name(site, digests):
         assert set(told.value.hints) == hints
     page = compare_page(site, digests["carp"], "eel")
     assert page.query == {"a": digests["carp"], "b": digests["eel"]}
-    assert compare_page(site, digests["other"], digests["carp"]).title.startswith("carp (others) against carp (reef lab)")
+    assert compare_page(site, digests["other"], digests["carp"]).title.startswith(
+        "carp (others) against carp (reef lab)"
+    )

@@ -23,7 +23,14 @@ from oysterbench_leaderboard.boards.tables import LEADING, machines_note, role_o
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.charts import drawings
 from oysterbench_leaderboard.site.page import Page, PageError
-from oysterbench_leaderboard.site.pages.compare import Side, check_one_team, labels_of, means_of, records_of, whole_board
+from oysterbench_leaderboard.site.pages.compare import (
+    Side,
+    check_one_team,
+    labels_of,
+    means_of,
+    records_of,
+    whole_board,
+)
 from oysterbench_leaderboard.site.pages.heat import classes_heat, scores_of, sequences_heat
 from oysterbench_leaderboard.site.pages.ranks import rank_cells
 from oysterbench_leaderboard.site.paths import board_path, record_path

@@ -33,6 +33,8 @@ from oysterbench_leaderboard.storage.record import Record
 
 HIDDEN = "The split is hidden: most metrics are shown only as a mean, and values by sequence only in steps, if at all."
 
+NO_PRECISION = "Without precision: the masks have less than a tenth of the true pixels, and it would tell which are right."
+
 NO_INTERVAL = Interval(math.nan, math.nan, "only a mean has an interval")
 """Interval of a median, which has none."""
 
@@ -207,6 +209,8 @@ def metrics_table(results: Sequence[ResultRecord], title: str, data_set: Mapping
         lines.append(TableRow(_summary_cells(key, summary, *at_once, small="median" if error else "")))
     notes = [DATA_SET.format("A record")] if whole and not _weighed(results) else []
     notes += [HIDDEN] if "means" in known else []
+    means = known.get("means")
+    notes += [NO_PRECISION] if isinstance(means, Mapping) and means.get("precision", "") is None else []
     notes += [note for note in (lost_note(track),) if note]
     return Table(title, columns, tuple(lines), tuple(notes), "metrics")
 
