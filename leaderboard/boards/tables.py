@@ -10,7 +10,7 @@ from typing import Any
 
 from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.evaluate.statistics import Interval
-from oysterbench.recipe import split_names
+from oysterbench.recipe import load_split, split_names
 from oysterbench.report.columns import (
     STANDING_OF_TRACK,
     lost_column,
@@ -118,6 +118,21 @@ def learnt_on(split: str) -> str:
     return f"{split} is there to learn on, and methods may have: what they are worth is on the boards of {kind}-val."
 
 
+@cache
+def _is_public(split: str) -> bool:
+    return split in split_names() and not load_split(split).hidden
+
+
+def trust_note(split: str, rows: Sequence[Row]) -> str:
+    """Warning on a board whose ground truth those who sent estimates could make; empty for other boards."""
+    if not _is_public(split) or not any(row.state == "current" and row.tier == "scored" for row in rows):
+        return ""
+    return (
+        f"{split} is public, and anyone can make its ground truth: what was sent here (tier 'scored') rests on trust; "
+        "on a hidden split it does not."
+    )
+
+
 def rank_text(row: Row) -> str:
     """Rank, with "=" in front where it is shared; or the place in brackets where no difference can be significant; or
     the state where there is neither."""
@@ -160,6 +175,8 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
     notes += [note for note in (machines_note(rows),) if note]
     if any(row.state == "current" and row.tier not in RANKED for row in rows):
         notes.append(NOT_RANKED)
+    if trust := trust_note(board.split, rows):
+        notes.append(trust)
     if has_data_set(board, rows):
         notes.append(DATA_SET.format(metric_column(board.metric).heading))
     if warning := learnt_on(board.split):

@@ -18,7 +18,8 @@ FORMAT = "oysterbench-record/1"
 
 Tier = Literal["baseline", "scored", "reported"]
 """Who vouches for the numbers. baseline: run and scored by us, from this source tree; scored: estimates by others,
-scored by a server against ground truth that they may never have seen; reported: results computed by their authors."""
+scored by a server against ground truth that they cannot have on a hidden split, and can make on a public one; reported:
+results computed by their authors."""
 
 TIERS: tuple[Tier, ...] = get_args(Tier)
 

@@ -34,6 +34,19 @@ def test_a_board_of_pictures_to_learn_on_says_so(split, told, tmp_path):
     assert [note.split()[-1] for note in notes] == ([told] if told else [])
 
 
+@pytest.mark.parametrize(
+    ("split", "tier", "told"),
+    [("slam-mini", "scored", True), ("slam-mini", "baseline", False), ("slam-test", "scored", False)],
+)
+def test_a_board_says_where_those_who_sent_estimates_could_make_the_truth(split, tier, told, tmp_path):
+    store = RecordStore(tmp_path / "board")
+    store.add(record_made(split=split, tier=tier))
+    site = Site(open_index(store, str(tmp_path / "index.sqlite")))
+    (info,) = site.index.boards()
+    for notes in (board_page(site, "slam", split).tables[0].notes, board_table(site.index.page(info.id, Query())).notes):
+        assert any("anyone can make its ground truth" in note for note in notes) == told
+
+
 def test_boards_of_one_split_are_told_apart_by_the_settings_that_are_not_usual(tmp_path):
     store = RecordStore(tmp_path / "board")
     usual = record_made(method="usual", track="slam")

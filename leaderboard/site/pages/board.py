@@ -13,7 +13,14 @@ from oysterbench.report.columns import STANDING_OF_TRACK, lost_column, lost_note
 from oysterbench.report.table import Cell, Column, Table, TableRow, interval_column
 from oysterbench.results.records import plain
 from oysterbench_leaderboard.boards.board import BoardInfo, BoardPage, Query, Row, State
-from oysterbench_leaderboard.boards.tables import DATA_SET, NOT_RANKED, has_data_set, learnt_on, machines_note
+from oysterbench_leaderboard.boards.tables import (
+    DATA_SET,
+    NOT_RANKED,
+    has_data_set,
+    learnt_on,
+    machines_note,
+    trust_note,
+)
 from oysterbench_leaderboard.boards.vehicle import carried, lacks
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Later, Page, PageError
@@ -308,6 +315,8 @@ def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
         notes.append(DATA_SET.format(metric_column(info.metric).heading))
     if any(row.state == "current" and row.tier not in RANKED for row in rows):
         notes.append(NOT_RANKED)
+    if trust := trust_note(info.split, rows):
+        notes.append(trust)
     if warning := learnt_on(info.split):
         notes.append(warning)
     if any(row.rank is not None for row in rows):

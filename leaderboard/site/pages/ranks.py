@@ -10,12 +10,16 @@ from oysterbench_leaderboard.boards.tables import rank_text
 
 ABOUT_TIERS = {
     "baseline": "Run and scored by us, from this project's source.",
-    "scored": "Estimates by others, scored by a server against ground truth that they may never have seen.",
+    "scored": "Estimates by others, scored by a server: against ground truth that they cannot have where the split is "
+    "hidden, and that anyone can make where it is public.",
     "reported": "Results computed by their authors: shown, but not ranked.",
 }
 """Tier -> who vouches for the numbers."""
 
-RANK = "1 + the number of methods that are significantly better (95 %, paired bootstrap), or better than one above it."
+RANK = (
+    "1 + the number of methods that are significantly better (95 %, paired bootstrap), or better than one above it; of "
+    "another team's submissions, only the best counts."
+)
 TIED = "A shared rank: the same number of methods is significantly better (95 %, paired bootstrap)."
 UNRANKED = "a place by the mean only: with so few sequences, no difference is significant."
 
