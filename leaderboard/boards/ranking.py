@@ -139,7 +139,7 @@ def rank(board: BoardInfo, found: Sequence[Ranked]) -> tuple[BoardInfo, list[dic
     records that are not current, they have only a score, and follow in order of score.
 
     Of a team that sends estimates (tier "scored"), only the best method counts ahead of others': one result under many
-    names must push nobody down. Every baseline counts: these are methods of many authors, and all of them are run by us.
+    names must push nobody down. Every baseline counts: they are methods of many authors, and nobody but us adds one.
     """
     summaries = [one.summary for one in found]
     current = [k for k, one in enumerate(found) if one.state == "current"]

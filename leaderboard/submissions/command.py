@@ -211,7 +211,9 @@ def _show(sent: dict[str, Any], as_json: bool) -> None:
             echo(f"  {key}: {'no value' if value is None else format(value, '.4g')}")
         for sequence, failure in sent.get("failures", {}).items():
             echo(f"  {sequence}: {failure}")
-        if sent["published"]:
+        if sent["state"] == "withdrawn":
+            echo("  these files stay withdrawn under this name: to have them scored again, give another --method")
+        elif sent["published"]:
             echo(f"  published: {sent['published']}")
         elif sent["state"] == "done":
             echo("  private until it is published: the same command with --publish does so")

@@ -24,6 +24,9 @@ FOLDER = click.option(
 )
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 
+STATES = ("queued", "running", "done", "failed", "withdrawn")
+"""`database.State`, which takes a database library to import."""
+
 
 @click.group("team", short_help="Manage teams and their tokens.")
 def team() -> None:
@@ -126,7 +129,7 @@ def submissions() -> None:
 @submissions.command("list", short_help="List the newest submissions.")
 @FOLDER
 @click.option("--team", "of", help="Only of this team.")
-@click.option("--state", help="queued, running, done, failed or withdrawn.")
+@click.option("--state", type=click.Choice(STATES), help="Only in this state.")
 @click.option(
     "--limit", type=click.IntRange(min=1), default=50, show_default=True, help="Maximum number of submissions."
 )
@@ -165,6 +168,8 @@ def show_log(folder: Path, id: str, limit: int, as_json: bool) -> None:
 
     with _database(folder, must_exist=True).reading() as connection:
         rows = database.log(connection, id, limit)
+        if id and not rows:
+            raise ResultError(f"{id}: no submission has that id; `submissions list` lists them")
     if as_json:
         echo(json.dumps(rows, indent=2))
     for row in () if as_json else rows:

@@ -43,8 +43,8 @@ def test_a_board_says_where_those_who_sent_estimates_could_make_the_truth(split,
     store.add(record_made(split=split, tier=tier))
     site = Site(open_index(store, str(tmp_path / "index.sqlite")))
     (info,) = site.index.boards()
-    for notes in (board_page(site, "slam", split).tables[0].notes, board_table(site.index.page(info.id, Query())).notes):
-        assert any("anyone can make its ground truth" in note for note in notes) == told
+    for table in (board_page(site, "slam", split).tables[0], board_table(site.index.page(info.id, Query()))):
+        assert any("anyone can make its ground truth" in note for note in table.notes) == told
 
 
 def test_boards_of_one_split_are_told_apart_by_the_settings_that_are_not_usual(tmp_path):

@@ -140,6 +140,7 @@ def test_the_form_takes_a_submission_from_its_sending_to_its_withdrawal(site, tm
     assert ask("POST", f"{place}/withdraw", why, {**plain, **cookie})[0] == 303
     page = ask("GET", place, headers=cookie)[2]
     assert b"&lt;i&gt;wrong&lt;/i&gt; camera" in page
+    assert b"send them under another name" in page
     out = urlencode({"csrf": csrf_in(ask("GET", "/submit/new", headers=cookie)[2])})
     assert ask("POST", "/submit/sign-out", out, {**plain, **cookie})[0] == 303
     assert ask("GET", place, headers=cookie)[0] == 401

@@ -63,6 +63,18 @@ def test_estimates_are_checked_sent_scored_and_published(site, estimates):
     assert b"carp" in page
 
 
+def test_files_that_were_withdrawn_are_answered_with_what_to_do(site, estimates):
+    about = (estimates, "--method", "ray", "--split", "pool-test")
+    sent = json.loads(submit(site, *about, "--json").stdout)
+    assert site.server.ask("POST", f"/api/submissions/{sent['id']}/withdraw", token=site.token)[0] == 200
+    again = submit(site, *about)
+    assert again.exit_code == 1
+    assert "ray on pool-test: withdrawn: withdrawn by the team" in again.stdout
+    assert again.stdout.endswith(
+        "  these files stay withdrawn under this name: to have them scored again, give another --method\n"
+    )
+
+
 def test_what_is_said_anew_of_files_that_were_sent_before_is_not_taken_and_it_says_so(site, estimates):
     about = ("--method", "tench", "--split", "pool-test", "--no-wait")
     assert "already" not in submit(site, estimates, *about, "--summary", "One.", "--url", "https://x.example").stderr
@@ -359,32 +371,3 @@ def test_a_zip_archive_without_the_command(site, tmp_path):
     assert made["page"] == f"/submit/{made['id']}"
     status, made = site.server.send(site.token, zipped({"pool-01.tum": b"1 2 3 4 0 0 0 1\n"}), method="curl", split="")
     assert (status, made["error"]) == (422, "split")
-
-
-# Operators:
-
-
-def test_operators_make_teams_read_the_log_and_try_again(tmp_path):
-    def run(*args):
-        return CliRunner().invoke(main, ["leaderboard", *args, "--submissions", str(tmp_path / "private")])
-
-    made = run("team", "add", "reef lab")
-    assert made.exit_code == 0, made.output
-    token = made.stdout.strip()
-    assert re.fullmatch(r"oyb_[0-9a-f]{12}_[\w-]{43}", token)
-    twice = run("team", "add", "reef lab")
-    assert (twice.exit_code, twice.stdout, twice.stderr.count("\n")) == (1, "", 1)
-    assert "add --replace to revoke it and print a new one, or --another for one more" in twice.stderr
-    file = tmp_path / "token"
-    assert run("team", "add", "reef lab", "--another", "--token-file", str(file)).stdout == f"{file}\n"
-    assert (file.stat().st_mode & 0o777, file.read_text()[:4]) == (0o600, "oyb_")
-    assert "left unchanged" in run("team", "add", "reef lab", "--another", "--token-file", str(file)).stderr
-    assert "reef lab" in run("team", "list").stdout
-    assert token not in run("team", "list").stdout
-    rows = json.loads(run("team", "list", "--json").stdout)
-    assert {row["id"] for row in rows} == {token.split("_")[1], file.read_text().split("_")[1]}
-    assert run("team", "revoke", token.split("_")[1]).stdout.startswith("revoked: ")
-    assert "token revoked" in run("submissions", "log").stdout
-    assert run("submissions", "list").stdout == ""
-    failed = run("submissions", "retry", "0" * 16)
-    assert (failed.exit_code, "no submission of that id has failed" in failed.stderr) == (1, True)

@@ -33,7 +33,9 @@ from oysterbench_leaderboard.storage.record import Record
 
 HIDDEN = "The split is hidden: most metrics are shown only as a mean, and values by sequence only in steps, if at all."
 
-NO_PRECISION = "Without precision: the masks have less than a tenth of the true pixels, and it would tell which are right."
+NO_PRECISION = (
+    "Without precision, as the masks have less than a tenth of the true pixels: it would tell which are right."
+)
 
 NO_INTERVAL = Interval(math.nan, math.nan, "only a mean has an interval")
 """Interval of a median, which has none."""

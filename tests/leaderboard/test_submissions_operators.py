@@ -1,0 +1,59 @@
+"""Commands for the operators of a server that takes submissions."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import get_args
+
+import pytest
+from click.testing import CliRunner
+
+from oysterbench.cli.main import main
+from oysterbench_leaderboard.submissions.command_admin import STATES
+from oysterbench_leaderboard.submissions.database import State
+
+
+def test_operators_make_teams_read_the_log_and_try_again(tmp_path):
+    def run(*args):
+        return CliRunner().invoke(main, ["leaderboard", *args, "--submissions", str(tmp_path / "private")])
+
+    made = run("team", "add", "reef lab")
+    assert made.exit_code == 0, made.output
+    token = made.stdout.strip()
+    assert re.fullmatch(r"oyb_[0-9a-f]{12}_[\w-]{43}", token)
+    twice = run("team", "add", "reef lab")
+    assert (twice.exit_code, twice.stdout, twice.stderr.count("\n")) == (1, "", 1)
+    assert "add --replace to revoke it and print a new one, or --another for one more" in twice.stderr
+    file = tmp_path / "token"
+    assert run("team", "add", "reef lab", "--another", "--token-file", str(file)).stdout == f"{file}\n"
+    assert (file.stat().st_mode & 0o777, file.read_text()[:4]) == (0o600, "oyb_")
+    assert "left unchanged" in run("team", "add", "reef lab", "--another", "--token-file", str(file)).stderr
+    assert "reef lab" in run("team", "list").stdout
+    assert token not in run("team", "list").stdout
+    rows = json.loads(run("team", "list", "--json").stdout)
+    assert {row["id"] for row in rows} == {token.split("_")[1], file.read_text().split("_")[1]}
+    assert run("team", "revoke", token.split("_")[1]).stdout.startswith("revoked: ")
+    assert "token revoked" in run("submissions", "log").stdout
+    assert run("submissions", "list").stdout == ""
+    failed = run("submissions", "retry", "0" * 16)
+    assert (failed.exit_code, "no submission of that id has failed" in failed.stderr) == (1, True)
+
+
+@pytest.mark.parametrize(
+    ("args", "status", "said"),
+    [
+        (("list", "--state", "runing"), 2, "'runing' is not one of 'queued', 'running', 'done', 'failed', 'withdrawn'"),
+        (("log", "zzzz"), 1, "zzzz: no submission has that id; `submissions list` lists them"),
+    ],
+)
+def test_a_state_or_a_submission_that_there_is_not_is_named(tmp_path, args, status, said):
+    private = ("--submissions", str(tmp_path / "private"))
+    assert CliRunner().invoke(main, ["leaderboard", "team", "add", "reef lab", *private]).exit_code == 0
+    asked = CliRunner().invoke(main, ["leaderboard", "submissions", *args, *private])
+    assert (asked.exit_code, asked.stdout) == (status, "")
+    assert said in asked.stderr
+
+
+def test_the_states_that_can_be_asked_for_are_those_of_the_database():
+    assert get_args(State) == STATES
