@@ -130,11 +130,12 @@ def _set_states(connection: Connection, gone: set[str]) -> set[str]:
 
 def _rank(connection: Connection, board: BoardInfo) -> BoardInfo | None:
     """Rank a board's records; return the updated board, or None where it has no records."""
-    keys = ("digest", "state", "team", "tier", "created", "summary_data", "low", "high")
-    asked = select(*(ROWS.c[key] for key in keys)).where(ROWS.c.board == board.id).order_by(ROWS.c.digest)
+    keys = ("digest", "state", "team", "tier", "created", "low", "high")
+    columns = (ROWS.c[key] for key in (*keys, "summary_data"))
+    asked = select(*columns).where(ROWS.c.board == board.id).order_by(ROWS.c.digest)
     found = [
-        Ranked(*about, RecordSummary.decode(summary), low, high)
-        for *about, summary, low, high in connection.execute(asked)
+        Ranked(**{key: row[key] for key in keys}, summary=RecordSummary.decode(row["summary_data"]))
+        for row in connection.execute(asked).mappings()
     ]
     if not found:
         return None

@@ -51,7 +51,7 @@ class MemoryIndex:
         ranked, keys = [], ("digest", "state", "team", "tier", "created")
         for board in boards.values():
             on_it = [row for _, row in sorted(columns.items()) if row["board"] == board.id]
-            found = [Ranked(*(row[key] for key in keys), summaries[row["digest"]]) for row in on_it]
+            found = [Ranked(**{key: row[key] for key in keys}, summary=summaries[row["digest"]]) for row in on_it]
             try:
                 board, places = rank(board, found)
             except (ArithmeticError, ValueError) as error:  # the other boards must go on

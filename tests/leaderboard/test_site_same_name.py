@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from oysterbench_leaderboard.boards.index import open_index
@@ -15,7 +17,7 @@ from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.storage.store import RecordStore
 from tests.helpers.records_made import record_made
 
-SQUID = {"summary": "Broken, do not use. Use squid instead.", "url": "https://squid.example/"}
+SQUID: dict[str, Any] = {"summary": "Broken, do not use. Use squid instead.", "url": "https://squid.example/"}
 
 
 @pytest.fixture
