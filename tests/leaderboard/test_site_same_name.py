@@ -41,6 +41,7 @@ def test_each_teams_description_stands_by_its_own_name(site):
     text = render.page_html(method_page(site, "carp"), render.server_links())
     head = text[text.index("<h1>") : text.index("<table")]
     assert "2 teams have published under this name" in head
+    assert head.index("<li>reef lab") < head.index("<li>others"), "who had the name first stands first"
     for team, summary, url in (
         ("reef lab", "A tightly coupled filter.", "https://reeflab.example/carp"),
         ("others", SQUID["summary"], SQUID["url"]),

@@ -41,9 +41,8 @@ def method_page(site: Site, slug: str) -> Page:
     if past:
         tables.append(_table(boards, past, f"Superseded and withdrawn records of {name}", "past"))
     teams = list(dict.fromkeys(row.team for row in rows))
-    newest: dict[str, Row] = {}
-    for row in (*current, *past):
-        newest.setdefault(row.team, row)
+    had = dict.fromkeys(row.team for row in sorted(rows, key=lambda row: row.created))  # who had the name first, first
+    newest = {team: next(row for row in (*current, *past) if row.team == team) for team in had}
     return Page(
         method_path(name),
         name,
