@@ -53,6 +53,15 @@ def test_each_teams_description_stands_by_its_own_name(site):
     assert "<p>By reef lab.</p>" in alone
 
 
+def test_a_withdrawn_record_describes_no_method_that_another_team_still_has(tmp_path, digests):
+    store = RecordStore(tmp_path / "board")
+    store.change_status(digests["other"], "withdrawn", "It speaks of another's method.")
+    page = method_page(Site(open_index(store, str(tmp_path / "index.sqlite"))), "carp")
+    text = render.page_html(page, render.server_links())
+    assert "<p>By reef lab. <a" in text
+    assert SQUID["summary"] not in text
+
+
 def test_a_name_of_several_teams_is_compared_by_no_name(site, digests):
     hints = {record_path(digests[name]) for name in ("carp", "other")}
     for ask in (

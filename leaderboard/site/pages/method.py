@@ -41,8 +41,9 @@ def method_page(site: Site, slug: str) -> Page:
     if past:
         tables.append(_table(boards, past, f"Superseded and withdrawn records of {name}", "past"))
     teams = list(dict.fromkeys(row.team for row in rows))
-    had = dict.fromkeys(row.team for row in sorted(rows, key=lambda row: row.created))  # who had the name first, first
-    newest = {team: next(row for row in (*current, *past) if row.team == team) for team in had}
+    described = current or past
+    had = dict.fromkeys(row.team for row in sorted(described, key=lambda row: row.created))  # who had the name first
+    newest = {team: next(row for row in described if row.team == team) for team in had}
     return Page(
         method_path(name),
         name,
