@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -58,7 +59,7 @@ def routes(auth: Auth) -> list[Route]:
 
     async def withdraw(request: Request) -> Response:
         of = await team(request)
-        reason = (await small_body(request)).decode(errors="replace")
+        reason = (await small_body(request, service.settings.idle_s)).decode(errors="replace")
         return await answer(await run_in_threadpool(service.withdraw, of, request.path_params["id"], reason))
 
     async def refuse(request: Request, refusal: Refusal) -> Response:
@@ -113,11 +114,18 @@ def shown(service: Service, submission: Submission) -> dict[str, Any]:
     return found
 
 
-async def small_body(request: Request) -> bytes:
-    """Read a request body of at most MOST_BODY bytes. Raises Refusal where it is longer."""
+async def small_body(request: Request, most_s: float) -> bytes:
+    """Read a request body of at most MOST_BODY bytes. Raises Refusal where it is longer, or takes more than `most_s`
+    seconds: a client that never ended it would hold its connection for good."""
     body = b""
-    async for chunk in request.stream():
-        body += chunk
-        if len(body) > MOST_BODY:
-            raise Refusal("size", f"expected at most {MOST_BODY} bytes, got more")
+    try:
+        async with asyncio.timeout(most_s):
+            async for chunk in request.stream():
+                body += chunk
+                if len(body) > MOST_BODY:
+                    raise Refusal("size", f"expected at most {MOST_BODY} bytes, got more")
+    except TimeoutError:
+        raise Refusal(
+            "slow", f"expected the whole request within {most_s:g} s, got {len(body)} bytes of it; send it again"
+        ) from None
     return body

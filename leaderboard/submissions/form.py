@@ -189,7 +189,7 @@ class WebForm:
         kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
         if kind != "application/x-www-form-urlencoded":
             raise Refusal("type", f"expected a form (application/x-www-form-urlencoded), got {kind!r:.80}")
-        body = (await small_body(request)).decode("ascii", "replace")
+        body = (await small_body(request, self.service.settings.idle_s)).decode("ascii", "replace")
         try:
             fields = dict(parse_qsl(body, keep_blank_values=True, max_num_fields=20))
         except ValueError as error:

@@ -41,7 +41,8 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     uploads_at_once, checks_at_once: from all clients; uploads_of_team, uploads_of_address: from one
     upload_safe_s:      a team's time in places for uploads (`places`) after which, when all places are taken, it gives
                         way to a team that has had less
-    idle_s:             after which a client that sends nothing is disconnected; upload_s: longest time of an upload
+    idle_s:             after which a client that sends nothing is disconnected, and longest time of a small form, such
+                        as a sign-in; upload_s: longest time of an upload
     upload_grace_s, upload_bytes_per_s: after the grace time, an upload must keep up with this rate: a client that
                         trickles loses its place among `uploads_at_once`
     workers:            submissions scored at once, without a cluster

@@ -1,4 +1,4 @@
-"""Connections to our servers: how many there may be, and how long a client may take to send a request."""
+"""Connections to our servers: how many a client may have, and how long it may take to send a request."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ import contextlib
 import os
 import resource
 import socket
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 import h11
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from oysterbench.core.errors import HubError
@@ -26,12 +29,17 @@ BACKLOG = 2048
 """Length of the queue of connections waiting to be accepted."""
 
 CLIENTS_OF_ADDRESS = 64
-"""Connections that one address may hold: an eighth of all, so that nobody alone can lock out all others."""
+"""Connections that one address may hold, and requests that it may have running behind a proxy: an eighth of all, so that
+nobody alone can lock out all others."""
 
 HEADERS_S = 20.0
-"""Time limit from the connection, or the previous response, to the last byte of a request's headers."""
+"""Time limit from the connection, or the previous response, to the last byte of a request's headers. What is left of the
+previous request's body has to arrive within it, too."""
 
 REFUSED = b"HTTP/1.1 429 Too Many Requests\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
+TOO_MANY = (
+    f"at most {CLIENTS_OF_ADDRESS} requests at a time from one address; send this again when others are answered\n"
+)
 
 LOGGING = {
     "version": 1,
@@ -43,7 +51,8 @@ LOGGING = {
 
 
 class Guarded(H11Protocol):
-    """Uvicorn's HTTP/1.1 protocol with a deadline for requests that are never completed, and a limit per address."""
+    """Uvicorn's HTTP/1.1 protocol with a deadline for requests that are never completed, answered ones included, and a
+    limit per address."""
 
     _deadline: asyncio.TimerHandle | None = None
 
@@ -77,8 +86,9 @@ class Guarded(H11Protocol):
         return sum(client is not None and network(client[0]) == mine for client in clients)
 
     def _watch(self) -> None:
-        """Start the deadline while a request's headers are incomplete, and cancel it once they are complete."""
-        if self.conn.their_state is not h11.IDLE:
+        """Start the deadline where the client has to send something before it gets an answer, and cancel it once the
+        headers of a request are complete. A body that is still arriving after its answer does not cancel it."""
+        if self.conn.their_state is not h11.IDLE and self.conn.our_state is not h11.DONE:
             self._forget()
         elif self._deadline is None:
             self._deadline = self.loop.call_later(HEADERS_S, self.transport.close)
@@ -87,6 +97,33 @@ class Guarded(H11Protocol):
         if self._deadline is not None:
             self._deadline.cancel()
             self._deadline = None
+
+
+class RequestLimit:
+    """Middleware that refuses requests of a client while CLIENTS_OF_ADDRESS others of it are running. Behind a proxy,
+    whose connections are those of many, this is what keeps one client from holding them all. Requests for which the
+    proxy names no client count as its own."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+        self._running: Counter[str] = Counter()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        host, _ = scope["client"] or ("", 0)
+        client = network(host)
+        if self._running[client] >= CLIENTS_OF_ADDRESS:
+            await PlainTextResponse(TOO_MANY, 429, {"Connection": "close"})(scope, receive, send)
+            return
+        self._running[client] += 1
+        try:
+            await self.app(scope, receive, send)
+        finally:
+            self._running[client] -= 1
+            if not self._running[client]:
+                del self._running[client]
 
 
 def trusted(proxies: str | Sequence[str]) -> set[str]:
@@ -104,7 +141,7 @@ def server_settings(
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # connections and files are limited elsewhere
     return {
-        "app": app,
+        "app": RequestLimit(app) if proxies else app,
         "host": host,
         "port": port,
         "http": Guarded,

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.download import Hub
@@ -131,12 +132,20 @@ def tree_bytes(tree: Path) -> dict[str, bytes]:
 @contextmanager
 def oysterbench_serve(tree: Path, proxies: Sequence[str] = ()):
     """`oysterbench serve` in a thread; gives its address."""
+    from oysterbench.hub.serve import application
+
+    with serving_app(application(tree), proxies) as url:
+        yield url
+
+
+@contextmanager
+def serving_app(app: Any, proxies: Sequence[str] = ()):
+    """An application in a thread, with the settings of our servers; gives its address."""
     import uvicorn
 
     from oysterbench.hub.connections import server_settings
-    from oysterbench.hub.serve import application
 
-    server = uvicorn.Server(uvicorn.Config(**server_settings(application(tree), "127.0.0.1", 0, proxies=proxies)))
+    server = uvicorn.Server(uvicorn.Config(**server_settings(app, "127.0.0.1", 0, proxies=proxies)))
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     until(lambda: server.started or not thread.is_alive())

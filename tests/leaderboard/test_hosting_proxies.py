@@ -9,7 +9,7 @@ import socket
 import ssl
 import subprocess
 import threading
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import pytest
 import uvicorn
@@ -17,7 +17,7 @@ from starlette.applications import Starlette
 from starlette.responses import JSONResponse
 from starlette.routing import Route
 
-from oysterbench.hub.connections import server_settings
+from oysterbench.hub.connections import CLIENTS_OF_ADDRESS, server_settings
 from oysterbench_leaderboard.submissions.accounts.auth import address_of
 from tests.helpers.paths import ROOT
 from tests.helpers.served import free_port
@@ -189,3 +189,15 @@ def test_a_client_that_never_ends_its_headers_is_cut(proxied):
     with connected(proxied) as stream:
         stream.sendall(head_of()[:-4])
         assert b"200 OK" not in b"".join(iter(lambda: stream.recv(4096), b""))
+
+
+def test_one_client_keeps_no_others_out(proxied):
+    def status(source):
+        with connected(proxied, source) as stream:
+            return asked(stream, head_of())[0]
+
+    with ExitStack() as stack:
+        for _ in range(CLIENTS_OF_ADDRESS):
+            stack.enter_context(connected(proxied)).sendall(head_of("POST", **{"Content-Length": "2"}) + b"x")
+        until(lambda: status("127.0.0.2") == 429)
+        assert status("127.0.0.3") == 200

@@ -6,14 +6,21 @@ import asyncio
 import socket
 import time
 from contextlib import ExitStack, closing
+from urllib.parse import urlsplit
 
+import msgspec
 import pytest
+from starlette.applications import Starlette
 
+from oysterbench_leaderboard.site.render import server_links
+from oysterbench_leaderboard.submissions.accounts.tokens import issue
 from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.uploads import paced
+from oysterbench_leaderboard.submissions.web import Submissions
 from tests.helpers.pool import answers
 from tests.helpers.served import lay, running
+from tests.helpers.trees import serving_app
 from tests.helpers.waiting import until
 
 RATE = 1_000_000
@@ -53,6 +60,22 @@ def test_silence_and_a_whole_time_have_their_limits_too(tmp_path):
     long = load_settings(tmp_path, upload_s=0.2)
     with pytest.raises(Refusal, match=r"the upload took longer than 0\.2 s"):
         received(long, [b"a" * RATE] * 1000, 0.05)
+
+
+@pytest.mark.parametrize(
+    "path", ["/submit/sign-in", "/submit/sign-out", "/submit/0123456789abcdef/withdraw", "/api/submissions/0/withdraw"]
+)
+def test_a_small_body_that_never_ends_is_answered_all_the_same(service, path):
+    service.settings = msgspec.structs.replace(service.settings, idle_s=0.1)
+    head = f"POST {path} HTTP/1.1\r\nHost: x\r\nContent-Type: application/x-www-form-urlencoded\r\n"
+    head += f"Authorization: Bearer {issue(service.database, 'third')}\r\nContent-Length: 3000\r\n\r\ncsrf=0"
+    app = Starlette(routes=Submissions(service, server_links()).routes())
+    with serving_app(app) as url, closing(socket.create_connection(("127.0.0.1", urlsplit(url).port))) as connection:
+        connection.settimeout(3.0)
+        connection.sendall(head.encode())
+        answer = b"".join(iter(lambda: connection.recv(65536), b""))
+    assert answer.startswith(b"HTTP/1.1 408 ")
+    assert b"expected the whole request within 0.1 s, got 6 bytes of it; send it again" in answer
 
 
 @pytest.mark.slow
