@@ -29,12 +29,12 @@ BACKLOG = 2048
 """Length of the queue of connections waiting to be accepted."""
 
 CLIENTS_OF_ADDRESS = 64
-"""Connections that one address may hold, and requests that it may have running behind a proxy: an eighth of all, so that
-nobody alone can lock out all others."""
+"""Connections that one address may hold, and requests that it may have running behind a proxy: an eighth of all, so
+that nobody alone can lock out all others."""
 
 HEADERS_S = 20.0
-"""Time limit from the connection, or the previous response, to the last byte of a request's headers. What is left of the
-previous request's body has to arrive within it, too."""
+"""Time limit from the connection, or the previous response, to the last byte of a request's headers. What is left of
+the previous request's body has to arrive within it, too."""
 
 REFUSED = b"HTTP/1.1 429 Too Many Requests\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 TOO_MANY = (
