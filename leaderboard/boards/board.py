@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
 from oysterbench.evaluate.detection import DetectionSettings
 from oysterbench.evaluate.segmentation import SegmentationSettings
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from oysterbench_leaderboard.storage.store import RecordStore
 
 State = Literal["current", "superseded", "withdrawn"]
+STATES: tuple[State, ...] = get_args(State)
 
 DEFAULTS = {"slam": SlamSettings(), "segmentation": SegmentationSettings(), "detection": DetectionSettings()}
 """Track -> default settings of its evaluator, where these can be chosen."""

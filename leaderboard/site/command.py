@@ -125,8 +125,14 @@ def build_command(context: click.Context, target: Path, folder: Path | None, url
         if sys.stderr.isatty() and (done % 20 == 0 or done == of):
             click.echo(f"\r{done} of {of} pages", err=True, nl=done == of)  # noqa: TID251
 
+    def report(file: str, why: str) -> None:
+        message(f"left out: {file[:12]}: {why}")
+
+    index = _place(context, folder, url).index()
+    for file, why in index.problems().items():
+        report(file, why)
     try:
-        count = export(site_of(_place(context, folder, url).index()), target, progress)
+        count = export(site_of(index), target, progress, report)
     except OSError as error:
         raise ResultError(f"{target}: cannot be written: {error.strerror or error}") from None
     message(f"{target}: {count} files; open {target / 'index.html'}")

@@ -13,10 +13,8 @@ from oysterbench.hub.manifest import released_manifest
 from oysterbench.recipe import SplitRecipe, load_split, split_names
 from oysterbench.results.records import ResultRecord
 from oysterbench.simulation.generate import digest
-from oysterbench_leaderboard.boards.board import BoardInfo, Query, State
+from oysterbench_leaderboard.boards.board import BoardInfo
 from oysterbench_leaderboard.site.site import Site
-
-STATES: tuple[State, ...] = ("current", "superseded", "withdrawn")
 
 Conditions = Mapping[str, float | str]
 
@@ -95,9 +93,9 @@ def all_data_sets(site: Site) -> dict[str, DataSet]:
 
 
 def _results_of(site: Site, board: BoardInfo) -> tuple[ResultRecord, ...]:
-    """Results of one record of a board; empty where it has none."""
-    rows = site.index.page(board.id, Query(states=STATES, size=1)).rows
-    return site.record(rows[0].digest).results if rows else ()
+    """Results of one record of a board; empty where it has none that can be read."""
+    record = site.some_record(board.id)
+    return record.results if record else ()
 
 
 def conditions_of(site: Site, data_set: DataSet) -> dict[str, Conditions]:

@@ -6,22 +6,22 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import permutations
 from pathlib import Path
 
-from oysterbench.core.errors import ResultError
+from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.core.permissions import umask
 from oysterbench.hub.canonical import canonical
-from oysterbench_leaderboard.boards.board import BoardInfo, Query
+from oysterbench_leaderboard.boards.board import STATES, BoardInfo, Query
 from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.datasets import all_data_sets
 from oysterbench_leaderboard.site.links import FileLinks, file_of, numbered, pair_path
 from oysterbench_leaderboard.site.openapi import describe
 from oysterbench_leaderboard.site.page import Page
-from oysterbench_leaderboard.site.pages.board import MOST_ROWS, STATES
+from oysterbench_leaderboard.site.pages.board import MOST_ROWS
 from oysterbench_leaderboard.site.pages.compare import PAIRED
 from oysterbench_leaderboard.site.paths import board_path, data_path, method_path, record_path, slug, split_path
 from oysterbench_leaderboard.site.representations import represent
@@ -34,6 +34,9 @@ MARK = ".oysterbench-board"
 Progress = Callable[[int, int], None]
 """Called with the number of pages written so far, and of all pages."""
 
+Report = Callable[[str, str], None]
+"""Called with the digest of a damaged file, and what is wrong with it."""
+
 
 @dataclass(frozen=True)
 class Work:
@@ -43,12 +46,17 @@ class Work:
     make: Callable[[], Page]
 
 
-def export(site: Site, folder: str | os.PathLike[str], progress: Progress = lambda done, of: None) -> int:
+def export(
+    site: Site,
+    folder: str | os.PathLike[str],
+    progress: Progress = lambda done, of: None,
+    report: Report = lambda file, why: None,
+) -> int:
     """Write the site in place of an earlier export; return the number of files.
 
     The folder is swapped once everything is written: a host that serves it never shows half a site. Unchanged files are
-    kept with their timestamps, so that copying the site elsewhere transfers only what is new. Raises ResultError where
-    the folder holds something else.
+    kept with their timestamps, so that copying the site elsewhere transfers only what is new. Damaged records and
+    curves are reported, and the site is written without them. Raises ResultError where the folder holds something else.
     """
     target = Path(folder).resolve()
     if target.exists() and (not target.is_dir() or (any(target.iterdir()) and not (target / MARK).is_file())):
@@ -60,7 +68,7 @@ def export(site: Site, folder: str | os.PathLike[str], progress: Progress = lamb
     temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
     try:
         count = 0
-        for name, data in files(site, progress):
+        for name, data in files(site, progress, report):
             _write(temporary / name, data, target / name)
             count += 1
         temporary.chmod(0o777 & ~umask())
@@ -70,12 +78,13 @@ def export(site: Site, folder: str | os.PathLike[str], progress: Progress = lamb
     return count
 
 
-def files(site: Site, progress: Progress = lambda done, of: None) -> Iterator[tuple[str, bytes]]:
+def files(
+    site: Site, progress: Progress = lambda done, of: None, report: Report = lambda file, why: None
+) -> Iterator[tuple[str, bytes]]:
     """Yield names and bytes of all files; the same records give the same files."""
-    work = list(_work(site))
+    digests, curves = _whole(site, report)
+    work = list(_work(site, digests))
     there = {one.path for one in work} | {"/openapi"}
-    digests = sorted({one.path.split("/")[2] for one in work if one.path.startswith("/records/")})
-    curves = {digest: found for digest in digests if (found := site.record(digest).curves)}
     there |= {f"{record_path(digest)}/record" for digest in digests}
     there |= {f"{record_path(digest)}/curves" for digest in curves}
     for k, one in enumerate(work):
@@ -94,8 +103,26 @@ def files(site: Site, progress: Progress = lambda done, of: None) -> Iterator[tu
     yield MARK, b"Written by `oysterbench leaderboard build`, which may replace this folder.\n"
 
 
-def _work(site: Site) -> Iterator[Work]:
-    makers = {route.path: route.make for route in ROUTES}
+def _whole(site: Site, report: Report) -> tuple[list[str], dict[str, str]]:
+    """Digests of the records on all boards whose files are whole, sorted; and of these, record -> its curves, where
+    they are whole, too. What is damaged is reported."""
+    digests, curves = [], {}
+    for digest in sorted(digest for info in site.index.boards() for digest in _digests(site, info)):
+        file = digest
+        try:
+            found = site.record(digest).curves
+            digests.append(digest)
+            if file := found:
+                site.store.curves(found)
+                curves[digest] = found
+        except OysterbenchError as error:
+            report(file, str(error))
+    return digests, curves
+
+
+def _work(site: Site, digests: Collection[str]) -> Iterator[Work]:
+    """Pages to be written. digests: of the records that have one, and are compared"""
+    makers, whole = {route.path: route.make for route in ROUTES}, set(digests)
 
     def work(path: str, route: str, asked: object = (), **given: str) -> Work:
         return Work(path, partial(makers[route], site, given, asked))
@@ -115,11 +142,11 @@ def _work(site: Site) -> Iterator[Work]:
                 yield work(path, "/boards/{track}/{split}", query, **given)
             path = numbered(board_path(info), number)
             yield work(path, "/boards/{track}/{split}/{board}", query, **given, board=info.id)
-        for digest in _digests(site, info):
-            yield work(record_path(digest), "/records/{digest}", digest=digest)
         if info.newest:
-            first = [row.digest for row in site.index.page(info.id, Query(size=PAIRED)).rows]
+            first = [row.digest for row in site.index.page(info.id, Query(size=PAIRED)).rows if row.digest in whole]
             pairs |= set(permutations(first, 2))
+    for digest in digests:
+        yield work(record_path(digest), "/records/{digest}", digest=digest)
     for method in sorted({method for method, _, _ in site.index.methods()}):
         yield work(method_path(method), "/methods/{method}", method=slug(method))
     for pair in sorted(pairs):

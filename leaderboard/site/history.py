@@ -29,13 +29,13 @@ class Event:
 
 def successor(site: Site, row: Row) -> Row | None:
     """Return the record that replaced a superseded one: the one that names it, or else the team's current one on the
-    same board. None where there is none, or the record is not superseded."""
+    same board. None where there is none whose file is whole, or the record is not superseded."""
     if row.state != "superseded":
         return None
     others = [other for other in site.index.method(row.method, row.team) if other.digest != row.digest]
     naming = [other for other in others if other.supersedes == row.digest and other.state != "withdrawn"]
     current = [other for other in others if other.board == row.board and other.state == "current"]
-    return next(iter((*naming, *current)), None)
+    return next((other for other in (*naming, *current) if site.is_whole(other.digest)), None)
 
 
 def events(site: Site) -> list[Event]:

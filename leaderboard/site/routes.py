@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from oysterbench.evaluate.statistics import Comparison
-from oysterbench_leaderboard.boards.board import BoardInfo, Literature, Query, Row
+from oysterbench_leaderboard.boards.board import STATES, BoardInfo, Literature, Query, Row
 from oysterbench_leaderboard.site.page import Page
-from oysterbench_leaderboard.site.pages.board import LONGEST_TEXT, MOST_ROWS, STATES, board_page, parse_query
+from oysterbench_leaderboard.site.pages.board import LONGEST_TEXT, MOST_ROWS, board_page, parse_query
 from oysterbench_leaderboard.site.pages.compare import compare_page
 from oysterbench_leaderboard.site.pages.compare_several import MOST, several_page
 from oysterbench_leaderboard.site.pages.data import data_page, split_page

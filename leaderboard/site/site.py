@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any, TypeVar
 
 from oysterbench.core.errors import OysterbenchError, ResultError
-from oysterbench_leaderboard.boards.board import Literature, Row
+from oysterbench_leaderboard.boards.board import STATES, Literature, Query, Row
 from oysterbench_leaderboard.boards.index import BoardIndex
 from oysterbench_leaderboard.site.page import PageError
 from oysterbench_leaderboard.site.paths import slug
@@ -49,19 +50,37 @@ class Site:
         """Return a record as it was published."""
         return self.store.record(digest)
 
+    def is_whole(self, digest: str) -> bool:
+        """Whether the file of a record is there, unchanged. One may be damaged after the index was made from it."""
+        try:
+            self.store.data(digest)
+        except OysterbenchError:
+            return False
+        return True
+
+    def some_record(self, board: str, first: str = "") -> Record | None:
+        """One record of a board whose file is whole, in any state: `first` if possible. None where there is none."""
+        query = Query(states=STATES)
+        pages = range(1, self.index.page(board, query).pages + 1)
+        others = (row.digest for number in pages for row in self.index.page(board, replace(query, page=number)).rows)
+        digest = next((one for one in chain(filter(None, [first]), others) if self.is_whole(one)), None)
+        return None if digest is None else self.record(digest)
+
     def conditions(self, board: str, digest: str) -> dict[str, Mapping[str, Any]]:
-        """Sequence -> conditions on a board, from one of its records."""
-        return self._once(
-            f"conditions of {board} by {digest}",
-            lambda: {result.sequence: result.conditions for result in self.record(digest).results},
-        )
+        """Sequence -> conditions on a board, from one of its records, or another where that one is damaged."""
+
+        def make() -> dict[str, Mapping[str, Any]]:
+            record = self.some_record(board, digest)
+            return {result.sequence: result.conditions for result in record.results} if record else {}
+
+        return self._once(f"conditions of {board} by {digest}", make)
 
     def has_disturbances(self, board: str, digest: str) -> bool:
         """Whether the sequences of a board are single disturbances, judging by one of its records."""
         return any("disturbance" in like for like in self.conditions(board, digest).values())
 
     def status_changes(self, digest: str) -> list[StatusChange]:
-        """Status changes of a record, oldest first."""
+        """Status changes of a record, oldest first. Damaged ones are left out, as in the index."""
         return self._once("status_changes", self._status_changes).get(digest, [])
 
     def all_status_changes(self) -> list[StatusChange]:
@@ -71,7 +90,7 @@ class Site:
 
     def _status_changes(self) -> dict[str, list[StatusChange]]:
         found: dict[str, list[StatusChange]] = {}
-        for change in self.store.status_changes():
+        for change in self.store.read_status_changes()[0]:
             found.setdefault(change.record, []).append(change)
         return found
 

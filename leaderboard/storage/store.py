@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from dataclasses import asdict, dataclass
@@ -18,6 +19,9 @@ from oysterbench_leaderboard.storage.record import Record, check_time
 
 FORMAT = "oysterbench-status-change/1"
 KINDS = ("records", "changes", "curves")
+
+UNREADABLE = (errno.EACCES, errno.EPERM, errno.EISDIR, errno.EIO)
+"""Errors of the system that are faults of a file."""
 
 Action = Literal["withdrawn", "restored"]
 
@@ -148,6 +152,10 @@ class RecordStore:
             data = path.read_bytes()
         except FileNotFoundError:
             raise ResultError(f"no such {kind.removesuffix('s')}: {digest[:12]}") from None
+        except OSError as error:
+            if error.errno not in UNREADABLE:  # such as too many open files, which says nothing of this one
+                raise
+            raise ResultError(f"{path}: cannot be read: {error.strerror}; it was not used") from None
         if sha256(data) != digest:
             raise ResultError(f"{path}: its bytes do not match its name: it was changed, and was not used")
         return data

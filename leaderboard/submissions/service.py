@@ -354,7 +354,10 @@ class Service:
         with self.database.reading() as connection:
             shown = find(connection, c.published != "")
         for submission in shown:
-            self._show(self.scored.record(submission.published))
+            try:
+                self._show(self.scored.record(submission.published))
+            except OysterbenchError as error:  # a damaged file: all others are served nevertheless
+                self.log.error("submission %s was not put on the board again: %s", submission.id, error)
         # Also those that have their marks: they may have been scored again since.
         self._announce([submission for submission in shown if submission.notice])
         oldest = time.time() - self.settings.upload_s

@@ -261,3 +261,17 @@ def test_what_was_restored_can_still_be_withdrawn(service, tmp_path):
     service.clock.now += 60
     service.withdraw("reef lab", one.id)
     assert withdrawn(service.store.status_changes()) == {one.published}
+
+
+def test_a_damaged_scored_record_keeps_no_server_from_starting(service, tmp_path):
+    bad, good = (
+        service.publish("reef lab", done(service, tmp_path, k, method=name)).published
+        for k, name in enumerate(("pike", "cod"))
+    )
+    (service.scored.folder / "records" / f"{bad}.json").write_text("{}")
+    for digest in (bad, good):
+        (service.store.folder / "records" / f"{digest}.json").unlink()
+    again = make_service(tmp_path, **FAST)
+    assert again.store.digests() == [good], "what a crash left undone is done for the others"
+    assert "was not put on the board again" in (tmp_path / "private" / "private.log").read_text()
+    again.close()

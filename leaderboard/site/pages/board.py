@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import pairwise
-from typing import Any, get_args
+from typing import Any
 
 from oysterbench.evaluate.metrics import SPEEDS, TRACKS, find_metric
 from oysterbench.report.columns import STANDING_OF_TRACK, lost_column, lost_note, metric_column, standing_column
 from oysterbench.report.table import Cell, Column, Table, TableRow, interval_column
 from oysterbench.results.records import plain
-from oysterbench_leaderboard.boards.board import BoardInfo, BoardPage, Query, Row, State
+from oysterbench_leaderboard.boards.board import STATES, BoardInfo, BoardPage, Query, Row
 from oysterbench_leaderboard.boards.tables import (
     DATA_SET,
     NOT_RANKED,
@@ -64,7 +64,6 @@ FAILED = "Failed runs, and sequences without an estimate."
 MOST_SHOWN = 5
 """Number of columns of metrics shown on the page beside the ranking one; CSV and JSON have all."""
 
-STATES: tuple[State, ...] = get_args(State)
 NAMED = ("rank", "method", "team", "created", "data_set")
 """Keys that a board can be sorted by besides its metrics."""
 

@@ -16,8 +16,9 @@ MOST_METHODS = 8
 
 
 def stress_drawing(site: Site, info: BoardInfo, rows: Sequence[Row]) -> charts.Drawing | None:
-    """Plots for the rows of a board; None where the split has no single disturbances, or there are no rows."""
-    shown = rows[:MOST_METHODS]
+    """Plots for the rows of a board, without those whose records are damaged; None where the split has no single
+    disturbances, or there are no rows."""
+    shown = [row for row in rows[:MOST_METHODS] if site.is_whole(row.digest)]
     if not shown or not site.has_disturbances(info.id, shown[0].digest):
         return None
     names = [row.method for row in shown]
