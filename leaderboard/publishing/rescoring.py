@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -54,7 +55,9 @@ def score_again(
     the split, if it is not shipped with oysterbench
 
     Uploads are read and scored in a sandbox, as when they were submitted, within the limits of the settings.toml in the
-    folder that holds `estimates`. Nothing is written.
+    folder that holds `estimates`. The process cannot open the server's private folder, which is the one that holds
+    `estimates` or that of OYSTERBENCH_SUBMISSIONS. Nothing is written but the names of images, there or beside the
+    uploads.
     """
     if not record.estimates:
         return Again(record.digest, None, "its estimates were not kept")
@@ -93,6 +96,9 @@ def _file(folder: Path, digest: str) -> Path:
     return path
 
 
+PRIVATE = ("submissions.sqlite", "key", "settings.toml")
+"""Files by which the private folder of a server is recognised."""
+
 Made = tuple[tuple[ResultRecord, ...], Mapping[str, Any] | None, dict[str, Any] | None]
 """Results, values over all sequences together, and curves."""
 
@@ -106,15 +112,17 @@ def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None,
     if len(files) > 1:
         raise ResultError(f"expected one upload, got {len(files)} files")
     ((digest, path),) = files.items()
-    served = serve_split(split, truth, path.parent / "images")
+    settings = load_settings(path.absolute().parent.parent)
+    private = _private_folders(settings.folder)
+    served = serve_split(split, truth, (private[0] if private else path.parent) / "catalogue")
     wanted = served.wanted[record.track]
     _check_recipe(record, wanted.split_digest)
     if not served.truth:
         raise ResultError(f"{record.split} is not rendered here: `oysterbench render {record.split}`")
-    settings = load_settings(path.absolute().parent.parent)
     truths = {name: str(place.resolve()) for name, place in served.truth.items()}
-    upload, hidden = path.resolve(), (str(path.parent.resolve()),)
-    job = sandbox.Job(str(upload), wanted, settings.limits, hidden, truths, record.method, record.created)
+    folders = {path.parent, *private, *(place.parent for place in served.truth.values())}
+    hidden = tuple(sorted(str(folder.resolve()) for folder in folders))
+    job = sandbox.Job(str(path.resolve()), wanted, settings.limits, hidden, truths, record.method, record.created)
     ended = sandbox.run(job, sandbox.scoring(settings))
     if ended.answer is None:
         raise ResultError(f"scoring {digest[:12]} ended without an answer ({ended.cause})")
@@ -122,6 +130,14 @@ def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None,
         raise ResultError(f"{digest[:12]} is refused now: {ended.answer['refused']['reason']}")
     results = tuple(ResultRecord.from_dict(values) for values in ended.answer["results"])
     return results, ended.answer["data_set"], ended.answer["curves"]
+
+
+def _private_folders(above: Path) -> list[Path]:
+    """Private folders of a server: the folder above the uploads, and that of OYSTERBENCH_SUBMISSIONS. The one above a
+    mere copy of the uploads is none, and may hold our own code, which the sandbox has to read."""
+    named = os.environ.get("OYSTERBENCH_SUBMISSIONS")
+    folders = (above, *([Path(named)] if named else []))
+    return [folder for folder in folders if any((folder / name).exists() for name in PRIVATE)]
 
 
 def _truths(record: Record, folder: Path | None, recipe: str) -> dict[str, Trajectory]:

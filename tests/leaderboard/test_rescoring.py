@@ -18,6 +18,7 @@ from oysterbench_leaderboard.publishing.publish import Attribution, keep_estimat
 from oysterbench_leaderboard.publishing.rescoring import score_again
 from oysterbench_leaderboard.storage.record import Record
 from oysterbench_leaderboard.storage.store import RecordStore
+from oysterbench_leaderboard.submissions.sandbox import sandbox
 from tests.helpers.pool import answers, lay_split
 from tests.leaderboard.test_curves import loop, moved, results_of
 
@@ -52,6 +53,7 @@ def uploaded(folder: Path, recipe: Path) -> Record:
     from oysterbench.recipe import load_split
     from oysterbench.simulation.generate import digest
 
+    folder.mkdir(exist_ok=True)
     data = answers(folder)
     (folder / "estimates").mkdir()
     (folder / "estimates" / sha256(data)).write_bytes(data)
@@ -88,11 +90,40 @@ def test_uploads_are_scored_again_within_the_limits_that_their_server_sets(tmp_p
     assert score_again(old, tmp_path / "estimates", truth, "x", str(recipe)).record is not None
 
 
+def hidden_from(monkeypatch, old, estimates, truth, recipe):
+    """Folders that the process which reads an upload cannot open."""
+    jobs = []
+
+    def run(job, allowance):
+        jobs.append(job)
+        return sandbox.Ended(None, "crash", "")
+
+    monkeypatch.setattr(sandbox, "run", run)
+    score_again(old, estimates, truth, "x", str(recipe))
+    return [Path(folder) for folder in jobs[0].hidden]
+
+
+def test_who_reads_an_upload_again_can_open_neither_the_private_folder_nor_the_truth(tmp_path, monkeypatch):
+    recipe, truth = lay_split(tmp_path / "splits")
+    private = tmp_path / "private"
+    old = uploaded(private, recipe)
+    estimates = private / "estimates"
+    assert hidden_from(monkeypatch, old, estimates, truth, recipe) == [estimates, truth], (
+        "a copy: its folder is no server's"
+    )
+    (private / "key").write_bytes(b"secret")
+    assert hidden_from(monkeypatch, old, estimates, truth, recipe) == [private, estimates, truth]
+    (private / "key").rename(tmp_path / "key")
+    monkeypatch.setenv("OYSTERBENCH_SUBMISSIONS", str(tmp_path))
+    assert hidden_from(monkeypatch, old, estimates, truth, recipe) == [tmp_path, estimates, truth]
+
+
 def test_uploads_on_a_hidden_split_are_scored_again_and_what_changed_is_said(tmp_path, monkeypatch):
     monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("OYSTERBENCH_BOARD", str(tmp_path / "board"))
     recipe, truth = lay_split(tmp_path / "splits")
     store, old = RecordStore(tmp_path / "board"), uploaded(tmp_path, recipe)
+    (tmp_path / "key").write_bytes(b"secret")  # so that all around the upload is hidden from the process that reads it
     store.add(old)
     store.add(replace(old, team="others", estimates={}))
     words = ["leaderboard", "rescore", "--estimates", str(tmp_path / "estimates"), "--json"]
