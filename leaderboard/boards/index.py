@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import Any
 
 import msgspec
-from sqlalchemy import Connection, RowMapping, func, select
+from sqlalchemy import Connection, RowMapping, false, func, select
 
 from oysterbench.core.errors import ResultError
 from oysterbench.core.places import home
@@ -28,6 +28,9 @@ from oysterbench_leaderboard.storage.store import RecordStore
 
 MOST_ORDERS = 128
 """Maximum number of sort orders that are cached, at 8 bytes per row."""
+
+NUL = "\0"
+"""Character that no record holds, and that PostgreSQL does not take in a text."""
 
 MOST_WANTED = 500
 """Maximum number of rows that one statement fetches by position."""
@@ -120,6 +123,8 @@ class BoardIndex:
 
     def method(self, method: str, team: str | None = None) -> list[Row]:
         """All rows of a method, newest first, including superseded and withdrawn ones; names in any Unicode form."""
+        if NUL in method:
+            return []
         of_team = [] if team is None else [ROWS.c.team.in_(spellings(team))]
         return self._rows(ROWS.c.method.in_(spellings(method)), *of_team)
 
@@ -168,7 +173,9 @@ class BoardIndex:
             chosen = [ROWS.c.board == board.id, ROWS.c.state.in_(query.states)]
             if query.tiers:
                 chosen.append(ROWS.c.tier.in_(query.tiers))
-            if query.text:
+            if NUL in query.text:
+                chosen.append(false())
+            elif query.text:
                 chosen.append(ROWS.c.words.contains(composed(query.text).casefold(), autoescape=True))
             asked = select(ROWS.c.position).where(*chosen).order_by(*_sorting(board, query))
             order = array("l", connection.scalars(asked))

@@ -39,7 +39,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from oysterbench.core.errors import ResultError
 from oysterbench.core.locks import locked
-from oysterbench.core.text import in_one_line
+from oysterbench.core.text import in_one_line, printable
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.boards.database import open_engine
 from oysterbench_leaderboard.submissions.migrations import upgrade
@@ -214,7 +214,8 @@ def _not_opened(error: Exception) -> ResultError:
 
 
 def log_event(connection: Connection, at: str, who: str, what: str, submission: str = "", why: str = "") -> None:
-    """Append an event to the log."""
+    """Append an event to the log. Whatever a client sent stands in it escaped: PostgreSQL takes no NUL."""
+    who, why = printable(who), printable(why)
     values = {"at": at, "who": who[:120], "what": what, "submission": submission, "why": why[:2000]}
     connection.execute(insert(events).values(values))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 import tempfile
 import threading
@@ -41,6 +42,7 @@ from oysterbench_leaderboard.submissions.settings import FILE, SubmissionSetting
 from oysterbench_leaderboard.submissions.words import Form, check_words
 
 AGAIN_S = 3600.0
+ID = re.compile("[0-9a-f]{16}")
 LATER = "a later submission of the same method by the same team"
 
 
@@ -98,7 +100,6 @@ class Service:
         known = self.announced(team, form, upload.digest)
         if known is not None:
             return known, False
-        self.reads.count(team)
         with self._checks:
             facts = sandbox.check(self.settings, upload.path, wanted, self.hidden, self.log.info, self.forks)
         if facts["kind"] != "results" and not self.catalogue.splits[form.split].truth:
@@ -235,7 +236,8 @@ class Service:
             return self._own(connection, team, id)
 
     def _own(self, connection: Connection, team: str, id: str, lock: bool = False) -> Submission:
-        found = find(connection, submissions.c.id == id, submissions.c.team == team, lock=lock)
+        asked = submissions.c.id == id, submissions.c.team == team
+        found = find(connection, *asked, lock=lock) if ID.fullmatch(id) else []
         if not found:
             raise Refusal("absent", "you have no such submission")
         return found[0]

@@ -36,7 +36,7 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
                         .npz files are limited by `unpacked_bytes` alone
     lines:              of a text file: 120 000 are poses of 10 min at 200 Hz
     annotations:        of one image, in COCO annotations
-    reads_per_day:      uploads of a team that are read in 24 hours, including those refused or too slow
+    reads_per_day:      uploads of a team that are received in 24 hours, including those refused or too slow
     per_day, per_split: submissions accepted from a team in 24 hours, and from a team on one split in all
     uploads_at_once, checks_at_once: from all clients; uploads_of_team, uploads_of_address: from one
     upload_safe_s:      a team's time in places for uploads (`places`) after which, when all places are taken, it gives

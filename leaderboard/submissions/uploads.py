@@ -34,6 +34,8 @@ KINDS = {
 }
 """Content type of a body that is one file -> kind that its first bytes must have; empty for any."""
 
+FORM = "form"
+
 FIRST = 64
 """Number of leading bytes by which the kind of a file is recognised."""
 
@@ -99,17 +101,28 @@ def check_headers(request: Request, settings: SubmissionSettings) -> None:
         raise Refusal("type", "expected the plain bytes, got a content encoding")
 
 
-async def receive_file(request: Request, file: IO[bytes], settings: SubmissionSettings) -> None:
-    """Receive a body that is one file. Raises Refusal where it does not match its content type, is too large, or
-    arrives too slowly."""
+def announced_kind(request: Request) -> str:
+    """Kind of file that a body is by its content type: FORM, or one of KINDS; empty for any. Raises Refusal where it is
+    none that is received."""
     content_type = request.headers.get("content-type", "")
-    kind = KINDS.get(content_type.partition(";")[0].strip().lower())
-    if kind is None:
+    name = content_type.partition(";")[0].strip().lower()
+    if name.startswith("multipart/"):
+        kind, options = parse_options_header(content_type)
+        if kind != b"multipart/form-data" or not 0 < len(options.get(b"boundary", b"")) <= 200:
+            raise Refusal("type", f"expected multipart/form-data with a boundary, got {content_type!r:.80}")
+        return FORM
+    if name not in KINDS:
         raise Refusal(
             "type",
             f"expected multipart/form-data or one of {', '.join(KINDS)}, got the content type {content_type!r:.80}",
         )
-    first = b""
+    return KINDS[name]
+
+
+async def receive_file(request: Request, file: IO[bytes], settings: SubmissionSettings) -> None:
+    """Receive a body that is one file. Raises Refusal where it does not match its content type, is too large, or
+    arrives too slowly."""
+    content_type, kind, first = request.headers.get("content-type", ""), announced_kind(request), b""
     async for chunk in paced(request.stream(), settings, settings.upload_bytes):
         first += chunk[: FIRST - len(first)]
         file.write(chunk)
@@ -154,13 +167,14 @@ class _Parser(MultiPartParser):
     def on_end(self) -> None:
         self.ended = True
 
+    def close(self) -> None:
+        """Close all files, also that of a part that has no end."""
+        for file in self._files_to_close_on_error:
+            file.close()
+
 
 async def receive_form(request: Request, settings: SubmissionSettings) -> FormData:
-    """Receive the fields and files of a form (multipart/form-data). Raises Refusal."""
-    content_type = request.headers.get("content-type", "")
-    kind, options = parse_options_header(content_type)
-    if kind != b"multipart/form-data" or not 0 < len(options.get(b"boundary", b"")) <= 200:
-        raise Refusal("type", f"expected multipart/form-data with a boundary, got {content_type!r:.80}")
+    """Receive the fields and files of a form, as `announced_kind` recognises it. Raises Refusal."""
     parser = _Parser(
         request.headers,
         paced(request.stream(), settings, settings.upload_bytes + OVERHEAD),
@@ -175,7 +189,7 @@ async def receive_form(request: Request, settings: SubmissionSettings) -> FormDa
     sizes = [part.size or 0 for _, part in form.multi_items() if isinstance(part, UploadFile)]
     if parser.ended and sum(sizes) <= settings.upload_bytes:
         return form
-    await form.close()
+    parser.close()
     if parser.ended:
         raise too_large(settings)
     raise Refusal("request", "the form is incomplete; send it again")

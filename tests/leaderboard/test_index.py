@@ -365,6 +365,9 @@ def test_postgresql_gives_the_same_answers(store, postgres, request):
     assert pages(index, replace(ALL, sort="coverage", descending=True, text="%")) == pages(
         fresh, replace(ALL, sort="coverage", descending=True, text="%")
     )
+    assert index.method("ca\0rp") == fresh.method("ca\0rp") == []
+    nothing = [index.page(info.id, replace(ALL, text="\0")).rows for info in index.boards()]
+    assert nothing == [()] * len(nothing)
 
 
 def test_any_text_has_a_place_in_the_order_of_evaluators():

@@ -7,18 +7,18 @@ import errno
 import json
 import sqlite3
 from contextlib import closing
-from urllib.parse import urlencode
 
 import pytest
 from sqlalchemy.exc import OperationalError
 from starlette.requests import Request
-from starlette.responses import JSONResponse
 
-from oysterbench_leaderboard.submissions.accounts.auth import Auth
+from oysterbench_leaderboard.submissions.accounts.auth import FULL, Auth
+from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from tests.helpers.pool import answers
+from tests.helpers.serving import events, upload
 
 
-def full_database(*args) -> None:
+def full_database(*args, **named) -> None:
     """Raise what SQLAlchemy raises where SQLite has no room."""
     with closing(sqlite3.connect(":memory:")) as connection:
         connection.execute("PRAGMA max_page_count = 1")
@@ -32,32 +32,8 @@ def full_folder(*args) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def broken(*args) -> None:
+def broken(*args, **named) -> None:
     raise OSError(errno.EIO, "Input/output error")
-
-
-def upload(service, body: bytes):
-    """Answer to an upload by the team reef lab."""
-    auth = Auth(service)
-    query = urlencode({"method": "carp", "split": "pool-test"}).encode()
-    about = {"type": "http", "method": "POST", "path": "/api/submissions", "query_string": query}
-
-    async def receive():
-        return {"type": "http.request", "body": body, "more_body": False}
-
-    async def send(request):
-        made, _ = await auth.submit(request, "reef lab")
-        return JSONResponse({"id": made.id}, 201)
-
-    async def show(request, refusal):
-        return JSONResponse({"error": refusal.kind, "reason": refusal.reason}, refusal.status)
-
-    request = Request({**about, "headers": [(b"content-type", b"application/zip")]}, receive)
-
-    async def answer():
-        return await auth.answered(send, show)(request)
-
-    return asyncio.run(answer())
 
 
 @pytest.mark.parametrize(
@@ -81,3 +57,27 @@ def test_an_upload_for_which_there_is_no_room_is_told_so_and_not_counted(
         assert json.loads(answer.body) == {"error": "full", "reason": reason}
     assert (service.of_team("reef lab"), list(service.incoming.iterdir())) == ([], [])
     assert upload(service, answers(tmp_path)).status_code == 201
+
+
+@pytest.mark.parametrize("fail", [full_database, broken], ids=["full", "broken"])
+def test_a_refusal_that_cannot_be_logged_is_answered_all_the_same(service, monkeypatch, fail):
+    monkeypatch.setattr("oysterbench_leaderboard.submissions.service.log_event", fail)
+    answer = upload(service, b"1 2 3")
+    assert (answer.status_code, answer.headers["connection"]) == (415, "close")
+    assert "the body is text" in json.loads(answer.body)["reason"]
+    told = (service.settings.folder / "private.log").read_text()
+    assert "a refusal was not logged: POST /api/submissions: " in told
+    assert "Traceback" not in told
+
+
+def test_a_page_that_fails_while_a_refusal_is_shown_is_a_failure_that_says_so(service):
+    async def refuse(request):
+        raise Refusal("state", "no")
+
+    async def show(request, refusal):
+        full_database()
+
+    request = Request({"type": "http", "method": "GET", "path": "/submit/new", "query_string": b"", "headers": []})
+    answer = asyncio.run(Auth(service).answered(refuse, show)(request))
+    assert (answer.status_code, answer.body) == (507, FULL.reason.encode())
+    assert events(service, "refused")[-1]["why"] == "GET /submit/new: state: no"

@@ -11,7 +11,6 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 from oysterbench_leaderboard.submissions import queue
-from oysterbench_leaderboard.submissions.accounts.rates import DailyReads
 from oysterbench_leaderboard.submissions.accounts.tokens import issue, recognise
 from oysterbench_leaderboard.submissions.database import SubmissionDatabase, find, submissions
 from oysterbench_leaderboard.submissions.estimates import upload_of
@@ -266,17 +265,3 @@ def test_a_token_with_odd_characters_is_unknown_in_postgresql(tmp_path, postgres
         for odd in ("oyb_\0_x", "oyb_\u00e9_x", "oyb_1_\udc80"):
             assert recognise(connection, odd) is None
     database.close()
-
-
-def test_what_is_refused_is_read_so_often_a_day_and_no_more(service, tmp_path):
-    service.reads = DailyReads(3, service.clock)
-    bad = service.incoming / "bad"
-    reasons = []
-    for _ in range(4):
-        bad.write_bytes(b"1 2 3\n")
-        with pytest.raises(Refusal) as caught:
-            service.submit("reef lab", FORM, upload_of(bad))
-        reasons.append(caught.value.kind)
-    assert reasons == ["name", "name", "name", "quota"]
-    service.clock.now += 86_401
-    assert send(service, tmp_path)[1]

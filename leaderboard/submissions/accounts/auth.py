@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import tempfile
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import AsyncExitStack, contextmanager
+from contextlib import AsyncExitStack, contextmanager, suppress
 from typing import IO
 
 from starlette.concurrency import run_in_threadpool
@@ -13,12 +13,15 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
+from oysterbench.core.text import in_one_line, printable
+from oysterbench.hub.canonical import SHA256
 from oysterbench_leaderboard.submissions.accounts.tokens import Guesses, Holder, recognise
 from oysterbench_leaderboard.submissions.database import Submission, is_disk_full
 from oysterbench_leaderboard.submissions.places import Places
 from oysterbench_leaderboard.submissions.reading.refusals import Refusal
 from oysterbench_leaderboard.submissions.service import Service
 from oysterbench_leaderboard.submissions.uploads import (
+    announced_kind,
     check_headers,
     kept,
     one_file,
@@ -73,16 +76,17 @@ class Auth:
 
     @contextmanager
     def _counting(self, team: str) -> Iterator[None]:
-        """Count a body that arrives too slowly, or breaks off, as one that was read: otherwise a client that is turned
-        away could return at once and block a place all day. Raises Refusal at once where the team's daily reads are
-        used up."""
+        """Count the body that is received in the block as one of the team's daily reads, whatever becomes of it: one
+        that arrives too slowly, breaks off or is refused afterwards costs as much, and its sender could return at once.
+        One whose place was taken away is not counted. Raises Refusal at once where the daily reads are used up."""
         self.service.reads.check(team)
         try:
             yield
         except (Refusal, ClientDisconnect) as error:
-            if isinstance(error, ClientDisconnect) or error.kind == "slow":
+            if isinstance(error, ClientDisconnect) or error.kind != "busy":
                 self.service.reads.count(team)
             raise
+        self.service.reads.count(team)
 
     async def submit(
         self, request: Request, team: str, check_fields: Callable[[dict[str, str]], None] = lambda fields: None
@@ -97,6 +101,7 @@ class Auth:
             with tempfile.TemporaryFile(dir=folder) as body:
                 file: IO[bytes] = body
                 if request.headers.get("content-type", "").lower().startswith("multipart/"):
+                    announced_kind(request)
                     with self._counting(team):
                         async with place.receiving():
                             form = await receive_form(request, settings)
@@ -110,9 +115,11 @@ class Auth:
                     # Report what is wrong with the fields before receiving the body.
                     asked, _ = self.service.check_form(form_of(fields))
                     if digest := fields.get("digest"):
+                        check_digest(digest)
                         known = await run_in_threadpool(self.service.announced, team, asked, digest)
                         if known is not None:
                             return known, False
+                    announced_kind(request)
                     with self._counting(team):
                         async with place.receiving():
                             await receive_file(request, body, settings)
@@ -122,6 +129,15 @@ class Auth:
                         return self.service.submit(team, form_of(fields), upload)
 
                 return await run_in_threadpool(take_in)
+
+    def _note(self, request: Request, refusal: Refusal) -> None:
+        """Log a refusal. Where that fails, as on a full disk, the client gets the refusal all the same."""
+        team = getattr(request.state, "team", "")
+        what = f"{request.method} {request.url.path}"
+        try:
+            self.service.refused(team or address_of(request), what, refusal, not team)
+        except Exception as error:
+            self.service.log.error("a refusal was not logged: %s: %s", printable(what), in_one_line(error))
 
     def route(self, path: str, show: Show, **handlers: Handler) -> Route:
         """Make the route of a path from the handler of each HTTP method; `show` shows refusals. Not a route for each
@@ -135,36 +151,44 @@ class Auth:
     def answered(self, handler: Handler, show: Show) -> Handler:
         """Wrap a handler so that refusals are logged and shown, and internal errors are logged but not revealed."""
 
-        async def answer(request: Request) -> Response:
+        async def respond(request: Request) -> Response:
             try:
-                response = await handler(request)
+                return await handler(request)
             except Refusal as refusal:
-                team = getattr(request.state, "team", "")
-                who = team or address_of(request)
                 if refusal.kind != "absent" or request.method != "GET":
-                    await run_in_threadpool(
-                        self.service.refused, who, f"{request.method} {request.url.path}", refusal, not team
-                    )
+                    await run_in_threadpool(self._note, request, refusal)
                 response = await show(request, refusal)
                 if refusal.retry_s:
                     response.headers["Retry-After"] = str(refusal.retry_s)
                 response.headers["Connection"] = "close"  # do not wait for the rest of the body
+                return response
+
+        async def answer(request: Request) -> Response:
+            try:
+                response = await respond(request)
             except asyncio.CancelledError:
                 raise
             except ClientDisconnect:  # the client is gone; not a server failure
                 response = Response(status_code=400)
             except Exception as error:
                 self.service.log.exception("%s %s", request.method, request.url.path)
-                if is_disk_full(error):
-                    response = await show(request, FULL)  # not logged as a refusal: the database is full, too
-                    response.headers["Connection"] = "close"
-                else:
-                    response = PlainTextResponse(FAILED.reason, FAILED.status, {"Connection": "close"})
+                refusal = FULL if is_disk_full(error) else FAILED
+                response = PlainTextResponse(refusal.reason, refusal.status)
+                if refusal is FULL:  # not logged as a refusal: the database is full, too, and may not give the page
+                    with suppress(Exception):
+                        response = await show(request, refusal)
+                response.headers["Connection"] = "close"
             for key, value in HEADERS.items():
                 response.headers.setdefault(key, value)
             return response
 
         return answer
+
+
+def check_digest(text: str) -> None:
+    """Raises Refusal for what is no SHA-256."""
+    if not SHA256.fullmatch(text):
+        raise Refusal("request", f"digest: expected the SHA-256 of the body (64 hex digits), got {text!r:.80}")
 
 
 def form_of(fields: dict[str, str]) -> Form:
