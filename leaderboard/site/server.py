@@ -171,7 +171,9 @@ def application(
         if name not in render.ASSETS:
             raise PageError(f"no file {name!r:.60}")
         kept = Kept.of(render.asset(name), render.ASSETS[name])
-        return send(request, kept, {"Cache-Control": FOREVER if request.query_params.get("v") else CHANGING})
+        # Under the name of another version, which a page of another server may ask for, this file must not be kept.
+        current = request.query_params.get("v") == render.assets_version()
+        return send(request, kept, {"Cache-Control": FOREVER if current else CHANGING})
 
     async def openapi(request: Request) -> Response:
         return send(request, description, {"Access-Control-Allow-Origin": "*"})

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import re
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
 import yaml
+from click.testing import CliRunner
 
+from oysterbench_leaderboard.command import command
+from oysterbench_leaderboard.commands.options import Place
 from oysterbench_leaderboard.site.command import serve_command
 from oysterbench_leaderboard.submissions.settings import load_settings
 from tests.helpers.paths import ROOT
@@ -29,6 +33,21 @@ def test_the_server_is_started_with_options_that_it_has(name):
     assert started
     for arguments in started:
         serve_command.make_context("serve", arguments)
+
+
+def test_what_the_unit_lets_an_environment_file_set_is_set_by_no_option(monkeypatch):
+    text = (FOLDER / "oysterbench-board.service").read_text()
+    before, _, after = text.partition("EnvironmentFile=")
+    named = re.findall(r"OYSTERBENCH_\w+", before.rpartition("[Service]")[2])
+    assert named == ["OYSTERBENCH_BOARD", "OYSTERBENCH_INDEX"]
+    for name in named:
+        assert f"{name}=/srv/board" in after.partition("ExecStart=")[0], "a default, which the file overrides"
+        monkeypatch.setenv(name, f"/elsewhere/{name}")
+    seen = []
+    monkeypatch.setattr("oysterbench.hub.connections.listen", lambda host, port: None)
+    monkeypatch.setattr(Place, "index", lambda place: sys.exit(seen.append((str(place.path), place.url))))
+    CliRunner().invoke(command, ["serve", *serving(text)[0]])
+    assert seen == [("/elsewhere/OYSTERBENCH_BOARD", "/elsewhere/OYSTERBENCH_INDEX")]
 
 
 def test_the_compose_file_mounts_what_is_there_and_starts_what_exists():

@@ -20,7 +20,8 @@ from oysterbench_leaderboard.site.pages.heat import heat_kind
 from oysterbench_leaderboard.site.pages.home import home_page
 from oysterbench_leaderboard.site.pages.literature import literature_page
 from oysterbench_leaderboard.site.pages.speed import speed_card
-from tests.helpers.site_made import Reading, make_site
+from oysterbench_leaderboard.site.server import application
+from tests.helpers.site_made import Client, Reading, make_site
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +32,17 @@ def made(tmp_path_factory):
 @pytest.fixture(scope="module")
 def site(made):
     return made[0]
+
+
+@pytest.mark.parametrize(
+    ("query", "kept"),
+    [("?v={}", True), ("?v={}&more=1", True), ("?v=deadbeef0123", False), ("?v=", False), ("", False)],
+)
+def test_a_file_is_kept_for_good_under_the_name_of_its_own_version_alone(site, query, kept):
+    client = Client(application(site, fresh_s=60.0))
+    answer = client.get(f"/static/style.css{query.format(render.assets_version())}")
+    client.close()
+    assert (answer.status, "immutable" in answer.headers["cache-control"]) == (200, kept)
 
 
 def html(page) -> str:
