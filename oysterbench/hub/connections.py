@@ -36,6 +36,9 @@ HEADERS_S = 20.0
 """Time limit from the connection, or the previous response, to the last byte of a request's headers. What is left of
 the previous request's body has to arrive within it, too."""
 
+UNREAD_S = 60.0
+"""Time within which a client has to take something of its answer."""
+
 REFUSED = b"HTTP/1.1 429 Too Many Requests\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 TOO_MANY = (
     f"at most {CLIENTS_OF_ADDRESS} requests at a time from one address; send this again when others are answered\n"
@@ -51,13 +54,16 @@ LOGGING = {
 
 
 class Guarded(H11Protocol):
-    """Uvicorn's HTTP/1.1 protocol with a deadline for requests that are never completed, answered ones included, and a
-    limit per address."""
+    """Uvicorn's HTTP/1.1 protocol with a deadline for requests that are never completed, answered ones included, and
+    for answers that are not read, and a limit per address."""
 
     _deadline: asyncio.TimerHandle | None = None
+    _look: asyncio.TimerHandle | None = None
+    _unread = 0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
+        self._look = self.loop.call_later(UNREAD_S, self._look_at_unread)
         if self._of_address() > CLIENTS_OF_ADDRESS:
             transport.write(REFUSED)
             transport.close()
@@ -73,8 +79,14 @@ class Guarded(H11Protocol):
         super().on_response_complete()
         self._watch()
 
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._unread = 0
+
     def connection_lost(self, exc: Exception | None) -> None:
         self._forget()
+        if self._look is not None:
+            self._look.cancel()
         super().connection_lost(exc)
 
     def _of_address(self) -> int:
@@ -92,6 +104,16 @@ class Guarded(H11Protocol):
             self._forget()
         elif self._deadline is None:
             self._deadline = self.loop.call_later(HEADERS_S, self.transport.close)
+
+    def _look_at_unread(self) -> None:
+        """Cut the connection where the client has taken nothing since the last look; it may be closing already, which
+        waits for the client as well."""
+        unread = self.transport.get_write_buffer_size()
+        if 0 < self._unread <= unread:
+            self.transport.abort()
+            return
+        self._unread = unread
+        self._look = self.loop.call_later(UNREAD_S, self._look_at_unread)
 
     def _forget(self) -> None:
         if self._deadline is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import http.client
 import socket
+import threading
 import time
 import urllib.parse
 
@@ -14,9 +15,9 @@ from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 
 from oysterbench.hub import connections
-from oysterbench.hub.connections import CLIENTS_OF_ADDRESS
+from oysterbench.hub.connections import CLIENTS_OF_ADDRESS, Guarded
 from tests.helpers.trees import serving_app
-from tests.helpers.waiting import PATIENCE_S, until
+from tests.helpers.waiting import NEVER, PATIENCE_S, until
 
 UNENDED = b"GET / HTTP/1.1\r\nHost: x\r\nContent-Length: 1000\r\n\r\n"
 
@@ -29,7 +30,11 @@ async def read(request):
     return PlainTextResponse(str(len(await request.body())))
 
 
-APP = Starlette(routes=[Route("/", answered), Route("/read", read, methods=["POST"])])
+async def large(request):
+    return PlainTextResponse("large" * 5_000_000)
+
+
+APP = Starlette(routes=[Route("/", answered), Route("/large", large), Route("/read", read, methods=["POST"])])
 
 
 def connected(url):
@@ -72,6 +77,33 @@ def test_a_request_that_is_completed_after_its_answer_keeps_its_connection():
         for _ in range(2):
             assert answer_of(connection, UNENDED) == (200, b"answered")
             connection.sendall(bytes(1000))
+
+
+def test_an_answer_that_nobody_reads_holds_no_connection(monkeypatch):
+    monkeypatch.setattr(connections, "UNREAD_S", 0.2)
+    lost, real = threading.Event(), Guarded.connection_lost
+    monkeypatch.setattr(Guarded, "connection_lost", lambda self, error: (real(self, error), lost.set()))
+    with serving_app(APP) as url, connected(url) as connection:
+        connection.sendall(b"GET /large HTTP/1.1\r\nHost: x\r\n\r\n")
+        assert lost.wait(PATIENCE_S)
+        size = 0
+        with contextlib.suppress(ConnectionError):
+            while data := connection.recv(1 << 20):
+                size += len(data)
+        assert 0 < size < 25_000_000
+
+
+def test_an_answer_that_is_read_slowly_comes_whole(monkeypatch):
+    monkeypatch.setattr(connections, "UNREAD_S", 0.4)
+    with serving_app(APP) as url, connected(url) as connection:
+        connection.sendall(b"GET /large HTTP/1.1\r\nHost: x\r\n\r\n")
+        answer = http.client.HTTPResponse(connection)
+        answer.begin()
+        size = 0
+        while data := answer.read(1_000_000):
+            size += len(data)
+            NEVER.wait(0.05)
+        assert size == 25_000_000
 
 
 def test_one_client_behind_a_proxy_keeps_no_others_out():

@@ -114,7 +114,7 @@ class Auth:
                     check_fields({})
                     # Report what is wrong with the fields before receiving the body.
                     asked, _ = self.service.check_form(form_of(fields))
-                    if digest := fields.get("digest"):
+                    if digest := fields.get("digest", "").lower():
                         check_digest(digest)
                         known = await run_in_threadpool(self.service.announced, team, asked, digest)
                         if known is not None:
