@@ -25,7 +25,7 @@ LAST = 50
 seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 side_option = click.option(
     "--side",
-    help="Of data whose manifest.csv has splits, only images of this one; other data is used whole.  [default: train]",
+    help="Of data that has sides, only images of this one; other data is used whole.  [default: train]",
 )
 
 

@@ -30,8 +30,8 @@ LONGEST_SIDE_PX = 1 << 16
 
 
 class CocoImage(NamedTuple):
-    """An image of a document. name: file name, without suffix if it remains unique; clip, split: empty if the document
-    does not state them."""
+    """An image of a document. name: file name, without suffix if it remains unique; clip, split (in lower case): empty
+    if the document does not state them."""
 
     name: str
     height: int
@@ -249,8 +249,8 @@ def _images(path: Path, images: list[Any]) -> dict[Any, CocoImage]:
             raise LabelError(
                 f"{where}: expected width and height in px, of an image of at most {LARGEST_IMAGE_PX} px, got {got}"
             )
-        about = (str(image.get(key, "")) for key in ("clip", "split"))
-        found[image["id"]] = CocoImage(name, image["height"], image["width"], file, *about)
+        clip, split = (str(image.get(key) or "") for key in ("clip", "split"))
+        found[image["id"]] = CocoImage(name, image["height"], image["width"], file, clip, split.casefold())
         names.add(name)
     if not found:
         raise LabelError(f"{path}: has no image")

@@ -126,8 +126,8 @@ class LabelledSet:
         return LabelledSet(name or self.name, [entry for entry in self.entries if keep(entry)])
 
     def of_split(self, split: str) -> LabelledSet:
-        """Return the set of the images of a split. Raises LabelError if there are none."""
-        found = self.where(lambda entry: entry.split == split, f"{self.name} {split}")
+        """Return the set of the images of a split, in either case. Raises LabelError if there are none."""
+        found = self.where(lambda entry: entry.split == split.casefold(), f"{self.name} {split.casefold()}")
         if not len(found):
             raise LabelError(
                 f"{self.name}: no image of split {split!r}; its splits: {', '.join(self.splits) or 'none'}; a "

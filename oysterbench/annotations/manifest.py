@@ -13,12 +13,14 @@ from oysterbench.core.errors import LabelError
 from oysterbench.core.text import separator
 
 FILE = "manifest.csv"
+TRAIN, VAL, TEST = "train", "val", "test"
+"""Sides on which images are put; where there is a test side, it alone is scored."""
 PICTURES = (".jpg", ".jpeg", ".png")
 
 
 @dataclass(frozen=True)
 class ManifestRow:
-    """Entry of an image; split is empty if none is given."""
+    """Entry of an image; split: its side, in lower case; empty if none is given."""
 
     clip: str
     split: str
@@ -46,7 +48,7 @@ def read_manifest(folder: Path) -> dict[str, ManifestRow]:
                 raise LabelError(f"{path}:{reader.line_num}: expected an id and a clip, got {name!r} and {clip!r}")
             if name in rows:
                 raise LabelError(f"{path}:{reader.line_num}: {name!r} is listed twice")
-            rows[name] = ManifestRow(clip, values.get("split") or "")
+            rows[name] = ManifestRow(clip, (values.get("split") or "").casefold())
     except UnicodeDecodeError:
         raise LabelError(f"{path}: expected a CSV table in UTF-8: in a spreadsheet, save it as 'CSV UTF-8'") from None
     except (OSError, csv.Error) as error:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from oysterbench.annotations.coco import CocoFile, read_coco
 from oysterbench.annotations.coco_set import picture_file, read_coco_picture
 from oysterbench.annotations.image import Entry, is_colour, planes_of
-from oysterbench.annotations.manifest import FILE, read_manifest
+from oysterbench.annotations.manifest import FILE, TEST, read_manifest
 from oysterbench.annotations.masks import as_mask, read_png
 from oysterbench.annotations.opening import kinds_at, open_labelled
 from oysterbench.core.errors import LabelError
@@ -40,9 +40,6 @@ TRUTH_KINDS = (
 
 GRID = 16  # px between the rays from which the area of seabed in an image is computed
 
-TRAIN, TEST = "train", "test"
-"""Sides of a manifest.csv; where there is a test side, it alone is scored."""
-
 Seen = tuple[TruthImage, NDArray[np.uint8] | None]
 """Truth of an image and its pixels (H, W, 3) uint8 RGB, if there are any."""
 
@@ -53,8 +50,8 @@ class LabelledSequence:
 
     digest: of the files; coco: set if the truth is COCO annotations, whose instances may overlap; pixels: reads the
     image of a name, without the truth; None if only `images` reads them
-    sides: which sides of a manifest.csv are scored, as a sentence; empty where there are none. unscored: names of the
-    images of other sides
+    sides: which sides of the data are scored, as a sentence; empty where there are none. unscored: names of the images
+    of other sides
     """
 
     name: str
@@ -186,8 +183,8 @@ def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = Non
     """Open the clips at a path: sequences, labelled folders (`opening.KINDS`), COCO annotations with or without
     their images, or a plain folder of PNG files, masks or (labels="classes") class numbers.
 
-    Clips of a plain folder are its subfolders, or as given in its manifest.csv (id, clip). Of a manifest.csv with a
-    split test, only that is opened. ignore_value: value of pixels to be ignored; for classes 255 by default.
+    Clips of a plain folder are its subfolders, or as given in its manifest.csv (id, clip). Of data with a side
+    test, only that is opened. ignore_value: value of pixels to be ignored; for classes 255 by default.
     """
     if kinds_at(place) == ["coco"]:
         return _coco_clips(place if place.is_file() else next(place.glob("*.json")), place)
@@ -229,16 +226,16 @@ def _labelled_clips(place: Path) -> list[LabelledSequence]:
 
 
 def _sides(side_of: Mapping[str, str]) -> tuple[frozenset[str], str]:
-    """Names of the images that are not scored, as they are not on the test side of their manifest.csv, and a note on
-    its sides. side_of: side of each image, by its name; all empty where there are none."""
-    counts = Counter(side for side in side_of.values() if side)
-    if not counts or set(counts) == {TEST}:
+    """Names of the images that are not scored, as they are not on the side test where there is one, and a note on the
+    sides. side_of: side of each image, by its name; empty where it has none."""
+    counts = Counter(side or "no side" for side in side_of.values())
+    if set(counts) in ({"no side"}, {TEST}):
         return frozenset(), ""
     if TEST not in counts:
-        learnt = f"images of the side {TRAIN} in {FILE} are scored too: a method may have learnt from them"
-        return frozenset(), learnt if TRAIN in counts else ""
+        found = ", ".join(f"{count} of {side}" for side, count in counts.items())
+        return frozenset(), f"no image is on a side {TEST}, so all are scored, {found}: a method may have learnt from them"
     others = ", ".join(f"{count} of {side}" for side, count in counts.items() if side != TEST)
-    note = f"only images of the side {TEST} in {FILE} are scored, {counts[TEST]} in all, and not {others}"
+    note = f"only images of the side {TEST} are scored, {counts[TEST]} in all, and not {others}"
     return frozenset(name for name, side in side_of.items() if side != TEST), note
 
 
@@ -246,11 +243,12 @@ def _coco_clips(path: Path, place: Path) -> list[LabelledSequence]:
     """The clips of a COCO file; without any, all is one, named after the place, the file or its folder."""
     file = read_coco(path)
     own = {image.name: image for image in file.images.values()}
+    unscored, sides = _sides({name: image.split for name, image in own.items()})
     beside = {name: found for name, image in own.items() if (found := picture_file(path, image)) is not None}
     whole = place.stem if place.is_file() else place.resolve().name
     groups: dict[str, list[str]] = {}
-    for name, image in own.items():
-        groups.setdefault(image.clip or whole, []).append(name)
+    for name in (name for name in own if name not in unscored):
+        groups.setdefault(own[name].clip or whole, []).append(name)
 
     def pixels(name: str) -> NDArray[np.uint8] | None:
         return read_coco_picture(beside[name], own[name]) if name in beside else None
@@ -271,6 +269,8 @@ def _coco_clips(path: Path, place: Path) -> list[LabelledSequence]:
             _digest([path, *(beside[name] for name in names if name in beside)]),
             coco=file,
             pixels=pixels,
+            sides=sides,
+            unscored=unscored,
         )
         for clip, names in groups.items()
     ]

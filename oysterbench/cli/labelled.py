@@ -14,10 +14,6 @@ if TYPE_CHECKING:
     from oysterbench.annotations import LabelledSet
 
 
-TRAIN = "train"
-"""Side of a manifest.csv to train on, by default."""
-
-
 class LabelledData(click.ParamType):  # type: ignore[type-arg]
     """Option type for labelled data; a name that does not exist is refused before anything heavy is loaded."""
 
@@ -93,9 +89,9 @@ def open_all(names: Sequence[str], name: str = "") -> LabelledSet:
 
 
 def open_training_data(names: Sequence[str], side: str | None = None) -> LabelledSet:
-    """Open several data sets as one set to train on. Of one whose manifest.csv names sides, only `side` is used, by
-    default train, which is said; one without sides is used whole. Raises LabelError where a set that has sides, or
-    every set, lacks that which was asked for."""
+    """Open several data sets as one set to train on. Of one that has sides, only `side` is used, by default train, or
+    where there is none all but test, which is said; one without sides is used whole. Raises LabelError where a set that
+    has sides, or every set, lacks that which was asked for."""
     sets = [open_data(one) for one in names]
     if side is not None and not any(one.splits for one in sets):
         return _as_one([one.of_split(side) for one in sets])
@@ -103,19 +99,21 @@ def open_training_data(names: Sequence[str], side: str | None = None) -> Labelle
 
 
 def _training_side(labelled: LabelledSet, side: str | None) -> LabelledSet:
+    from oysterbench.annotations.manifest import TEST, TRAIN
     from oysterbench.cli.echo import message
 
     if not labelled.splits or (side is None and labelled.splits == (TRAIN,)):
         return labelled
     if side is None and TRAIN not in labelled.splits:
-        message(
-            f"{labelled.name}: all images are used: manifest.csv has no side {TRAIN}, but {', '.join(labelled.splits)}"
-        )
-        return labelled
+        # What is scored is not learnt from, unless there is nothing else.
+        chosen = labelled.where(lambda entry: entry.split != TEST)
+        used = f"{len(chosen)} of {len(labelled)} images are used, all but the side {TEST}"
+        if len(chosen) in (0, len(labelled)):
+            chosen, used = labelled, "all images are used"
+        message(f"{labelled.name}: {used}: there is no side {TRAIN}, but {', '.join(labelled.splits)}")
+        return chosen
     chosen = labelled.of_split(side or TRAIN)
-    message(
-        f"{labelled.name}: {len(chosen)} of {len(labelled)} images are used, the side {side or TRAIN} of manifest.csv"
-    )
+    message(f"{labelled.name}: {len(chosen)} of {len(labelled)} images are used, the side {side or TRAIN}")
     return chosen
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import oysterbench
 from oysterbench.annotations import open_labelled, open_truth
 from oysterbench.annotations.truth import footprint_m2, footprint_rays
+from oysterbench.cli.labelled import open_training_data
 from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import transform
 from oysterbench.sequence import CameraCalibration
@@ -125,14 +128,38 @@ def test_only_the_test_side_of_a_manifest_is_scored_and_that_is_said(tmp_path, l
     (clip,) = clips("train", "test", "test")
     assert [name[-1] for name in clip.names] == ["b", "c"]
     assert [truth.name[-1] for truth, _ in clip.images()] == ["b", "c"]
-    assert clip.sides == "only images of the side test in manifest.csv are scored, 2 in all, and not 1 of train"
+    assert clip.sides == "only images of the side test are scored, 2 in all, and not 1 of train"
     assert {name[-1] for name in clip.unscored} == {"a"}
     (clip,) = clips("train", "train", "val")
     assert len(clip.names) == 3
-    assert "images of the side train in manifest.csv are scored too" in clip.sides
+    assert clip.sides == (
+        "no image is on a side test, so all are scored, 2 of train, 1 of val: a method may have learnt from them"
+    )
+    (clip,) = clips("a", "b", "b")
+    assert "1 of a, 2 of b: a method may have learnt from them" in clip.sides
+    (clip,) = clips("Train", "TEST", "Test")
+    assert [name[-1] for name in clip.names] == ["b", "c"], "spreadsheets begin words with a capital"
     for sides in (("", "", ""), ("test", "test", "test")):
         (clip,) = clips(*sides)
         assert (len(clip.names), clip.sides, clip.unscored) == (3, "", frozenset())
+
+
+@pytest.mark.parametrize("pictures", [False, True])
+def test_of_coco_annotations_with_sides_the_test_side_is_scored_and_not_what_train_learns_from(tmp_path, pictures):
+    images = [
+        {"id": k, "file_name": f"{name}.png", "width": 3, "height": 1} | ({"split": side} if side else {})
+        for k, (name, side) in enumerate({"a": "Train", "b": "Test", "c": ""}.items())
+    ]
+    document = {"images": images, "annotations": [], "categories": [{"id": 1, "name": "oyster"}]}
+    (tmp_path / "all.json").write_text(json.dumps(document))
+    if pictures:
+        for name in "abc":
+            cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((1, 3), np.uint8))
+        assert [entry.name for entry in open_training_data([str(tmp_path)]).entries] == ["a"]
+    (clip,) = open_truth(tmp_path)
+    assert (clip.names, clip.unscored) == (("b",), {"a", "c"})
+    assert [truth.name for truth, _ in clip.images()] == ["b"]
+    assert clip.sides == "only images of the side test are scored, 1 in all, and not 1 of train, 1 of no side"
 
 
 @pytest.mark.parametrize("track", [SEGMENTATION, DETECTION])

@@ -29,9 +29,9 @@ def names(labelled: LabelledSet) -> list[str]:
 def test_of_a_folder_with_sides_the_train_side_is_used_and_that_is_said(folder, capsys):
     mine = folder("mine", "train", "test", "test")
     assert names(open_training_data([mine])) == ["clip-0"]
-    assert "mine: 1 of 3 images are used, the side train of manifest.csv" in capsys.readouterr().err
-    assert names(open_training_data([mine], "test")) == ["clip-1", "clip-2"]
-    assert "mine: 2 of 3 images are used, the side test of manifest.csv" in capsys.readouterr().err
+    assert "mine: 1 of 3 images are used, the side train" in capsys.readouterr().err
+    assert names(open_training_data([mine], "Test")) == names(open_training_data([mine], "test")) == ["clip-1", "clip-2"]
+    assert "mine: 2 of 3 images are used, the side test" in capsys.readouterr().err
 
 
 def test_data_without_sides_is_used_whole_beside_a_side_of_other_data(folder):
@@ -54,5 +54,10 @@ def test_a_side_that_is_nowhere_is_refused_and_that_none_is_for_training_is_said
         open_training_data([whole], "train")
     with pytest.raises(LabelError, match="sided: no image of split 'train'; its splits: test, val"):
         open_training_data([whole, sided], "train")
-    assert len(open_training_data([sided])) == 2
-    assert "sided: all images are used: manifest.csv has no side train, but test, val" in capsys.readouterr().err
+    assert names(open_training_data([sided])) == ["clip-1"], "what is scored is not learnt from"
+    said = "sided: 1 of 2 images are used, all but the side test: there is no side train, but test, val"
+    assert said in capsys.readouterr().err
+    for name, sides in (("tests", ("test", "test")), ("parts", ("val", "other"))):
+        assert len(open_training_data([folder(name, *sides)])) == 2
+        said = f"{name}: all images are used: there is no side train, but {', '.join(dict.fromkeys(sides))}"
+        assert said in capsys.readouterr().err

@@ -6,7 +6,8 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from oysterbench.annotations.export.examples import TEST, TRAIN, VAL, Parts, rendered
+from oysterbench.annotations.export.examples import Parts, rendered
+from oysterbench.annotations.manifest import TEST, TRAIN, VAL
 from oysterbench.recipe import CLASSES
 from oysterbench.version import VERSION
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet
+from oysterbench.annotations.manifest import TEST, TRAIN, VAL
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import decode_picture
 from oysterbench.recipe import CLASSES, OYSTER
@@ -22,7 +23,6 @@ from oysterbench.sequence import Sequence as OpenSequence
 from oysterbench.sequence import open_sequence
 from oysterbench.sequence.pictures import encoded_pictures, png_bytes
 
-TRAIN, VAL, TEST = "train", "val", "test"
 Parts = dict[str, list[Entry]]
 """Part -> its images, in order; only parts that have some."""
 
