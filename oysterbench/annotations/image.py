@@ -78,13 +78,19 @@ class Entry:
 
     @property
     def camera(self) -> str:
-        """What took it, as far as names say: frames of sequences are named SEQUENCE/CAMERA/STAMP."""
-        return self.name.rpartition("/")[0]
+        """What took it, as far as names say: frames of sequences are named SEQUENCE/CAMERA/STAMP, or with dashes in
+        folders of masks. Empty where a name does not end in a number."""
+        return self._taken[0]
 
     @property
     def instant(self) -> str:
         """When it was taken, as far as names say: the same for cameras that looked at the same time."""
-        return self.name.rpartition("/")[2]
+        return self._taken[1]
+
+    @property
+    def _taken(self) -> tuple[str, str]:
+        camera, _, instant = self.name.replace("/", "-").rpartition("-")
+        return (camera, instant) if instant.isdecimal() else ("", self.name)
 
 
 class LabelledSet:
@@ -164,13 +170,23 @@ def planes_of(
 
 def ends_of(entries: Sequence[Entry], share: float) -> list[Entry]:
     """Select the last share (rounded down) of what each camera took, of the images of one clip in order of time; an
-    image of another camera at the same instant, which shows the same ground, is selected too."""
+    image of another camera at the same instant, which shows the same ground, is selected too. Where every camera took
+    too few, the last share of all instants, or of all images, is selected."""
     cameras: dict[str, list[Entry]] = {}
     for entry in entries:
         cameras.setdefault(entry.camera, []).append(entry)
     ends = (entry for taken in cameras.values() for entry in taken[len(taken) - int(share * len(taken)) :])
     instants = {entry.instant for entry in ends}
-    return [entry for entry in entries if entry.instant in instants]
+    return [entry for entry in entries if entry.instant in instants] or _last_of(entries, share)
+
+
+def _last_of(entries: Sequence[Entry], share: float) -> list[Entry]:
+    """Select the images of the last share of all instants, at least of one; where these are more than twice the share
+    of all images, as of many cameras at few instants, select the last share of the images as they stand."""
+    instants = sorted({entry.instant for entry in entries}, key=lambda instant: (len(instant), instant))
+    last = instants[-max(1, int(share * len(instants))) :]
+    found, most = [entry for entry in entries if entry.instant in last], int(share * len(entries))
+    return found if len(found) <= 2 * most else list(entries[len(entries) - most :])
 
 
 def joined(sets: Iterable[LabelledSet], name: str) -> LabelledSet:

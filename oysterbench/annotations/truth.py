@@ -233,7 +233,10 @@ def _sides(side_of: Mapping[str, str]) -> tuple[frozenset[str], str]:
         return frozenset(), ""
     if TEST not in counts:
         found = ", ".join(f"{count} of {side}" for side, count in counts.items())
-        return frozenset(), f"no image is on a side {TEST}, so all are scored, {found}: a method may have learnt from them"
+        return (
+            frozenset(),
+            f"no image is on a side {TEST}, so all are scored, {found}: a method may have learnt from them",
+        )
     others = ", ".join(f"{count} of {side}" for side, count in counts.items() if side != TEST)
     note = f"only images of the side {TEST} are scored, {counts[TEST]} in all, and not {others}"
     return frozenset(name for name, side in side_of.items() if side != TEST), note

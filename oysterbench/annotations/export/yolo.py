@@ -78,6 +78,7 @@ def with_val(parts: Parts) -> tuple[Parts, list[str]]:
         note = f"val is {len(chosen)} of {len(clips)} clips of train: {', '.join(sorted(chosen)[:8])}"
     else:
         held = ends_of(entries, VAL_SHARE) or [one for one in entries if one.instant == entries[-1].instant]
+        held = held if len(held) < len(entries) else entries[-1:]
         note = "val is the end of the only clip, which resembles the rest of it; another split (-val) says more"
     taken = {entry.name for entry in held}
     kept: list[Entry] = [entry for entry in entries if entry.name not in taken]

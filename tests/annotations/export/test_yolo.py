@@ -123,6 +123,15 @@ def test_of_the_only_clip_all_cameras_are_divided_at_the_same_time():
     assert [one.name for one in parts["val"]] == ["a/x/8", "a/x/9", "a/y/8", "a/y/9"]
     parts, _ = with_val({"train": [entry(f"a/{camera}/{n}", "a") for camera in "xy" for n in range(3)]})
     assert [one.name for one in parts["val"]] == ["a/x/2", "a/y/2"]
+    parts, _ = with_val({"train": [entry(f"a/{camera}/{n}", "a") for camera in "xy" for n in range(2)]})
+    assert [one.name for one in parts["val"]] == ["a/x/1", "a/y/1"]
+
+
+@pytest.mark.parametrize("count", [2, 4, 100])
+def test_of_the_only_clip_some_images_are_left_to_train_on_whatever_their_names(count):
+    for form in ("{:04}/left", "site{}-2024", "a/{}"):
+        parts, _ = with_val({"train": [entry(form.format(n), "a") for n in range(count)]})
+        assert (len(parts["train"]), len(parts["val"])) == (count - max(1, count // 5), max(1, count // 5))
 
 
 def test_a_part_for_validation_is_taken_as_it_is():
