@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,12 +17,12 @@ from oysterbench.core.errors import LabelError
 from oysterbench.core.streams import Streams
 from oysterbench_baselines.learning.augment import Augmentation
 from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_batch
-from oysterbench_baselines.learning.checkpoint import Checkpoint
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
 from oysterbench_baselines.learning.loop import FitSettings, Progress, channels_last, fit
 from oysterbench_baselines.learning.losses import mask_loss
 from oysterbench_baselines.learning.novelty import learnt
 from oysterbench_baselines.learning.samples import LabelledDataset
-from oysterbench_baselines.unet.calibration import evenly, kept_back
+from oysterbench_baselines.unet.calibration import LEAST, Calibration, evenly, kept_back
 from oysterbench_baselines.unet.calibration import measured as calibrated
 from oysterbench_baselines.unet.method import DEFAULT_VIEWS
 from oysterbench_baselines.unet.model import calibration_of, described, unet_model
@@ -74,13 +75,17 @@ def identity(
     seed: int,
     device: torch.device,
     begun: Checkpoint | None = None,
+    kept: LabelledSet | None = None,
 ) -> dict[str, Any]:
     """Identity of a training, all that determines the weights, as plain values. data: digests of the data, by purpose;
-    begun: the training from whose weights it starts."""
+    begun: the training from whose weights it starts; kept: the images held out, which it must not have learnt from."""
     plain = dataclasses.asdict(settings)
     plain["augmentation"]["zoom"] = list(settings.augmentation.zoom)
     method = kind_of(plain["network"])
     found = {"method": method, "settings": plain, "data": dict(data), "seed": seed, "device": device.type}
+    if kept is not None:
+        names = "\n".join(entry.name for entry in kept.entries)
+        found["held_out"] = hashlib.sha256(names.encode(errors="surrogateescape")).hexdigest()
     return found if begun is None else {**found, "begun": {**begun.identity, "steps": begun.step}}
 
 
@@ -113,6 +118,11 @@ def train(
     learnt_from, kept = kept_back(labelled) if settings.measured else (labelled, labelled.where(lambda entry: False))
     dataset = LabelledDataset(learnt_from, settings.network.scale, settings.network.side).load(loading)
     streams = Streams(seed).at("unet")
+    wanted = identity(
+        settings, {labelled.name: labelled.digest()}, seed, device, begun, kept if settings.measured else None
+    )
+    if not again and _is_whole_of_before(path):
+        wanted.pop("held_out", None)
     mixture = Mixture([dataset], [settings.batch])
     checkpoint = fit(
         lambda: new_network(settings.network, begun),
@@ -120,7 +130,7 @@ def train(
         lambda step: make_batch(mixture, settings.augmentation, streams, step),
         mask_loss,
         settings.fit,
-        identity(settings, {labelled.name: labelled.digest()}, seed, device, begun),
+        wanted,
         path,
         device,
         initial_seed(streams),
@@ -133,6 +143,13 @@ def train(
     return checkpoint
 
 
+def _is_whole_of_before(path: Path) -> bool:
+    """Whether a training is finished and measured, of a version that did not keep which images were held out: nothing
+    of it is computed anew, so that they need not be known."""
+    known = read_checkpoint(path) if path.is_file() else None
+    return known is not None and known.finished and bool(known.measured) and "held_out" not in known.identity
+
+
 def measure(
     checkpoint: Checkpoint,
     learnt_from: LabelledSet,
@@ -143,7 +160,7 @@ def measure(
 ) -> dict[str, Any]:
     """Measure a trained network: its calibration on the images held out, and, with a pretrained encoder, the
     distribution of the training images for novelty (`learning.novelty`). begun: the training from whose weights it
-    started, whose calibration it keeps where no image held out shows an oyster."""
+    started, whose calibration it keeps where fewer than `LEAST` images held out show an oyster."""
     model = unet_model(checkpoint, device, DEFAULT_VIEWS)
     before = None if begun is None else calibration_of(begun)
     found: dict[str, Any] = {"calibration": dataclasses.asdict(calibrated(kept, model.look, progress, before))}
@@ -163,7 +180,10 @@ def thresholds_of(checkpoint: Checkpoint, begun: Checkpoint | None = None) -> st
     known = calibration_of(checkpoint)
     if begun is not None and known == calibration_of(begun):
         known_on = f", measured on {known.images} images" if known.images else ""
-        return f"no oyster in images held out: thresholds are those of the weights that it began with{known_on}"
-    if not known.images:
+        few = f"fewer than {LEAST} images held out show an oyster"
+        return f"{few}: thresholds are those of the weights that it began with{known_on}"
+    if known == Calibration():
         return "no oyster in images held out: thresholds are the default ones, and counts may be far off"
+    if not known.images:  # earlier versions did not keep it
+        return "thresholds were measured on images held out"
     return f"thresholds were measured on {known.images} image{'s' * (known.images > 1)} held out"

@@ -11,9 +11,11 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip insta
 
 from click.testing import CliRunner  # noqa: E402
 
+from oysterbench.annotations import Entry, LabelledImage, LabelledSet, open_labelled, write_folder  # noqa: E402
 from oysterbench.cli.main import main  # noqa: E402
+from oysterbench.core.errors import MethodError  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
-from oysterbench_baselines.unet.calibration import Calibration, measured  # noqa: E402
+from oysterbench_baselines.unet.calibration import LEAST, Calibration, kept_back, measured  # noqa: E402
 from oysterbench_baselines.unet.training import thresholds_of, train  # noqa: E402
 from oysterbench_baselines.unet.views import Look  # noqa: E402
 from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
@@ -40,17 +42,58 @@ def test_a_training_on_few_images_keeps_the_thresholds_of_the_weights_that_it_be
     mine = read_checkpoint(tmp_path / "mine.pt")
     assert Calibration(**mine.measured["calibration"]) == KNOWN
     said = (
-        "no oyster in images held out: thresholds are those of the weights that it began with, measured on 240 images"
+        "fewer than 5 images held out show an oyster: thresholds are those of the weights that it began with, measured "
+        "on 240 images"
     )
     assert said in " ".join(done.stderr.split())
 
 
-def test_where_images_are_held_out_thresholds_are_measured_anew_and_on_how_many_is_said(tmp_path, begun):
+def test_where_enough_images_are_held_out_thresholds_are_measured_anew_and_on_how_many_is_said(tmp_path, begun):
     checkpoint = train(
-        small_set(tmp_path / "more", {"one": ("", 20)}), tmp_path / "a.pt", ONE, 0, CPU, begun=read_checkpoint(begun)
+        small_set(tmp_path / "more", {"one": ("", 50)}), tmp_path / "a.pt", ONE, 0, CPU, begun=read_checkpoint(begun)
     )
-    assert checkpoint.measured["calibration"]["images"] == 2
-    assert thresholds_of(checkpoint, read_checkpoint(begun)) == "thresholds were measured on 2 images held out"
+    assert checkpoint.measured["calibration"]["images"] == 5
+    assert thresholds_of(checkpoint, read_checkpoint(begun)) == "thresholds were measured on 5 images held out"
+
+
+def test_a_few_images_with_oysters_replace_no_thresholds_but_the_default_ones(tmp_path):
+    labelled = small_set(tmp_path, {"one": ("", LEAST)})
+
+    def found(count, otherwise):
+        few = LabelledSet("few", [*labelled.entries[:count], *map(without_oysters, labelled.entries[count:])])
+        return measured(few, lambda pixels: Look(np.zeros((2, *pixels.shape[:2]), np.float32)), otherwise=otherwise)
+
+    assert found(LEAST - 1, KNOWN) == KNOWN
+    assert found(LEAST, KNOWN).images == found(1, None).images == LEAST
+
+
+def without_oysters(entry):
+    def read():
+        image = entry.read()
+        return dataclasses.replace(image, classes=0 * image.classes, instances=0 * image.instances)
+
+    return dataclasses.replace(entry, read=read)
+
+
+def test_weights_that_were_measured_before_the_number_of_images_was_kept_have_no_default_thresholds(tmp_path):
+    checkpoint = train(small_set(tmp_path, {"one": ("", 4)}), tmp_path / "a.pt", ONE, 0, CPU)
+    checkpoint.measured["calibration"] = {"temperature": 1.4, "cut": 0.3, "rise": 0.06, "sure": 0.31}
+    assert thresholds_of(checkpoint) == "thresholds were measured on images held out"
+
+
+@pytest.mark.parametrize("finished", [False, True])
+def test_a_training_that_held_out_other_images_is_not_resumed_though_finished_weights_of_before_stay(
+    tmp_path, finished
+):
+    labelled = small_set(tmp_path / "set", {"one": ("", 10)})
+    before = train(labelled, tmp_path / "a.pt", ONE, 0, CPU)
+    del before.identity["held_out"]  # as before it was kept
+    dataclasses.replace(before, measured=before.measured if finished else {}).write(tmp_path / "a.pt")
+    if finished:
+        assert train(labelled, tmp_path / "a.pt", ONE, 0, CPU).digest() == before.digest()
+    else:
+        with pytest.raises(MethodError, match="holds a training with held_out = None, and held_out = .* is asked for"):
+            train(labelled, tmp_path / "a.pt", ONE, 0, CPU)
 
 
 def test_weights_with_default_thresholds_say_so(tmp_path):
@@ -60,3 +103,26 @@ def test_weights_with_default_thresholds_say_so(tmp_path):
     )
     nothing = small_set(tmp_path / "more", {"one": ("", 2)}).where(lambda entry: False)
     assert measured(nothing, lambda pixels: Look(np.zeros((2, 4, 4), np.float32)), otherwise=KNOWN) == KNOWN
+
+
+def test_of_a_folder_that_was_written_from_two_cameras_the_same_instants_are_kept_back_too(tmp_path):
+    pixels = np.zeros((8, 8), np.uint8)
+    names = [f"reef/{camera}/{k:04}" for camera in ("cam_down", "cam_close") for k in range(10)]
+    layers = (np.stack([pixels] * 3, -1), pixels, pixels.astype(np.uint16), pixels > 0)
+    write_folder([LabelledImage(name, "reef", *layers) for name in names], tmp_path)
+    kept = kept_back(open_labelled(tmp_path))[1]
+    assert [entry.name for entry in kept.entries] == ["reef-cam_down-0009", "reef-cam_close-0009"]
+
+
+@pytest.mark.parametrize(
+    ("names", "held"),
+    [
+        ([f"reef/{camera}/{k}" for camera in "abc" for k in range(9)], ["reef/a/8", "reef/b/8", "reef/c/8"]),
+        ([f"quadrat{k:02}-2024" for k in range(20)], ["quadrat18-2024", "quadrat19-2024"]),
+        ([f"{k:04}/left" for k in range(20)], ["0018/left", "0019/left"]),
+        ([f"reef/{camera}/{k}" for camera in "ab" for k in range(4)], []),
+    ],
+)
+def test_of_few_images_of_each_camera_the_last_of_all_are_kept_back(names, held):
+    entries = [Entry(name, "reef", lambda: pytest.fail("it was read"), ()) for name in names]
+    assert [entry.name for entry in kept_back(LabelledSet("set", entries))[1].entries] == held

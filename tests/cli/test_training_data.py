@@ -30,7 +30,9 @@ def test_of_a_folder_with_sides_the_train_side_is_used_and_that_is_said(folder, 
     mine = folder("mine", "train", "test", "test")
     assert names(open_training_data([mine])) == ["clip-0"]
     assert "mine: 1 of 3 images are used, the side train" in capsys.readouterr().err
-    assert names(open_training_data([mine], "Test")) == names(open_training_data([mine], "test")) == ["clip-1", "clip-2"]
+    assert (
+        names(open_training_data([mine], "Test")) == names(open_training_data([mine], "test")) == ["clip-1", "clip-2"]
+    )
     assert "mine: 2 of 3 images are used, the side test" in capsys.readouterr().err
 
 
