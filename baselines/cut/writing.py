@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from oysterbench.annotations import LabelledImage, LabelledSet, remove_image, write_folder
+from oysterbench.annotations.folders import LAYERS
+from oysterbench.annotations.manifest import FILE as MANIFEST
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import MethodError
 from oysterbench_baselines.cut.drift import Drift, mask_drift
 from oysterbench_baselines.cut.judge import Judge, Verdict, together
 
 FILE = "drift.csv"
-LAYERS = ("images", "masks", "instances", "ignore", "manifest.csv")
-"""What `write_folder` writes into a folder."""
 JUDGED = ("iou", "iou_after", "vanished", "appeared")
 """Columns of `FILE` in addition to those of a Drift: the shares of a Verdict."""
 
@@ -48,7 +48,8 @@ def write_translated(
     translation.
     """
     check_out(source, out)
-    write_atomically(out / FILE, _table([]).encode())  # first, so that an interrupted translation can be repeated
+    if not (out / FILE).is_file():  # first, so that an interrupted translation can be repeated
+        write_atomically(out / FILE, _table([]).encode())
     found: list[Measured] = []
 
     def kept() -> Iterator[LabelledImage]:
@@ -75,7 +76,7 @@ def write_translated(
 def check_out(source: LabelledSet, out: Path) -> None:
     """Raise MethodError where a folder to write holds images that are not of an earlier translation, or some that are
     to be translated."""
-    there = [name for name in LAYERS if (out / name).exists()]
+    there = [name for name in (*LAYERS, MANIFEST) if (out / name).exists()]
     if there and not (out / FILE).is_file():
         raise MethodError(
             f"{out}: expected a new folder, or that of an earlier translation, with {FILE}, got one with "

@@ -27,6 +27,9 @@ from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import LabelError
 from oysterbench.recipe import OYSTER
 
+LAYERS = ("images", "masks", "instances", "ignore")
+"""Folders of such a data set, with one file for each image."""
+
 
 def mask_set(folder: Path) -> LabelledSet:
     """Open the images of such a folder. An image without its mask, or a mask without its image, is refused."""
@@ -85,7 +88,7 @@ def write_folder(
 
 def remove_image(folder: Path, name: str) -> None:
     """Remove an image that `write_folder` wrote, if it exists; manifest.csv is only updated by the next writing."""
-    for layer in ("images", "masks", "instances", "ignore"):
+    for layer in LAYERS:
         (folder / layer / f"{name.replace('/', '-')}.png").unlink(missing_ok=True)
 
 

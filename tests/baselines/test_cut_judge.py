@@ -168,6 +168,10 @@ def test_a_translation_that_was_interrupted_can_be_repeated(tmp_path):
         write_translated(labelled(3), stop, tmp_path / "out", None, 0.0, lambda done, total: None)
     write_translated(labelled(3), iter, tmp_path / "out", None, 0.0, lambda done, total: None)
     assert len(open_labelled(tmp_path / "out")) == len(rows(tmp_path / "out")) == 3
+    whole = rows(tmp_path / "out")
+    with pytest.raises(KeyboardInterrupt):
+        write_translated(labelled(3), stop, tmp_path / "out", None, 0.0, lambda done, total: None)
+    assert rows(tmp_path / "out") == whole, "the measurements of the images that are still there"
 
 
 def test_the_commands_take_a_judge(weights, tmp_path, home):

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations.export.examples import TRAIN, VAL, Example, Parts, examples
+from oysterbench.annotations.export.examples import Example, Parts, examples
 from oysterbench.annotations.image import Entry, ends_of
+from oysterbench.annotations.manifest import TRAIN, VAL
 from oysterbench.core.disk_space import link
 from oysterbench.core.geometry import Array
 from oysterbench.core.polygons import mask_polygons
