@@ -141,6 +141,7 @@ def segment_command(
     # These imports are slow, so everything that can be refused without them has been.
     from oysterbench.cli.render import frames_bar
     from oysterbench.counting.accuracy import figures_of_counts, read_accuracy
+    from oysterbench.counting.coco import is_as_counted
     from oysterbench.counting.identity import method_identity
     from oysterbench.counting.least import Least
     from oysterbench.counting.reading import Sampling
@@ -202,7 +203,8 @@ def segment_command(
             f"tables: {', '.join(earlier[:3])}{more}"
         )
     if not coco and (out / COCO).exists():
-        message(f"{out / COCO} is of an earlier count, and may not agree with the tables: --coco writes it anew")
+        anew = ": --coco writes it anew" if is_as_counted(out / COCO) else ""
+        message(f"{out / COCO} is of an earlier count, and may not agree with the tables{anew}")
     written = write_counts(result, counted, store, Making(command, identity, said), coco)
     if as_json:
         echo(json.dumps({**result.as_plain(), "files": [str(path) for path in written]}, indent=2))

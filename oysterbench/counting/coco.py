@@ -31,7 +31,8 @@ def coco_document(store: Store, pictures: Sequence[PictureCount]) -> dict[str, A
 
 
 def is_as_counted(path: Path) -> bool:
-    """Whether a file is as `coco_document` made it: not one that was corrected since."""
+    """Whether a file is as `coco_document` made it: not one that was corrected since, nor of a version that kept no
+    digest, of which that is not known."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
         return bool(found.pop("info")["sha256"] == _digest(found))

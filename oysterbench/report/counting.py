@@ -36,8 +36,8 @@ class Making:
 
 
 def check_folder(store: Store, with_coco: bool = False) -> None:
-    """Raise LabelError where the count would overwrite files in the folder that are not from an earlier count, or
-    were corrected since."""
+    """Raise LabelError where the count would overwrite files in the folder that are not from an earlier count, or may
+    have been corrected since."""
     there = [name for name in _files(with_coco) if (store.folder / name).exists()]
     if there and not store.begun and FORMAT not in _text(store.folder / SUMMARY):
         raise LabelError(
@@ -45,7 +45,10 @@ def check_folder(store: Store, with_coco: bool = False) -> None:
             "another folder by --out"
         )
     if with_coco and (path := store.folder / COCO).exists() and not is_as_counted(path):
-        raise LabelError(f"{path}: --coco would overwrite what was changed in it by hand: move it elsewhere first")
+        raise LabelError(
+            f"{path}: --coco would overwrite it, though it was changed by hand or is of an earlier version: move it "
+            "elsewhere first"
+        )
 
 
 def _text(path: Path) -> str:
