@@ -48,8 +48,8 @@ Seen = tuple[TruthImage, NDArray[np.uint8] | None]
 class LabelledSequence:
     """Images of one recording. names: of all of them, known without reading any; images: reads them one by one.
 
-    digest: of the files; coco: set if the truth is COCO annotations, whose instances may overlap; pixels: reads the
-    image of a name, without the truth; None if only `images` reads them
+    digest: of the files of the truth; coco: set if it is COCO annotations, whose instances may overlap. pixels: reads
+    the image of a name, without the truth, None if only `images` reads them; pictures_at: the files that it reads
     sides: which sides of the data are scored, as a sentence; empty where there are none. unscored: names of the images
     of other sides
     """
@@ -61,6 +61,7 @@ class LabelledSequence:
     conditions: Mapping[str, float | str] = field(default_factory=dict)
     coco: CocoFile | None = None
     pixels: Callable[[str], NDArray[np.uint8] | None] | None = None
+    pictures_at: tuple[Path, ...] = ()
     sides: str = ""
     unscored: frozenset[str] = frozenset()
 
@@ -77,6 +78,20 @@ class LabelledSequence:
             yield from ((truth.name, pixels) for truth, pixels in self.images())
         else:
             yield from ((name, self.pixels(name)) for name in self.names)
+
+    def shown(self, name: str, pixels: NDArray[np.uint8] | None) -> NDArray[np.uint8] | None:
+        """Return the pixels of an image for a report: those that `images` gave, or of COCO annotations, for which it
+        gives none, those of its file; None where this is not as the annotations say, as no score depends on it."""
+        try:
+            return pixels if self.pixels is None else self.pixels(name)
+        except LabelError:
+            return None
+
+    def digest_given(self) -> str:
+        """SHA-256 of all that methods are given and scored by: of the truth, of image files beside it, and of names."""
+        beside = [_digest([path]) for path in self.pictures_at]
+        known = "\0".join((self.digest, *beside, *self.names))
+        return hashlib.sha256(known.encode(errors="surrogateescape")).hexdigest()
 
     def instances(self, truth: TruthImage) -> ImageInstances:
         """Return the single oysters of one of the images. Raises LabelError if the truth does not separate them."""
@@ -248,7 +263,7 @@ def _coco_clips(path: Path, place: Path) -> list[LabelledSequence]:
     own = {image.name: image for image in file.images.values()}
     unscored, sides = _sides({name: image.split for name, image in own.items()})
     beside = {name: found for name, image in own.items() if (found := picture_file(path, image)) is not None}
-    whole = place.stem if place.is_file() else place.resolve().name
+    whole, digest = place.stem if place.is_file() else place.resolve().name, _digest([path])
     groups: dict[str, list[str]] = {}
     for name in (name for name in own if name not in unscored):
         groups.setdefault(own[name].clip or whole, []).append(name)
@@ -262,16 +277,17 @@ def _coco_clips(path: Path, place: Path) -> list[LabelledSequence]:
             classes, instances = planes_of(oysters, *crowd.shape)
             ignore = crowd & (classes != OYSTER)
             truth = TruthImage(name, classes, False, ignore if ignore.any() else None, instances=instances)
-            yield truth, pixels(name)
+            yield truth, None  # images are read where one is shown, or a method runs
 
     return [
         LabelledSequence(
             clip,
             tuple(names),
             partial(images, names),
-            _digest([path, *(beside[name] for name in names if name in beside)]),
+            digest,
             coco=file,
             pixels=pixels,
+            pictures_at=tuple(beside[name] for name in names if name in beside),
             sides=sides,
             unscored=unscored,
         )

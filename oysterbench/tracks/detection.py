@@ -63,7 +63,9 @@ class DetectionTrack(ImageTrack):
             scorer.add(instances, estimate)
             counted = [one for one in estimate.instances if one.score >= settings.threshold]
             if seen is not None and instances.name in wanted and all(one.mask is not None for one in counted):
-                samples.append(overlay(*seen, paint(estimate, counted) > 0, method))
+                truth, pixels = seen
+                shown = labelled.shown(truth.name, pixels)
+                samples.append(overlay(truth, shown, paint(estimate, counted) > 0, method))
         return scorer.result(), samples
 
     def over_dataset(self, method: str, results: Sequence[Sequence[DetectionClip]]) -> DatasetRow:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -38,7 +37,16 @@ from oysterbench.report.tables import failures_and_notes
 from oysterbench.results.records import ResultRecord
 from oysterbench.simulation.conditions import conditions
 from oysterbench.simulation.generate import digest
-from oysterbench.tracks.track import Evaluation, Option, Track, about_run, about_sequence, cost_of, shown_tables
+from oysterbench.tracks.track import (
+    Evaluation,
+    Option,
+    Track,
+    about_run,
+    about_sequence,
+    check_names_differ,
+    cost_of,
+    shown_tables,
+)
 
 SAMPLES = 3  # sample images per sequence in the report
 
@@ -62,14 +70,14 @@ class PictureSequence(RunSequence):
     ) -> None:
         self.name = labelled.name
         self.labelled, self.places, self.split = labelled, tuple(places), split
+        self._given = labelled.digest_given() if split is None else ""
 
     @property
     def origin(self) -> str:
         """Split, digest of its recipe, and name for a sequence of a public split; for others the digest of the files,
-        and for one's own also of the names of the images, by which methods are given them."""
+        and for one's own also of the names of the images, by which methods are given them, and name them in files."""
         if self.split is None:
-            known = "\0".join((self.labelled.digest, *self.labelled.names))
-            return hashlib.sha256(known.encode(errors="surrogateescape")).hexdigest()
+            return self._given
         if self.split.hidden:
             return self.labelled.digest
         return f"{self.split.name} {digest(self.split)} {self.name}"
@@ -152,7 +160,9 @@ class ImageTrack(Track):
             named = files.items()
             return [PictureSequence(labelled_sequence(p, conditions(split, n)), [p], split) for n, p in named]
         reading = {key: options[key] for key in ("labels", "ignore_value") if key in options}
-        return [PictureSequence(one, [path]) for path in files.values() for one in open_truth(path, **reading)]
+        found = [PictureSequence(one, [path]) for path in files.values() for one in open_truth(path, **reading)]
+        check_names_differ(found)
+        return found
 
     def score(self, job: Job, outcome: Outcome, out: Path, settings: Any) -> ImageRun:
         """Score the predictions of a run, image by image."""

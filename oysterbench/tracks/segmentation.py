@@ -76,7 +76,8 @@ class SegmentationTrack(ImageTrack):
             estimate = get(truth.name, truth.classes.shape)
             scorer.add(truth, estimate)
             if truth.name in wanted:
-                samples.append(overlay(truth, pixels, estimate.mask(settings.threshold), method))
+                shown = labelled.shown(truth.name, pixels)
+                samples.append(overlay(truth, shown, estimate.mask(settings.threshold), method))
         return scorer.result(), samples
 
     def failed_metrics(self, labelled: LabelledSequence, settings: SegmentationSettings) -> Mapping[str, float]:

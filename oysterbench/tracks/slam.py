@@ -43,6 +43,7 @@ from oysterbench.tracks.track import (
     Track,
     about_run,
     about_sequence,
+    check_names_differ,
     cost_of,
     shown_tables,
 )
@@ -234,9 +235,7 @@ def own_sequences(paths: Sequence[Path]) -> list[SlamSequence]:
     """Open the user's own sequences: files, or folders in EuRoC layout. Raises MethodError where two share a name, and
     TrajectoryError where a ground truth cannot be read."""
     found = [SlamSequence(open_sequence(path).name, path) for path in paths]
-    names = [sequence.name for sequence in found]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise MethodError(f"two sequences are named {twice[0]!r}: their results would overwrite each other")
+    check_names_differ(found)
     for sequence in found:
         _ = sequence.truth  # read now, and kept: an error would come too late after all runs
     return found

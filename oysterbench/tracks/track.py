@@ -333,6 +333,13 @@ class Track(ABC):
             yield known.pop(job.title) if job.title in known else finish(job, outcome)
 
 
+def check_names_differ(sequences: Sequence[RunSequence]) -> None:
+    """Raise MethodError where two of the user's own sequences share a name."""
+    names = [sequence.name for sequence in sequences]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise MethodError(f"two sequences are named {twice[0]!r}: their results would overwrite each other")
+
+
 def about_sequence(
     track: str, split: SplitRecipe | None, sequence: str, truth_digest: str, settings: Any, evaluator: str
 ) -> dict[str, Any]:

@@ -7,8 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from oysterbench.core.errors import LabelError
+from oysterbench.annotations import truth as truth_module
+from oysterbench.core.errors import LabelError, MethodError
 from oysterbench.tracks import TRACKS
+from oysterbench.tracks.images import SAMPLES
 from tests.helpers.labelled_folders import write_png
 
 SQUARES = [[10 * k, 5, 8, 8] for k in range(5)]
@@ -101,7 +103,7 @@ def test_images_beside_annotations_or_in_images_are_run_on(folder, given, tmp_pa
     ((name, found),) = sequence.labelled.pictures()
     assert (name, found.tolist()) == ("a", pixels.tolist())
     ((_, (truth, seen)),) = sequence.labelled.single()
-    assert (truth.instances.max(), seen.tolist()) == (5, pixels.tolist())
+    assert (truth.instances.max(), sequence.labelled.shown("a", seen).tolist()) == (5, pixels.tolist())
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "mine.json").write_text(json.dumps(items()))
     (run,) = track.score_files(tmp_path / given, tmp_path / "results" / "mine.json", {}).runs
@@ -109,6 +111,52 @@ def test_images_beside_annotations_or_in_images_are_run_on(folder, given, tmp_pa
     write_png(tmp_path / folder / "a.png", pixels + 1)
     (again,) = track.run_sequences(None, {"mine": tmp_path / given}, {})
     assert again.origin != sequence.origin
+
+
+@pytest.mark.parametrize("track", ["detection", "segmentation"])
+def test_annotations_are_scored_whatever_images_are_beside_them(track, tmp_path):
+    truth, mine = write(tmp_path / "all.json", items()), tmp_path / "mine.json"
+    mine.write_text(json.dumps(items()))
+
+    def scored():
+        (run,) = TRACKS[track].score_files(truth, mine, {}).runs
+        return run, str(run.record.metrics), run.record.truth_digest
+
+    alone, *known = scored()
+    write_png(tmp_path / "a.png", np.full((20, 60, 3), 200, np.uint8))
+    whole, *same = scored()
+    assert same == known
+    assert whole.samples[0].jpeg != alone.samples[0].jpeg
+    write_png(tmp_path / "a.png", np.full((40, 120, 3), 200, np.uint8))
+    scaled, *same = scored()
+    assert same == known
+    assert scaled.samples[0].jpeg == alone.samples[0].jpeg
+    (sequence,) = TRACKS[track].run_sequences(None, {"mine": truth}, {})
+    with pytest.raises(LabelError, match="expected 60 x 20 px, as the COCO file says, got 120 x 40"):
+        list(sequence.labelled.pictures())
+
+
+def test_only_the_images_that_are_shown_are_read(tmp_path, monkeypatch):
+    read = []
+    monkeypatch.setattr(truth_module, "read_coco_picture", lambda file, image: read.append(file))
+    truth, mine = tmp_path / "all.json", tmp_path / "mine.json"
+    images = [{"id": k, "file_name": f"{k}.png", "width": 60, "height": 20} for k in range(9)]
+    for k in range(9):
+        (tmp_path / f"{k}.png").write_bytes(b"")
+    document = {"images": images, "categories": [{"id": 2, "name": "oyster"}], "annotations": items()}
+    for path in (truth, mine):
+        path.write_text(json.dumps(document))
+    TRACKS["detection"].score_files(truth, mine, {})
+    assert 0 < len(read) <= SAMPLES
+
+
+def test_two_clips_of_one_name_are_refused_before_anything_runs(tmp_path):
+    places = {name: tmp_path / name for name in ("one", "two")}
+    for place in places.values():
+        place.mkdir()
+        write(place / "all.json", items())
+    with pytest.raises(MethodError, match="two sequences are named 'all': their results would overwrite each other"):
+        TRACKS["detection"].run_sequences(None, {name: place / "all.json" for name, place in places.items()}, {})
 
 
 def test_images_of_annotations_with_boxes_alone_are_run_on_too(tmp_path):
