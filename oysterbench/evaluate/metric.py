@@ -102,6 +102,10 @@ def counted(heading: str, unit: str = "", column: Column | None = None) -> Calla
     return lambda text: Metric(text, heading, unit=unit, column=column, limits=(0.0, math.inf))
 
 
+IMAGES_PER_S = higher("Speed", "per s")("Images processed per wall time of the method.")
+"""Metric of every track that is run on images."""
+
+
 @dataclass(frozen=True)
 class TrackMetrics:
     """The metrics of a track by their key, and which of them are shown where.

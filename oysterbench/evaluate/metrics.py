@@ -24,8 +24,11 @@ TRACKS: dict[str, TrackMetrics] = {
 FAILED = {name: track.failed for name, track in TRACKS.items()}
 """Track -> the values of a run without a scored estimate."""
 
-SPEEDS = ("realtime_factor", "cpu_s_per_s", "steps_per_s", "pictures_per_s")
+SPEEDS = ("realtime_factor", "cpu_s_per_s", "steps_per_s", "pictures_per_s", "images_per_s")
 """Metrics that a failed run does not have, whatever it cost: nothing that it processed can be scored."""
+
+TIMES = (*SPEEDS, "cpu_s")
+"""Metrics in tables that depend on the machine: those of different machines do not compare methods."""
 
 
 def find_metric(key: str, track: str = "") -> Metric | None:

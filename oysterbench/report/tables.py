@@ -10,7 +10,7 @@ import numpy as np
 
 from oysterbench.core.html import capital
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
-from oysterbench.evaluate.metrics import SPEEDS, TRACKS, find_metric
+from oysterbench.evaluate.metrics import TIMES, TRACKS, find_metric
 from oysterbench.evaluate.statistics import LEAST_SEQUENCES, LEVEL, Interval, weighed_means
 from oysterbench.report.columns import (
     COSTS_OF_TRACK,
@@ -55,7 +55,7 @@ def results_table(records: Sequence[ResultRecord]) -> Table:
     columns += tuple(column for column in costs if any(column.key in record.metrics for record in records))
     means = [{column.key: _mean(group, column.key) for column in columns} for group in groups.values()]
     several_machines = len(machines_of(records)) > 1
-    competing = [column for column in columns if not (several_machines and column.key in SPEEDS)]
+    competing = [column for column in columns if not (several_machines and column.key in TIMES)]
     best = _best([group[0].sequence for group in groups.values()], means, competing)
     rows = []
     for group, of in zip(groups.values(), means, strict=True):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from oysterbench.evaluate.metrics import SPEEDS
+from oysterbench.evaluate.metrics import TIMES
 from oysterbench.results.records import ResultRecord
 
 
@@ -26,7 +26,7 @@ def machines_of(records: Iterable[ResultRecord]) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for record in records:
         machine = machine_of(record.hardware)
-        if machine and any(key in record.metrics for key in SPEEDS):
+        if machine and record.failure is None and any(key in record.metrics for key in TIMES):
             methods = found.setdefault(machine, [])
             methods += [record.method] if record.method not in methods else []
     return found

@@ -70,3 +70,17 @@ def test_no_speed_is_the_best_of_several_machines():
 
     assert kinds(BIG) == {"", "best"}
     assert kinds(SMALL) == {""}
+
+
+def test_processor_time_on_images_is_not_compared_across_machines_either():
+    def on_images(method, machine, cpu_s, **changes):
+        metrics = {"iou": 0.5, "union_px": 10, "cpu_s": cpu_s, "images_per_s": 1 / cpu_s}
+        values = {"track": "segmentation", "split": "s", "sequence": "a", "metrics": metrics, "hardware": machine}
+        return ResultRecord(method=method, **{**values, **changes})
+
+    records = [on_images("fast", BIG, 5.0), on_images("slow", SMALL, 50.0)]
+    assert machines_note(records) != ""
+    assert {cell.kind for row in results_table(records).rows for cell in row.cells} == {""}
+    failed = on_images("slow", SMALL, 50.0, failure="no masks")
+    assert failed.metrics["cpu_s"] == 50.0, "it was spent, though on nothing"
+    assert machines_note([records[0], failed]) == ""

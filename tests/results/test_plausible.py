@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oysterbench.core.errors import ResultError
+from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.slam.metrics import RECALL_PERCENTS
 from oysterbench.results.plausible import check_plausible
 from oysterbench.results.records import ResultRecord
@@ -28,6 +29,13 @@ MADE = {
 
 def results() -> list[ResultRecord]:
     return [ResultRecord.from_dict(row) for path in RECORDS for row in json.loads(path.read_bytes())["results"]]
+
+
+def test_every_metric_that_a_run_writes_has_a_definition():
+    """Reported results with another one are refused, and a report could not say what it is."""
+    written = {(one.track, key) for one in results() for key in one.metrics}
+    assert {track for track, _ in written} >= {"slam", "segmentation", "detection", "steering"}
+    assert [one for one in sorted(written) if find_metric(one[1], one[0]) is None] == []
 
 
 @pytest.fixture(scope="module")

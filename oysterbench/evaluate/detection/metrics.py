@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from oysterbench.evaluate.detection.counting import LEVELS
-from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, counted, higher, lower, neutral
+from oysterbench.evaluate.metric import IMAGES_PER_S, Column, Metric, TrackMetrics, counted, higher, lower, neutral
 
 _AP = "average precision of {}: the mean over 101 recalls and the overlaps (IoU) 0.50, 0.55, ... 0.95 (COCO)"
 
@@ -76,6 +76,7 @@ DETECTION: dict[str, Metric] = {
     "density_truth_per_m2": neutral("Density", "per m\N{SUPERSCRIPT TWO}")(
         "True number of oysters per area of seabed that the images show."
     ),
+    "images_per_s": IMAGES_PER_S,
 }
 """Metrics of the detection track by their key."""
 

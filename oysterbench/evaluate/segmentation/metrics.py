@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, counted, higher, lower, neutral
+from oysterbench.evaluate.metric import IMAGES_PER_S, Column, Metric, TrackMetrics, counted, higher, lower, neutral
 from oysterbench.recipe import CLASSES
 
 SEGMENTATION: dict[str, Metric] = {
@@ -57,6 +57,7 @@ SEGMENTATION: dict[str, Metric] = {
     "asked_px": counted("Asked", "px")("Pixels that are not ignored."),
     "ignored_px": counted("Ignored", "px")("Pixels that are ignored."),
     "empty_px": counted("Empty", "px")("Pixels of images without any oyster."),
+    "images_per_s": IMAGES_PER_S,
 }
 """Metrics of the segmentation track by their key."""
 
