@@ -66,7 +66,7 @@ def sequence_plots(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]
     several = " Of several runs, the one with the median score is drawn." if len(drawn) < len(runs) else ""
     facts = (
         f"{truth.path_length:.1f} m of path in {end_s:.1f} s, from timestamp {ns_to_seconds(begin_ns)} s. "
-        f"Estimates are shown where they have poses, aligned by {scored[0][1].settings.align}.{several}"
+        f"Estimates are shown where they have poses, aligned by {_alignments(scored)}.{several}"
     )
     legend = (("truth", 0), *((method, styles[method]) for method, _ in scored))
     healths = {run.record.method: run.health for run in drawn if run.result is not None and run.health is not None}
@@ -79,6 +79,16 @@ def sequence_plots(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]
     )
     pictures = tuple(_frame(*frame, begin_ns) for frame in frames)
     return SequencePlots(name, facts, legend, *_maps(truth, scored, styles, north), tuple(filter(None, rows)), pictures)
+
+
+def _alignments(scored: Scored) -> str:
+    """Alignment of the methods; with their names where there are several."""
+    by_align: dict[str, list[str]] = {}
+    for method, result in scored:
+        by_align.setdefault(result.settings.align, []).append(method)
+    if len(by_align) == 1:
+        return next(iter(by_align))
+    return ", ".join(f"{align} ({', '.join(methods)})" for align, methods in by_align.items())
 
 
 def _drawn(runs: Sequence[SlamRun]) -> list[SlamRun]:

@@ -386,15 +386,16 @@ def cost_of(outcome: Outcome, rate: str, amount: float) -> dict[str, float]:
 
 
 def shown_tables(records: Sequence[ResultRecord], first: Sequence[Table] = (), runs: bool = False) -> list[Table]:
-    """Tables for the terminal: those that a track shows first, results by sequence, and comparisons over several ones.
+    """Tables for the terminal: those that a track shows first, results by sequence, and comparisons over several ones;
+    what may not be compared, such as paths aligned in different ways, in tables of their own.
 
     runs: whether to show the spread of runs where there is one sequence
     """
-    from oysterbench.report import comparison_tables, results_table, runs_table
+    from oysterbench.report import comparison_tables, results_tables, runs_table
     from oysterbench.results.comparison import boards
 
     if len({record.sequence for record in records}) > 1:
         more = comparison_tables(records)
     else:
         more = [runs_table(board) for board in boards(records)] if runs else []
-    return [*first, *([results_table(records)] if records else []), *more]
+    return [*first, *(results_tables(records) if records else []), *more]
