@@ -219,13 +219,12 @@ def _over(board: Board, condition: str, values: Mapping[str, float], styles: Map
     beside = TRACKS[board.track].beside
     for key in (board.metric, *((beside,) if beside in board.keys else ())):
         metric = find_metric(key)
-        found = board.cells(key)
         curves = []
         for label, style in styles.items():
-            cells = [cell for cell in found if cell.label == label and cell.sequence in values]
-            y = np.array([cell.median for cell in cells])
-            if len(y) and not np.isnan(y).all():
-                curves.append(Curve(label, np.array([values[cell.sequence] for cell in cells]), y, style))
+            means = {name: mean for name, mean in board.runs_of(label).means(key).items() if name in values}
+            if means:
+                x = np.array([values[name] for name in means])
+                curves.append(Curve(label, x, np.array(list(means.values())), style))
         if curves and metric is not None:
             about = CONDITIONS[condition]
             x_label = about.name + (f" [{about.unit}]" if about.unit else "")

@@ -42,7 +42,7 @@ def stress_table(board: Board) -> Table | None:
     columns = [Column("disturbance", "Disturbance"), *(Column(label, label) for label in labels)]
     rows = [TableRow((each.name, *(_cell(each, label) for label in labels))) for each in found]
     note = (
-        f"{metric_column(board.metric).heading} on the calm dive and at strengths "
+        f"{metric_column(board.metric).heading} (mean of the runs) on the calm dive and at strengths "
         f"{_list(found[0].strengths[1:])}; a method is broken from the strength at which it stays below "
         f"{BROKEN_SHARE:.0%} of the former. Where that is not above 0, there is nothing to break."
     )
@@ -51,6 +51,8 @@ def stress_table(board: Board) -> Table | None:
 
 def _cell(disturbance: Disturbance, label: str) -> Cell:
     values = "  ".join("-" if math.isnan(value) else f"{value:.2f}" for value in disturbance.scores[label])
+    if math.isnan(disturbance.scores[label][0]):
+        return Cell(values, small="no calm dive")
     if not disturbance.can_break(label):
         return Cell(values, kind="warn", small="nothing to break")
     broken = disturbance.breaks_at(label)

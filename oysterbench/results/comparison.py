@@ -72,6 +72,10 @@ class MethodRuns:
             return kept_median(self.sample(key, names), lost_of(self.records) or ())
         return (self.summary(key, names) if summary is None else summary).mean
 
+    def means(self, key: str) -> Mapping[str, float]:
+        """Sequence -> mean of a metric over the runs that have a value, as in the standings."""
+        return weighed_means(samples(self.records, key), mean_weights(self.records, key))
+
     def scores(self, key: str, sequences: Iterable[str]) -> SequenceScores:
         """Scores that rank the method by a metric on the given sequences."""
         names = list(sequences)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,8 +15,8 @@ BROKEN_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Disturbance:
-    """A disturbance of a dive: scores by method (medians over its runs) at increasing strengths from 0, the calm dive;
-    0 where all runs failed, NaN where there was none."""
+    """A disturbance of a dive: scores by method at increasing strengths from 0, the calm dive: means of its runs, as
+    they are ranked, of which a failed one counts 0; NaN where there was none."""
 
     name: str
     strengths: tuple[int, ...]
@@ -26,14 +27,17 @@ class Disturbance:
         return self.scores[label][0] > 0
 
     def breaks_at(self, label: str) -> int | None:
-        """Least strength from which on the method's score stays below BROKEN_SHARE of that on the calm dive; None if
-        it withstands the strongest, or cannot break."""
+        """Least strength from which on the method's score stays below BROKEN_SHARE of that on the calm dive, among
+        those that it was run at; None if it withstands the strongest of these, or cannot break."""
         if not self.can_break(label):
             return None
         calm, *disturbed = self.scores[label]
-        whole = [value >= BROKEN_SHARE * calm for value in disturbed]
-        last = max((i for i, withstood in enumerate(whole) if withstood), default=-1)
-        return self.strengths[last + 2] if last + 1 < len(whole) else None
+        broken = None
+        for strength, value in zip(reversed(self.strengths), reversed(disturbed), strict=False):
+            if value >= BROKEN_SHARE * calm:
+                break
+            broken = broken if math.isnan(value) else strength
+        return broken
 
 
 def disturbances(board: Board) -> list[Disturbance]:
@@ -43,10 +47,8 @@ def disturbances(board: Board) -> list[Disturbance]:
     calm = [name for name, conditions in about.items() if conditions.get("disturbance") == UNDISTURBED]
     if len(calm) != 1:
         return []
-    medians = {
-        (cell.label, cell.sequence): 0.0 if cell.failures == cell.runs else cell.median for cell in board.cells()
-    }
     labels = [row.label for row in board.standings]
+    means = {label: board.runs_of(label).means(board.metric) for label in labels}
     found = []
     for disturbance in dict.fromkeys(str(each["disturbance"]) for each in about.values() if "disturbance" in each):
         if disturbance == UNDISTURBED:
@@ -55,6 +57,6 @@ def disturbances(board: Board) -> list[Disturbance]:
             int(each["strength"]): name for name, each in about.items() if each.get("disturbance") == disturbance
         }
         dives = {0: calm[0], **dict(sorted(by_strength.items()))}
-        scores = {label: tuple(medians.get((label, name), float("nan")) for name in dives.values()) for label in labels}
+        scores = {label: tuple(means[label].get(name, math.nan) for name in dives.values()) for label in labels}
         found.append(Disturbance(disturbance, tuple(dives), scores))
     return found

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+
+import pytest
 
 from oysterbench.report import SlamRun
 from oysterbench.report.html import html_report
@@ -89,3 +92,41 @@ def test_the_report_shows_a_plot_and_a_row_for_each_disturbance():
     assert table is not None
     assert [row.cells[0].value for row in table.rows] == ["plumes", "blur"]
     assert table.rows[0].cells[2].small == "broken from 2"
+
+
+def test_of_several_runs_means_are_shown_so_that_a_method_that_fails_now_and_then_looks_so():
+    flaky = [0.9, 0.9, 0.9, 0.9, 0.3, 0.3, 0.3]
+    failing = [0.9, 0.9, 0.9, None, None, None, None]
+    several = [replace(one, run=k) for k, scores in enumerate((flaky, flaky, failing)) for one in runs("flaky", scores)]
+    (board,) = boards([*runs("steady", STEADY), *several])
+    plumes, blur = disturbances(board)
+    assert plumes.scores["flaky"] == pytest.approx((0.9, 0.9, 0.9, 0.6))
+    assert blur.scores["flaky"] == pytest.approx((0.9, 0.2, 0.2, 0.2))
+    standing = next(row for row in board.standings if row.label == "flaky")
+    assert standing.over["score"] == pytest.approx((3 * 0.9 + 0.6 + 3 * 0.2) / 7), "as it is ranked"
+
+
+def test_a_method_is_not_broken_at_a_strength_at_which_it_was_not_run():
+    (board,) = boards([*runs("steady", STEADY), *runs("short", FRAGILE)[:2], *runs("gone", FRAGILE)[:3]])
+    plumes, blur = disturbances(board)
+    assert [plumes.breaks_at(label) for label in ("short", "gone")] == [None, 2]
+    assert blur.breaks_at("short") is None
+
+
+def test_without_a_calm_dive_it_is_not_said_that_there_is_nothing_to_break():
+    (board,) = boards([*runs("steady", STEADY), *runs("late", FRAGILE)[1:]])
+    table = stress_table(board)
+    assert table is not None
+    cell = table.rows[0].cells[[each.key for each in table.columns].index("late")]
+    assert (cell.kind, cell.small) == ("", "no calm dive")
+
+
+def test_the_plots_over_conditions_show_means_of_the_runs():
+    depths = [
+        record(sequence=f"d{k}", run=run, metrics={"score": score, "coverage": 1.0}, conditions={"depth_m": float(k)})
+        for k in range(6)
+        for run, score in enumerate((0.9, 0.9, 0.3))
+    ]
+    page = html_report([SlamRun(one) for one in depths], "command")
+    assert ": 2, 0.7</title>" in page
+    assert ": 2, 0.9</title>" not in page

@@ -32,6 +32,6 @@ def stress_drawing(site: Site, info: BoardInfo, rows: Sequence[Row]) -> charts.D
     group = stress_group(board, {label: 1 + i for i, label in enumerate(labels)})
     if group is None:
         return None
-    about = "0 is the calm dive. Medians over the runs; failures score 0."
+    about = "0 is the calm dive. Means of the runs; a failed one scores 0."
     cards = tuple(charts.Card(card.title, Markup(card.svg)) for card in group.cards)  # escaped when drawn
     return charts.Drawing(group.heading, about, charts.legend(list(group.legend), truth=False), cards)
