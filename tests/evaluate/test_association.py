@@ -28,6 +28,17 @@ def test_keyframes_farther_apart_than_the_gap_answer_their_own_stamps_only():
     )
 
 
+def test_poses_exactly_the_largest_gap_apart_are_not_too_rare_however_their_timestamps_were_rounded():
+    truth = survey(rate_hz=20)
+    poses = truth.select(slice(0, 397, 6))  # every 0.3 s
+    for stamps_ns in (poses.stamps_ns, (poses.stamps_ns * 1e-9 * 1e9).astype(np.int64)):  # exact, and as doubles
+        result = score(truth, replace(poses, stamps_ns=stamps_ns))
+        assert result.metrics["coverage"] == pytest.approx(397 / 401)
+        assert result.notes == ()
+    late = poses.stamps_ns + np.arange(len(poses)) % 2 * 10_000
+    assert score(truth, replace(poses, stamps_ns=late)).metrics["coverage"] < 0.6
+
+
 def test_the_first_and_last_poses_answer_however_their_timestamps_were_rounded():
     truth = survey()
     stamps_ns = truth.stamps_ns.copy()

@@ -18,6 +18,9 @@ Stamps = NDArray[np.int64]
 EDGE_NS = 1_000_000
 """Tolerance, ns, beyond the estimate's ends, within which its first and last pose count: files round timestamps."""
 
+ROUNDING_NS = 1_000
+"""Tolerance, ns, beyond the largest gap: seconds since 1970 in float64, or with six decimals, are that exact."""
+
 FEW = 0.9
 """If a smaller share of the poses that could be compared is matched, a note says so."""
 
@@ -89,10 +92,14 @@ def covered_stamps(stamps_ns: Stamps, estimate_ns: Stamps, max_gap_s: float) -> 
     inside = (after > 0) & (after < len(estimate_ns))
     high = np.minimum(after, len(estimate_ns) - 1)
     low = np.maximum(after - 1, 0)
-    gap = estimate_ns[high] - estimate_ns[low]
-    close = inside & (gap <= round(max_gap_s * 1e9))
+    close = inside & ~too_wide(estimate_ns[high] - estimate_ns[low], max_gap_s)
     at_an_end = np.minimum(np.abs(stamps_ns - estimate_ns[0]), np.abs(stamps_ns - estimate_ns[-1])) <= EDGE_NS
     return np.asarray(close | at_an_end | (estimate_ns[high] == stamps_ns))
+
+
+def too_wide(gaps_ns: Stamps, max_gap_s: float) -> NDArray[np.bool_]:
+    """Which gaps (N,) between two poses are larger than max_gap_s, by more than the rounding of their stamps."""
+    return np.asarray(gaps_ns > round(max_gap_s * 1e9) + ROUNDING_NS)
 
 
 def nearest_pairs(stamps_ns: Stamps, estimate_ns: Stamps, max_difference_s: float) -> tuple[Index, Index]:

@@ -11,7 +11,7 @@ import numpy as np
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.evaluate.slam.alignment import Alignment
-from oysterbench.evaluate.slam.association import Association, find_gaps
+from oysterbench.evaluate.slam.association import Association, find_gaps, too_wide
 from oysterbench.evaluate.slam.consistency import Nees, nees
 from oysterbench.evaluate.slam.metrics import RECALL_PERCENTS
 from oysterbench.evaluate.slam.pairs import (
@@ -217,7 +217,7 @@ SPARSE = 0.1
 def sparse_note(estimate: Trajectory, settings: SlamSettings) -> str | None:
     """Say that an estimate's poses are often too rare to be interpolated: what lies between is not covered."""
     steps = np.diff(estimate.stamps_ns) * 1e-9
-    wide = steps > settings.max_gap_s
+    wide = too_wide(np.diff(estimate.stamps_ns), settings.max_gap_s)
     few = np.count_nonzero(wide) < SPARSE * len(steps)  # single losses are gaps, which have numbers of their own
     if settings.associate != "interpolate" or few or steps[wide].sum() < SPARSE * steps.sum():
         return None
