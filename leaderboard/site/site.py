@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any, TypeVar
 
 from oysterbench.core.errors import OysterbenchError, ResultError
-from oysterbench_leaderboard.boards.board import STATES, Literature, Query, Row
+from oysterbench.evaluate.metrics import FAILED, find_metric
+from oysterbench.results.records import ResultRecord
+from oysterbench_leaderboard.boards.board import STATES, BoardInfo, Literature, Query, Row
 from oysterbench_leaderboard.boards.index import BoardIndex
 from oysterbench_leaderboard.site.page import PageError
 from oysterbench_leaderboard.site.paths import slug
@@ -71,9 +74,43 @@ class Site:
 
         def make() -> dict[str, Mapping[str, Any]]:
             record = self.some_record(board, digest)
-            return {result.sequence: result.conditions for result in record.results} if record else {}
+            found = {result.sequence: result.conditions for result in record.results} if record else {}
+            lacking = set(self.index.page(board, Query(size=1)).board.sequences) - found.keys()
+            return found | {result.sequence: result.conditions for result in self.results_on(board, lacking)}
 
         return self._once(f"conditions of {board} by {digest}", make)
+
+    def results_on(self, board: str, sequences: Collection[str]) -> list[ResultRecord]:
+        """Results of a board's first records on some of its sequences, from as many records as it takes to have all;
+        they say what a sequence is that a record lacks."""
+        found: list[ResultRecord] = []
+        lacking = set(sequences)
+        for row in self.index.page(board, Query()).rows if lacking else ():
+            if self.is_whole(row.digest):
+                results = self.record(row.digest).results
+                found += [one for one in results if one.sequence in lacking and one.failure is None]
+                lacking -= {one.sequence for one in found}
+            if not lacking:
+                break
+        return found
+
+    def lowest_scores(self, info: BoardInfo) -> dict[str, float]:
+        """Sequence -> score of a record that lacks it, as in the ranking: the lowest of a ranked record there; without
+        those where no score is lower than that of a failed run."""
+        failed, metric = FAILED[info.track].get(info.metric, math.nan), find_metric(info.metric, info.track)
+        if metric is None or not metric.range[0] < failed:
+            return {}
+
+        def make() -> dict[str, float]:
+            lowest: dict[str, float] = {}
+            for number in range(1, self.index.page(info.id, Query()).pages + 1):
+                rows = self.index.page(info.id, Query(page=number)).rows
+                for scores in self.index.scores(row.digest for row in rows if row.place is not None).values():
+                    for name, score in scores.items():
+                        lowest[name] = min(lowest.get(name, failed), score)
+            return {name: score for name, score in lowest.items() if score < failed}
+
+        return self._once(f"lowest scores of {info.id}", make)
 
     def has_disturbances(self, board: str, digest: str) -> bool:
         """Whether the sequences of a board are single disturbances, judging by one of its records."""

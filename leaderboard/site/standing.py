@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import sequence_means
 from oysterbench.results.comparison import Board, boards
 from oysterbench.results.records import ResultRecord, samples
-from oysterbench.results.standings import UNPREDICTED_WEIGHT
+from oysterbench.results.standings import PRIMARY, UNPREDICTED_WEIGHT
 from oysterbench_leaderboard.storage.record import Record
 
 NOT_ANSWERED = "was not answered"
@@ -22,12 +23,16 @@ def named(record: Record, label: str) -> tuple[ResultRecord, ...]:
 
 
 def filled(
-    results: Sequence[ResultRecord], sequences: Sequence[str], known: Sequence[ResultRecord]
+    results: Sequence[ResultRecord],
+    sequences: Sequence[str],
+    known: Sequence[ResultRecord],
+    lowest: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[ResultRecord, ...]:
     """The same results with a failed run added for each sequence of the board that has none, which is how the board
     ranks them.
 
     known: results of others, which give the conditions of such a sequence, and its weight in a mean
+    lowest: `Site.lowest_scores`
     """
     answered = {result.sequence for result in results}
     missing = []
@@ -39,7 +44,7 @@ def filled(
             replace(
                 results[0],
                 sequence=sequence,
-                metrics={},
+                metrics={PRIMARY[results[0].track]: lowest[sequence]} if sequence in lowest else {},
                 reasons={},
                 failure=NOT_ANSWERED,
                 conditions=like.conditions if like else {},

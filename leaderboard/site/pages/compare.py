@@ -53,7 +53,7 @@ def compare_page(site: Site, a: str, b: str) -> Page:
         why = remarks(boards_of([result for side in sides for result in standing.named(side.record, side.label)]))
         hints = {record_path(row.digest): f"{row.method} of {row.created[:10]}" for row in rows}
         raise PageError(f"these two records may not be compared: {why[0]}", 409, hints)
-    board = whole_board(info, sides)
+    board = whole_board(site, info, sides)
     pairs = board.compare(sides[0].label, sides[1].label)
     of_a, of_b = (board.runs_of(side.label) for side in sides)
     metric = metric_column(info.metric)
@@ -160,13 +160,15 @@ def means_of(board: Board, sides: Sequence[Side]) -> dict[str, dict[str, float]]
     return {label: {key: of.over(key, board.sequences) for key in board.keys} for label, of in runs.items()}
 
 
-def whole_board(info: BoardInfo, sides: Sequence[Side]) -> Board:
+def whole_board(site: Site, info: BoardInfo, sides: Sequence[Side]) -> Board:
     """Board of all sides on all its sequences: those that one was not run on, or failed on, count as in the ranking."""
     named = [standing.named(side.record, side.label) for side in sides]
+    answered = {result.sequence for results in named for result in results}
+    beyond, lowest = site.results_on(info.id, set(info.sequences) - answered), site.lowest_scores(info)
     everyone: list[ResultRecord] = []
     for k, own in enumerate(named):
         others = [result for i, other in enumerate(named) if i != k for result in other]
-        everyone += standing.filled(own, info.sequences, others)
+        everyone += standing.filled(own, info.sequences, [*others, *beyond], lowest)
     return standing.board(everyone)
 
 

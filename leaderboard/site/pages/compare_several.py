@@ -55,7 +55,7 @@ def several_page(site: Site, names: Sequence[str]) -> Page:
         raise PageError(f"r: expected {MOST} records at most, got {len(names)}", 400, {"/": "all boards"})
     info, rows = _common(site, names)
     sides = [Side(label, row, site.record(row.digest)) for label, row in zip(labels_of(rows), rows, strict=True)]
-    board = whole_board(info, sides)
+    board = whole_board(site, info, sides)
     scores = scores_of(site, info, rows)
     heats = [] if scores is None else [sequences_heat(scores), classes_heat(scores)]
     tables = [_metrics(board, sides), _pairs(board, info, sides), *filter(None, heats)]

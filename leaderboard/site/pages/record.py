@@ -59,7 +59,9 @@ def record_page(site: Site, digest: str) -> Page:
     row = site.row(digest)
     record = site.record(row.digest)
     info = next(info for info in site.index.boards() if info.id == row.board)
-    results = standing.filled(standing.named(record, record.method), info.sequences, ())
+    lacking = set(info.sequences) - {result.sequence for result in record.results}
+    known, lowest = site.results_on(info.id, lacking), site.lowest_scores(info)
+    results = standing.filled(standing.named(record, record.method), info.sequences, known, lowest)
     rank, metric = rank_cells([row])[0], metric_column(info.metric)
     name = f"{row.method} on {info.split}"
     tables = (

@@ -1,0 +1,91 @@
+"""A record that lacks sequences of its board has on every page the score by which it is ranked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from oysterbench_leaderboard.boards.board import Query
+from oysterbench_leaderboard.boards.index import open_index
+from oysterbench_leaderboard.site.pages.board import board_page
+from oysterbench_leaderboard.site.pages.compare import compare_page
+from oysterbench_leaderboard.site.pages.compare_several import several_page
+from oysterbench_leaderboard.site.pages.record import record_page
+from oysterbench_leaderboard.site.site import Site
+from oysterbench_leaderboard.storage.record import Record
+from oysterbench_leaderboard.storage.store import RecordStore
+from tests.helpers.records_made import MADE, record_made
+
+LACKING = {track: tuple(MADE[track][0])[1:3] for track in ("slam", "segmentation", "steering")}
+SPLITS = {"slam": "slam-val", "segmentation": "seg-val", "steering": "steer-val"}
+SKILLS = {"slam": (0.8, 0.6), "segmentation": (0.8, 0.6), "steering": (-0.3, -0.2)}
+
+
+def site_of(folder: Path, *records: Record) -> Site:
+    store = RecordStore(folder / "board")
+    for record in records:
+        store.add(record)
+    return Site(open_index(store, str(folder / "index.sqlite")))
+
+
+def made(track: str) -> tuple[Record, Record]:
+    """A record on all sequences, and one that lacks some."""
+    whole, part = SKILLS[track]
+    about = {"track": track, "split": SPLITS[track]}
+    return record_made("whole", skill=whole, **about), record_made("part", skill=part, without=LACKING[track], **about)
+
+
+@pytest.mark.parametrize("track", LACKING)
+def test_its_page_and_comparisons_have_the_score_of_the_ranking(track, tmp_path):
+    whole, part = made(track)
+    site = site_of(tmp_path, whole, part)
+    row = site.index.row(part.digest)
+    assert row.score is not None
+    sequences, metrics = record_page(site, part.digest).tables[:2]
+    assert metrics.rows[0].cells[2].value == pytest.approx(row.score)
+    of_two = compare_page(site, whole.digest, part.digest)
+    assert of_two.data["difference"]["difference"] == pytest.approx(site.index.row(whole.digest).score - row.score)
+    several = several_page(site, [whole.digest, part.digest])
+    assert several.data["means"]["part"][site.index.boards()[0].metric] == pytest.approx(row.score)
+    lacking = next(line for line in sequences.rows if line.cells[0].value == LACKING[track][0])
+    assert lacking.cells[0].mark == "not answered"
+
+
+def test_a_sequence_that_both_of_two_lack_weighs_there_what_it_weighs_in_the_ranking(tmp_path):
+    whole, part = made("segmentation")
+    other = record_made("other", skill=0.5, track="segmentation", split="seg-val", without=LACKING["segmentation"])
+    site = site_of(tmp_path, whole, part, other)
+    found = compare_page(site, part.digest, other.digest).data["difference"]["difference"]
+    assert found == pytest.approx(site.index.row(part.digest).score - site.index.row(other.digest).score)
+
+
+def test_the_conditions_of_what_it_lacks_are_those_that_others_have(tmp_path):
+    whole, part = made("slam")
+    alone, both = site_of(tmp_path / "alone", whole), site_of(tmp_path / "both", whole, part)
+    classes = [
+        [cell.value for line in record_page(site, digest).tables[2].rows for cell in line.cells[:3]]
+        for site, digest in ((alone, whole.digest), (both, part.digest))
+    ]
+    assert classes[0]
+    assert classes[0] == classes[1]
+
+
+def test_heat_maps_have_every_sequence_in_its_class_whoever_is_first(tmp_path):
+    whole = record_made("whole", skill=0.5)
+    units = []
+    for name, skill in (("worse", 0.2), ("better", 0.95)):
+        site = site_of(tmp_path / name, whole, record_made("part", skill=skill, without=LACKING["slam"]))
+        heat = next(table for table in board_page(site, "slam", "slam-val").context["heats"] if "by conditions" in table.title)
+        units.append([column.unit for column in heat.columns])
+    assert site.index.page(site.index.boards()[0].id, Query()).rows[0].method == "part"
+    assert units[0] == units[1]
+
+
+def test_heat_maps_count_what_it_lacks_as_the_ranking_does(tmp_path):
+    whole, part = made("steering")
+    site = site_of(tmp_path, whole, part)
+    heat = next(table for table in board_page(site, "steering", "steer-val").context["heats"] if "by sequence" in table.title)
+    row = next(line for line in heat.rows if line.cells[0].value == "part")
+    values = [cell.value for cell in row.cells[1:]]
+    assert sum(values) / len(values) == pytest.approx(site.index.row(part.digest).score)
