@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from statistics import fmean
 
-from oysterbench.evaluate.metrics import FAILED, find_metric
+from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.statistics import mean_over_sequences
 from oysterbench.report.table import Column, Table, TableRow
-from oysterbench.results.records import ResultRecord
+from oysterbench.results.records import ResultRecord, mean_weights, samples
 from oysterbench.results.standings import PRIMARY
 
 SHOWN = 10
 
 
 def mean_scores(records: Sequence[ResultRecord], names: Mapping[str, str]) -> dict[str, float]:
-    """Mean of the track's ranking metric over the runs of each trial; a failed run counts as one that estimates
-    nothing. NaN if there are no runs."""
-    found: dict[str, list[float]] = {name: [] for name in names}
+    """Mean of the track's ranking metric over the sequences, for each trial, as methods are ranked: a failed run counts
+    as one that estimates nothing, and a sequence on which the metric has no value in no mean. NaN if there is none."""
+    found: dict[str, list[ResultRecord]] = {name: [] for name in names}
     for record in records:
         if record.method in found:
-            metric = PRIMARY[record.track]
-            found[record.method].append(record.metrics.get(metric, FAILED[record.track][metric]))
-    return {name: fmean(scores) if scores else math.nan for name, scores in found.items()}
+            found[record.method].append(record)
+    return {name: _mean_score(of_trial) for name, of_trial in found.items()}
+
+
+def _mean_score(records: Sequence[ResultRecord]) -> float:
+    if not records:
+        return math.nan
+    metric = PRIMARY[records[0].track]
+    return mean_over_sequences(samples(records, metric), mean_weights(records, metric))
 
 
 def ranking_heading(track: str) -> str:

@@ -75,7 +75,10 @@ def test_one_of_detection_leaves_coco_annotations(toy, pictures, tmp_path):
 def test_trials_are_ranked_by_what_ranks_on_their_track():
     about = {"track": "segmentation", "sequence": "a", "split": "", "settings": {}, "method_settings": {}}
     made = [("toy_masks", {"iou": 0.4}, None), ("toy_masks[channel=1]", {"iou": 0.6}, None), ("none", {}, "failed")]
-    records = [ResultRecord(**about, method=name, metrics=metrics, failure=why) for name, metrics, why in made]
+    records = [
+        ResultRecord(**about, method=name, metrics={**metrics, "union_px": 10}, failure=why)
+        for name, metrics, why in made
+    ]
     assert best_of(records, {name: name for name, _, _ in made}) == ("toy_masks[channel=1]", 0.6)
 
 
