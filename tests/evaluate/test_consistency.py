@@ -190,6 +190,37 @@ def test_a_covariance_that_is_none_is_a_reason_and_no_number():
     assert result.metrics["ate_rmse_m"] > 0
 
 
+@pytest.mark.parametrize("align", ["posyaw", "origin", "se3", "sim3"])
+def test_the_exact_pose_from_which_odometry_starts_costs_no_consistency(align):
+    truth, estimate = with_covariances(exact_first=True)
+    covariances = estimate.covariances.copy()
+    covariances[0] = 0.0
+    settings = SlamSettings(align=align)
+    exact = score(truth, replace(estimate, covariances=covariances), settings)
+    for part in PARTS:
+        assert exact.metrics[f"nees_{part}"] == pytest.approx(
+            score(truth, estimate, settings).metrics[f"nees_{part}"], rel=1e-3
+        )
+    assert not any("NEES" in note for note in exact.notes)
+    as_sample = score(truth, replace(estimate, covariances=covariances), SlamSettings(align="none"))
+    assert as_sample.reasons["nees_pose"] == "the covariance of matched pose 1 is not positive definite"
+    covariances[0, 0, 0] = -1e-4
+    assert "pose 1 has a negative" in score(truth, replace(estimate, covariances=covariances)).reasons["nees_pose"]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("pose", [0, 41])
+def test_a_covariance_that_is_not_finite_is_a_reason_and_a_note(pose, value):
+    truth, estimate = with_covariances()
+    covariances = estimate.covariances.copy()
+    covariances[pose] = value
+    result = score(truth, replace(estimate, covariances=covariances))
+    why = f"the covariance of matched pose {pose + 1} is not finite"
+    assert np.isnan([result.metrics["nees_position"], result.metrics["within_3sigma_position"]]).all()
+    assert result.reasons["within_3sigma_position"] == why
+    assert f"NEES is not computed: {why}" in result.notes
+
+
 def test_an_estimate_without_covariances_has_no_such_metrics():
     truth, estimate = with_covariances()
     assert not any("nees" in key for key in score(truth, replace(estimate, covariances=None)).metrics)

@@ -244,13 +244,15 @@ def measure_alignment(fit: Alignment, settings: SlamSettings, measures: Measures
 
 
 def measure_consistency(matched: Matched, settings: SlamSettings, measures: Measures) -> dict[str, Nees]:
-    """Measure NEES and return it by part of the pose; empty if the estimate has no valid covariances."""
+    """Measure NEES and return it by part of the pose; empty if the estimate has no valid covariances, with a note where
+    it has invalid ones."""
     if matched.met.estimate.covariances is None:
         return {}
     parts = ("position", "rotation", "pose")
     try:
         found = nees(matched.met.truth, matched.met.estimate, settings.align, matched.fit.similarity)
     except ValueError as error:
+        measures.notes.append(f"NEES is not computed: {error}")
         for part in parts:
             names = ("", "_low", "_high")
             measures.missing(str(error), *(f"nees_{part}{name}" for name in names), f"within_3sigma_{part}")

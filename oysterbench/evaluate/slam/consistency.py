@@ -24,6 +24,8 @@ from oysterbench.evaluate.slam.settings import Align
 
 THREE_SIGMA = 0.9973002039367398
 """Probability within three standard deviations of a normal distribution, and within a 3-sigma ellipsoid."""
+ROUNDING = 1e-9
+"""Negative eigenvalue, relative to the largest, that a covariance without any may have by rounding."""
 CONFIDENCE = 0.95
 """Probability that the mean NEES of a consistent estimate lies within `Nees.band`."""
 
@@ -66,13 +68,14 @@ def nees(truth: Trajectory, estimate: Trajectory, align: Align, fit: Similarity)
 
     align, fit: the evaluator's alignment, whose freedom and scale are adopted. The estimate's covariances (N, 6, 6) are
     in the axes of its world frame, and rotate and scale with it. If the first pose is used for alignment, it is not a
-    sample: (N - 1,). Raises ValueError where a covariance is not positive definite.
+    sample: (N - 1,), and may be exact. Raises ValueError where another covariance is not positive definite, or any is not
+    finite.
     """
     covariances = estimate.covariances
     if covariances is None:
         raise ValueError("the estimate has no covariances")
-    _check(covariances)
     by_first = align not in ("none", "scale")
+    _check(covariances, by_first)
     change = _by_first(truth, estimate, align, fit.scale) if by_first else fit
     aligned = Trajectory(truth.stamps_ns, change.apply(estimate.positions), change.rotate(estimate.quaternions))
     turn = scipy.spatial.transform.Rotation.from_quat(absolute_errors(truth, aligned).turn).as_rotvec()
@@ -117,9 +120,20 @@ def _of_first(estimate: Trajectory, covariance: Array, align: Align) -> Array:
     return np.asarray(change @ covariance @ np.swapaxes(change, 1, 2))
 
 
-def _check(covariances: Array) -> None:
-    """Refuse covariances (N, 6, 6) that are not positive definite. Raises ValueError naming the first of these."""
-    for begin in range(0, len(covariances), BLOCK):
+def _check(covariances: Array, by_first: bool) -> None:
+    """Refuse covariances (N, 6, 6) that are not finite, or not positive definite. Raises ValueError naming the first of
+    these.
+
+    by_first: the first pose is no sample, so that its covariance need only have no negative eigenvalue
+    """
+    finite = np.isfinite(covariances).all(axis=(1, 2))
+    if not finite.all():
+        raise ValueError(f"the covariance of matched pose {int(np.argmin(finite)) + 1} is not finite")
+    if by_first:
+        values = np.linalg.eigvalsh(covariances[0])
+        if values[0] < -ROUNDING * np.abs(values).max():
+            raise ValueError("the covariance of matched pose 1 has a negative eigenvalue")
+    for begin in range(int(by_first), len(covariances), BLOCK):
         part = covariances[begin : begin + BLOCK]
         try:
             np.linalg.cholesky(part)
