@@ -91,6 +91,8 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
         texts = {form: path for form in TEXTS if (path := values.pop(f"{form}_file")) is not None}
         if as_json + list(texts.values()).count(Path("-")) > 1:
             raise click.UsageError("--json, --csv, --tex, --md: at most one of them can go to stdout")
+        if report == Path("-"):
+            raise click.UsageError("--report: expected a file for the HTML page, which does not go to stdout, got -")
         return command(outputs=Outputs(as_json, texts, report), **values)
 
     option = click.option(

@@ -24,9 +24,7 @@ def named_results(names: Iterable[str], find: Finder | None = None) -> list[Resu
     sources: dict[tuple[str, ...], tuple[str, ResultRecord]] = {}
     given: list[tuple[str, Path, bool, list[ResultRecord]]] = []
     for name in names:
-        label, _, rest = name.rpartition("=")
-        if label and Path(name).exists():  # the file name itself contains "="
-            label, rest = "", name
+        label, rest = _labelled(name)
         path = Path(rest)
         known = find(rest) if find is not None and not path.exists() else None
         found = read_results(path / "results.json" if path.is_dir() else path) if known is None else known
@@ -49,3 +47,14 @@ def named_results(names: Iterable[str], find: Finder | None = None) -> list[Resu
                     f"different numbers; tell them apart by labels, e.g. `oysterbench compare A={other[0]} B={path}`"
                 )
     return [record for _, record in sources.values()]
+
+
+def _labelled(name: str) -> tuple[str, str]:
+    """Label and path of PATH or LABEL=PATH: both may contain "=", so that the first split at one whose path exists is
+    meant."""
+    if Path(name).exists():
+        return "", name
+    parts = name.split("=")
+    splits = [("=".join(parts[:k]), "=".join(parts[k:])) for k in range(1, len(parts)) if any(parts[:k])]
+    meant = (split for split in splits if Path(split[1]).exists())
+    return next(meant, splits[0] if splits else ("", name))

@@ -71,3 +71,11 @@ def test_every_file_that_is_named_gets_the_folders_that_are_not_there(trajectori
     lines("eval", "slam", "--truth", truth, "--estimate", estimate, *words, "--report", str(report))
     lines("keygen", str(key))
     assert all(path.is_file() for path in (*files.values(), report, key))
+
+
+def test_a_page_on_stdout_is_refused_and_no_file_is_named_like_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(main, ["compare", "a", "b", "--report", "-"])
+    assert done.exit_code == 2
+    assert "--report: expected a file for the HTML page" in done.output
+    assert list(tmp_path.iterdir()) == []

@@ -223,6 +223,18 @@ def test_what_a_board_knows_is_cut_to_the_tracks_and_splits_of_the_files(tmp_pat
     assert named_results([str(tmp_path / "mine.json"), "counter"], known.get)[1:] == of_density
 
 
+def test_labels_and_paths_may_contain_the_sign_between_them(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("k=1", "k=2"):
+        write_results(tmp_path / name / "results.json", runs("mine", [0.5]))
+    asked = ["base=k=1", "k=2", "window=9=k=1"]
+    assert [one.method for one in named_results(asked)] == ["base", "mine", "window=9"]
+    known = {"mono[mask=fish]": runs("mono[mask=fish]", [0.5])}
+    assert [one.method for one in named_results(["a=mono[mask=fish]"], known.get)] == ["a"]
+    with pytest.raises(ResultError, match=r"^k=3: no such file"):
+        named_results(["base=k=3"])
+
+
 def test_boards_of_two_tracks_are_told_apart_by_their_evaluators_alone():
     found = boards([*runs("a", [0.9]), *runs("a", [0.8], track="density", evaluator_version="density 2", settings={})])
     assert [board.name for board in found] == ["slam-mini (slam 1)", "slam-mini (density 2)"]
