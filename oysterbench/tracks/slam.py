@@ -19,8 +19,10 @@ from oysterbench.core.ros import TF_STATIC
 from oysterbench.core.text import as_unicode
 from oysterbench.core.trajectory import ReadOptions, Trajectory, write_tum
 from oysterbench.core.trajectory.frames import with_scale
+from oysterbench.evaluate.slam.alignment import meet
 from oysterbench.evaluate.slam.inputs import open_pair
 from oysterbench.evaluate.slam.scoring import EVALUATOR, SlamResult, SlamSettings, score
+from oysterbench.evaluate.slam.settings import SCALED, Align
 from oysterbench.evaluate.slam.stretches import errors_by_state, states_at
 from oysterbench.methods.adapters import MethodAdapter
 from oysterbench.methods.health import HEALTH, NAMES, write_health
@@ -212,7 +214,12 @@ class SlamTrack(Track):
         self, sequences: Sequence[RunSequence], adapters: Sequence[MethodAdapter], settings: Any, request: Request
     ) -> Iterator[Finished]:
         """Run as on every track; SEQUENCE-truth.tum is written to `out` only at the end, when no method runs any
-        more."""
+        more. Raises TrajectoryError before anything runs where no method can be scored against a ground truth."""
+        if request.split is None:
+            brought = [{**one.evaluation, **request.options} if one.evaluation else {} for one in adapters]
+            judged = [self.settings(own) if own else settings for own in brought]
+            for one in sequences:
+                check_truth(one, judged)
         truths = {request.out / f"{one.name}-truth.tum": one for one in sequences if isinstance(one, SlamSequence)}
         for path in truths:
             path.unlink(missing_ok=True)
@@ -239,6 +246,24 @@ def own_sequences(paths: Sequence[Path]) -> list[SlamSequence]:
     for sequence in found:
         _ = sequence.truth  # read now, and kept: an error would come too late after all runs
     return found
+
+
+def check_truth(sequence: RunSequence, judged: Sequence[SlamSettings]) -> None:
+    """Refuse a ground truth against which not even itself can be scored, whichever of the settings is used: every
+    method would seem to fail. Raises TrajectoryError."""
+    assert isinstance(sequence, SlamSequence)
+    failure = None
+    for settings in judged if sequence.truth is not None else ():
+        # A scale is fitted to the path of a camera, which may move where the body does not; the first poses of an
+        # estimate may be others than those of the truth.
+        align: Align = "none" if settings.align in SCALED else settings.align
+        try:
+            meet(sequence.truth, sequence.truth, replace(settings, align=align, align_first=None))
+            return
+        except TrajectoryError as error:
+            failure = error
+    if failure is not None:
+        raise TrajectoryError(f"{sequence.name}: no method can be scored against its ground truth: {failure}")
 
 
 def record_outcome(

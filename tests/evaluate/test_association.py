@@ -154,3 +154,9 @@ def test_common_time_without_a_match_is_refused_with_the_cause():
 
 def test_a_handful_of_matched_poses_is_refused():
     assert "covers 4 of 1001 ground-truth timestamps" in refusal(survey(), survey().select(slice(0, 4)))
+
+
+def test_a_truth_of_too_few_poses_is_named_and_no_estimate_blamed():
+    message = refusal(survey().select([0, 300, 600, 900]), survey())
+    assert message.startswith("the ground truth has 4 poses, expected at least 5")
+    assert "4 poses" in refusal(survey().select([0, 300, 600, 900]), survey(), associate="nearest")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -14,13 +16,14 @@ from oysterbench.tracks.slam import (
     FRAMES_IN_REPORT,
     TRACK,
     SlamSequence,
+    check_truth,
     own_sequences,
     sample_frames,
     score_files,
     truth_digest,
 )
 from tests.helpers.euroc import FRAMES, Folder
-from tests.helpers.track_runs import runs_of
+from tests.helpers.track_runs import finished_of, runs_of
 
 METHODS = """
 import numpy as np
@@ -143,6 +146,27 @@ def test_a_ground_truth_that_cannot_be_read_is_refused_before_anything_runs(tmp_
     folder.write("state_groundtruth_estimate0/data.csv", "0,0\n")
     with pytest.raises(TrajectoryError, match=r"state_groundtruth_estimate0/data\.csv:1: expected 8 numbers"):
         own_sequences([folder.path])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda truth: replace(truth, positions=0.0 * truth.positions), "does not move horizontally"),
+        (lambda truth: replace(truth, positions=truth.positions * [0.0, 0.0, 1.0]), "does not move horizontally"),
+        (lambda truth: truth.select(slice(0, 4)), "the ground truth has 4 poses, expected at least 5"),
+    ],
+)
+def test_a_ground_truth_against_which_nothing_can_be_scored_is_refused_before_anything_runs(
+    change, message, truth, tmp_path
+):
+    sequence = SlamSequence("dive", tmp_path / "absent")
+    sequence.truth = change(truth)
+    with pytest.raises(TrajectoryError, match=f"^dive: no method can be scored against its ground truth: .*{message}"):
+        finished_of(TRACK, [sequence], ["dead_reckoning"], SlamSettings(), tmp_path)
+    check_truth(sequence, [])
+    for align in ("none", "sim3") if len(sequence.truth) > 4 else ():  # to one of these, it may mean something
+        check_truth(sequence, [SlamSettings(), SlamSettings(align=align)])
+    check_truth(SlamSequence("dive", tmp_path / "absent"), [SlamSettings()])
 
 
 def test_files_are_scored_under_their_names(truth, tmp_path):

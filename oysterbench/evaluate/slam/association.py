@@ -211,6 +211,11 @@ def _check_matched(matched: int, truth: Trajectory, estimate: Trajectory, settin
     """Refuse too few matched poses, and state what limits the matching."""
     if matched >= MIN_MATCHED:
         return
+    if len(truth) < MIN_MATCHED:
+        raise TrajectoryError(
+            f"the ground truth has {len(truth)} poses, expected at least {MIN_MATCHED}: no estimate can be scored "
+            "against it; give one with more poses"
+        )
     if len(estimate) >= MIN_MATCHED:
         _check_unit(truth, estimate)
     step_s = float(np.median(np.diff(estimate.stamps_ns))) * 1e-9
