@@ -14,6 +14,7 @@ from oysterbench.report.cards import Card
 from oysterbench.report.columns import name_columns
 from oysterbench.report.plots import Curve, nees_plot, states_plot
 from oysterbench.report.table import Column, Table, TableRow
+from oysterbench.results.labels import names_of_runs
 from oysterbench.results.records import ResultRecord
 
 TIME = "time since start [s]"
@@ -39,14 +40,15 @@ def consistency_table(records: Sequence[ResultRecord]) -> Table | None:
     """
     known = [record for record in records if record.info.get("health") or _is_sure(record)]
     states = [one for one in _SHOWN if any(_name(one) in record.info.get("health", {}) for record in known)]
+    names = names_of_runs([(one.method, one.sequence, one.run) for one in known])
     rows = []
-    for record in known:
+    for record, name in zip(known, names, strict=True):
         by_state: Mapping[str, Mapping[str, float | None]] = record.info.get("health", {})
         values = [record.metrics.get(key) for key in _KEYS]
         for state in states:
             of = by_state.get(_name(state), {"share": 0.0} if by_state else {})
             values += [of.get(key) for key in _OF_STATE]
-        rows.append(TableRow((record.sequence, record.method, *values)))
+        rows.append(TableRow((record.sequence, name, *values)))
     note = (
         "NEES is the squared error over its covariance: 3 for a consistent estimate, more for an overconfident one. "
         "Relocalised: it tracks after a loss, and a loop closure ties it to what was seen before."

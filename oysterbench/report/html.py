@@ -21,7 +21,7 @@ from oysterbench.evaluate.conditions import CONDITIONS
 from oysterbench.evaluate.metric import TrackMetrics
 from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.report.cards import Card, PlotGroup
-from oysterbench.report.columns import metric_column
+from oysterbench.report.columns import lost_note, metric_column
 from oysterbench.report.consistency import consistency_table
 from oysterbench.report.density import DensityRun, map_cards
 from oysterbench.report.images import LEGEND, DatasetRow, ImageRun, curves_group, dataset_tables, sample_pictures
@@ -43,6 +43,7 @@ from oysterbench.report.tables import (
     strata_table,
 )
 from oysterbench.results.comparison import Board, boards
+from oysterbench.results.labels import names_of_runs
 from oysterbench.results.records import ResultRecord, output_place
 from oysterbench.results.remarks import remarks
 
@@ -122,17 +123,18 @@ def html_report(
     splits = list(dict.fromkeys(record.split for record in records if record.split))
     sequences = list(dict.fromkeys(record.sequence for record in records))
     methods = list(dict.fromkeys(record.method for record in records))
-    track = TRACKS[records[0].track] if records else NOTHING
-    styles = {method: 1 + i % STYLES for i, method in enumerate(methods)}
+    tracks = [TRACKS[name] for name in dict.fromkeys(record.track for record in records)] or [NOTHING]
     found = boards(records)
+    styles = _styles(found)
     slam = [run for run in runs if isinstance(run, SlamRun)]
     drawn = any(run.result is not None for run in runs)
     results = results_tables(records)
+    standings = [standings_table(board) for board in found if len(board.sequences) > 1]
     context = {
         **LIMITS,
         "swatch": swatch,
         "point_swatch": point_swatch,
-        "title": title or f"{track.title} on {', '.join(splits or sequences)}",
+        "title": title or f"{' and '.join(track.title for track in tracks)} on {', '.join(splits or sequences)}",
         "records": records,
         "scored": scored_when(records) if records else "",
         "sequence_names": sequences,
@@ -140,11 +142,12 @@ def html_report(
         "names": [*methods, *splits, *sequences],
         "first": [*first, *dataset_tables(data_set)],
         "curves": curves_group(data_set, styles),
-        "standings": [standings_table(board) for board in found if len(board.sequences) > 1],
+        "standings": standings,
         "results": [replace(table, notes=()) for table in results],
-        "covered": "coverage" in track.table,
+        "covered": any("coverage" in track.table for track in tracks),
         "shaded": any(cell.kind == "best" for table in results for row in table.rows for cell in row.cells),
         "several": several_note(records) if any(record.run for record in records) else "",
+        "lost": _lost_notes(found, results, standings),
         "warnings": [*failures_and_notes(records), *([] if folder is None else _outputs(records, folder))],
         "boards": [_board(board, styles, compared=len(board.sequences) > 1 or not drawn) for board in found],
         "samples": sample_pictures([run for run in runs if isinstance(run, ImageRun)]),
@@ -156,7 +159,7 @@ def html_report(
         "command": command,
         "making": making(records),
         "conditions": {record.sequence: dict(flattened(record.conditions)) for record in records if record.conditions},
-        **_definitions(records, track),
+        **_definitions(records),
     }
     return environment(FOLDER).get_template("report.html").render(**context)
 
@@ -193,8 +196,8 @@ def _board(board: Board, styles: Mapping[str, int], compared: bool) -> BoardPart
         replace(pairs, rows=tuple(within)) if within else None,
         strata if strata.rows else None,
         stress_table(board),
-        stress_group(board, _styles(board, styles)),
-        _over_conditions(board, _styles(board, styles)),
+        stress_group(board, styles),
+        _over_conditions(board, {row.label: styles[row.label] for row in board.standings}),
         runs if runs.rows else None,
     )
 
@@ -208,9 +211,21 @@ def _over_conditions(board: Board, styles: Mapping[str, int]) -> PlotGroup | Non
     return PlotGroup(heading, tuple(styles.items()), tuple(cards), points=True)
 
 
-def _styles(board: Board, styles: Mapping[str, int]) -> dict[str, int]:
-    """Style for each method of a board, that of its name if it has one."""
-    return {row.label: styles.get(row.label, 1 + i % STYLES) for i, row in enumerate(board.standings)}
+def _styles(found: Sequence[Board]) -> dict[str, int]:
+    """Style for each label of a method on a board, and for each name: that of its first label."""
+    entries = [entry for board in found for entry in board.entries]
+    styles = {label: 1 + i % STYLES for i, label in enumerate(dict.fromkeys(entry.label for entry in entries))}
+    for entry in entries:
+        styles.setdefault(entry.records[0].method, styles[entry.label])
+    return styles
+
+
+def _lost_notes(found: Sequence[Board], results: Sequence[Table], standings: Sequence[Table]) -> list[str]:
+    """Notes on what errors over several sequences are, where no table of standings has them."""
+    over_all = any(row.kind == "mean" for table in results for row in table.rows)
+    notes = [lost_note(board.track) for board in found] if over_all else []
+    told = " ".join(note for table in standings for note in table.notes)
+    return [note for note in dict.fromkeys(notes) if note and note not in told]
 
 
 def _over(board: Board, condition: str, values: Mapping[str, float], styles: Mapping[str, int]) -> list[Card]:
@@ -235,25 +250,32 @@ def _over(board: Board, condition: str, values: Mapping[str, float], styles: Map
     return cards
 
 
-def _definitions(records: Sequence[ResultRecord], track: TrackMetrics) -> dict[str, list[Definition]]:
-    """Definitions of the metrics in the tables, then of all others that were measured."""
-    name = records[0].track if records else ""
-    measured = dict.fromkeys(key for record in records for key in record.metrics)
-    shown = [key for key in dict.fromkeys((*track.table, *track.costs, *track.standing)) if key in measured]
-    return {
-        "definitions": [_definition(key, name) for key in shown],
-        "more_definitions": [_definition(key, name, records) for key in measured if key not in shown],
-    }
+def _definitions(records: Sequence[ResultRecord]) -> dict[str, list[Definition]]:
+    """Definitions of the metrics in the tables, then of all others that were measured; by track, as those of two tracks
+    may have one key."""
+    found: dict[str, list[Definition]] = {"definitions": [], "more_definitions": []}
+    names = dict.fromkeys(record.track for record in records)
+    for name in names:
+        of_track, track = [record for record in records if record.track == name], TRACKS[name]
+        measured = dict.fromkeys(key for record in of_track for key in record.metrics)
+        shown = [key for key in dict.fromkeys((*track.table, *track.costs, *track.standing)) if key in measured]
+        made = [_definition(key, name) for key in shown]
+        more = [_definition(key, name, of_track) for key in measured if key not in shown]
+        for where, several in zip(found, (made, more), strict=True):
+            apart = [replace(one, heading=f"{one.heading}, {track.title}") for one in several]
+            found[where] += apart if len(names) > 1 else several
+    return found
 
 
 def _definition(key: str, track: str, records: Sequence[ResultRecord] = ()) -> Definition:
     column, metric = metric_column(key, track=track), find_metric(key, track)
     arrow = environment().globals["ARROWS"][column.better]  # type: ignore[index]
     unit = f"[{metric.unit}] {arrow}" if metric is not None and metric.unit else arrow
+    names = names_of_runs([(record.method, record.sequence, record.run) for record in records])
     values = [
-        f"{record.method} on {record.sequence}: "
+        f"{name} on {record.sequence}: "
         + (f"{value:.6g}" if not math.isnan(value) else f"none, {record.reasons.get(key, '')}")
-        for record in records[:SHOWN_VALUES]
+        for name, record in list(zip(names, records, strict=True))[:SHOWN_VALUES]
         if (value := record.metrics.get(key)) is not None
     ]
     return Definition(key, column.heading, unit.strip(), column.about, "; ".join(values))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
 
@@ -27,6 +27,7 @@ ROOM = 0.8  # how far, in extents of the ground truth, an estimate may stray fro
 CROP = 0.25  # margin, in extents of the ground truth, left around it where an estimate is not shown whole
 SHAPES = ((24, 0), (4, 45), (3, 0), (4, 0), (3, 180), (6, 0), (5, 0), (8, 22.5))  # corners, rotation in deg, by style
 RECALL_TICKS = (0.1, 0.25, 0.5, 1, 2, 4, 10)  # in multiples of the error that scores half
+NEES_TOP = 1e6  # far beyond any that tells how overconfident an estimate is
 LOG_RATIO = 25.0  # ratio of the largest errors of two methods above which a linear axis would hide one
 
 
@@ -126,18 +127,20 @@ def nees_plot(
     curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float], freedom: int
 ) -> str:
     """Plot squared normalised errors over time in s on a logarithmic axis, with the band that holds 95 % of the values
-    of a consistent estimate.
+    of a consistent estimate. Values above NEES_TOP are drawn at the edge, with a note.
 
     freedom: degrees of freedom of the chi-square distribution that they then follow.
     """
     low, high = 2.0 * scipy.special.gammaincinv(freedom / 2.0, [0.025, 0.975])
-    top = max([100.0, *(float(np.max(_known(curve.y))) for curve in curves)])
+    top = min(max([100.0, *(float(np.max(_known(curve.y))) for curve in curves)]), NEES_TOP)
     x_axis = _time_axis(span)
-    y_axis = Axis(0.01, 10.0 ** math.ceil(math.log10(min(top, 1e6))), TOP + 190.0, TOP, logarithmic=True)
+    y_axis = Axis(0.01, 10.0 ** math.ceil(math.log10(top)), TOP + 190.0, TOP, logarithmic=True)
     y, bottom = float(y_axis.place(high)), float(y_axis.place(low))
     about = f"<title>{low:.2g} to {high:.2g}: 95 % of a consistent estimate's values</title>"
     band = f'<rect class="band" x="{LEFT}" y="{y:.1f}" width="{INNER}" height="{bottom - y:.1f}">{about}</rect>'
-    return _drawing([thin(curve) for curve in curves], x_axis, y_axis, title, x_label, y_label, "", band)
+    note = _note([curve.label for curve in curves if _leaves(curve.y, 0.0, y_axis.high)])
+    drawn = [thin(replace(curve, y=np.minimum(curve.y, y_axis.high))) for curve in curves]
+    return _drawing(drawn, x_axis, y_axis, title, x_label, y_label, note, band)
 
 
 def states_plot(

@@ -53,3 +53,15 @@ def _part(value: object, values: Iterable[object]) -> str:
         return shown if rest == text else f"...{shown}"
 
     return cut(str(value)) if len(set(map(cut, texts))) == len(texts) else str(value)
+
+
+def names_of_runs(runs: Sequence[tuple[str, str, int]]) -> list[str]:
+    """Name of the method of each run, with its number where there are several of a method on a sequence.
+
+    runs: (method, sequence, number from 0) of each
+
+    >>> names_of_runs([("a", "dive", 0), ("a", "dive", 1), ("b", "dive", 0)])
+    ['a, run 1', 'a, run 2', 'b']
+    """
+    several = {(method, sequence) for method, sequence, number in runs if number}
+    return [f"{name}, run {number + 1}" if (name, sequence) in several else name for name, sequence, number in runs]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from oysterbench.report.table import Table
 from oysterbench_leaderboard.boards.board import Query
 from oysterbench_leaderboard.boards.index import open_index
 from oysterbench_leaderboard.site.pages.board import board_page
@@ -71,12 +72,17 @@ def test_the_conditions_of_what_it_lacks_are_those_that_others_have(tmp_path):
     assert classes[0] == classes[1]
 
 
+def heat_of(site: Site, track: str, title: str) -> Table:
+    heats = board_page(site, track, SPLITS[track]).context["heats"]
+    return next(table for table in heats if title in table.title)
+
+
 def test_heat_maps_have_every_sequence_in_its_class_whoever_is_first(tmp_path):
     whole = record_made("whole", skill=0.5)
     units = []
     for name, skill in (("worse", 0.2), ("better", 0.95)):
         site = site_of(tmp_path / name, whole, record_made("part", skill=skill, without=LACKING["slam"]))
-        heat = next(table for table in board_page(site, "slam", "slam-val").context["heats"] if "by conditions" in table.title)
+        heat = heat_of(site, "slam", "by conditions")
         units.append([column.unit for column in heat.columns])
     assert site.index.page(site.index.boards()[0].id, Query()).rows[0].method == "part"
     assert units[0] == units[1]
@@ -85,7 +91,7 @@ def test_heat_maps_have_every_sequence_in_its_class_whoever_is_first(tmp_path):
 def test_heat_maps_count_what_it_lacks_as_the_ranking_does(tmp_path):
     whole, part = made("steering")
     site = site_of(tmp_path, whole, part)
-    heat = next(table for table in board_page(site, "steering", "steer-val").context["heats"] if "by sequence" in table.title)
+    heat = heat_of(site, "steering", "by sequence")
     row = next(line for line in heat.rows if line.cells[0].value == "part")
     values = [cell.value for cell in row.cells[1:]]
     assert sum(values) / len(values) == pytest.approx(site.index.row(part.digest).score)

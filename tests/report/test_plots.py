@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from oysterbench.core import page
 from oysterbench.report.axes import nice_ticks
-from oysterbench.report.plots import Curve, map_plot, signed_plot, thin, time_plot
+from oysterbench.report.plots import Curve, map_plot, nees_plot, signed_plot, thin, time_plot
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-4, 1e6), st.integers(3, 9))
@@ -71,6 +71,17 @@ def test_signed_errors_have_zero_in_the_middle_and_a_large_one_does_not_flatten_
     assert min(ys) == pytest.approx(107.0 - 75.0 * max(small.y) / (1.08 * max(abs(small.y))), abs=0.01)
     assert "up to" not in signed_plot([small], "e", "t [s]", "error [m]", (0, 4))
     assert "up to" not in signed_plot([Curve("none", t, 0 * t, 1)], "e", "t [s]", "error [m]", (0, 4))
+
+
+def test_an_estimate_that_is_far_too_sure_stays_in_the_frame_and_is_named():
+    t = np.arange(5.0)
+    sure, sane = Curve("sure", t, 1e12 + t, 1), Curve("sane", t, np.full(5, 3.0), 2)
+    svg = nees_plot([sure, sane], "NEES", "t [s]", "e2 / covariance", (0, 4), 3)
+    assert "sure leaves this picture" in svg
+    top, height = map(float, re.search(r'class="frame" x="\S+" y="(\S+)" width="\S+" height="(\S+)"', svg).groups())
+    ys = [float(y) for data in re.findall(' d="(M[^"]*L[^"]*)"', svg) for y in re.findall(r"[ML]\S+ (-?[\d.]+)", data)]
+    assert top == min(ys) < max(ys) < top + height
+    assert "leaves" not in nees_plot([sane], "NEES", "t [s]", "e2 / covariance", (0, 4), 3)
 
 
 def test_a_curve_is_lifted_where_it_is_broken():

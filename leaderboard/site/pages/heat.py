@@ -44,7 +44,7 @@ def scores_of(site: Site, info: BoardInfo, rows: Sequence[Row]) -> Scores | None
     rows = rows[:MOST_ROWS]
     found = site.index.scores(row.digest for row in rows)
     failed = FAILED[info.track].get(info.metric, math.nan)
-    lacking = {name: failed for name in info.sequences} | site.lowest_scores(info)
+    lacking = dict.fromkeys(info.sequences, failed) | site.lowest_scores(info)
     values = {row.digest: {name: found[row.digest].get(name, lacking[name]) for name in info.sequences} for row in rows}
     known = any(math.isfinite(value) for of in found.values() for value in of.values())
     return Scores(info, rows, values, site.conditions(info.id, rows[0].digest)) if rows and known else None

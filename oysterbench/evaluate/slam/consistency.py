@@ -68,8 +68,8 @@ def nees(truth: Trajectory, estimate: Trajectory, align: Align, fit: Similarity)
 
     align, fit: the evaluator's alignment, whose freedom and scale are adopted. The estimate's covariances (N, 6, 6) are
     in the axes of its world frame, and rotate and scale with it. If the first pose is used for alignment, it is not a
-    sample: (N - 1,), and may be exact. Raises ValueError where another covariance is not positive definite, or any is not
-    finite.
+    sample: (N - 1,), and may be exact. Raises ValueError where another covariance is not positive definite, or one is
+    not finite.
     """
     covariances = estimate.covariances
     if covariances is None:
