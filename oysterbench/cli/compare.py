@@ -41,8 +41,8 @@ def compare_command(results: tuple[str, ...], track: str | None, split: str | No
     tracks and splits.
 
     Methods are ranked by their score over the sequences that all of them were run on. A rank is 1 + the number of
-    methods that are significantly better (95 %), or better than one placed above. Results of different splits,
-    evaluators or settings are shown in separate tables.
+    methods that are significantly better (95 %), and at least the rank of any placed above. Results of different
+    splits, evaluators or settings are shown in separate tables.
     """
     from oysterbench.core.errors import ResultError
     from oysterbench.core.names import listed

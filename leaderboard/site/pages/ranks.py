@@ -17,8 +17,8 @@ ABOUT_TIERS = {
 """Tier -> who vouches for the numbers."""
 
 RANK = (
-    "1 + the number of methods that are significantly better (95 %, paired bootstrap), or better than one above it; of "
-    "another team's submissions, only the best counts."
+    "1 + the number of methods that are significantly better (95 %, paired bootstrap), and at least the rank of any "
+    "placed above; of another team's submissions, only the best counts."
 )
 TIED = "A shared rank: the same number of methods is significantly better (95 %, paired bootstrap)."
 UNRANKED = "a place by the mean only: with so few sequences, no difference is significant."
