@@ -110,8 +110,8 @@ def command(context: click.Context, /, folder: Path | None, url: str | None, **a
       oysterbench compare gtsam_vi gtsam_full --split slam-val
 
     A rank is 1 + the number of methods that are significantly better (95 %, paired bootstrap over sequences), and at
-    least the rank of any placed above; of another team's submissions, only the best counts. "=" marks shared ranks. Places in
-    brackets: too few sequences for a rank.
+    least the rank of any placed above; of another team's submissions, only the best counts. "=" marks shared ranks.
+    Places in brackets: too few sequences for a rank.
     """
     from oysterbench_leaderboard.commands.options import Place
 

@@ -2,13 +2,14 @@
 
 The one rule for `oysterbench compare`, reports and the leaderboard. Methods are ordered by their means over the
 sequences. **The rank of a method is 1 + the number of methods that are significantly better than it, and at least the
-rank of any method placed above it.** Significance is decided by the paired bootstrap over sequences (`evaluate.statistics.compare`), at 95 %.
+rank of any method placed above it.** Significance is decided by the paired bootstrap over sequences
+(`evaluate.statistics.compare`), at 95 %.
 
 1 + the number of significantly better systems is the lower end of the rank ranges of WMT's human evaluations (Bojar et
 al. 2013) and the rank of Chatbot Arena (Chiang et al. 2024); [1 + better, R - worse] is the form of the confidence
 interval of a rank in Mogstad, Romano, Shaikh & Wilhelm (2024, "Inference for ranks"). Counting alone may give a method
-a better rank than one with a better mean whose values scatter less; "at least the rank of any above" rules that out, and
-never takes a rank past its place.
+a better rank than one with a better mean whose values scatter less; "at least the rank of any above" rules that out,
+and never takes a rank past its place.
 
 Consequences: equal values have equal ranks; names and the order of methods do not matter; a rank never gets worse up
 the board; a new method does not change the comparison of any two others. The price of the last is that there is no
@@ -60,7 +61,7 @@ class Standing:
 
     place: 1 + the number of methods with a better mean; equal means share a place. None without a value
     rank:  1 + the number of methods that are significantly better than it, and at least that of any method placed
-           above it, as equal means share one: its best possible rank. None if it has values on too few sequences for any test
+           above it: its best possible rank. None if it has values on too few sequences for any test
     worst: the number of methods minus those that are significantly worse than it, and at most that of any method
            placed below it: its worst possible rank
     """

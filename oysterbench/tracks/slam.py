@@ -252,13 +252,15 @@ def check_truth(sequence: RunSequence, judged: Sequence[SlamSettings]) -> None:
     """Refuse a ground truth against which not even itself can be scored, whichever of the settings is used: every
     method would seem to fail. Raises TrajectoryError."""
     assert isinstance(sequence, SlamSequence)
-    failure = None
-    for settings in judged if sequence.truth is not None else ():
+    truth, failure = sequence.truth, None
+    if truth is None:
+        return
+    for settings in judged:
         # A scale is fitted to the path of a camera, which may move where the body does not; the first poses of an
         # estimate may be others than those of the truth.
         align: Align = "none" if settings.align in SCALED else settings.align
         try:
-            meet(sequence.truth, sequence.truth, replace(settings, align=align, align_first=None))
+            meet(truth, truth, replace(settings, align=align, align_first=None))
             return
         except TrajectoryError as error:
             failure = error

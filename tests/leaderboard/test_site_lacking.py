@@ -32,9 +32,11 @@ def site_of(folder: Path, *records: Record) -> Site:
 
 def made(track: str) -> tuple[Record, Record]:
     """A record on all sequences, and one that lacks some."""
-    whole, part = SKILLS[track]
-    about = {"track": track, "split": SPLITS[track]}
-    return record_made("whole", skill=whole, **about), record_made("part", skill=part, without=LACKING[track], **about)
+    (whole, part), split, without = SKILLS[track], SPLITS[track], LACKING[track]
+    return (
+        record_made("whole", skill=whole, track=track, split=split),
+        record_made("part", skill=part, track=track, split=split, without=without),
+    )
 
 
 @pytest.mark.parametrize("track", LACKING)

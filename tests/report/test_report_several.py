@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from oysterbench.evaluate.slam.settings import Align
 from oysterbench.report import SlamRun, html_report
 from oysterbench.report.columns import metric_column
 from oysterbench.report.consistency import consistency_table
@@ -16,7 +17,7 @@ from tests.report.test_report import loop, run
 from tests.results.test_results import record
 
 
-def aligned(method: str, align: str) -> SlamRun:
+def aligned(method: str, align: Align) -> SlamRun:
     """A run whose method brings an alignment of its own."""
     made = run(method)
     settings = SlamSettings(align=align)
