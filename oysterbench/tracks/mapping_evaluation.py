@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from oysterbench.core.errors import LabelError, OysterbenchError
+from oysterbench.core.errors import LabelError, MachineError, OysterbenchError
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.core.trajectory.frames import with_scale
@@ -136,7 +136,16 @@ def aligned(
     """Align an estimate with the ground truth, as the SLAM track does."""
     fit = meet(truth, estimate, SlamSettings(align=align, max_gap_s=max_gap_s))[1].similarity
     estimate = with_scale(estimate, fit.scale)
-    return replace(estimate, positions=fit.apply(estimate.positions), quaternions=fit.rotate(estimate.quaternions))
+    covariances = estimate.covariances
+    if covariances is not None and fit.scale != 1.0:
+        units = np.array([fit.scale] * 3 + [1.0] * 3)  # of position and attitude
+        covariances = covariances * np.outer(units, units)
+    return replace(
+        estimate,
+        positions=fit.apply(estimate.positions),
+        quaternions=fit.rotate(estimate.quaternions),
+        covariances=covariances,
+    )
 
 
 def evaluate_maps(
@@ -173,6 +182,8 @@ def evaluate_maps(
                 owners: dict[tuple[int, int], int] = {}
                 labelled = _owned(sequence, camera, seen, owners)
                 found = build_map(sequence, path_poses, labelled, camera, depth, settings)
+            except MachineError:
+                raise  # no failure of the method: it is not counted, here as elsewhere
             except OysterbenchError as error:
                 yield DensityRun(ResultRecord(**about, method=method, failure=str(error)))
                 continue
@@ -186,13 +197,15 @@ def evaluate_maps(
 
 
 def map_count(found: OysterMap, owners: Mapping[tuple[int, int], int]) -> MapCount:
-    """What is scored of a map; owners: true oyster by image index and instance number."""
+    """What is scored of a map. owners: true oyster, 0 for none, by image index and instance number, of labelled images:
+    the others do not tell which oyster is behind an entry."""
     behind = []
     for track in found.tracks:
         pixels: Counter[int] = Counter()
         for patch in track.patches:
-            pixels[owners.get((patch.frame, patch.number), 0)] += patch.pixels
-        behind.append(max(pixels, key=lambda number: (pixels[number], -number)))
+            if (patch.frame, patch.number) in owners:
+                pixels[owners[patch.frame, patch.number]] += patch.pixels
+        behind.append(max(pixels, key=lambda number: (pixels[number], -number), default=0))
     seen = frozenset(
         owners.get((patch.frame, patch.number), 0) for track in found.tracks for patch in track.patches
     ) - {0}
@@ -205,19 +218,16 @@ def _owned(sequence: Sequence, camera: str, seen: SeenOf, owners: dict[tuple[int
     """Wrap `seen` to note in `owners`, on the way, the true oyster that most pixels of each instance belong to."""
 
     def noted() -> Iterator[Seen]:
-        truth = {}
         layers = true_seen(sequence, camera)
+        layer = next(layers, None)
         for k, picture in enumerate(seen()):
-            while picture.stamp_ns not in truth:
+            while layer is not None and layer.stamp_ns < picture.stamp_ns:
                 layer = next(layers, None)
-                if layer is None:
-                    break
-                truth = {layer.stamp_ns: layer.numbers}
-            true = truth.get(picture.stamp_ns)
-            if true is not None and true.shape == picture.numbers.shape:
+            labelled = layer is not None and layer.stamp_ns == picture.stamp_ns
+            if layer is not None and labelled and layer.numbers.shape == picture.numbers.shape:
                 rows = picture.numbers > 0
                 pairs, pixels = np.unique(
-                    np.stack([picture.numbers[rows], true[rows]]), axis=1, return_counts=True
+                    np.stack([picture.numbers[rows], layer.numbers[rows]]), axis=1, return_counts=True
                 )  # fmt: skip
                 best: dict[int, tuple[int, int]] = {}
                 for number, own, n in zip(*pairs.tolist(), pixels.tolist(), strict=True):
