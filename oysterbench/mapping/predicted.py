@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -17,7 +18,7 @@ from oysterbench.annotations.masks import MaskFiles
 from oysterbench.annotations.parts import connected_parts, without_specks
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.detection import ImageInstances
-from oysterbench.evaluate.detection.instances import mask_tools
+from oysterbench.evaluate.detection.instances import mask_tools, numpy_2
 from oysterbench.evaluate.detection.states import ALIVE
 from oysterbench.mapping.projection import Seen
 from oysterbench.recipe import OYSTER
@@ -118,16 +119,25 @@ def components(
     return Seen(stamp_ns, camera, without_specks(numbers), scores=scores)
 
 
-def stacked(found: ImageInstances) -> tuple[NDArray[np.int32], dict[int, float]]:
-    """Numbers (H, W) and scores of oyster instances, the most certain on top. Raises LabelError for mere boxes."""
+def stacked(stamp_ns: int, camera: str, found: ImageInstances) -> Seen:
+    """Take oyster instances, the most certain on top, with their scores and, where known, states. Raises LabelError for
+    mere boxes."""
     numbers = np.zeros((found.height, found.width), dtype=np.int32)
-    scores = {}
+    states, scores = {}, {}
     for k, one in enumerate(sorted(found.instances, key=lambda one: one.score), start=1):
         if one.mask is None:
             raise LabelError(f"{found.name}: boxes have no footprint: expected masks of individual oysters")
-        numbers[mask_tools().decode(one.mask) > 0] = k
+        with numpy_2():
+            numbers[mask_tools().decode(one.mask) > 0] = k
         scores[k] = one.score
-    return numbers, scores
+        if not math.isnan(one.live):
+            states[k] = _told(one.live)
+    return Seen(stamp_ns, camera, numbers, states, scores)
+
+
+def _told(live: float) -> str:
+    """State by the probability that an oyster is alive."""
+    return "live" if live >= ALIVE else "dead"
 
 
 def _coco(place: Path, sequence: Sequence, camera: str, threshold: float, several: bool) -> Iterator[Seen]:
@@ -155,7 +165,7 @@ def _state(values: Mapping[str, Any], category: str) -> str:
     """State of an annotation: its own, from `state` or the probability `live`, else that of its category."""
     own, live = values.get("state"), values.get("live")
     if own is None and isinstance(live, float | int):
-        return "live" if live >= ALIVE else "dead"
+        return _told(live)
     return str(own or category) if str(own or category) in ("live", "dead") else "unknown"
 
 

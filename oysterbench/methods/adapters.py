@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from string import Formatter
-from typing import Any
+from typing import Any, TypeVar
 
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.code import code_digests, file_digest
@@ -274,6 +274,22 @@ class ExternalCommand(MethodAdapter):
         if not (folder / self.interface.out).exists():
             raise MethodError(self.left_none)
         return self.interface.take(sequence, given, folder, self.form, self.options)
+
+
+AnyAdapter = TypeVar("AnyAdapter", bound=MethodAdapter)
+
+
+def check_distinct(adapters: Mapping[str, AnyAdapter]) -> list[AnyAdapter]:
+    """Adapters from those by their references. Raises MethodError where two have one name: they would pass for two runs
+    of one method."""
+    references: dict[str, str] = {}
+    for reference, adapter in adapters.items():
+        if (other := references.setdefault(adapter.name, reference)) != reference:
+            raise MethodError(
+                f"{other} and {reference} are both named {adapter.name!r}: give each a `name` of its own, or run one "
+                "at a time, each with --out of its own"
+            )
+    return list(adapters.values())
 
 
 def _is_further(path: Path, weights: Mapping[str, Path]) -> bool:

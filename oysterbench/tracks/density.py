@@ -14,13 +14,15 @@ from oysterbench.core.errors import MachineError, MethodError, TrajectoryError
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.evaluate.density.scoring import EVALUATOR
 from oysterbench.evaluate.slam.settings import SlamSettings
-from oysterbench.methods.adapters import PythonMethod
+from oysterbench.methods.adapters import PythonMethod, check_distinct
+from oysterbench.methods.checks import check_shape
+from oysterbench.methods.images import Detections
 from oysterbench.methods.interfaces import RunSequence
 from oysterbench.methods.interfaces.images import read_predictions
 from oysterbench.methods.outcomes import Job, Outcome
 from oysterbench.recipe import SplitRecipe
 from oysterbench.sequence import open_sequence
-from oysterbench.tracks.images import PictureSequence, instances_of
+from oysterbench.tracks.images import PictureSequence, instances_of, segmentation_of
 from oysterbench.tracks.slam import TRACK as SLAM
 from oysterbench.tracks.slam import SlamSequence
 from oysterbench.tracks.slam_options import SETTINGS
@@ -136,6 +138,7 @@ class DensityTrack(Track):
             depth, align = options.get("depth", "layer"), options.get("align", "posyaw")
             for run in evaluate_maps(mapped, sequence.split, settings, depth, align, request.announce):
                 runs.append(drawn(run))
+                request.finished(runs)
         return self.show(runs, sequences, request.out)
 
     def show(self, runs: Sequence[DensityRun], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:
@@ -150,7 +153,7 @@ class DensityTrack(Track):
         folder = request.options.get("poses")
         names = dict.fromkeys(request.methods or (() if folder is not None else self.default_methods))
         if folder is None:
-            return [PythonMethod(name, self.takes) for name in names], []
+            return check_distinct({name: PythonMethod(name, self.takes) for name in names}), []
         methods, kept = list[PythonMethod](), list[str]()
         for name in names:
             if _has_estimates(folder, name):
@@ -164,6 +167,7 @@ class DensityTrack(Track):
                 kept.append(method.name)
             else:
                 methods.append(method)
+        check_distinct({method.reference: method for method in methods})
         of_slam = [method for method in methods if method.track == "slam"]
         for method in of_slam:
             request.announce(f"{folder} has no estimates of {method.name}, which is therefore run")
@@ -186,13 +190,13 @@ class DensityTrack(Track):
                 raise TrajectoryError(f"{folder}: expected estimates of {sequence.name}, {sequence.name}-METHOD.tum")
             for name in there if kept is None else kept:
                 missing = TrajectoryError(f"{folder} has no {sequence.name}-{name}.tum")
-                found[name] = read_trajectory(there[name]) if name in there else missing
+                found[name] = _read(there[name]) if name in there else missing
         within = replace(request, out=request.out / "paths")
         for done in SLAM.run([sequence], methods, SlamSettings(), within) if methods else ():
             failed = _failure(done.outcome)
             name = done.job.adapter.name
             file = within.out / f"{sequence.name}-{name}.tum"
-            found[name] = read_trajectory(file) if failed is None else MethodError(failed)
+            found[name] = _read(file) if failed is None else MethodError(failed)
         return found
 
     def _masks(
@@ -214,6 +218,14 @@ class DensityTrack(Track):
         }
 
 
+def _read(path: Path) -> Trajectory | TrajectoryError:
+    """Path from a file, or why it cannot be read: a failure of this path alone."""
+    try:
+        return read_trajectory(path)
+    except TrajectoryError as error:
+        return error
+
+
 def _failure(outcome: Outcome) -> str | None:
     """Reason why the method failed, or None. Raises MachineError where the machine failed instead."""
     if not outcome.finished:
@@ -223,8 +235,7 @@ def _failure(outcome: Outcome) -> str | None:
 
 def _seen(job: Job, outcome: Outcome, out: Path, camera: str, threshold: float) -> Iterator[Seen]:
     """Iterate over the oysters that a method found in the images of a camera. Raises MethodError where it failed."""
-    from oysterbench.mapping import Seen
-    from oysterbench.mapping.predicted import stacked
+    from oysterbench.mapping.predicted import components, stacked
 
     if (failed := _failure(outcome)) is not None:
         raise MethodError(failed)
@@ -235,14 +246,22 @@ def _seen(job: Job, outcome: Outcome, out: Path, camera: str, threshold: float) 
         _, of, stamp = truth.name.rsplit("/", 2)
         if of == camera:
             shape = (truth.classes.shape[0], truth.classes.shape[1])
-            numbers, scores = stacked(instances_of(prediction, job.adapter.name, shape, threshold))
-            yield Seen(int(stamp), camera, numbers, scores=scores)
+            if isinstance(prediction, Detections):
+                yield stacked(int(stamp), camera, instances_of(prediction, job.adapter.name, shape, threshold))
+            else:  # as masks in files
+                mask = segmentation_of(prediction, job.adapter.name)
+                check_shape(mask.shape, shape, f"method {job.adapter.name!r} on {prediction.name}")
+                yield components(int(stamp), camera, mask.mask(threshold), mask.probability)
 
 
 def _has_estimates(folder: Path, method: str) -> bool:
     """Whether a folder has an estimate of a method, as `estimates_in` finds them, of any sequence."""
-    named = "." not in method and method != "truth"
-    return named and any(file.name.endswith(f"-{method}.tum") for file in folder.glob("*.tum"))
+    return _is_main(method) and any(file.name.endswith(f"-{method}.tum") for file in folder.glob("*.tum"))
+
+
+def _is_main(method: str) -> bool:
+    """Whether METHOD in SEQUENCE-METHOD.tum names a method's main path. Options in brackets may have decimal points."""
+    return "." not in method.rpartition("]")[2] and method != "truth"
 
 
 def _with_truth(folder: Path) -> set[str]:
@@ -261,7 +280,7 @@ def estimates_in(folder: Path, sequence: str, names: Collection[str] | None = No
     found = {}
     for path in sorted(folder.glob(f"{sequence}-*.tum")):
         method = path.stem.removeprefix(f"{sequence}-")
-        if "." not in method and method != "truth" and not path.stem.startswith(others):
+        if _is_main(method) and not path.stem.startswith(others):
             found[method] = path
     return found
 

@@ -222,24 +222,17 @@ class Track(ABC):
     def adapters(self, request: Request) -> list[MethodAdapter]:
         """Adapters of the methods to run. Raises MethodError where one cannot be found or is of another track, or where
         two have one name: they would pass for two runs of one method."""
-        from oysterbench.methods.adapters import ExternalCommand, PythonMethod
+        from oysterbench.methods.adapters import ExternalCommand, PythonMethod, check_distinct
         from oysterbench.methods.systems import split_reference
         from oysterbench.methods.systems.adapter import SystemAdapter
 
         if request.template is not None:
             return [ExternalCommand(request.template, request.name, self.name, request.poses_of)]
         found: dict[str, MethodAdapter] = {}
-        references: dict[str, str] = {}
         for reference in dict.fromkeys(request.methods or self.default_methods):
             kind = PythonMethod if split_reference(reference) is None else SystemAdapter
-            adapter = kind(reference, self.takes)
-            if adapter.name in found:
-                raise MethodError(
-                    f"{references[adapter.name]} and {reference} are both named {adapter.name!r}: give each a `name` "
-                    "of its own, or run one at a time, each with --out of its own"
-                )
-            found[adapter.name], references[adapter.name] = adapter, reference
-        return list(found.values())
+            found[reference] = kind(reference, self.takes)
+        return check_distinct(found)
 
     def have_weights(self, adapters: Sequence[MethodAdapter], request: Request) -> None:
         """Fetch trained weights that methods need and that are missing here, if a hub is configured. Raises

@@ -109,3 +109,47 @@ def test_paths_of_the_users_other_sequences_are_not_mapped(paths_of, tmp_path):
     for name in ("hand-made-2-truth", "hand-made-2-mine"):
         (tmp_path / f"{name}.tum").touch()
     assert list(paths_of()[0]) == ["dead_reckoning", "mine"]
+
+
+def test_estimates_of_methods_whose_options_have_decimal_points_are_used(paths_of, tmp_path):
+    for name in ("mine[gain=0.5]", "mine[gain=2]"):
+        (tmp_path / f"hand-made-{name}.tum").write_bytes((tmp_path / "hand-made-mine.tum").read_bytes())
+    (tmp_path / "hand-made-mine[gain=0.5].online.tum").touch()
+    assert list(paths_of()[0]) == ["dead_reckoning", "mine", "mine[gain=0.5]", "mine[gain=2]"]
+    found, ran, _ = paths_of("mine[gain=0.5]")
+    assert (list(found), ran) == (["mine[gain=0.5]"], [])
+
+
+def test_an_estimate_that_cannot_be_read_is_a_failure_of_its_method_alone(paths_of, tmp_path):
+    (tmp_path / "hand-made-mine.tum").write_text("no pose\n")
+    found, _, _ = paths_of()
+    assert isinstance(found["mine"], TrajectoryError)
+    assert found["dead_reckoning"] == pytest.approx(2.0)
+
+
+class Turns:
+    """Has the name of another method."""
+
+    name, track = "dead_reckoning", "slam"
+
+    def run(self, sequence):
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize("poses", [{}, {"poses": "."}])
+def test_two_methods_of_one_name_are_refused(tmp_path, monkeypatch, poses):
+    monkeypatch.chdir(tmp_path)
+    mine = f"{__name__}:Turns"
+    request = Request(tmp_path, methods=["dead_reckoning", mine], options={key: tmp_path for key in poses})
+    with pytest.raises(MethodError, match="^dead_reckoning and .*:Turns are both named 'dead_reckoning': give"):
+        TRACK._named(request)
+
+
+def test_each_map_is_kept_once_it_is_made(dive_file, tmp_path, monkeypatch):
+    monkeypatch.setattr("oysterbench.tracks.mapping_evaluation.evaluate_maps", lambda *rest: iter("ab"))
+    monkeypatch.setattr("oysterbench.report.density_figure.drawn", lambda run: run)
+    monkeypatch.setattr(TRACK, "show", lambda runs, *rest: runs)
+    monkeypatch.setattr(SLAM, "run", lambda *rest: [])
+    kept: list[list[str]] = []
+    TRACK.evaluate(Request(tmp_path, places=[dive_file], finished=lambda runs: kept.append(list(runs))))
+    assert kept == [["a"], ["a", "b"]]
