@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import LabelError, SequenceError, TrajectoryError
 from oysterbench.core.geometry import Array
@@ -207,7 +208,7 @@ def _ground(
 
 
 def _exact(sequence: Sequence, trajectory: Trajectory, depth: str, settings: MapSettings) -> bool:
-    """Whether positions are certain enough to tell shells apart: true depths along the true path.
+    """Whether positions are certain enough to tell shells apart: true depths along the true path, attitudes included.
 
     The error of any other path between two passes over the same ground is unknown: covariances are only claims. If
     depths are measured, the ground truth is not consulted.
@@ -216,10 +217,10 @@ def _exact(sequence: Sequence, trajectory: Trajectory, depth: str, settings: Map
         return False
     truth, stamps = sequence.truth(), trajectory.stamps_ns
     within = (stamps >= truth.stamps_ns[0]) & (stamps <= truth.stamps_ns[-1])
-    since = (stamps[within] - truth.stamps_ns[0]).astype(float)
-    known = (truth.stamps_ns - truth.stamps_ns[0]).astype(float)
-    true = np.column_stack([np.interp(since, known, axis) for axis in truth.positions.T])
-    return bool((np.abs(trajectory.positions[within] - true) <= EXACT_PATH_M).all())
+    given, true = trajectory.select(within), truth.at(stamps[within])
+    turns = (Rotation.from_quat(true.quaternions).inv() * Rotation.from_quat(given.quaternions)).magnitude()
+    near = np.abs(given.positions - true.positions) <= EXACT_PATH_M
+    return bool(near.all() and (turns * settings.far_m <= EXACT_PATH_M).all())
 
 
 def sigma_of(depth: str, settings: MapSettings) -> float:

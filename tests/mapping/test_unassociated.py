@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from oysterbench.core.measurements import Image
 from oysterbench.mapping import MapSettings
@@ -71,3 +72,12 @@ def test_only_true_depths_along_the_true_path_leave_nothing_open(exact):
         "as a file rounds it"
     )
     assert map_of(reef, moved(reef.truth(), np.full(3, 2e-3), slice(None)), SETTINGS).unassociated is not None
+
+
+@pytest.mark.parametrize(("turned_deg", "known"), [(1e-4, True), (0.5, False)])
+def test_the_true_positions_with_other_attitudes_are_not_the_true_path(turned_deg, known):
+    reef = FlatReef(LANES[:3], DISCS)
+    truth = reef.truth()
+    turn = Rotation.from_euler("z", turned_deg, degrees=True)
+    path = replace(truth, quaternions=(turn * Rotation.from_quat(truth.quaternions)).as_quat())
+    assert (map_of(reef, path, SETTINGS).unassociated is None) == known
