@@ -10,15 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import Array
 from oysterbench.core.ply import write_ply
 from oysterbench.mapping.cloud_settings import CloudSettings
 
 POINT = np.dtype(
-    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("observations", "<i4")]
+    [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("observations", "<i4")]
 )
-"""Record of a point in the PLY file."""
+"""Record of a point in the PLY file; in float32, coordinates in UTM would be half a metre apart."""
 
+HALF = 1 << 20
+"""Voxels on either side of the first point along each axis, 21 bits in all: 10 km of 1 cm."""
 BATCH = 1_000_000  # points that are buffered before they are merged into the voxels: 56 MB
 
 
@@ -51,12 +54,14 @@ class Voxels:
 
     def __init__(self, edge_m: float) -> None:
         self.edge_m = edge_m
+        self._first: NDArray[np.int64] | None = None  # the cell of the first point, wherever the world's origin is
         self._keys = np.zeros(0, dtype=np.int64)
         self._sums = np.zeros((0, 7))
         self._waiting: list[Array] = []
 
     def add(self, points: Array, colours: NDArray[np.uint8]) -> None:
-        """Add points (N, 3) m, within 10 km of the origin for 1 cm voxels, and their colours (N, 3)."""
+        """Add points (N, 3) m and their colours (N, 3). These are merged in batches, by `cloud` at the latest, which
+        raises TrajectoryError where some lie more than `HALF` voxels from the first one."""
         self._waiting.append(np.column_stack([points, colours, np.ones(len(points))]))
         if sum(map(len, self._waiting)) > BATCH:
             self._merge()
@@ -71,7 +76,16 @@ class Voxels:
     def _merge(self) -> None:
         fresh = np.concatenate([np.zeros((0, 7)), *self._waiting])
         self._waiting = []
-        cells = np.floor(fresh[:, :3] / self.edge_m).astype(np.int64) + (1 << 20)
+        cells = np.floor(fresh[:, :3] / self.edge_m).astype(np.int64)
+        if self._first is None and len(cells):
+            self._first = cells[0]
+        if self._first is not None:
+            cells += HALF - self._first
+        if not ((cells >= 0) & (cells < 2 * HALF)).all():
+            raise TrajectoryError(
+                f"the points of the cloud lie more than {HALF * self.edge_m:.0f} m from the first one: expected fewer "
+                f"at voxels of {self.edge_m:g} m (--voxel); has the trajectory diverged?"
+            )
         keys = np.concatenate([self._keys, (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]])
         sums = np.concatenate([self._sums, fresh])
         self._keys, rows = np.unique(keys, return_inverse=True)

@@ -233,6 +233,23 @@ def test_a_voxel_keeps_the_mean_of_its_points_and_their_number():
     assert cloud.observations[order].tolist() == [2, 1]
 
 
+def test_a_cloud_far_from_the_origin_of_its_world_is_the_same_as_one_near_it(tmp_path):
+    points = np.random.default_rng(5).random((4000, 3)) * [2.0, 2.0, 0.3]
+    colours = np.zeros(points.shape, dtype=np.uint8)
+    utm = np.array([500_000.0, 4_500_000.0, 0.0])
+    near, far = (thinned([(points + off, colours)], 0.1) for off in (np.zeros(3), utm))
+    assert len(near) == len(far)
+    far.write(tmp_path / "far.ply", "far")
+    written = read_ply(tmp_path / "far.ply")
+    np.testing.assert_allclose([written[axis] for axis in "xyz"], (near.points + utm).T, rtol=0, atol=1e-6)
+
+
+def test_points_too_far_apart_for_their_voxels_are_refused():
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 20_000.0, 0.0]])
+    with pytest.raises(TrajectoryError, match=r"more than 10486 m from the first one: .* voxels of 0.01 m"):
+        thinned([(points, np.zeros((2, 3), dtype=np.uint8))], 0.01)
+
+
 def test_what_stands_alone_is_removed():
     grid = np.stack(np.meshgrid(np.arange(20), np.arange(20), [0]), axis=-1).reshape(-1, 3) * 0.01
     points = np.concatenate([grid, [[0.1, 0.1, 3.0]]])
