@@ -19,6 +19,7 @@ from oysterbench.mapping.settings import MapSettings
 
 CLOSED_M = 0.05  # smaller gaps in the cover lie between pixels, or behind single shells
 MOST = 60_000_000  # squares of a raster: 0.7 GB
+DIVERGED = "has the trajectory diverged?"
 
 Squares = tuple[NDArray[np.int64], NDArray[np.int64]]
 """Rows and columns of a raster."""
@@ -96,21 +97,24 @@ class Raster:
 def raster_around(places: Array, margin_m: float, edge_m: float, whole_m: float) -> Raster:
     """Raster around places (N, 2) m with a margin; its outer edges are at multiples of `whole_m`.
 
-    Raises TrajectoryError where the places are so far apart that it would not fit into memory.
+    Raises TrajectoryError where the places are so far apart, or `whole_m` is so large, that it would not fit into
+    memory.
     """
     low = np.floor((places.min(axis=0) - margin_m) / whole_m) * whole_m
     high = np.ceil((places.max(axis=0) + margin_m) / whole_m) * whole_m
     columns, rows = (int(n) for n in np.rint((high - low) / edge_m))
-    return _fitting(Raster(float(low[0]), float(high[1]), edge_m, rows, columns))
+    far_apart = np.prod(np.ptp(places, axis=0) + 2 * margin_m) > MOST * edge_m**2
+    cause = DIVERGED if far_apart else f"are cells of {whole_m:g} m too large (--cell)?"
+    return _fitting(Raster(float(low[0]), float(high[1]), edge_m, rows, columns), cause)
 
 
-def _fitting(raster: Raster) -> Raster:
-    """Return the raster. Raises TrajectoryError where it would not fit into memory."""
+def _fitting(raster: Raster, cause: str = DIVERGED) -> Raster:
+    """Return the raster. Raises TrajectoryError, with the likely cause, where it would not fit into memory."""
     if raster.rows * raster.columns > MOST:
         raise TrajectoryError(
-            f"the images' poses lie within {raster.columns * raster.edge_m:.0f} x {raster.rows * raster.edge_m:.0f} "
-            f"m: expected an area of at most {MOST * raster.edge_m**2:.0f} m^2 at a raster of {raster.edge_m:g} m; has "
-            "the trajectory diverged?"
+            f"a map of the images' poses would be {raster.columns * raster.edge_m:.0f} x "
+            f"{raster.rows * raster.edge_m:.0f} m: expected an area of at most {MOST * raster.edge_m**2:.0f} m^2 at a "
+            f"raster of {raster.edge_m:g} m; {cause}"
         )
     return raster
 

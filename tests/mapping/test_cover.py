@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import TrajectoryError
-from oysterbench.mapping.cover import Cover, Raster, tile_of
+from oysterbench.mapping.cover import Cover, Raster, raster_around, tile_of
 
 RASTER = Raster(-2.0, 2.0, 0.01, 400, 400)
 STAYS = np.eye(4)
@@ -131,3 +131,11 @@ def test_pictures_that_are_moved_beyond_all_bounds_are_refused():
     tile = tile_of(RASTER, *patch_of_ground())
     with pytest.raises(TrajectoryError, match="has the trajectory diverged"):
         RASTER.holding([(tile.raster, moved_by(1e4, 1e4))], 0.5)
+
+
+def test_cells_that_are_too_large_for_a_map_are_named_rather_than_the_path():
+    places = np.array([[-1.0, -1.0], [1.0, 1.0]])
+    with pytest.raises(TrajectoryError, match=r"200 x 200 m: .* are cells of 100 m too large \(--cell\)\?$"):
+        raster_around(places, 4.0, 0.01, 100.0)
+    with pytest.raises(TrajectoryError, match="has the trajectory diverged"):
+        raster_around(places * 1e3, 4.0, 0.01, 1.0)
