@@ -244,8 +244,9 @@ def _cloud(
 
 def _watching(opened: Sequence, looks: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
     """Return a function that turns stamps into progress, in seconds of the sequence, over `looks` passes through it."""
-    first = next(iter(opened.imu()), None)
-    begin_ns, last_ns, done = (0 if first is None else first.stamp_ns), 0, 0
+    from oysterbench.mapping.views import begin_ns
+
+    first_ns, last_ns, done = begin_ns(opened), 0, 0
     each = max(round(opened.duration_s), 1)
 
     def watch(stamp_ns: int) -> None:
@@ -253,7 +254,7 @@ def _watching(opened: Sequence, looks: int, progress: Callable[[int, int], None]
         if stamp_ns < last_ns:  # the next pass has started
             done += each
         last_ns = stamp_ns
-        progress(min(done + round((stamp_ns - begin_ns) * 1e-9), looks * each), looks * each)
+        progress(min(done + round((stamp_ns - first_ns) * 1e-9), looks * each), looks * each)
 
     return watch
 

@@ -133,9 +133,20 @@ class PoseInterpolator:
         return np.asarray(self.trajectory.select(around).at(taken).matrices @ camera.T_base_cam)
 
 
+def begin_ns(sequence: Sequence) -> int:
+    """First stamp, of the IMU or, in a file without its topic, of a camera. Raises SequenceError where there is
+    neither."""
+    if sequence.has_imu:
+        return next(iter(sequence.imu())).stamp_ns
+    for camera in sequence.cameras:
+        for image in sequence.images(camera):
+            return image.stamp_ns
+    raise SequenceError(f"{sequence.name} has neither inertial measurements nor images: expected one of them for a map")
+
+
 def check_time(sequence: Sequence, trajectory: Trajectory) -> None:
     """Refuse a trajectory that does not overlap with the sequence in time. Raises TrajectoryError."""
-    first = next(iter(sequence.imu())).stamp_ns
+    first = begin_ns(sequence)
     last = first + round(sequence.duration_s * 1e9)
     if len(trajectory) == 0 or trajectory.stamps_ns[-1] < first or trajectory.stamps_ns[0] > last:
         got = "none" if len(trajectory) == 0 else (
@@ -149,9 +160,9 @@ def check_time(sequence: Sequence, trajectory: Trajectory) -> None:
 
 def check_upright(sequence: Sequence, trajectory: Trajectory) -> None:
     """Refuse poses by which gravity, as measured by the IMU, does not point down: what is seen from them would not lie
-    on the bottom. Raises TrajectoryError, with what the poses look like."""
+    on the bottom. Without an IMU, none are. Raises TrajectoryError, with what the poses look like."""
     stamps, felt = [], []
-    for sample in sequence.imu():
+    for sample in sequence.imu() if sequence.has_imu else ():
         if trajectory.stamps_ns[0] <= sample.stamp_ns <= trajectory.stamps_ns[-1]:
             stamps.append(sample.stamp_ns)
             felt.append(sample.accel)

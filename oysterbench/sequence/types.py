@@ -37,6 +37,9 @@ from oysterbench.sensors.sonar import SonarCalibration
 from oysterbench.sensors.uncertainty import Uncertainty
 from oysterbench.sequence.truth import TRUTH, TRUTH_TYPES
 
+INERTIAL = ("/imu", "imu0")
+"""Names of the inertial measurements in the contents of a sequence file and of an EuRoC folder."""
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -238,6 +241,12 @@ class Sequence(ABC):
     def has_truth(self) -> bool:
         """Whether there are true poses, according to the list of contents."""
         return TRUTH in (topic for topic, _, _ in self.contents())
+
+    @property
+    def has_imu(self) -> bool:
+        """Whether there are inertial measurements, according to the list of contents: a file may have some of its
+        split's topics only."""
+        return any(topic in INERTIAL and count > 0 for topic, _, count in self.contents())
 
     def stream(self, *sensors: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Any]:
         """Measurements of the IMU and of `sensors` (all cameras by default), merged in time order.

@@ -8,9 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.errors import SequenceError, TrajectoryError
 from oysterbench.mapping import Seen, true_seen
 from oysterbench.mapping.survey import _unmasked
+from oysterbench.mapping.views import check_upright
 from oysterbench.report.density_files import map_page, summary
 from tests.helpers.flat_reef import LANE, FlatReef, scattered
 from tests.mapping.test_density_map import SETTINGS, map_of
@@ -77,3 +78,20 @@ def test_a_path_without_a_pose_at_any_image_is_refused_with_the_reason(reef):
     with pytest.raises(TrajectoryError, match=r"at any of 8 images .*: 7 between poses more than 0\.3 s apart"):
         map_of(reef, between)
     assert len(map_of(reef, between, WIDE).path) == 7
+
+
+class WithoutImu(FlatReef):
+    """Has the topics of its camera only."""
+
+    def imu(self, start_ns=None, end_ns=None):
+        raise SequenceError("it has some of the topics only")
+
+
+def test_a_map_needs_no_inertial_measurements(reef):
+    alone = WithoutImu(LANE, reef.discs)
+    assert not alone.has_imu
+    check_upright(alone, alone.truth())
+    assert map_of(alone).total.count == map_of(reef).total.count
+    late = replace(alone.truth(), stamps_ns=alone.truth().stamps_ns + 10**12)
+    with pytest.raises(TrajectoryError, match=r"from 1000000000\.000 to .* do not overlap in time"):
+        map_of(alone, late)

@@ -22,9 +22,6 @@ from oysterbench.methods.systems.manifest import file_options, split_reference
 from oysterbench.sequence import open_sequence
 from oysterbench.version import VERSION
 
-INERTIAL = ("/imu", "imu0")
-"""Names of the inertial measurements in the contents of a sequence file and of an EuRoC folder."""
-
 
 class SystemAdapter(MethodAdapter):
     """A method of a published system that has been built here."""
@@ -122,8 +119,7 @@ class SystemAdapter(MethodAdapter):
                 return
             name = self.name.partition("[")[0]
             cameras_of(name, self.method, opened)
-            inertial = sum(count for topic, _, count in opened.contents() if topic in INERTIAL)
-            if "imu" in self.method.sensors and not inertial:
+            if "imu" in self.method.sensors and not opened.has_imu:
                 raise MethodError(
                     f"{name}: expected a sequence with inertial measurements, got {opened.name} without any; of a "
                     "split, --topics /imu adds them"
