@@ -19,12 +19,12 @@ from typing import IO, Any
 
 import numpy as np
 
-from oysterbench.core.errors import MethodError, OysterbenchError
+from oysterbench.core.errors import MachineError, MethodError, OysterbenchError
 from oysterbench.core.locks import scratch
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.interfaces.steering import task_of
 from oysterbench.methods.policy import commands
-from oysterbench.methods.processes import STDERR, environment, failure_of, secrets, supervised_command
+from oysterbench.methods.processes import STDERR, ended_of, environment, report_of, secrets, supervised_command
 from oysterbench.methods.steering import Steering, SteeringMethod, VehicleState, View, Views
 
 LIMIT_S = 4 * 3600.0
@@ -40,9 +40,11 @@ class PolicyProcess:
         """limit_s: time after which the process is ended. Raises MethodError where the method cannot be found."""
         self.reference, self.limit_s = reference, limit_s
         self.name = find_method(reference).name
+        self.cpu_s = 0.0  # of the last run, once that has ended
 
     def run(self, views: Views) -> Iterator[Steering]:
-        """Yield a command for each view. Raises MethodError where the policy fails."""
+        """Yield a command for each view. Raises MethodError where the policy fails, MachineError where it was killed
+        from outside, for lack of memory or by a person."""
         with scratch() as folder, tempfile.TemporaryFile() as report:
             words = [sys.executable, "-m", __name__, self.reference]
             command = supervised_command(words, self.limit_s, report, secrets(), own=[folder])
@@ -62,11 +64,17 @@ class PolicyProcess:
                 yield from self._commands(views, process.stdin, process.stdout)
             except (BrokenPipeError, EOFError):
                 process.wait()
-                failure = failure_of(report, self.limit_s, folder) or "it ended without output"
-                raise MethodError(f"method {self.name!r}: {failure}") from None
+                try:
+                    ended = ended_of(report, self.limit_s, folder)
+                except MachineError as error:
+                    raise MachineError(
+                        f"method {self.name!r}: {error}; the rollout is not counted, and the same command runs it again"
+                    ) from None
+                raise MethodError(f"method {self.name!r}: {ended.failure or 'it ended without output'}") from None
             finally:
                 process.terminate()  # the supervisor ends everything that the policy started
                 process.communicate()
+                self.cpu_s = (report_of(report) or {}).get("cpu_s", 0.0)
 
     def _commands(self, views: Views, down: IO[bytes], up: IO[bytes]) -> Iterator[Steering]:
         _send(down, {"task": asdict(views.task)})

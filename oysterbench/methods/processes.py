@@ -257,10 +257,15 @@ def report_of(report: IO[bytes]) -> dict[str, Any] | None:
     return said
 
 
-def failure_of(report: IO[bytes], limit_s: float, folder: Path) -> str | None:
-    """Reason why a supervised command failed, from its report or else its output in a folder; None if none is known."""
-    said = report_of(report)
-    return tail(folder / STDERR) or None if said is None else _ended(said, limit_s, folder).failure
+def ended_of(report: IO[bytes], limit_s: float, folder: Path) -> Ended:
+    """How a supervised command ended, from its report and its output in a folder. Raises MachineError where it, or its
+    supervisor, was killed from outside."""
+    if (said := report_of(report)) is None:
+        raise MachineError(f"its supervisor was killed: {tail(folder / STDERR) or 'no word from it'}")
+    ended = _ended(said, limit_s, folder)
+    if ended.killed:
+        raise MachineError(ended.failure)
+    return ended
 
 
 def _wait(process: subprocess.Popen[bytes], limit_s: float) -> None:

@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -116,7 +116,8 @@ def run_rollouts(
 ) -> list[RolloutRun]:
     """Run each policy on each reef, reef by reef; rollouts already in `folder` are not repeated, which is announced.
 
-    A policy that fails gets a record with `failure`, which is not kept: the next time it is tried again.
+    A policy that fails gets a record with `failure`, which is not kept: the next time it is tried again. Raises
+    MachineError where one was killed from outside: the rollouts before it are kept.
     """
     jobs = [RolloutJob(reef, policy) for reef in reefs for policy in policies]
     identities = {policy: _policy(policy) for policy in policies}
@@ -173,6 +174,8 @@ def make_rollout(plan: RolloutPlan, job: RolloutJob) -> bytes:
             )
     except MethodError as error:
         return FAILED + str(error).encode()
+    if isinstance(policy, PolicyProcess):
+        log = replace(log, cpu_s=log.cpu_s + policy.cpu_s)
     return packed(log)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import time
 
 import numpy as np
@@ -137,3 +139,27 @@ class Hanging(Ahead):
         for _ in views:
             time.sleep(600)
         yield
+
+
+class Killed(Ahead):
+    """Is killed, as by the kernel when memory runs out."""
+
+    name = "killed"
+
+    def run(self, views):
+        for _ in views:
+            os.kill(os.getpid(), signal.SIGKILL)
+        yield
+
+
+class Busy(Ahead):
+    """Computes for a third of a second before each command."""
+
+    name = "busy"
+
+    def run(self, views):
+        for view in views:
+            end = time.process_time() + 0.33
+            while time.process_time() < end:
+                pass
+            yield Steering(view.name, 3, 3)

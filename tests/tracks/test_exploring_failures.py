@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from oysterbench.core.errors import MethodError, RecipeError
+from oysterbench.core.errors import MachineError, MethodError, RecipeError
 from oysterbench.evaluate.steering import Commands, Labels, failed_metrics, score_pictures
+from oysterbench.exploration.rollout_store import unpacked
 from oysterbench.methods.policy import classes_of
 from oysterbench.methods.steering import Steering
 from oysterbench.results.comparison import boards
 from oysterbench.results.records import ResultRecord
 from oysterbench.tracks import Request
 from oysterbench.tracks.steering import TRACK
-from oysterbench.tracks.steering_rollouts import plan_rollouts, run_rollouts
+from oysterbench.tracks.steering_rollouts import RolloutJob, make_rollout, plan_rollouts, run_rollouts
 from tests.helpers.exploring_made import made_explore, made_split
 from tests.helpers.exploring_policies import Reader
 
@@ -41,6 +42,20 @@ def test_a_rollout_that_takes_too_long_is_ended_and_the_others_go_on(tmp_path):
     failed, fine = run_rollouts(plan, ["one"], [f"{POLICIES}:Hanging", "random"], tmp_path)
     assert failed.record.failure == "method 'hanging': time limit of 1.5 s reached: killed"
     assert fine.record.failure is None
+
+
+def test_a_policy_that_is_killed_from_outside_has_not_failed_and_what_was_made_before_is_kept(tmp_path):
+    plan = plan_rollouts(SPLIT, 2, explore=made_explore)
+    with pytest.raises(MachineError, match=r"^method 'killed': killed by SIGKILL .* the rollout is not counted"):
+        run_rollouts(plan, ["one"], ["random", f"{POLICIES}:Killed"], tmp_path)
+    said: list[str] = []
+    run_rollouts(plan, ["one"], ["random"], tmp_path, announce=said.append)
+    assert "kept 1 of 1 rollouts" in said[0]
+
+
+def test_the_time_of_a_rollout_includes_that_of_its_policy():
+    plan, job = plan_rollouts(SPLIT, 2, explore=made_explore), RolloutJob("one", f"{POLICIES}:Busy")
+    assert unpacked(make_rollout(plan, job)).cpu_s > 0.4 + 0.3, "that of the loop, and its own"
 
 
 def test_the_time_limit_that_is_asked_for_is_that_of_each_rollout(tmp_path, monkeypatch):
