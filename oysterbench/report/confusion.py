@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
 
 @figure_style()
-def confusion_figure(method: str, score: PictureScore, task: SteeringRecipe) -> Figure:
-    """Draw a panel for yaw, from left to right as in the image, and one for pitch, from up to down."""
+def confusion_figure(method: str, score: PictureScore, task: SteeringRecipe, runs: int = 1) -> Figure:
+    """Draw a panel for yaw, from left to right as in the image, and one for pitch, from up to down. runs: number of
+    runs, in each of which every image counts."""
     figure = new_figure(f"Confusions of {method}", 13.0, 7.0)
     panels = figure.subplots(1, 2)
     for panel, axis, counts, degrees, ends in (
@@ -34,8 +35,10 @@ def confusion_figure(method: str, score: PictureScore, task: SteeringRecipe) -> 
         panel.set_title(axis.capitalize() + found)
     label = "share of the expert's images of that class"
     figure.colorbar(panels[0].collections[0], ax=panels, label=label, format="{x:.0%}", shrink=0.8)
-    pictures = f"{score.metrics['pictures']:.0f} images, by the expert's command and that of {method}"
-    add_note(figure, pictures, "Framed: both agree. Right of a row: images of that class.")
+    within = f", in each of {runs} runs" if runs > 1 else ""
+    pictures = f"{score.metrics['pictures']:.0f} images{within}, by the expert's command and that of {method}"
+    of_all = f", in {runs} runs together" if runs > 1 else ""
+    add_note(figure, pictures, f"Framed: both agree. Right of a row: images of that class{of_all}.")
     return figure
 
 

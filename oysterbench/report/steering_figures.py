@@ -35,7 +35,7 @@ def picture_figures(
     made = [
         _kept(
             folder / f"confusion-{_safe(method)}.png",
-            confusion_figure(method, whole.score, task),
+            confusion_figure(method, whole.score, task, whole.runs),
             f"Commands of {method} by command of the expert",
         )
         for method, whole in wholes.items()

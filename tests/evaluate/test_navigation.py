@@ -13,9 +13,10 @@ from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.metrics import FAILED, find_metric
 from oysterbench.evaluate.statistics import resample_counts
 from oysterbench.evaluate.steering import Commands, Labels, labels, normalised_score, score_pictures, score_rollout
-from oysterbench.evaluate.steering.dataset import best_constant, over_sequences
+from oysterbench.evaluate.steering.dataset import best_constant, over_sequences, together
 from oysterbench.evaluate.steering.metrics import PICTURES, ROLLOUTS
 from oysterbench.evaluate.steering.rollouts import episodes, seen_so_far
+from oysterbench.report.confusion import confusion_figure
 from oysterbench.report.exploring import pictures_table, whole_of
 from oysterbench.report.steering import PictureRun
 from oysterbench.results.records import ResultRecord
@@ -317,3 +318,13 @@ def test_every_metric_is_defined_and_every_definition_measured():
     assert find_metric("skill").better == find_metric("oysters_per_min").better == "higher"
     assert FAILED["steering"] == {"skill": 0.0}
     assert FAILED["exploration"] == {"oysters_per_min": 0.0}
+
+
+def test_the_figure_of_confusions_says_in_how_many_runs_its_images_count():
+    truth, commands = made(12)
+    for runs, said in ((1, "images, by the expert's"), (3, "images, in each of 3 runs, by the expert's")):
+        whole = over_sequences([together([(truth, commands)] * runs)], runs)
+        figure = confusion_figure("mine", whole.score, truth.task, whole.runs)
+        (note,) = [text.get_text() for text in figure.texts if "Framed" in text.get_text()]
+        assert f"{len(truth.classes)} {said}" in note
+        assert ("of that class, in 3 runs together." in note) == (runs == 3)
