@@ -12,6 +12,7 @@ import dataclasses
 import io
 import json
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -88,12 +89,15 @@ def learn_rounds(
     last round, which is also at `path`.
 
     bar: creates progress bars. again: start over, without the rounds that are there. Raises MethodError where `path` or
-    a file beside it is of another training, LabelError for reefs of a hidden split, whose ground truth is not
-    available.
+    a file beside it is of another training, or two reefs have one name, by which their rollouts are kept; LabelError
+    for reefs of a hidden split, whose ground truth is not available.
     """
     for reef in reefs:
         if reef.split.hidden:
             raise LabelError(f"{reef.split.name}: expected reefs to learn on, got those of a hidden split")
+    for name, count in Counter(reef.name for reef in reefs).items():
+        if count > 1:
+            raise MethodError(f"reefs of the rounds: expected each name once, got {name!r} {count} times")
     folder = path.with_suffix(".rounds")
     known: dict[str, Any] = {"examples": examples.digest()}
     if again:

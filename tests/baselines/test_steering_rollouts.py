@@ -166,6 +166,12 @@ def test_nobody_learns_on_a_hidden_split(examples, tmp_path):
         learn_rounds(examples, [hidden], tmp_path / "a.pt", SETTINGS, PLAN, 0)
 
 
+def test_two_reefs_of_one_name_are_refused(examples, tmp_path):
+    other = Reef(dataclasses.replace(SPLIT, name="other"), "one")
+    with pytest.raises(MethodError, match="expected each name once, got 'one' 2 times"):
+        learn_rounds(examples, [*REEFS, other], tmp_path / "a.pt", SETTINGS, PLAN, 0)
+
+
 def test_rounds_do_not_take_the_place_of_another_training(examples, files, tmp_path):
     train(read_examples(files[0], NETWORK), tmp_path / "a.pt", SETTINGS, 0)
     with pytest.raises(MethodError, match="holds a training on other examples; remove it to train anew"):
