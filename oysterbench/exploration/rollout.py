@@ -134,20 +134,20 @@ class Rollout:
 
     def _render_view(self) -> None:
         """Render the current view; only the ground truth for policies that need no images."""
-        body = self.body()
+        body, time_s = self.body(), self.done * self.site.task.step_s
         T_map_cam = body @ self.site.mount
         renderer = self.site.simulated.renderers[self.site.camera.name]
         if self.pictures:
             noise = self.streams.generator("noise", self.done)
-            frame = renderer.render(T_map_cam, noise, self.done * self.site.task.step_s, body)
+            frame = renderer.render(T_map_cam, noise, time_s, body)
             self._picture, depth, instances = frame.colour, frame.depth, frame.instances
         else:
-            depth, _, instances = renderer.truth(T_map_cam)
+            depth, _, instances = renderer.truth(T_map_cam, time_s)
         self._seen.append(self.observation.observe(T_map_cam, depth, instances))
         self._covered.append(self.observation.covered)
 
     def view(self) -> View:
-        """Current input of the policy."""
+        """Current input of the policy: the picture from the vehicle as it sways, its state without the sway."""
         time_s = self.done * self.site.task.step_s
         return View(f"{self.done:06d}", self._picture, measure_state(self.site, self.state), time_s)
 

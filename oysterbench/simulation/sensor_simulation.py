@@ -33,9 +33,7 @@ def sensor_messages(
     kind = kind_of(recipe)
     times = kind.times(simulated, recipe)
     n = count(simulated.recipe.duration_s, recipe.rate_hz) if times is None else len(times)
-    name = (kind.block,) if kind.single else (kind.block, kind.name_of(recipe))
-    stamps = sensor_stamps(simulated, recipe, n, times)
-    kept = clock.kept(n, recipe, simulated.streams.at(*name))
+    stamps, kept = sensor_stamps(simulated, recipe, n, times), sensor_kept(simulated, recipe, n)
     wanted = np.arange(first, n if last is None else last)
     instants = Instants(np.arange(n) / recipe.rate_hz if times is None else times, stamps, wanted[kept[wanted]])
     for measurement in kind.measure(simulated, recipe, instants):
@@ -58,6 +56,13 @@ def sensor_stamps(
     if sigma_s:
         stamps += clock.jitter(n, recipe.rate_hz, sigma_s, simulated.streams.at("clock", kind.block))
     return stamps
+
+
+def sensor_kept(simulated: SimulatedSequence, recipe: SensorRecipe, n: int) -> NDArray[np.bool_]:
+    """Mask (n,) of a sensor's samples that are not lost (`clock.kept`)."""
+    kind = kind_of(recipe)
+    name = (kind.block,) if kind.single else (kind.block, kind.name_of(recipe))
+    return clock.kept(n, recipe, simulated.streams.at(*name))
 
 
 def small_messages(simulated: SimulatedSequence) -> Iterator[Message]:

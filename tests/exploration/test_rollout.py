@@ -12,6 +12,7 @@ from oysterbench.exploration.references import REFERENCES
 from oysterbench.exploration.rollout import explore
 from oysterbench.methods.steering import Steering
 from oysterbench.recipe import load_split
+from oysterbench.render.camera import CameraRenderer
 from oysterbench.simulation.simulated_sequence import build_sequence
 from oysterbench.simulation.steering.site import build_site
 
@@ -189,3 +190,14 @@ def test_with_another_salt_the_reef_is_another_and_so_is_the_start(ahead):
     salted, _ = explore(SPLIT, REEF, "random", seconds=1.0, salt=b"another reef of the same kind")
     assert not np.allclose(salted.states[0], ahead[1].states[0])
     assert salted.oysters.shape != ahead[1].oysters.shape
+
+
+def test_references_see_the_plants_as_they_sway_at_the_time(monkeypatch):
+    times: list[float] = []
+    truth = CameraRenderer.truth
+    monkeypatch.setattr(
+        CameraRenderer, "truth", lambda self, pose, time_s=0.0: times.append(time_s) or truth(self, pose, time_s)
+    )
+    explore(SPLIT, REEF, "random", seconds=4.0)
+    assert times == [k * SPLIT.steering.step_s for k in range(len(times))]
+    assert len(times) > 1

@@ -70,11 +70,11 @@ path = {{ kind = "free", extent_m = 4.0, revisit = 0.0, speed_m_s = 0.5, altitud
 """
 
 
-def made_split(reefs: tuple[str, ...] = ("one", "two")) -> SplitRecipe:
+def made_split(reefs: tuple[str, ...] = ("one", "two"), rig: str = RIG) -> SplitRecipe:
     """A split of the track steering."""
     waters = ["1C" if k % 2 == 0 else "5C" for k in range(len(reefs))]
     text = SPLIT + "".join(REEF.format(name=name, water=water) for name, water in zip(reefs, waters, strict=True))
-    return parse_split(text, "made.toml", rig_source=RIG)
+    return parse_split(text, "made.toml", rig_source=rig)
 
 
 def label_table(pictures: int, seed: int = 0) -> pd.DataFrame:

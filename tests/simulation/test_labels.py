@@ -7,11 +7,14 @@ import pytest
 
 import oysterbench
 from oysterbench.core.errors import MethodError, RecipeError, SequenceError
+from oysterbench.exploration.labelled_views import labelled_views
 from oysterbench.recipe import load_split, parse_split
+from oysterbench.render.camera import CameraRenderer
 from oysterbench.sequence.read import STEERING
 from oysterbench.simulation.generate import generate_split
 from oysterbench.simulation.simulated_sequence import build_sequence, forget_sequence
 from oysterbench.simulation.steering.labels import steering_csv
+from tests.helpers.exploring_made import RIG, made_split
 
 MINI = load_split("steer-mini")
 SHORT = MINI.source.replace("duration_s = 40.0", "duration_s = 4.0").replace("size_m = 12.0", "size_m = 11.0")
@@ -72,3 +75,18 @@ def test_a_fence_that_leaves_no_room_is_refused():
     split = parse_split(SHORT.replace("rollout_s = 30.0", "rollout_s = 30.0\nfence_m = 5.0"), "short.toml")
     with pytest.raises(RecipeError, match=r"'steering\.fence_m': expected a fence that leaves"):
         steering_csv(build_sequence(split, "mini-01", b""), split.steering)
+
+
+def test_a_picture_that_the_camera_lost_has_no_label_and_each_label_is_of_its_time(tmp_path, monkeypatch):
+    times: list[float] = []
+    truth = CameraRenderer.truth
+    monkeypatch.setattr(
+        CameraRenderer, "truth", lambda self, pose, time_s=0.0: times.append(time_s) or truth(self, pose, time_s)
+    )
+    lossy = RIG.replace("\nrate_hz = 0.5\n", "\nrate_hz = 0.5\ndropout = 0.4\n")
+    split = made_split(("one",), lossy)
+    views = labelled_views(generate_split(split, tmp_path, workers=1)["one"], split.steering)
+    assert 0 < len(views.table) < 10
+    shown = [view.time_s for view in views.views()]
+    assert len(shown) == len(views.table)
+    assert shown == pytest.approx([time_s - times[0] for time_s in times])

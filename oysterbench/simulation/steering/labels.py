@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from oysterbench.recipe import SteeringRecipe, count
-from oysterbench.simulation.sensor_simulation import sensor_stamps
+from oysterbench.simulation.sensor_simulation import sensor_kept, sensor_stamps
 from oysterbench.simulation.simulated_sequence import SimulatedSequence
 from oysterbench.simulation.steering.expert import Expert, best
 from oysterbench.simulation.steering.observation import Observation
@@ -15,17 +15,19 @@ from oysterbench.simulation.steering.vehicle import state_of
 
 
 def steering_csv(simulated: SimulatedSequence, task: SteeringRecipe) -> bytes:
-    """CSV of the table of `Sequence.steering`. The expert knows which oysters the images so far have shown."""
+    """CSV of the table of `Sequence.steering`. The expert knows which oysters the images so far have shown; those that
+    the camera lost have shown none, and have no label."""
     site = build_site(simulated, task)
     expert, observation = Expert(site), Observation(site)
     camera = site.camera
     n = count(simulated.recipe.duration_s, camera.rate_hz)
-    stamps = sensor_stamps(simulated, camera, n)
+    kept = sensor_kept(simulated, camera, n)
+    stamps, times = sensor_stamps(simulated, camera, n)[kept], (np.arange(n) / camera.rate_hz)[kept]
     renderer = simulated.renderers[camera.name]
     rows = []
-    for stamp, body in zip(stamps.tolist(), simulated.bodies(np.arange(n) / camera.rate_hz), strict=True):
+    for stamp, time_s, body in zip(stamps.tolist(), times.tolist(), simulated.bodies(times), strict=True):
         T_map_cam = body @ site.mount
-        depth, _, instances = renderer.truth(T_map_cam)
+        depth, _, instances = renderer.truth(T_map_cam, time_s)
         observation.observe(T_map_cam, depth, instances)
         state = state_of(body[:3, 3], body[:3, :3])
         values = expert.values(state, observation.found)
