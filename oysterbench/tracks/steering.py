@@ -84,7 +84,7 @@ class SteeringTrack(Track):
     default_methods = ("straight", "chance")
     evaluator = EVALUATOR
     options = (
-        Option("closed_loop", "--closed-loop", "Let the policies drive, alongside the references.", bool),
+        Option("closed_loop", "--closed-loop", "Let each --method drive beside the references, or these alone.", bool),
         *LOOP_OPTIONS,
     )
     examples = """
