@@ -27,7 +27,7 @@ from oysterbench.hub.pieces import Pieced
 from oysterbench.hub.sources import Patience, Refusal, Setback, is_offline, open_source
 from oysterbench.hub.transfer import Mirror, Transfer, no_mirror_left, pause_s
 from oysterbench.hub.trusted import remember, remember_folder, was_filled_here
-from oysterbench.hub.verify import MANIFEST, RIGHT, check_file, kept_manifest
+from oysterbench.hub.verify import DAMAGED, MANIFEST, RIGHT, Check, check_file, kept_manifest
 
 T = TypeVar("T")
 
@@ -211,34 +211,40 @@ def plan(manifest: Manifest, entries: Sequence[FileEntry], folder: Path) -> list
     """Determine which files are here and which have to be fetched.
 
     In a folder that was filled here by this manifest, a file of the right name and size is right: it appeared complete.
-    Elsewhere, each file with a name of the manifest is read, also those not chosen, since the manifest will stand for
-    them too. A chosen one that is damaged beside this manifest has to be fetched; raises HubError where another is
-    different, and leaves it unchanged.
+    Others are read and, elsewhere, each file with a name of the manifest, also those not chosen, since the manifest
+    will stand for them too. A chosen one that is damaged beside this manifest has to be fetched; raises HubError where
+    another is different, and leaves it unchanged.
     """
     kept = kept_manifest(folder)
     same = kept is not None and kept.sha256 == manifest.sha256
     filled = same and was_filled_here(folder, manifest)
     wrong = set()
-    for entry in () if filled else manifest.files:
+    for entry in entries if filled else manifest.files:
         path = folder / entry.name
-        if not path.is_file() or (found := check_file(path, entry)).good:
+        if not path.is_file() or (filled and path.stat().st_size == entry.size):
             continue
-        if same and entry in entries:
-            wrong.add(entry.name)
-        else:
-            raise HubError(
-                f"{path}: a different file has this name ({found.detail}); it was left unchanged: delete it or "
-                "choose another folder with --out"
-            )
+        found = check_file(path, entry)
+        if found.good:
+            continue
+        if not (same and entry in entries and found.state == DAMAGED):
+            raise _in_the_way(found)
+        wrong.add(entry.name)
     steps = []
     for entry in entries:
         path, part = folder / entry.name, part_path(folder, entry)
-        if path.is_file() and entry.name not in wrong and (not filled or path.stat().st_size == entry.size):
+        if path.is_file() and entry.name not in wrong:
             steps.append(Step(entry, path, "here", entry.size))
         else:
             there = min(part.stat().st_blocks * 512, entry.size) if part.is_file() else 0
             steps.append(Step(entry, path, "to fetch", there))
     return steps
+
+
+def _in_the_way(found: Check) -> HubError:
+    return HubError(
+        f"{found.path}: a different file has this name ({found.detail}); it was left unchanged: delete it or choose "
+        "another folder with --out"
+    )
 
 
 def find_here(
@@ -264,8 +270,10 @@ def all_here(
         manifest = kept_manifest(path)
         if manifest is None or manifest.split != split or version not in (None, manifest.version):
             continue
-        if all(step.state == "here" for step in plan(manifest, choose(manifest, patterns), path)):
-            found.append((path, manifest))
+        entries = choose(manifest, patterns)
+        with contextlib.suppress(HubError):  # a different file is in the way, which `download` reports
+            if all(step.state == "here" for step in plan(manifest, entries, path)):
+                found.append((path, manifest))
     return found
 
 
@@ -348,13 +356,15 @@ def fetch_file(hub: Hub, entry: Pieced, path: Path, target: Path, count: Callabl
 
 
 def _is_good(hub: Hub, target: Path, entry: FileEntry, read: bool, part: Path) -> bool:
-    """Whether a file under its final name is right. A damaged one becomes a part again, so that only its wrong pieces
-    are fetched again."""
+    """Whether a file under its final name can be used. A damaged one becomes a part again, so that only its wrong
+    pieces are fetched again. Raises HubError where it is another file, and leaves it unchanged."""
     if not read:
         return True
     found = check_file(target, entry)
-    if found.state == RIGHT:
+    if found.good:
         return True
+    if found.state != DAMAGED:
+        raise _in_the_way(found)
     hub.announce(f"{target}: {found.state} ({found.detail}); damaged parts are downloaded again")
     os.replace(target, part)
     return False
