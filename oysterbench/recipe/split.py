@@ -212,7 +212,7 @@ def _check_split(split: SplitRecipe, where: str) -> None:
         raise RecipeError(f"{where}: key 'steering': expected {wanted} for track = {split.track!r}")
     if split.steering is not None:
         check_steering(split.steering, where)
-        if any(sequence.life.moves for sequence in split.sequence):
+        if any(draw(sequence, lambda key: 1.0, where).life.moves for sequence in split.sequence):
             raise RecipeError(f"{where}: key 'sequence.life': expected nothing that moves for track = 'steering'")
     if not split.sequence:
         raise RecipeError(f"{where}: expected at least one [[sequence]], got none")

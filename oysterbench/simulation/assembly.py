@@ -40,6 +40,7 @@ def assemble(
     """Assemble the parts of a sequence in time order; the file appears in one step, or not at all where another thread
     sets `stop`. With patterns of topics, it is the file that `sequence.cut` would make of the complete one. taken:
     topic -> file of the same sequence that its messages are copied from, the same as the parts would give."""
+    recipe = split.drawn(recipe, salt)
     rig = split.rig_of(recipe)
     calibration = calibrate_rig(rig, recipe.site, recipe.calibration, split.streams_of(recipe, salt))
     taken = taken or {}
