@@ -93,7 +93,7 @@ def download(
     folder = folder or out or _folder(split, manifest)
     entries = choose(manifest, patterns)
     if dry_run:
-        _print_plan(manifest, _planned(hub, manifest, entries, folder, topics), as_json)
+        _print_plan(manifest, _planned(hub, manifest, entries, folder, topics, out), as_json)
         return
     from oysterbench.cli.progress import bytes_bar
 
@@ -275,14 +275,19 @@ def _print_files(files: dict[str, Path], split: str, as_json: bool) -> None:
 
 
 def _planned(
-    hub: Hub, manifest: Manifest, entries: Sequence[FileEntry], folder: Path, topics: tuple[str, ...]
+    hub: Hub,
+    manifest: Manifest,
+    entries: Sequence[FileEntry],
+    folder: Path,
+    topics: tuple[str, ...],
+    out: Path | None,
 ) -> list[dict[str, Any]]:
     """What would be fetched of each file; with topics, only the pieces that contain them."""
     from oysterbench.hub.download import plan
     from oysterbench.hub.topics import plan_topics
 
     if topics:
-        sizes = plan_topics(hub, entries, folder, topics)
+        sizes = plan_topics(hub, entries, folder, topics, out)
         states = {True: "to fetch", False: "here"}
         return [
             {"file": entry.name, "state": states[size > 0], "size_bytes": size, "there_bytes": 0}

@@ -12,9 +12,10 @@ from pathlib import Path
 
 from mcap.summary import Summary
 
-from oysterbench.core.errors import HubError
+from oysterbench.core.errors import HubError, SequenceError
+from oysterbench.core.locks import scratch
 from oysterbench.core.mcap import FOOTER, MAGIC
-from oysterbench.hub.download import Hub, Progress, check_space, part_path
+from oysterbench.hub.download import Hub, Progress, check_space, locked_if_possible, part_path
 from oysterbench.hub.draft import remove_drafts
 from oysterbench.hub.manifest import FileEntry
 from oysterbench.hub.part import Part
@@ -23,6 +24,7 @@ from oysterbench.hub.trusted import was_filled_here
 from oysterbench.hub.verify import check_file, kept_manifest
 from oysterbench.sequence.cut import chunks_with, cut_to, match_topics, topics_folder
 from oysterbench.sequence.file import Reading, damaged
+from oysterbench.sequence.read import McapSequence
 
 Count = Callable[[int], None]
 Span = tuple[int, int]
@@ -41,8 +43,9 @@ def fetch_topics(
 ) -> dict[str, Path]:
     """Make smaller files with the topics that match patterns such as `/imu` or `/cam_front/*`: sequence -> path.
 
-    They go to `out`, by default a subfolder of the split's. A file that is here completely is not fetched. Raises
-    SequenceError where a pattern matches no topic, and HubError where a file is in the way.
+    They go to `out`, by default a subfolder of the split's. A file that is here completely is not fetched, and a
+    smaller one that is here with the same topics is taken once its content has been checked. Raises SequenceError where
+    a pattern matches no topic, and HubError where a file is in the way.
     """
     out = out or topics_folder(folder, wanted)
     total = sum(entry.size for entry in entries)
@@ -50,13 +53,15 @@ def fetch_topics(
     for entry in entries:
         names = match_topics(entry.content, wanted, entry.name)
         target = out / entry.name
-        if target.exists() and out.resolve() == folder.resolve():
+        if _is_cut(target, entry, names):
+            pass
+        elif target.exists() and out.resolve() == folder.resolve():
             raise HubError(
-                f"{target}: the complete file is here; it was left unchanged: choose another folder with --out"
+                f"{target}: expected none, or a sound one with the same {len(names)} of {len(entry.content)} topics; it "
+                "was left unchanged: delete it or choose another folder with --out"
             )
-        source = folder / entry.name
-        if _is_here(folder, entry):
-            cut_to(target, source, names)
+        elif _is_here(folder, entry):
+            cut_to(target, folder / entry.name, names)
         else:
             _fetch_and_cut(hub, entry, folder, target, names, lambda n, done=done: progress(done + n, total))  # type: ignore[misc]
         done += entry.size
@@ -65,19 +70,23 @@ def fetch_topics(
     return files
 
 
-def plan_topics(hub: Hub, entries: Sequence[FileEntry], folder: Path, wanted: Sequence[str]) -> dict[str, int]:
-    """Sequence -> bytes that `fetch_topics` would fetch of its file: whole pieces; 0 where the file is here.
+def plan_topics(
+    hub: Hub, entries: Sequence[FileEntry], folder: Path, wanted: Sequence[str], out: Path | None = None
+) -> dict[str, int]:
+    """Sequence -> bytes that `fetch_topics` would fetch of its file: whole pieces; 0 where the file is here, or its
+    smaller one.
 
-    This is known from the index at the end of each file, which is fetched for it. Raises SequenceError where a pattern
-    matches no topic.
+    This is known from the index at the end of each file, which is fetched for it, into a folder that is removed again.
+    Raises SequenceError where a pattern matches no topic.
     """
+    out = out or topics_folder(folder, wanted)
     sizes = {}
     for entry in entries:
         names = match_topics(entry.content, wanted, entry.name)
-        if _is_here(folder, entry):
+        if _is_cut(out / entry.name, entry, names) or _is_here(folder, entry):
             sizes[entry.sequence] = 0
             continue
-        with _part_of(hub, entry, folder, lambda n: None) as (path, fetch):
+        with scratch() as draft, _part_of(hub, entry, draft, lambda n: None) as (path, fetch):
             summary, ends = _index(path, entry, fetch)
             pieces = _pieces([*_spans(summary, names), *ends], entry)
             sizes[entry.sequence] = sum(entry.length(piece) for piece in pieces)
@@ -96,25 +105,26 @@ def _fetch_and_cut(hub: Hub, entry: FileEntry, folder: Path, target: Path, names
 @contextmanager
 def _part_of(hub: Hub, entry: FileEntry, folder: Path, tell: Count) -> Iterator[tuple[Path, Fetch]]:
     """Yield the part of a file, and a function that fetches bytes into it. A part that existed before is kept, so that
-    it can grow later; otherwise it is removed afterwards."""
+    it can grow later; otherwise it is removed afterwards. Other processes wait where the disk has locks."""
     path = part_path(folder, entry)
-    kept = path.is_file()
-    part = Part(path, entry)
-    there: set[int] = set()
+    with locked_if_possible(path.with_suffix(".lock")):  # `download` of the whole file holds it, too
+        kept = path.is_file()
+        part = Part(path, entry)
+        there: set[int] = set()
 
-    def fetch(spans: Iterable[Span]) -> None:
-        pieces = _pieces(spans, entry)
-        Transfer(part, hub.mirrors, hub.connections, hub.patience, lambda n: None).fetch(sorted(pieces - there))
-        there.update(pieces)
-        tell(sum(entry.length(piece) for piece in there))
+        def fetch(spans: Iterable[Span]) -> None:
+            pieces = _pieces(spans, entry)
+            Transfer(part, hub.mirrors, hub.connections, hub.patience, lambda n: None).fetch(sorted(pieces - there))
+            there.update(pieces)
+            tell(sum(entry.length(piece) for piece in there))
 
-    try:
-        yield path, fetch
-    finally:
-        part.close()
-    if not kept:
-        path.unlink(missing_ok=True)
-        remove_drafts(path)
+        try:
+            yield path, fetch
+        finally:
+            part.close()
+        if not kept:
+            path.unlink(missing_ok=True)
+            remove_drafts(path)
 
 
 def _pieces(spans: Iterable[Span], entry: FileEntry) -> set[int]:
@@ -140,6 +150,15 @@ def _is_here(folder: Path, entry: FileEntry) -> bool:
     kept = kept_manifest(folder)
     filled = kept is not None and kept.find(entry.name) == entry and was_filled_here(folder, kept)
     return filled or check_file(path, entry).good
+
+
+def _is_cut(target: Path, entry: FileEntry, names: Sequence[str]) -> bool:
+    """Whether a smaller file is here with just these topics, all of which are right."""
+    try:
+        same = target.is_file() and {*McapSequence(target).types} == {*names}
+    except SequenceError:  # damaged
+        return False
+    return same and check_file(target, entry, smaller=True).good
 
 
 def _summary_start(path: Path, size: int) -> int:
