@@ -83,6 +83,7 @@ def publish(
     from oysterbench.hub.sign import load_key, public_hex
     from oysterbench.recipe import load_split
     from oysterbench.simulation.generate import digest, sequence_files, split_folder
+    from oysterbench.simulation.jobs import wanted_topics
     from oysterbench.simulation.salt import salt_for
 
     split = load_split(split_name)
@@ -94,7 +95,8 @@ def publish(
     key, old_keys = load_key(key_file), [load_key(file) for file in old_files]
     folder = data or split_folder(split, salt_for(split.name, split.hidden, salt_file))
     files = sequence_files(split, folder)
-    check_made_by(files, split.name, split.version, digest(split), hidden)
+    topics = {one.name: wanted_topics(split, one) for one in split.sequence}
+    check_made_by(files, split.name, split.version, digest(split), hidden, topics)
     shared = {"version": split.version, "track": split.track, "summary": split.summary}
     facts = {"split": split.name, "rig": split.rig.name, **shared}
     manifest = publish(tree, facts, files, key, digest(split), url, message, old_keys, truth_out)

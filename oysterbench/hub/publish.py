@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +15,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from oysterbench.core.atomic import appearing, write_atomically
 from oysterbench.core.errors import HubError
 from oysterbench.core.locks import locked
+from oysterbench.core.names import listed
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.croissant import croissant
 from oysterbench.hub.index import Index, Release, read_own_index
@@ -127,10 +128,18 @@ def _keep_truth(draft: Path, secret: Manifest, package: Path) -> None:
     write_atomically(known, secret.data)
 
 
-def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: str, hidden: bool) -> None:
+def check_made_by(
+    files: Mapping[str, Path],
+    split: str,
+    version: str,
+    digest: str,
+    hidden: bool,
+    topics: Mapping[str, Collection[str]] | None = None,
+) -> None:
     """Raise HubError unless the files are of this split and version, made with the recipe's own digest; if hidden, with
     another one, which only a salt gives, as without a salt anybody could render the ground truth, and with the ground
-    truth to commit to."""
+    truth to commit to. topics: sequence -> all topics of its rig, none of which may be missing: a release never changes
+    """
     for name, path in files.items():
         if not path.is_file():
             raise HubError(
@@ -159,6 +168,11 @@ def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: s
                 f"{path}: made by another recipe of {split}, with a salt, or by another version of oysterbench; "
                 f"nothing was published: `oysterbench render {split}` makes what the recipe says, and --hidden "
                 "publishes what was rendered with a salt"
+            )
+        if absent := sorted({*(topics or {}).get(name, ())} - {*sequence.types}):
+            raise HubError(
+                f"{path}: expected all topics of its rig, got none of {listed(absent)}; nothing was published: render "
+                "it without --topics, or name the folder of the whole files with --data"
             )
 
 

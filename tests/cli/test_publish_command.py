@@ -7,6 +7,10 @@ import os
 
 import pytest
 
+import oysterbench
+from oysterbench.recipe import load_split
+from oysterbench.sequence.cut import cut_to, match_topics
+from oysterbench.simulation.generate import digest
 from tests.helpers.hub_place import Place
 from tests.helpers.tiny import TINY_RIG
 from tests.helpers.trees import SECRET
@@ -58,3 +62,18 @@ def test_a_tree_that_a_web_server_of_another_user_cannot_read_is_told_of(place, 
     assert {path.stat().st_mode & 0o777 for path in files} == {0o666 & ~mask}
     line = f"{tmp_path}/hub: other users cannot read all of it (umask 077), a web server of another user neither: "
     assert (line in done.stderr) == (mask == 0o077)
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_files_with_some_of_the_topics_are_not_published(place, tmp_path, hidden):
+    """They share split, version and digest with the whole ones, which could then never be released."""
+    data = tmp_path / "data" / "tiny-01.mcap"
+    place.write(tmp_path / "whole", SECRET if hidden else digest(load_split(str(place.recipe))))
+    topics = match_topics(oysterbench.open(tmp_path / "whole" / "tiny-01.mcap").types, ["/imu", "/truth/*"], "it")
+    cut_to(data, tmp_path / "whole" / "tiny-01.mcap", topics)
+    more = ("--hidden", "--truth-out", tmp_path / "truth") if hidden else ()
+    words = ("publish", place.recipe, tmp_path / "hub", "--key", place.folder / "key.pem", "--data", data.parent, *more)
+    line = place.run(*words, code=1).stderr
+    assert f"{data}: expected all topics of its rig, got none of /alt/range, /cam_left/" in line
+    assert line.count("\n") == 1
+    assert not (tmp_path / "hub").exists()

@@ -9,6 +9,7 @@ from click.testing import CliRunner
 from oysterbench.cli.main import main
 from oysterbench.recipe import load_split
 from oysterbench.simulation.generate import digest
+from tests.helpers.hand_made_dive import SENSORS
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 from tests.helpers.trees import FACTS, write_sequence
 
@@ -18,7 +19,7 @@ class Place:
 
     def __init__(self, folder):
         self.folder, self.home, self.tree, self.data = (folder, folder / "home", folder / "hub", folder / "data")
-        (folder / "rig.toml").write_text(TINY_RIG)
+        (folder / "rig.toml").write_text(TINY_RIG.replace("cam_front", "cam_left") + SENSORS)
         self.recipe = folder / "tiny.toml"
         self.recipe.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "rig.toml"'))
         self.write(self.data, digest(load_split(str(self.recipe))))
