@@ -129,6 +129,16 @@ def test_the_last_of_several_paths_is_read(tmp_path):
     assert trajectory.notes == ("poses.dat: /path holds 12 paths, of which the last is read",)
 
 
+@pytest.mark.parametrize("kind", ["path", "pose_stamped"])
+def test_the_pieces_of_a_split_recording_are_read_in_the_order_of_time(tmp_path, kind):
+    """ROS 2 names them NAME_0 to NAME_11: as text, NAME_10 and NAME_11 precede NAME_2."""
+    for k in range(len(dive())):
+        now = Messages(dive())
+        message = now.path(k + 1) if kind == "path" else now.pose_stamped(k)
+        written(tmp_path, files.mcap(dive().select(slice(k, k + 1)), {"/where": [message]}), f"rec_{k}.mcap")
+    assert_same(read_trajectory(tmp_path), dive())
+
+
 def test_a_topic_among_several_must_be_chosen(tmp_path):
     messages = Messages(dive())
     other = Messages(dive().select(slice(0, 5)))

@@ -203,16 +203,20 @@ def _mcap(parts: list[Path]) -> Bag:
     types: dict[str, str] = {}
     encodings: dict[str, str] = {}
     counts: dict[str, int] = {}
+    starts: dict[Path, int] = {}
     for part in parts:
         with open(part, "rb") as file:
             summary = read_summary(file)
         if summary is None or summary.statistics is None:
             raise TrajectoryError(f"{part}: damaged: it has no index; recover it with `mcap recover`")
+        starts[part] = summary.statistics.message_start_time
         for key, channel in summary.channels.items():
             if channel.schema_id in summary.schemas:
                 types[channel.topic] = _full_name(summary.schemas[channel.schema_id].name)
             encodings[channel.topic] = channel.message_encoding
             counts[channel.topic] = counts.get(channel.topic, 0) + summary.statistics.channel_message_counts.get(key, 0)
+
+    parts = sorted(parts, key=lambda part: (starts[part], part))  # by name, NAME_10 of a split recording precedes NAME_2
 
     def messages(topic: str) -> Iterator[Any]:
         if encodings[topic] not in ("cdr", "ros1"):
