@@ -113,7 +113,7 @@ def generate_split(
             f"split {split.name} is hidden: it needs a secret salt, of at least {LEAST_BYTES} mixed bytes, "
             f"and got {len(salt)}; {how_to_take_part(split.name)}; to host it: {HOW_TO_MAKE}"
         )
-    wanted = [split.find_sequence(name) for name in names] or split.sequence
+    wanted = [split.find_sequence(name) for name in dict.fromkeys(names)] or split.sequence
     made_by = digest(split, salt)
     files = {sequence.name: sequence_files(split, folder)[sequence.name] for sequence in wanted}
     # Files appear when they are complete: if all wanted ones exist, there is no need to wait for others in progress.

@@ -252,6 +252,21 @@ def test_a_file_of_another_recipe_is_refused_and_left_alone(tiny_file, tmp_path)
     assert sha256(copy) == sha256(tiny_file)
 
 
+def test_a_sequence_that_is_named_twice_is_rendered_once(tiny_split, tmp_path, monkeypatch):
+    make, made = generate.make_timed_part, []
+
+    def noted(split, job, **more):
+        made.append(job)
+        return make(split, job, **more)
+
+    monkeypatch.setattr(generate, "make_timed_part", noted)
+    files = generate_split(tiny_split, tmp_path, names=["tiny-01", "tiny-01"], topics=["/imu"])
+    assert [*files] == ["tiny-01"]
+    assert len(made) == 1
+    assert generate.is_whole(files["tiny-01"])
+    assert not (tmp_path / ".parts").exists()
+
+
 def test_the_salt_decides_the_bytes(tiny_split):
     assert digest(tiny_split, b"a") != digest(tiny_split, b"b")
     assert split_folder(tiny_split, b"a") != split_folder(tiny_split)
