@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from oysterbench.core.errors import SequenceError
+from oysterbench.core.errors import NoTruthError
 from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
@@ -51,7 +51,7 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
     }
     try:
         truth = sequence.truth()
-    except SequenceError:
+    except NoTruthError:
         truth = None
     rates = {topic: None if rate is None else round(rate, 1) for topic, rate in sequence.rates().items()}
     return {

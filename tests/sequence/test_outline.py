@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from mcap.reader import make_reader
 
 import oysterbench
 from oysterbench import sequence as sequences
 from oysterbench.sequence.export import export_sequence
-from tests.helpers.command import run
+from oysterbench.sequence.truth import TRUTH
+from tests.helpers.command import assert_one_line, run
 
 
 def test_rates_are_over_the_time_of_each_topic(dive_file):
@@ -26,6 +28,18 @@ def test_info_tells_a_path_of_no_length_from_none(dive_file, monkeypatch, length
     facts = {**sequences.describe(dive_file), "path_length_m": length_m}
     monkeypatch.setattr(sequences, "describe", lambda path: facts)
     assert run("info", dive_file).stdout.startswith(f"hand-made: 1.99 s, {told}\n")
+
+
+def test_info_of_a_file_with_damaged_true_poses_says_that_it_is_damaged(dive_file, tmp_path):
+    data = bytearray(dive_file.read_bytes())
+    with open(dive_file, "rb") as file:
+        summary = make_reader(file).get_summary()
+    (channel,) = [channel.id for channel in summary.channels.values() if channel.topic == TRUTH]
+    index = next(index for index in summary.chunk_indexes if channel in index.message_index_offsets)
+    data[index.chunk_start_offset + index.chunk_length // 2] ^= 255
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(data)
+    assert_one_line(run("info", path), "damaged[.]mcap: truncated or damaged")
 
 
 @pytest.mark.parametrize("truth", [True, False])
