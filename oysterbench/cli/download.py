@@ -85,7 +85,7 @@ def download(
         download_model(*model, out, dry_run, again, as_json)
         return
     if here is None and not hub_at:
-        _render_instead(context, split, name, patterns, topics, out, dry_run, as_json)
+        _render_instead(context, split, name, patterns, topics, out, dry_run, check, as_json)
         return
     with _telling_of(unvouched):
         hub = Hub([], None) if here else Hub.at(hub_at, hub_key(key), message, connections=connections)
@@ -101,7 +101,7 @@ def download(
         if topics:
             from oysterbench.hub.topics import fetch_topics
 
-            files = fetch_topics(hub, entries, folder, topics, out, progress)
+            files = fetch_topics(hub, entries, folder, topics, out, progress, check)
         else:
             files = download(hub, manifest, folder, entries, check, progress)
     _print_files(files, manifest.split, as_json)
@@ -194,14 +194,17 @@ def _render_instead(
     topics: tuple[str, ...],
     out: Path | None,
     dry_run: bool,
+    check: bool,
     as_json: bool,
 ) -> None:
-    """Without a hub, render the split, which gives the same bytes."""
+    """Without a hub, render the split, which gives the same bytes; with `check`, damaged files first make way."""
     from oysterbench.core.names import did_you_mean, nearest
     from oysterbench.hub.download import choose_names
     from oysterbench.hub.settings import NAME_ONE, NO_HUB
     from oysterbench.methods.weights import weights_names
     from oysterbench.recipe.split import split_names
+    from oysterbench.sequence.cut import topics_folder
+    from oysterbench.simulation.generate import split_folder
     from oysterbench.simulation.jobs import wanted_topics
 
     if split is None:
@@ -220,11 +223,25 @@ def _render_instead(
         message(f"{NO_HUB}: of {split.name} {split.version} would be rendered: {', '.join(names)}{some}")
         return
     message(f"{NO_HUB}: {split.name} {split.version} is rendered instead, which gives the same bytes")
+    if check:
+        whole = split_folder(split)
+        _delete_damaged(out or (topics_folder(whole, topics) if topics else whole), names)
     group = context.find_root().command
     assert isinstance(group, click.Group)
     context.invoke(
         group.commands["render"], split_name=name, names=tuple(names), topics=topics, out=out, as_json=as_json
     )
+
+
+def _delete_damaged(folder: Path, names: Sequence[str]) -> None:
+    """Delete the files of these sequences that are damaged, so that they are rendered again."""
+    from oysterbench.hub.verify import DAMAGED, check_alone
+
+    for path in (folder / f"{name}.mcap" for name in names):
+        found = check_alone(path)
+        if found.state == DAMAGED:
+            message(f"{path}: damaged ({found.detail}); it is deleted and rendered again")
+            path.unlink()
 
 
 @click.command(short_help="Check local data against its manifest.")
@@ -243,7 +260,8 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
 
     Prints for each file: right; right, with some of the topics (made with --topics); same content, other bytes; alike
     (within one grey level on 99.9 % of the pixels checked); or what differs. Exits with 3 if anything differs, is
-    damaged or absent; `oysterbench download SPLIT --verify`, or `download MODEL --again`, repairs it.
+    damaged or absent; `oysterbench download SPLIT --verify`, or `download MODEL --again`, repairs what is damaged or
+    absent. A file of other content is left alone: delete it first.
     """
     from oysterbench.hub.verify import checks
 
@@ -261,8 +279,8 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
     if bad:
         raise IntegrityError(
             f"{bad} of {len(found)} files are damaged, absent or different from the release; `oysterbench download "
-            "SPLIT "
-            "--verify`, or `oysterbench download MODEL --again`, downloads those files again"
+            "SPLIT --verify`, or `oysterbench download MODEL --again`, makes damaged and absent ones anew; delete those of "
+            "other content first"
         )
 
 

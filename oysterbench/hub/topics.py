@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mcap.summary import Summary
 
-from oysterbench.core.errors import HubError, SequenceError
+from oysterbench.core.errors import HubError, IntegrityError, SequenceError
 from oysterbench.core.locks import scratch
 from oysterbench.core.mcap import FOOTER, MAGIC
 from oysterbench.hub.download import Hub, Progress, check_space, locked_if_possible, part_path
@@ -40,12 +40,14 @@ def fetch_topics(
     wanted: Sequence[str],
     out: Path | None = None,
     progress: Progress = lambda done, total: None,
+    verify: bool = False,
 ) -> dict[str, Path]:
     """Make smaller files with the topics that match patterns such as `/imu` or `/cam_front/*`: sequence -> path.
 
     They go to `out`, by default a subfolder of the split's. A file that is here completely is not fetched, and a
     smaller one that is here with the same topics is taken once its content has been checked. Raises SequenceError where
-    a pattern matches no topic, and HubError where a file is in the way.
+    a pattern matches no topic, and HubError where a file is in the way. verify: read back what was written, too; raises
+    IntegrityError where that fails.
     """
     out = out or topics_folder(folder, wanted)
     total = sum(entry.size for entry in entries)
@@ -64,6 +66,8 @@ def fetch_topics(
             cut_to(target, folder / entry.name, names)
         else:
             _fetch_and_cut(hub, entry, folder, target, names, lambda n, done=done: progress(done + n, total))  # type: ignore[misc]
+        if verify and not _is_cut(target, entry, names):
+            raise IntegrityError(f"{target}: read back from the disk, it is not what was written: the disk may be failing")
         done += entry.size
         progress(done, total)
         files[entry.sequence] = target

@@ -212,13 +212,13 @@ def checks(name: str = "") -> Iterator[Check]:
         yield check_weights(Path(name))
         return
     if name.endswith(".mcap"):
-        yield _check_alone(Path(name))
+        yield check_alone(Path(name))
         return
     if Path(name).is_file():
         with open(name, "rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise IntegrityError(f"{name}: expected a sequence file (.mcap) or weights (.pt): it is neither")
-        yield _check_alone(Path(name))
+        yield check_alone(Path(name))
         return
     if Path(name).is_dir() and name and not (NAME.fullmatch(name) and (home() / "splits" / name).is_dir()):
         found = False
@@ -283,17 +283,18 @@ def check_tree(tree: Path) -> Iterator[Check]:
 
 
 def _check_folder(folder: Path) -> Iterator[Check]:
-    """Check the files in a split's folder, and report those in its manifest that are absent."""
+    """Check the files in a split's folder, also those that are not in its manifest, and report those that are absent."""
     manifest = kept_manifest(folder)
     if manifest is not None:
         yield from (_check_beside(folder / entry.name, entry, manifest) for entry in manifest.files)
-        yield from map(_check_alone, sorted(folder.glob(SMALLER_FILES)))
+        others = [path for path in folder.glob("*.mcap") if manifest.find(path.name) is None]
+        yield from map(check_alone, sorted([*others, *folder.glob(SMALLER_FILES)]))
         return
     if (folder / MANIFEST).is_file():
         again = "downloading the split again writes it anew"
         yield Check(folder / MANIFEST, DAMAGED, f"not a manifest, or not the released one; {again}")
     for path in sorted([*folder.glob("*.mcap"), *folder.glob(SMALLER_FILES)]):
-        yield _check_alone(path)
+        yield check_alone(path)
 
 
 def _check_beside(path: Path, entry: FileEntry, manifest: Manifest) -> Check:
@@ -305,7 +306,7 @@ def _check_beside(path: Path, entry: FileEntry, manifest: Manifest) -> Check:
     return replace(check, detail="; ".join(filter(None, (check.detail, by))))
 
 
-def _check_alone(path: Path) -> Check:
+def check_alone(path: Path) -> Check:
     """Check one file against the manifest next to it, or that of the release to which it says it belongs."""
     from oysterbench.sequence.read import McapSequence
 

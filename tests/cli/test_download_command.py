@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+import oysterbench
 from oysterbench.hub.manifest import build_manifest
 from oysterbench.recipe import load_split
+from oysterbench.sequence.cut import cut_to
 from oysterbench.simulation.generate import digest
 from tests.helpers.hub_place import Place
 from tests.helpers.trees import FACTS, oysterbench_serve, write_sequence
@@ -152,6 +154,32 @@ def test_without_a_hub_the_split_is_rendered_and_it_says_so(place, tmp_path):
     done = place.run("download", place.recipe, "--out", out, home=tmp_path)
     assert done.stdout.strip() == str(out / "tiny-01.mcap")
     assert "rendered instead, which gives the same bytes" in done.stderr
+
+
+@pytest.mark.parametrize("topics", [(), ("--topics", "/imu")])
+def test_without_a_hub_verify_renders_damaged_files_again(place, tmp_path, monkeypatch, topics):
+    path = tmp_path / "out" / "tiny-01.mcap"
+    place.write(tmp_path / "whole", digest(load_split(str(place.recipe))))
+    cut_to(
+        path,
+        tmp_path / "whole" / "tiny-01.mcap",
+        ["/imu"] if topics else oysterbench.open(tmp_path / "whole" / "tiny-01.mcap").types,
+    )
+    whole = path.read_bytes()
+    rendered = []
+
+    def render(split, folder, *rest, **more):
+        rendered.append(path.exists())
+        path.write_bytes(whole)
+        return {"tiny-01": path}
+
+    monkeypatch.setattr("oysterbench.cli.render.render_files", render)
+    words = ("download", place.recipe, "--verify", "--out", path.parent, *topics)
+    assert "damaged" not in place.run(*words, home=tmp_path).stderr
+    path.write_bytes(whole[:-100])
+    assert f"{path}: damaged (" in place.run(*words, home=tmp_path).stderr
+    assert rendered == [True, False]
+    assert path.read_bytes() == whole
 
 
 def test_splits_tells_what_is_here_and_what_the_hub_has(place, tmp_path, monkeypatch):

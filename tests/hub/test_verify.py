@@ -10,7 +10,7 @@ from oysterbench.hub.download import plan
 from oysterbench.hub.manifest import describe_file
 from oysterbench.hub.pixels import NUMBERS, share_within
 from oysterbench.hub.release import keep_read, put_together
-from oysterbench.hub.verify import ALIKE, OTHER, REPACKED, RIGHT, SMALLER, check_file, check_released, checks
+from oysterbench.hub.verify import ALIKE, DAMAGED, OTHER, REPACKED, RIGHT, SMALLER, check_file, check_released, checks
 from oysterbench.sensors import camera_messages
 from oysterbench.sequence.cut import cut_to
 from tests.helpers import hand_made_dive
@@ -150,6 +150,19 @@ def test_a_render_that_differs_says_which_versions_do(file, tmp_path, monkeypatc
     assert "made by another recipe or generation" in check_released(other, manifest).detail
     monkeypatch.setattr("oysterbench.hub.verify.released_manifest", lambda *key: manifest)
     assert [one.state for one in checks(str(loose))] == [REPACKED]
+
+
+def test_files_beside_those_of_the_manifest_are_checked_too(file, tmp_path):
+    """Such as those of a split that was downloaded into the same folder before."""
+    keep_read(tmp_path / "kept", "dive-01", file, ())
+    manifest = put_together(tmp_path / "kept", FACTS, ["dive-01"], DIGEST)
+    (tmp_path / "manifest.json").write_bytes(manifest.data)
+    (tmp_path / "dive-01.mcap").write_bytes(file.read_bytes())
+    (tmp_path / "before.mcap").write_bytes(file.read_bytes()[:-100])
+    assert [(one.path.name, one.state) for one in checks(str(tmp_path))] == [
+        ("dive-01.mcap", RIGHT),
+        ("before.mcap", DAMAGED),
+    ]
 
 
 def test_pixels_that_cannot_be_compared_are_like_none():
