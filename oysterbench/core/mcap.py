@@ -38,8 +38,8 @@ RECORD = struct.Struct("<BQ")  # opcode, length of the rest
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; then the data
 
 LARGEST_CHUNK = 1 << 27
-"""Size limit of a decompressed chunk, bytes: 32 times what writers make by default, and more than the largest camera
-image."""
+"""Size limit of a decompressed chunk, bytes: 32 times what writers make by default. Recipes allow no camera whose
+layers are larger (`recipe.rig.LARGEST_LAYER`)."""
 MOST_RECORDS = 1 << 19
 """Limit on the records in a chunk: 4 times what fits into one of the default size."""
 LARGEST_KEPT = 1 << 20

@@ -59,7 +59,8 @@ def not_read(kept: Path, names: Sequence[str]) -> list[str]:
 def put_together(kept: Path, facts: Mapping[str, str], names: Sequence[str], recipe_digest: str) -> Manifest:
     """Assemble the manifest of sequences that were read; facts: split, version, track, rig and summary.
 
-    Raises HubError where they were made with different versions of what decides the bytes.
+    Raises HubError where they were made with different versions of what decides the bytes, or from different texts of
+    the recipe or the rig, which every file keeps: nobody's render could match them all.
     """
     reads = {name: decode((kept / f"{name}.json").read_bytes(), Read, f"{kept}/{name}.json") for name in sorted(names)}
     first, *others = reads.items()
@@ -69,6 +70,12 @@ def put_together(kept: Path, facts: Mapping[str, str], names: Sequence[str], rec
                 f"{name} was made with {what} {there}, and {first[0]} with {here}; nothing was written: render one of "
                 "them again with the other's, and release it with --again"
             )
+        for text in ("split.toml", "rig.toml"):
+            if read.entry.attachments.get(text) != first[1].entry.attachments.get(text):
+                raise HubError(
+                    f"{name} was made from another text of {text} than {first[0]} (a comment counts); nothing was "
+                    "written: render both from the same text, and release them with --again"
+                )
     entries = tuple(read.entry for read in reads.values())
     made = {"oysterbench": VERSION, "files": entries, "made_with": first[1].made_with}
     return Manifest(**facts, **made, recipe_digest=recipe_digest)  # type: ignore[arg-type]

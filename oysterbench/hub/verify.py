@@ -283,7 +283,7 @@ def check_tree(tree: Path) -> Iterator[Check]:
 
 
 def _check_folder(folder: Path) -> Iterator[Check]:
-    """Check the files in a split's folder, also those that are not in its manifest, and report those that are absent."""
+    """Check the files in a split's folder, also those not in its manifest, and report those that are absent."""
     manifest = kept_manifest(folder)
     if manifest is not None:
         yield from (_check_beside(folder / entry.name, entry, manifest) for entry in manifest.files)

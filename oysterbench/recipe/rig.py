@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import Any, ClassVar, Protocol, TypeVar
 
 from oysterbench.core.errors import RecipeError
+from oysterbench.core.mcap import LARGEST_CHUNK
 from oysterbench.recipe.keys import as_plain, build, choice, number
 from oysterbench.recipe.lens import check_lens
 from oysterbench.recipe.sensors import NamedSensorRecipe, SensorRecipe
@@ -18,24 +19,30 @@ from oysterbench.recipe.sensors import NamedSensorRecipe, SensorRecipe
 LENSES = {"pinhole": (0,), "brown-conrady": (4, 5), "fisheye": (4,)}
 """Lens -> numbers of distortion coefficients that it may have."""
 
-LAYERS = (
-    "depth",
-    "class",
-    "instance",
-    "normals",
-    "clean",
-    "direct",
-    "forward_scatter",
-    "backscatter",
-    "snow",
-    "visibility",
-    "dynamic",
-    "flow",
-    "transmittance",
-)
+LAYER_BYTES = {
+    "depth": 2,
+    "class": 1,
+    "instance": 2,
+    "normals": 12,
+    "clean": 12,
+    "direct": 12,
+    "forward_scatter": 12,
+    "backscatter": 12,
+    "snow": 12,
+    "visibility": 4,
+    "dynamic": 1,
+    "flow": 8,
+    "transmittance": 4,
+}
+"""Bytes per pixel of each layer in a file."""
+
+LAYERS = tuple(LAYER_BYTES)
 """Ground truth of an image: what each pixel shows, its light without water and the parts of its light in water, how
 much of each instance is visible, which pixels show what moves by itself, where each pixel moves until the next frame,
 and how much of its light gets through the water."""
+
+LARGEST_LAYER = LARGEST_CHUNK - (1 << 22)
+"""Size limit of a layer of a frame, bytes: its chunk may begin with up to 4 MB of other messages."""
 
 IMAGE_FORMATS = ("jpeg", "png")
 
@@ -131,6 +138,14 @@ class CameraRecipe(NamedSensorRecipe):
                 f"{where}: key 'camera.max_range_m': expected at most {LONGEST_DEPTH_M:g} beside the layer 'depth', "
                 f"which has 16 bits of a millimetre; got {self.max_range_m:g}"
             )
+        for layer in self.sent_layers:
+            most = LARGEST_LAYER // LAYER_BYTES[layer]
+            if self.width * self.height > most:
+                raise RecipeError(
+                    f"{where}: keys 'camera.width', 'camera.height': expected at most {most:_} pixels beside the layer "
+                    f"{layer!r}, as a file takes at most {LARGEST_LAYER >> 20} MiB of it per frame; got {self.width} x "
+                    f"{self.height}"
+                )
         if self.layer_rate_hz and not (self.rate_hz / self.layer_rate_hz).is_integer():
             raise RecipeError(
                 f"{where}: key 'camera.layer_rate_hz': expected a divisor of rate_hz = {self.rate_hz}, got "

@@ -77,7 +77,8 @@ class SplitRecipe:
         return draw(sequence, lambda key: float(streams.generator("drawn", key).random()), where)
 
     def digest(self) -> str:
-        """SHA-256 of the values of recipe and rig: two recipes with the same digest make the same bytes."""
+        """SHA-256 of the values of recipe and rig: two recipes with the same digest make the same data. Their texts,
+        with comments and summary, are kept in the files, too, and are not part of it."""
         values = {k: v for k, v in stated(self).items() if k not in ("source", "rig_source", "summary")}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 

@@ -216,7 +216,8 @@ def _mcap(parts: list[Path]) -> Bag:
             encodings[channel.topic] = channel.message_encoding
             counts[channel.topic] = counts.get(channel.topic, 0) + summary.statistics.channel_message_counts.get(key, 0)
 
-    parts = sorted(parts, key=lambda part: (starts[part], part))  # by name, NAME_10 of a split recording precedes NAME_2
+    # By name, NAME_10 of a recording in pieces would precede NAME_2.
+    parts = sorted(parts, key=lambda part: (starts[part], part))
 
     def messages(topic: str) -> Iterator[Any]:
         if encodings[topic] not in ("cdr", "ros1"):
