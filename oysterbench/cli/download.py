@@ -279,8 +279,8 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
     if bad:
         raise IntegrityError(
             f"{bad} of {len(found)} files are damaged, absent or different from the release; `oysterbench download "
-            "SPLIT --verify`, or `oysterbench download MODEL --again`, makes damaged and absent ones anew; delete those "
-            "of other content first"
+            "SPLIT --verify`, or `oysterbench download MODEL --again`, makes damaged and absent ones anew; delete "
+            "those of other content first"
         )
 
 

@@ -59,8 +59,8 @@ def fetch_topics(
             pass
         elif target.exists() and out.resolve() == folder.resolve():
             raise HubError(
-                f"{target}: expected none, or a sound one with the same {len(names)} of {len(entry.content)} topics, got "
-                "another file; it was left unchanged: delete it or choose another folder with --out"
+                f"{target}: expected none, or a sound one with the same {len(names)} of {len(entry.content)} topics, "
+                "got another file; it was left unchanged: delete it or choose another folder with --out"
             )
         elif _is_here(folder, entry):
             cut_to(target, folder / entry.name, names)
@@ -68,8 +68,8 @@ def fetch_topics(
             _fetch_and_cut(hub, entry, folder, target, names, lambda n, done=done: progress(done + n, total))  # type: ignore[misc]
         if verify and not _is_cut(target, entry, names):
             raise IntegrityError(
-                f"{target}: read back from the disk, it is not what was written: the disk may be failing; delete it and "
-                "choose a folder on another disk with --out"
+                f"{target}: read back from the disk, it is not what was written: the disk may be failing; delete it "
+                "and choose a folder on another disk with --out"
             )
         done += entry.size
         progress(done, total)
