@@ -9,6 +9,7 @@ import pytest
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.interfaces.slam import SlamInterface
 from oysterbench.methods.systems.adapter import SystemAdapter
+from oysterbench.sequence import Sequence
 from oysterbench.tracks.slam import SlamSequence
 
 
@@ -36,6 +37,7 @@ def test_a_system_for_two_cameras_is_refused_on_one(tmp_path, monkeypatch):
 @pytest.mark.parametrize("contents", [[("imu0", "imu", 0)], [("/cam0/image", "sensor_msgs/msg/Image", 9)]])
 def test_an_inertial_system_is_refused_without_inertial_measurements(contents, tmp_path, monkeypatch):
     found = SimpleNamespace(name="mine", cameras={"cam0": None}, contents=lambda: contents)
+    found.has_imu = Sequence.has_imu.fget(found)
     monkeypatch.setattr("oysterbench.methods.systems.adapter.open_sequence", lambda path: found)
     system = SystemAdapter.__new__(SystemAdapter)
     system.name, system.method = "inertial[a=1]", SimpleNamespace(track="slam", sensors=("mono", "imu"))

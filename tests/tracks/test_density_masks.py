@@ -21,7 +21,8 @@ def seen_of(tmp_path, monkeypatch):
 
     def call(prediction):
         picture = SimpleNamespace(name=NAME, classes=np.zeros(SHAPE, np.uint8))
-        labelled = SimpleNamespace(name="one", names=(NAME,), images=lambda: iter([(picture, None)]))
+        known = {"name": "one", "names": (NAME,), "digest_given": lambda: ""}
+        labelled = SimpleNamespace(images=lambda: iter([(picture, None)]), **known)
         monkeypatch.setattr(density, "read_predictions", lambda folder, names: [prediction])
         adapter, sequence = SimpleNamespace(name="mine"), PictureSequence(labelled, [], None)
         job = SimpleNamespace(sequence=sequence, adapter=adapter, folder=lambda out: out)
