@@ -10,7 +10,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.labelled import LABELLED
-from oysterbench_baselines.learning.trained import checkpoint_path, device_option, seed_option
+from oysterbench_baselines.learning.trained import device_option, seed_option, used_path
 
 if TYPE_CHECKING:
     from oysterbench.annotations import LabelledImage, LabelledSet
@@ -159,7 +159,7 @@ def cut_command(
     from oysterbench_baselines.learning.loop import pick_device
 
     if checkpoint is None:
-        checkpoint = checkpoint_path("cut")
+        checkpoint = used_path("cut")
         have_weights({"cut": checkpoint}, message, frames_bar)
     generator, settings = load_generator(checkpoint)
     generator.to(pick_device(device))
@@ -235,7 +235,7 @@ def _judge(weights: Path | None, keep: float | None, device: str = "cpu") -> Jud
     from oysterbench_baselines.cut.judge import Judge
     from oysterbench_baselines.learning.loop import pick_device
 
-    named = checkpoint_path("unet") if weights == Path("unet") else weights
+    named = used_path("unet") if weights == Path("unet") else weights
     have_weights({"unet": named}, message, frames_bar)
     return Judge(named, pick_device(device))
 

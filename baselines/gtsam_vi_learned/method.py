@@ -10,7 +10,7 @@ from oysterbench.sequence.types import CameraCalibration, Sequence
 from oysterbench_baselines.gtsam_vi.frontend import FrontEnd
 from oysterbench_baselines.gtsam_vi.method import GtsamVi, Output
 from oysterbench_baselines.gtsam_vi_learned.settings import GtsamViLearnedSettings
-from oysterbench_baselines.learning.trained import checkpoint_path, on_torch, trained
+from oysterbench_baselines.learning.trained import on_torch, trained, used_path
 
 if TYPE_CHECKING:
     from oysterbench_baselines.gtsam_vi_learned.model import MapModel
@@ -43,7 +43,7 @@ class GtsamViLearned(GtsamVi):
     @property
     def weights(self) -> dict[str, Path]:
         """Files of the trained weights that it uses."""
-        return {"gtsam_vi_learned": checkpoint_path("gtsam_vi_learned", self.checkpoint)}
+        return {"gtsam_vi_learned": used_path("gtsam_vi_learned", self.checkpoint)}
 
     def run(self, sequence: Sequence) -> Estimate:
         """Run as gtsam_vi does. Raises MethodError, with what to type, where there are no trained weights."""

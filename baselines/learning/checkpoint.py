@@ -7,6 +7,7 @@ import io
 import platform
 import zipfile
 import zlib
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,8 @@ class Checkpoint:
     identity:  what determines the weights: settings, digests of the data, seed, threads, kind of device. A training
                resumes only from a checkpoint of the same identity
     network:   parameters from which the network is constructed
-    weights, optimiser, random: their states after `step` steps; random: of torch's generators
+    weights, optimiser, random: their states after `step` steps; random: of torch's generators. The last two are empty
+               once training is finished
     losses:    of each step; versions: of the software that computed them; seconds: CPU time so far
     measured:  measurements of the trained network, made after the last step; plain values and tensors
     """
@@ -62,6 +64,12 @@ class Checkpoint:
         for key, value in self.weights.items():
             found.update(key.encode() + value.contiguous().numpy().tobytes())
         return found.hexdigest()
+
+
+def in_half_precision(weights: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Round the matrices of a state to float16, for a file of half the size. Vectors (biases, normalisation) are few
+    and stay as they are. Loading a state into a network converts them back."""
+    return {key: value.half() if value.dim() > 1 else value for key, value in weights.items()}
 
 
 def read_checkpoint(path: Path) -> Checkpoint:

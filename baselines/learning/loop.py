@@ -126,6 +126,8 @@ def run_training(
         state.finished = state.step >= steps
         if state.finished or time.monotonic() - kept >= (KEEP_S if keep_s is None else keep_s):
             state.weights, state.optimiser, state.random = trainer.state()
+            if state.finished:  # what only resuming needs is two thirds of a file
+                state.optimiser, state.random = {}, {}
             state.seconds = before + time.process_time() - cpu
             state.write(path)
             keep(state)

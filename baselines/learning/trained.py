@@ -13,7 +13,7 @@ import click
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.labelled import LABELLED
 from oysterbench.core.errors import MethodError
-from oysterbench.methods.weights import existing, weights_path
+from oysterbench.methods.weights import existing, usable_path, weights_path
 
 if TYPE_CHECKING:
     from oysterbench.annotations import LabelledSet
@@ -61,16 +61,21 @@ def training_options(steps: int = 2000) -> Callable[[Callable[..., Any]], Callab
     return decorated
 
 
-def checkpoint_path(name: str, checkpoint: str = "") -> Path:
-    """Path of a method's checkpoint: the one given, else the one that OYSTERBENCH_<NAME> names, else the one that
-    `oysterbench train NAME` leaves."""
-    return Path(checkpoint or os.environ.get(f"OYSTERBENCH_{name.upper()}") or weights_path(name))
+def checkpoint_path(name: str) -> Path:
+    """Path of the checkpoint that `oysterbench train NAME` leaves: OYSTERBENCH_<NAME>, or by default in the folder of
+    trained weights."""
+    return Path(os.environ.get(f"OYSTERBENCH_{name.upper()}") or weights_path(name))
+
+
+def used_path(name: str, checkpoint: str = "") -> Path:
+    """Path of the checkpoint that a method uses: the one given, else the one that OYSTERBENCH_<NAME> names, else one
+    trained or downloaded here, else the one that is part of oysterbench."""
+    return Path(checkpoint or os.environ.get(f"OYSTERBENCH_{name.upper()}") or usable_path(name))
 
 
 def trained(name: str, checkpoint: str = "") -> Path:
-    """Return `checkpoint_path` where the file exists. Raises MethodError, which says what to type, where it does
-    not."""
-    return existing(name, checkpoint_path(name, checkpoint))
+    """Return `used_path` where the file exists. Raises MethodError, which says what to type, where it does not."""
+    return existing(name, used_path(name, checkpoint))
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.weights import existing
-from oysterbench_baselines.learning.trained import checkpoint_path, on_torch
+from oysterbench_baselines.learning.trained import on_torch, used_path
 
 if TYPE_CHECKING:
     from oysterbench_baselines.learning.masks import MaskModel
@@ -52,7 +52,7 @@ def mask_weights(weights: str) -> dict[str, Path]:
 
 
 def _path(weights: str) -> Path:
-    return checkpoint_path("moving", "" if weights == "moving" else weights)
+    return used_path("moving", "" if weights == "moving" else weights)
 
 
 def _read(path: Path) -> MaskModel:

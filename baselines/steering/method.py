@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from oysterbench.methods.steering import Steering, Views
-from oysterbench_baselines.learning.trained import checkpoint_path, on_torch, trained
+from oysterbench_baselines.learning.trained import on_torch, trained, used_path
 from oysterbench_baselines.steering.memory import Memory
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ class SteeringNet:
     @property
     def weights(self) -> dict[str, Path]:
         """Files of the trained weights that the method needs."""
-        return {"steering": checkpoint_path("steering", self.checkpoint)}
+        return {"steering": used_path("steering", self.checkpoint)}
 
     def run(self, views: Views) -> Iterator[Steering]:
         """Yield a command for each view, before the next one is taken. Raises MethodError where the task has other

@@ -15,6 +15,7 @@ from oysterbench_baselines.learning.trained import (
     device_option,
     run_training,
     side_option,
+    trained,
     training_options,
 )
 
@@ -24,8 +25,10 @@ if TYPE_CHECKING:
 
 begin_option = click.option(
     "--begin",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="Initial weights from another training of the method, such as one on rendered images.",
+    metavar="MODEL|FILE",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Initial weights: the file of another training of the method, or its name, such as unet, for those that it runs "
+    "on.",
 )
 
 
@@ -59,7 +62,7 @@ def command(
       oysterbench train unet --data seg-train
       oysterbench train unet --data seg-train --data my-masks --out mine.pt
       oysterbench train unet --data seg-closeup --data seg-reefview --steps 400 --out rendered.pt
-      oysterbench train unet --data my-masks --begin rendered.pt --steps 200 --out mine.pt
+      oysterbench train unet --data my-masks --begin unet --steps 200 --out mine.pt
 
     Data is a split, which is rendered if missing; a sequence file or a folder of them; or a folder with images/ and
     masks/ (PNG), labels/ (YOLO polygons) or one COCO file. The last tenth of each camera's images of a clip is held out
@@ -135,8 +138,10 @@ def _train(
     from oysterbench_baselines.learning.checkpoint import read_finished
     from oysterbench_baselines.unet.model import check_kind
     from oysterbench_baselines.unet.training import begun_settings, thresholds_of
-    from oysterbench_baselines.unet.training import train as trained
+    from oysterbench_baselines.unet.training import train as train_unet
 
+    if begin == Path(name) and not begin.exists():
+        begin = trained(name)
     begun = None if begin is None else read_finished(begin)
     if begun is not None:
         check_kind(begun, name, begin)
@@ -151,7 +156,7 @@ def _train(
 
     def train(*arguments: Any, again: bool) -> Checkpoint:
         with frames_bar("measuring", "images") as measuring:
-            return partial(trained, measuring=measuring, begun=begun, again=again)(*arguments)
+            return partial(train_unet, measuring=measuring, begun=begun, again=again)(*arguments)
 
     path = out or checkpoint_path(name)
     checkpoint = run_training(name, labelled, settings, train, path, seed, device, again)

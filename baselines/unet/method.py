@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.images import Detections, Picture, Segmentation
-from oysterbench_baselines.learning.trained import checkpoint_path, on_torch, trained
+from oysterbench_baselines.learning.trained import on_torch, trained, used_path
 
 if TYPE_CHECKING:
     from oysterbench_baselines.unet.model import UNetModel
@@ -37,7 +37,7 @@ class UNet:
     @property
     def weights(self) -> dict[str, Path]:
         """Files of the trained weights that the method needs."""
-        return {self.weights_name: checkpoint_path(self.weights_name, self.checkpoint)}
+        return {self.weights_name: used_path(self.weights_name, self.checkpoint)}
 
     def run(self, images: Iterable[Picture]) -> Iterator[Any]:
         """Yield probabilities at the images' own size, with the threshold of greatest IoU at 0.5, and the novelty of

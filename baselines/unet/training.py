@@ -17,7 +17,7 @@ from oysterbench.core.errors import LabelError
 from oysterbench.core.streams import Streams
 from oysterbench_baselines.learning.augment import Augmentation
 from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_batch
-from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
+from oysterbench_baselines.learning.checkpoint import Checkpoint, in_half_precision, read_checkpoint
 from oysterbench_baselines.learning.loop import FitSettings, Progress, channels_last, fit
 from oysterbench_baselines.learning.losses import mask_loss
 from oysterbench_baselines.learning.novelty import learnt
@@ -138,6 +138,8 @@ def train(
         again,
     )
     if settings.measured and not checkpoint.measured:
+        if settings.network.encoder:
+            checkpoint.weights = in_half_precision(checkpoint.weights)
         checkpoint.measured = measure(checkpoint, learnt_from, kept, device, measuring, begun)
         checkpoint.write(path)
     return checkpoint

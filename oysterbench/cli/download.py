@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oysterbench.cli.echo import echo, message
-from oysterbench.cli.models import download_model, model_path
+from oysterbench.cli.models import download_model, model_path, part_of_oysterbench
 from oysterbench.core.errors import HubError, IntegrityError
 
 if TYPE_CHECKING:
@@ -79,6 +79,10 @@ def download(
     found = None if check else find_here(split_name, version or None, patterns, out)
     vouched = found is None or not hub_at or is_offline() or is_trusted(found[1])
     here, unvouched = (found, None) if vouched or found is None else (None, found[0])
+    if not (split or hub_at or out) and (ours := part_of_oysterbench(name, version)):
+        message(f"nothing to download: {ours.described}, is part of oysterbench; a hub may have others: --from URL")
+        echo(json.dumps({"model": name, "file": str(ours.path), "sha256": ours.sha256}) if as_json else ours.path)
+        return
     if not (here or unvouched or split) and (model := _model(name, version, hub_at, key, out, connections)):
         if patterns or topics:
             raise click.UsageError(f"--sequence and --topics apply to splits; {name} is trained weights")

@@ -26,7 +26,7 @@ from oysterbench.cli.models import COMMANDS as MODEL_COMMANDS
 from oysterbench.cli.numbers import Number
 from oysterbench.cli.outputs import print_rich
 from oysterbench.cli.publish import COMMANDS as PUBLISH_COMMANDS
-from oysterbench.cli.release import release
+from oysterbench.cli.release import COMMANDS as RELEASE_COMMANDS
 from oysterbench.cli.render import frames_bar, render
 from oysterbench.cli.run import run_command
 from oysterbench.cli.segment import segment_command
@@ -155,7 +155,7 @@ for _command in (
     translate,
     experiment,
     render,
-    release,
+    *RELEASE_COMMANDS,
     splits,
     systems_command,
     tune_command,

@@ -12,11 +12,66 @@ from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import HubError, MethodError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from oysterbench.hub.download import Hub
     from oysterbench.hub.model import Model
+    from oysterbench.hub.weights import Here
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+def card_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of which the card of a release is made (`release_card`)."""
+    results = click.Path(path_type=Path)
+    for option in (
+        click.option("--licence", metavar="URL", help="Licence of the weights.  [default: CC BY 4.0]"),
+        click.option("--limits", help="What the weights are not for.  [default: what is known of MODEL]"),
+        click.option("--summary", help="One line about the weights.  [default: what is known of MODEL]"),
+        click.option(
+            "--results",
+            type=results,
+            multiple=True,
+            metavar="PATH",
+            help="Results with these weights: results.json of `run` or `eval`, or its folder; repeatable.",
+        ),
+        click.option("--version", help="Version of the release, which never changes.  [default: 1.0]"),
+        click.option("--weights", "path", type=FILE, help="The weights file.  [default: the one that MODEL runs on]"),
+    ):
+        command = option(command)
+    return command
+
+
+def release_card(
+    name: str,
+    path: Path | None,
+    version: str | None,
+    results: tuple[Path, ...],
+    summary: str | None,
+    limits: str | None,
+    licence: str | None,
+) -> tuple[Path, Model]:
+    """The weights file to release, and its card. Weights that were released before keep the card that they have, unless
+    an option asks for another."""
+    from oysterbench.hub.manifest import VERSION_NAME
+    from oysterbench.hub.publish_model import build_model, describe_weights
+    from oysterbench.hub.weights import weights_here
+    from oysterbench.methods.weights import find_weights, usable_path
+    from oysterbench.results.card_figures import card_figures
+
+    if version is not None and not VERSION_NAME.fullmatch(version):
+        raise click.UsageError(f"--version: expected letters, digits and . _ -, such as 1.0, got {version!r}")
+    known = find_weights(name)
+    path = path or usable_path(name)
+    here = weights_here(path)
+    if here is not None and here.model is not None and not (version or results or summary or limits or licence):
+        return path, here.model
+    training = known.describe(path)
+    file = describe_weights(name, path)
+    figures = [figure for place in results for figure in card_figures(place, name, file.sha256)]
+    words = (summary or known.summary, limits or known.limits, licence or known.licence)
+    return path, build_model(name, version or "1.0", known.methods, words, file, training, figures)
 
 
 @click.command("publish-model", short_help="Publish trained weights in a tree that any web server can serve.")
@@ -24,32 +79,15 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 @click.argument("tree", type=FOLDER, metavar="DIR")
 @click.option("--key", "key_file", type=FILE, required=True, help="Private key, from `oysterbench keygen`.")
 @click.option("--old-key", "old_files", type=FILE, multiple=True, help="Previous key, which also signs; repeatable.")
-@click.option("--weights", "path", type=FILE, help="The weights file.  [default: that of `oysterbench train MODEL`]")
-@click.option("--version", default="1.0", show_default=True, help="Version of the release; a release never changes.")
-@click.option(
-    "--results",
-    "results",
-    type=click.Path(path_type=Path),
-    multiple=True,
-    metavar="PATH",
-    help="Results with these weights: results.json of `run` or `eval`, or its folder; repeatable.",
-)
-@click.option("--summary", help="One line about the weights.  [default: what is known of MODEL]")
-@click.option("--limits", help="What the weights are not for.  [default: what is known of MODEL]")
-@click.option("--licence", metavar="URL", help="Licence of the weights.  [default: CC BY 4.0]")
+@card_options
 @click.option("--json", "as_json", is_flag=True, help="Print the card as JSON.")
 def publish_model(
     name: str,
     tree: Path,
     key_file: Path,
     old_files: tuple[Path, ...],
-    path: Path | None,
-    version: str,
-    results: tuple[Path, ...],
-    summary: str | None,
-    limits: str | None,
-    licence: str | None,
     as_json: bool,
+    **card: Any,
 ) -> None:
     """Publish trained weights into a static tree, beside its splits: the file, and a card that says what it was trained
     on, how, and how well it performs.
@@ -65,31 +103,18 @@ def publish_model(
     names its weights by their hash.
     """
     from oysterbench.core.permissions import closed_to_others
-    from oysterbench.hub.manifest import VERSION_NAME
-    from oysterbench.hub.publish_model import build_model, describe_weights
     from oysterbench.hub.publish_model import publish_model as release
     from oysterbench.hub.sign import load_key, public_hex
-    from oysterbench.methods.weights import find_weights, weights_path
-    from oysterbench.results.card_figures import card_figures
 
-    if not VERSION_NAME.fullmatch(version):
-        raise click.UsageError(f"--version: expected letters, digits and . _ -, such as 1.0, got {version!r}")
-    known = find_weights(name)
     key, old_keys = load_key(key_file), [load_key(file) for file in old_files]
-    path = path or weights_path(name)
-    training = known.describe(path)
-    file = describe_weights(name, path)
-    figures = [figure for place in results for figure in card_figures(place, name, file.sha256)]
-    words = (summary or known.summary, limits or known.limits, licence or known.licence)
-    model = release(
-        tree, build_model(name, version, known.methods, words, file, training, figures), path, key, message, old_keys
-    )
-    if not figures:
+    path, described = release_card(name, **card)
+    model = release(tree, described, path, key, message, old_keys)
+    if not model.figures:
         message("no --results: the card says that these weights were not evaluated")
     if as_json:
         echo(model.data.decode(), nl=False)
         return
-    message(f"{model.name} {model.version}: {model.file.size / 1e6:.1f} MB, {len(figures)} figures, in {tree}")
+    message(f"{model.name} {model.version}: {model.file.size / 1e6:.1f} MB, {len(model.figures)} figures, in {tree}")
     message(f"public key: {public_hex(key)}")
     if closed := closed_to_others(tree, tree / "index.json"):
         message(closed)
@@ -101,6 +126,17 @@ def model_path(name: str, out: Path | None) -> Path:
     from oysterbench.methods.weights import weights_path
 
     return weights_path(name) if out is None else out / f"{name}.pt"
+
+
+def part_of_oysterbench(name: str, version: str) -> Here | None:
+    """Weights of this version, or of any where it is empty, that are part of oysterbench; None where there are none, or
+    methods run on others, trained or downloaded here."""
+    from oysterbench.hub.weights import weights_here
+    from oysterbench.methods.weights import usable_path
+
+    here = weights_here(usable_path(name))
+    right = here is not None and here.released and here.model is not None and version in ("", here.model.version)
+    return here if right else None
 
 
 def download_model(hub: Hub, model: Model, out: Path | None, dry_run: bool, again: bool, as_json: bool) -> None:
@@ -187,13 +223,13 @@ def _hub(places: tuple[str, ...], key: str | None) -> Hub:
 def _rows(hub: Hub | None) -> list[dict[str, Any]]:
     """Rows with what is known about each model, here and on a hub."""
     from oysterbench.hub.weights import weights_here
-    from oysterbench.methods.weights import find_weights, weights_names, weights_path
+    from oysterbench.methods.weights import find_weights, usable_path, weights_names
 
     released = hub.index().models if hub else {}
     rows = []
     for name in sorted({*weights_names(), *released}):
         known = find_weights(name) if name in weights_names() else None
-        here = weights_here(weights_path(name))
+        here = weights_here(usable_path(name))
         of_hub = released.get(name, {})
         methods = known.methods if known else list(of_hub.values())[-1].methods
         rows.append(
@@ -215,10 +251,10 @@ def _print_card(name: str, hub: Hub | None, as_json: bool) -> None:
     from oysterbench.hub.card import facts, reached
     from oysterbench.hub.publish_model import build_model, describe_weights
     from oysterbench.hub.weights import weights_here
-    from oysterbench.methods.weights import existing, find_weights, weights_path
+    from oysterbench.methods.weights import existing, find_weights, usable_path
 
     name, _, version = name.partition("@")
-    path = weights_path(name)
+    path = usable_path(name)
     here = weights_here(path) if hub is None else None
     if hub is not None:
         model = hub.model(name, version or None)

@@ -1,12 +1,14 @@
-"""The command that pins the content of a split's files. `cli.main` adds it."""
+"""Commands for what is released with oysterbench: manifests of splits, and trained weights. `cli.main` adds them."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from oysterbench.cli.echo import echo, message
+from oysterbench.cli.models import card_options, release_card
 from oysterbench.core.names import counted
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -68,3 +70,29 @@ def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Pat
     folder = out or Path(str(resources.files("oysterbench_datasets"))) / "manifests"
     message(f"{split.name} {split.version}: {counted(len(manifest.files), 'file')}, {manifest.size / 1e6:.1f} MB")
     echo(write_release(manifest, folder))
+
+
+@click.command("release-model", short_help="Make trained weights, and their card, part of oysterbench.")
+@click.argument("name", metavar="MODEL")
+@card_options
+@click.option("--out", type=FOLDER, help="Folder of the weights.  [default: that of the package]")
+def release_model(name: str, out: Path | None, **card: Any) -> None:
+    """Copy trained weights into the package, for maintainers: methods run on them unless others have been trained or
+    downloaded. Their card is that of `publish-model`.
+
+    \b
+    Examples:
+      oysterbench run unet unet_instances --split seg-val --out val
+      oysterbench release-model unet --results val
+
+    A release never changes: another card or other weights under its version are refused.
+    """
+    from oysterbench.core.places import released_models
+    from oysterbench.hub.publish_model import write_released
+
+    path, model = release_card(name, **card)
+    message(f"{model.name} {model.version}: {model.file.size / 1e6:.1f} MB, {len(model.figures)} figures")
+    echo(write_released(model, path, out or released_models()))
+
+
+COMMANDS = (release, release_model)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from importlib import resources
 from pathlib import Path
 
 MODELS = "OYSTERBENCH_MODELS"
@@ -31,6 +32,11 @@ def home_problem() -> str:
 def models() -> Path:
     """Folder of locally trained weights: `OYSTERBENCH_MODELS`, or `models` in the home folder."""
     return Path(os.environ.get(MODELS) or home() / "models").absolute()
+
+
+def released_models() -> Path:
+    """Folder of the trained weights that are part of oysterbench."""
+    return Path(str(resources.files("oysterbench_datasets"))) / "models"
 
 
 def leads_out(name: str) -> bool:

@@ -1,4 +1,4 @@
-"""Publishing trained weights, their card and its page into a static tree."""
+"""Publishing trained weights: with their card and its page into a static tree, or as part of oysterbench."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import HubError
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.card import card_page
@@ -15,6 +16,7 @@ from oysterbench.hub.index import ModelRelease
 from oysterbench.hub.model import Figure, Model, Training, WeightsFile
 from oysterbench.hub.pieces import PIECE, hashed
 from oysterbench.hub.publish import Announce, put, put_blob, put_index, writing
+from oysterbench.hub.verify import kept_card
 from oysterbench.version import VERSION
 
 
@@ -94,3 +96,23 @@ def publish_model(
             index = index.with_model(release)
         put_index(tree, index, keys)
     return model
+
+
+def write_released(model: Model, weights: Path, folder: Path) -> Path:
+    """Write trained weights and their card among those that are part of oysterbench, in place of an earlier version.
+
+    Raises HubError where this version was released with another card or other weights, or the file changed meanwhile.
+    """
+    path = folder / f"{model.name}.pt"
+    known = kept_card(path)
+    if known is not None and known.version == model.version and known.sha256 != model.sha256:
+        raise HubError(
+            f"{path}: {model.name} {model.version} was released with other weights or another card, and a release "
+            "never changes; it was left unchanged: give another --version, or delete it if it has not been distributed"
+        )
+    data = weights.read_bytes()
+    if sha256(data) != model.file.sha256:
+        raise HubError(f"{weights}: changed while it was read; the release was left unchanged")
+    write_atomically(path, data)
+    write_atomically(path.with_suffix(".json"), model.data)
+    return path

@@ -5,6 +5,8 @@
 <models>/NAME.json    the card of those that were fetched (`model`)
 ```
 
+Those that are part of oysterbench lie in the same way in `datasets/models`, and are used where there are no others.
+
 A card is trusted only for a file whose hash it names.
 """
 
@@ -17,6 +19,7 @@ from pathlib import Path
 
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import HubError
+from oysterbench.core.places import released_models
 from oysterbench.hub.download import Hub, Progress, check_space, fetch_file, locked_if_possible, part_path
 from oysterbench.hub.model import Model
 from oysterbench.hub.pieces import Pieced
@@ -33,10 +36,15 @@ class Here:
     model: Model | None
 
     @property
+    def released(self) -> bool:
+        """Whether it is part of oysterbench."""
+        return self.path.parent == released_models()
+
+    @property
     def brief(self) -> str:
         """Version from a hub, or else where the file is from."""
         if self.model is not None:
-            return self.model.version
+            return f"{self.model.version}, part of oysterbench" if self.released else self.model.version
         return "trained here" if self.card is None else f"not {self.card.version}"
 
     @property
@@ -44,7 +52,7 @@ class Here:
         """Description of the file in words."""
         state, what = self.path.stat(), "weights trained here"
         if self.model is not None:
-            what = f"{self.model.name} {self.model.version} of a hub"
+            what = f"{self.model.name} {self.model.version}{' of a hub' if not self.released else ''}"
         elif self.card is not None:
             what = f"weights that are not {self.card.name} {self.card.version}, whose card is beside them"
         day = datetime.fromtimestamp(state.st_mtime).date().isoformat()

@@ -4,7 +4,7 @@ A method that uses weights declares them in an attribute `weights`, name -> file
 
     @property
     def weights(self):
-        return {"my_net": Path(self.checkpoint) if self.checkpoint else weights_path("my_net")}
+        return {"my_net": Path(self.checkpoint) if self.checkpoint else usable_path("my_net")}
 
 The entry-point group `oysterbench.weights` provides what is known about weights, by their name.
 """
@@ -20,7 +20,7 @@ from typing import Any
 
 from oysterbench.core.errors import HubError, MethodError
 from oysterbench.core.names import instead
-from oysterbench.core.places import models
+from oysterbench.core.places import models, released_models
 from oysterbench.hub.manifest import LICENCE
 from oysterbench.hub.model import Training
 from oysterbench.methods.code import file_digest
@@ -60,6 +60,13 @@ class Weights:
 def weights_path(name: str) -> Path:
     """Path where `oysterbench train NAME` and `oysterbench download NAME` save weights."""
     return models() / f"{name}.pt"
+
+
+def usable_path(name: str) -> Path:
+    """Path of the weights that methods use by default: those trained or downloaded here or else, if there are any,
+    those that are part of oysterbench."""
+    own, released = weights_path(name), released_models() / f"{name}.pt"
+    return released if released.is_file() and not own.is_file() else own
 
 
 def weights_names() -> list[str]:

@@ -270,3 +270,70 @@ def test_a_name_that_is_neither_split_nor_model_gets_the_nearest_ones(home, monk
     said = " ".join(CliRunner().invoke(main, ["download", "unett"]).stderr.split())
     assert "did you mean unet" in said
     assert "`oysterbench models` list what there is" in said
+
+
+@pytest.fixture
+def part(place, tmp_path, monkeypatch):
+    """The weights as part of oysterbench, and a user who has none of his own: their file, and his home."""
+    folder = tmp_path / "package" / "models"
+    for module in ("methods.weights", "hub.weights", "notebook.doctor.data"):
+        monkeypatch.setattr(f"oysterbench.{module}.released_models", lambda: folder)
+    words = ("release-model", "unet_small", "--weights", place.weights, "--version", "1.0", "--out", folder)
+    assert place.run(*words).stdout == f"{folder / 'unet_small.pt'}\n"
+    return folder / "unet_small.pt", tmp_path / "home"
+
+
+def test_methods_run_on_weights_that_are_part_of_oysterbench(place, part, tmp_path):
+    path, home = part
+    assert path.read_bytes() == place.weights.read_bytes()
+    words = ("segment", place.folder / "unseen" / "images", "--method", "unet_small_instances")
+    done = place.run(*words, "--out", tmp_path / "out", home=home)
+    assert "no trained weights" not in done.stderr
+    assert (tmp_path / "out" / "index.html").is_file()
+    (row,) = [
+        row
+        for row in json.loads(place.run("models", "--json", home=home).stdout)["models"]
+        if row["model"] == "unet_small"
+    ]
+    assert row["here"].startswith("1.0, part of oysterbench, ")
+    assert row["file"] == str(path)
+    assert place.run("models", "unet_small", home=home).stdout.startswith("unet_small 1.0\n")
+    told = place.run("download", "unet_small", home=home)
+    assert told.stdout == f"{path}\n"
+    assert "unet_small 1.0 (" in told.stderr
+    assert "part of oysterbench" in told.stderr
+    assert not (home / "models").exists()
+
+
+def test_weights_trained_or_downloaded_here_go_before_those_of_oysterbench(place, published, part, tmp_path):
+    _, home = part
+    hub = ("--from", place.tree, "--key", place.public)
+    own = home / "models" / "unet_small.pt"
+    assert place.run("download", "unet_small@0.9", *hub, home=home).stdout == f"{own}\n"
+    row = next(
+        row
+        for row in json.loads(place.run("models", "--json", home=home).stdout)["models"]
+        if row["model"] == "unet_small"
+    )
+    assert (row["file"], row["here"].split(",")[0]) == (str(own), "0.9")
+    absent = place.run("download", "unet_small@7", home=home, code=1)
+    assert "no hub is set" in absent.stderr
+
+
+def test_a_release_of_weights_never_changes_and_keeps_its_card(place, part, tmp_path):
+    path, home = part
+    card = path.with_suffix(".json").read_bytes()
+    words = ("release-model", "unet_small", "--weights", place.weights, "--out", path.parent)
+    failed = place.run(*words, "--summary", "Others", code=1)
+    assert "a release never changes" in failed.stderr
+    assert path.with_suffix(".json").read_bytes() == card
+    place.run(*words)  # the same again
+    tree = tmp_path / "tree"
+    place.run("keygen", tmp_path / "key.pem")
+    words = ("publish-model", "unet_small", tree, "--key", tmp_path / "key.pem")
+    place.run(*words, home=home)
+    assert [one.read_bytes() for one in (tree / "models").iterdir()] == [card]
+    place.run(*words, "--version", "1.1", home=home)
+    assert len(list((tree / "models").iterdir())) == 2
+    place.run("release-model", "unet_small", "--weights", place.weights, "--out", path.parent, "--version", "1.1")
+    assert json.loads(path.with_suffix(".json").read_text())["version"] == "1.1"

@@ -71,13 +71,12 @@ def test_a_script_types_commands_and_options_that_there_are(path):
             group.make_context(group.name, words, parent=context)
 
 
-def run(path: Path, folder: Path, home: Path, **variables: str) -> str:
+def run(path: Path, folder: Path, home: Path) -> str:
     """Run a script in a folder, with the extras alone that it asks for: what it prints."""
-    environment = prepared(path, folder, home) | variables
     done = subprocess.run(
         ["bash", "-euo", "pipefail", str(path)],
         cwd=folder,
-        env=environment,
+        env=prepared(path, folder, home),
         capture_output=True,
         text=True,
         timeout=LIMIT_S,
@@ -133,13 +132,12 @@ def test_a_network_is_trained_on_one_reef_and_scored_on_another(minis, tmp_path)
 
 
 @pytest.mark.slow
-def test_oysters_of_a_video_are_counted_with_weights_of_a_hub(tmp_path, monkeypatch):
-    torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
-    weights, key = _hub_with_weights(torch, tmp_path, monkeypatch)
+def test_oysters_of_a_video_are_counted_with_the_weights_of_oysterbench(tmp_path):
+    pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
     folder, video = tmp_path / "empty", tmp_path / "dive.mp4"
     _write_video(video)
     source = _with(script("counting"), [f"cp {shlex.quote(str(video))} ."], tmp_path)
-    run(source, folder, tmp_path / "home", HUB=str(weights), KEY=key)
+    run(source, folder, tmp_path / "home")
     assert (folder / "counted" / "index.html").is_file()
     assert len((folder / "counted" / "pictures.csv").read_text().splitlines()) > 1
 
@@ -199,31 +197,3 @@ def _write_video(path: Path) -> None:
         cv2.circle(frame, (40 + 3 * k, 60), 12, (200, 210, 190), -1)
         film.write(frame)
     film.release()
-
-
-def _hub_with_weights(torch, folder: Path, monkeypatch) -> tuple[Path, str]:
-    """A hub with weights of a unet that has learnt for a few steps, and its public key."""
-    import dataclasses
-
-    from click.testing import CliRunner
-
-    from oysterbench_baselines.learning.efficientnet import EfficientNetLite
-    from oysterbench_baselines.unet import network
-    from oysterbench_baselines.unet.network import UNetworkSettings
-    from oysterbench_baselines.unet.training import train
-    from tests.helpers.small_trainings import SMALL, small_set
-
-    monkeypatch.setattr(network, "pretrained", EfficientNetLite)
-    settings = dataclasses.replace(
-        SMALL,
-        network=UNetworkSettings(groups=8, encoder="lite0", side=64),
-        augmentation=dataclasses.replace(SMALL.augmentation, crop=64),
-        fit=dataclasses.replace(SMALL.fit, steps=4),
-    )
-    train(small_set(folder / "shells", {"one": ("train", 6)}), folder / "unet.pt", settings, 0, torch.device("cpu"))
-    key, tree = folder / "key.pem", folder / "hub"
-    public = CliRunner().invoke(main, ["keygen", str(key)]).stdout.strip()
-    words = ["publish-model", "unet", str(tree), "--key", str(key), "--weights", str(folder / "unet.pt")]
-    done = CliRunner().invoke(main, words)
-    assert done.exit_code == 0, done.stderr
-    return tree, public

@@ -10,7 +10,7 @@ from pathlib import Path
 from oysterbench.core.disk_space import free_bytes
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.core.names import counted, did_you_mean, nearest
-from oysterbench.core.places import MODELS, home, home_problem, models
+from oysterbench.core.places import MODELS, home, home_problem, models, released_models
 from oysterbench.notebook.doctor.finding import Finding, broken_by, in_bytes
 
 HOME, HUB, HUB_KEY, EXPORTS = "OYSTERBENCH_HOME", "OYSTERBENCH_HUB", "OYSTERBENCH_HUB_KEY", "OYSTERBENCH_EXPORTS_GB"
@@ -94,7 +94,7 @@ def _split(name: str, known: bool) -> Iterator[Finding]:
 def _weights() -> Iterator[Finding]:
     from oysterbench.hub.settings import hub_places
     from oysterbench.hub.verify import kept_card
-    from oysterbench.methods.weights import find_weights, weights_names
+    from oysterbench.methods.weights import find_weights, usable_path, weights_names
 
     folder = models()
     if os.environ.get(MODELS) and folder.exists() and not folder.is_dir():
@@ -103,7 +103,7 @@ def _weights() -> Iterator[Finding]:
     for name in weights_names():
         variable = f"OYSTERBENCH_{name.upper()}"
         named = os.environ.get(variable)
-        path = Path(named) if named else folder / f"{name}.pt"
+        path = Path(named) if named else usable_path(name)
         if not path.is_file():
             if named:
                 yield Finding(
@@ -120,7 +120,8 @@ def _weights() -> Iterator[Finding]:
             detail = f"{path.with_suffix('.json')}: not a card that can be read"
             yield Finding("data", f"weights {name}", "broken", detail, f"oysterbench download {name} --again")
             continue
-        origin = named or (f"version {card.version} of a hub" if card else "trained here")
+        of = "part of oysterbench" if path.parent == released_models() else "of a hub"
+        origin = named or (f"version {card.version}, {of}" if card else "trained here")
         yield Finding("data", f"weights {name}", "ok", f"{in_bytes(path.stat().st_size)}, {origin}")
 
 
