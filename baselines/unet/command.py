@@ -27,8 +27,8 @@ begin_option = click.option(
     "--begin",
     metavar="MODEL|FILE",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Initial weights: the file of another training of the method, or its name, such as unet, for those that it runs "
-    "on.",
+    help="Initial weights: a file of another training of the method, or its name, such as unet, for those that it "
+    "runs on.",
 )
 
 

@@ -267,8 +267,7 @@ def test_a_checkpoint_says_all_that_is_needed_to_repeat_it(labelled, tmp_path):
     assert known.identity["settings"]["fit"]["threads"] == 1
     assert known.network == {"kind": "unet", **dataclasses.asdict(SMALL.network)}
     assert set(known.versions) == {"oysterbench", "torch", "numpy", "python"}
-    assert known.optimiser["state"]
-    assert known.random["cpu"].dtype == torch.uint8
+    assert (known.optimiser, known.random) == ({}, {}), "which only a training that is resumed needs"
     assert len(known.losses) == known.step == 12
 
 

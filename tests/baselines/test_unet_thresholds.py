@@ -48,6 +48,20 @@ def test_a_training_on_few_images_keeps_the_thresholds_of_the_weights_that_it_be
     assert said in " ".join(done.stderr.split())
 
 
+def test_a_training_begins_with_the_weights_of_a_name(tmp_path, begun, monkeypatch):
+    monkeypatch.setenv("OYSTERBENCH_UNET_SMALL", str(begun))
+    small_set(tmp_path / "few", {"one": ("", 2)})
+    words = ["train", "unet_small", "--data", str(tmp_path / "few"), "--steps", "1", "--device", "cpu", "--begin"]
+    out = ["--out", str(tmp_path / "mine.pt")]
+    done = CliRunner().invoke(main, [*words, "unet_small", *out])
+    assert done.exit_code == 0, done.stderr
+    first = read_checkpoint(begun).identity
+    assert read_checkpoint(tmp_path / "mine.pt").identity["begun"] == {**first, "steps": ONE.fit.steps}
+    failed = CliRunner().invoke(main, [*words, "unet_larger", *out])
+    assert failed.exit_code != 0
+    assert "unet_larger: no such checkpoint" in failed.stderr
+
+
 def test_where_enough_images_are_held_out_thresholds_are_measured_anew_and_on_how_many_is_said(tmp_path, begun):
     checkpoint = train(
         small_set(tmp_path / "more", {"one": ("", 50)}), tmp_path / "a.pt", ONE, 0, CPU, begun=read_checkpoint(begun)
