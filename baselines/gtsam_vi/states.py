@@ -53,8 +53,8 @@ class Keyframe:
     earlier one.
 
     lost: whether the estimator was lost on the way to it. astray: whether that is where it got lost, so that the state
-    before it is doubtful. blind: whether it saw next to
-    nothing, and nothing else measured its velocity.
+    before it is doubtful. measured: whether another sensor measured its velocity. blind: whether it saw next to nothing,
+    and no other sensor measured its velocity.
     """
 
     index: int
@@ -66,12 +66,13 @@ class Keyframe:
     aiding: list[gtsam.NonlinearFactor] = field(default_factory=list)
     lost: bool = False
     astray: bool = False
+    measured: bool = False
     blind: bool = False
 
     def distrust_sight(self) -> None:
         """Drop its observations, which fit nothing seen later, and the rest that they seemed to show: it is then as
         blind as one that saw nothing."""
-        self.observations, self.blind, self.stationary = NOTHING, True, False
+        self.observations, self.blind, self.stationary = NOTHING, not self.measured, False
 
     @cached_property
     def rates(self) -> Rates | None:

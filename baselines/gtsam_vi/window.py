@@ -123,7 +123,7 @@ class Window:
         ids, rays, cameras = keyframe.observations.rows()
         known = [n for n, i in enumerate(ids) if int(i) in self._landmarks]
         measured = self.model.aiding.measures_velocity(keyframe.stamp_ns)
-        keyframe.blind = not measured
+        keyframe.measured, keyframe.blind = measured, not measured
         if not known:
             self.lost_share = 0.0
             return

@@ -195,10 +195,18 @@ def test_a_blind_stretch_after_which_nothing_fits_is_bridged_from_both_sides():
 def test_what_is_distrusted_shows_no_rest(estimator):
     keyframe = replace(estimator.keyframes[5], stationary=True)
     keyframe.distrust_sight()
-    assert not keyframe.stationary
+    assert (keyframe.stationary, keyframe.blind) == (False, True)
     blind = [*estimator.keyframes[:5], replace(estimator.keyframes[5], stationary=True, blind=True)]
     seeing = [*estimator.keyframes[:5], replace(estimator.keyframes[5], stationary=True)]
     states = [one.estimate for one in seeing]
     counts = [len(motion_factors(estimator.model, path, states, range(6))) for path in (blind, seeing)]
     rests = [estimator.model.drag(seeing[5])]  # what a blind keyframe has in its place
     assert counts[0] == counts[1] - 1 + len(rests)
+
+
+def test_what_is_distrusted_is_not_blind_where_another_sensor_measured_its_velocity(estimator):
+    """Or the drag of a vehicle of which nothing is known would pull at the velocity that a DVL gave."""
+    keyframe = replace(estimator.keyframes[5], measured=True)
+    keyframe.distrust_sight()
+    assert not keyframe.blind
+    assert not len(keyframe.observations.ids)
