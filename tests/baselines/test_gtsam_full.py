@@ -101,6 +101,7 @@ def test_a_minute_without_pictures_is_bridged_and_pictures_are_taken_up_again():
     estimator = estimate(sequence, tracks(sequence, 1, (15.0, 75.0)))
     trajectory = estimator.online()
     assert "restarts" not in estimator.info
+    assert all(k.measured and not k.blind for k in estimator.keyframes[20:]), "by the DVL, in the dark too"
     assert len(trajectory) == 900
     error = np.linalg.norm(errors(sequence, trajectory)[:, :3], axis=1)
     path = sequence.truth().path_length
