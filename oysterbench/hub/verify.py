@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -33,21 +34,23 @@ FOLDERS = ("blobs", "cards", "croissant", "manifests", "models", "pictures")
 
 RIGHT, REPACKED, SMALLER = "right", "same content, other bytes", "right, with some of the topics"
 ALIKE, OTHER = "alike", "other content"
-DAMAGED, ABSENT, UNKNOWN = "damaged", "absent", "no manifest"
+DAMAGED, ABSENT, UNKNOWN, FOREIGN = "damaged", "absent", "no manifest", "no sequence of oysterbench"
 
 
 @dataclass(frozen=True)
 class Check:
-    """Outcome of checking a file: `state` is one of the words above, `detail` says more."""
+    """Outcome of checking a file: `state` is one of the words above, `detail` says more. named: whether it was to be
+    checked by itself, not as one of a folder"""
 
     path: Path
     state: str
     detail: str = ""
+    named: bool = True
 
     @property
     def good(self) -> bool:
-        """Whether the data can be used."""
-        return self.state in (RIGHT, REPACKED, SMALLER, ALIKE, UNKNOWN)
+        """Whether the data can be used, or is none that was asked for."""
+        return self.state in (RIGHT, REPACKED, SMALLER, ALIKE, UNKNOWN) or (self.state == FOREIGN and not self.named)
 
 
 def check_file(path: Path, entry: FileEntry, smaller: bool = False) -> Check:
@@ -72,9 +75,10 @@ def check_file(path: Path, entry: FileEntry, smaller: bool = False) -> Check:
 
     try:
         content = content_of(path)
-    except SequenceError:
-        content = None
-    if content is not None:
+    except SequenceError as error:
+        if smaller:  # pieces and size are those of the complete one
+            return Check(path, DAMAGED, str(error))
+    else:
         return _check_content(path, content, entry, smaller)
     if size != entry.size:
         return Check(path, DAMAGED, f"expected {entry.size} bytes, got {size}")
@@ -124,9 +128,7 @@ def check_released(path: Path, manifest: Manifest) -> Check:
 
     Raises SequenceError where the file is so damaged that it does not say which sequence it is.
     """
-    from oysterbench.sequence.read import McapSequence
-
-    known = McapSequence(path).metadata
+    known = _metadata(path)
     entry = manifest.find(f"{known.get('sequence')}.mcap")
     if entry is None:
         return check_unknown(path)
@@ -141,6 +143,26 @@ def check_released(path: Path, manifest: Manifest) -> Check:
         other = [f"{what} {then} (here {here.get(what, 'none')})" for what, then in there if here.get(what) != then]
         cause = f"released with {', '.join(other)}" if other else ""
     return replace(check, detail="; ".join(filter(None, (check.detail, cause))))
+
+
+def _metadata(path: Path) -> dict[str, str]:
+    """What a file says about itself; empty for that of another program. Raises SequenceError where it is damaged."""
+    from oysterbench.sequence.file import Reading, read_metadata
+    from oysterbench.sequence.read import METADATA
+
+    with Reading(path) as (file, summary):
+        return read_metadata(file, summary).get(METADATA, {})
+
+
+def claims(path: Path, split: str, version: str, digest: str | None) -> bool:
+    """Whether a file, which may be damaged behind its beginning, says there that it is the sequence of its name, of
+    this split, version and digest of the recipe (None: a hidden one). Any other may be somebody's own."""
+    from oysterbench.sequence.file import first_metadata
+    from oysterbench.sequence.read import METADATA
+
+    known = first_metadata(path, METADATA)
+    found = [known.get(key) for key in ("sequence", "split", "split_version", "digest")]
+    return found == [path.stem, split, version, digest]
 
 
 def check_unknown(path: Path) -> Check:
@@ -223,7 +245,7 @@ def checks(name: str = "") -> Iterator[Check]:
     if Path(name).is_dir() and name and not (NAME.fullmatch(name) and (home() / "splits" / name).is_dir()):
         found = False
         for check in _check_folder(Path(name)):
-            found = True
+            found = found or check.state != FOREIGN
             yield check
         if not found:
             raise IntegrityError(
@@ -265,13 +287,15 @@ def check_tree(tree: Path) -> Iterator[Check]:
         named |= {path, tree / "croissant" / f"{release.croissant}.json"}
         named |= {tree / "pictures" / f"{digest}.jpg" for digest in release.pictures}
         if path.is_file():
-            manifest = read_manifest(path.read_bytes(), str(path))
-            named |= {tree / "blobs" / entry.sha256 for entry in manifest.files}
+            with contextlib.suppress(IntegrityError):  # its hash is wrong then, as is said below
+                manifest = read_manifest(path.read_bytes(), str(path))
+                named |= {tree / "blobs" / entry.sha256 for entry in manifest.files}
     for model in index.models:
         path = tree / "models" / f"{model.card}.json"
         named |= {path, tree / "cards" / f"{model.page}.html"}
         if path.is_file():
-            named.add(tree / "blobs" / read_model(path.read_bytes(), str(path)).file.sha256)
+            with contextlib.suppress(IntegrityError):
+                named.add(tree / "blobs" / read_model(path.read_bytes(), str(path)).file.sha256)
     found = {path for folder in FOLDERS for path in (tree / folder).glob("*")}
     for path in sorted(named | found):
         if not path.is_file():
@@ -288,18 +312,24 @@ def _check_folder(folder: Path) -> Iterator[Check]:
     if manifest is not None:
         yield from (_check_beside(folder / entry.name, entry, manifest) for entry in manifest.files)
         others = [path for path in folder.glob("*.mcap") if manifest.find(path.name) is None]
-        yield from map(check_alone, sorted([*others, *folder.glob(SMALLER_FILES)]))
+        yield from map(_check_found, sorted([*others, *folder.glob(SMALLER_FILES)]))
         return
     if (folder / MANIFEST).is_file():
         again = "downloading the split again writes it anew"
         yield Check(folder / MANIFEST, DAMAGED, f"not a manifest, or not the released one; {again}")
-    for path in sorted([*folder.glob("*.mcap"), *folder.glob(SMALLER_FILES)]):
-        yield check_alone(path)
+    yield from map(_check_found, sorted([*folder.glob("*.mcap"), *folder.glob(SMALLER_FILES)]))
 
 
-def _check_beside(path: Path, entry: FileEntry, manifest: Manifest) -> Check:
-    """Check a file against its entry in the manifest next to it, and say so where no key vouches for that manifest."""
-    check = check_file(path, entry)
+def _check_found(path: Path) -> Check:
+    return replace(check_alone(path), named=False)
+
+
+def _check_beside(path: Path, entry: FileEntry, manifest: Manifest, smaller: bool = False) -> Check:
+    """Check a file against its entry in the manifest next to it, and say so where no key vouches for that manifest.
+
+    smaller: as of `check_file`
+    """
+    check = check_file(path, entry, smaller)
     if not check.good or is_trusted(manifest):
         return check
     by = "by the manifest beside it, which was not checked against a key"
@@ -307,17 +337,20 @@ def _check_beside(path: Path, entry: FileEntry, manifest: Manifest) -> Check:
 
 
 def check_alone(path: Path) -> Check:
-    """Check one file against the manifest next to it, or that of the release to which it says it belongs."""
-    from oysterbench.sequence.read import McapSequence
-
+    """Check one file against the manifest next to it, for a smaller one also that of the folder around its own, or that
+    of the release to which it says it belongs."""
     if not path.is_file():
         return Check(path, ABSENT)
-    manifest = kept_manifest(path.parent)
-    entry = manifest.find(path.name) if manifest else None
-    if manifest is not None and entry is not None:
-        return _check_beside(path, entry, manifest)
+    own, *others = path.absolute().parents
+    for folder in (own, *(others[:1] if path.absolute().match(SMALLER_FILES) else ())):
+        manifest = kept_manifest(folder)
+        entry = manifest.find(path.name) if manifest else None
+        if manifest is not None and entry is not None:
+            return _check_beside(path, entry, manifest, smaller=folder != own)
     try:
-        known = McapSequence(path).metadata
+        known = _metadata(path)
+        if not known:
+            return Check(path, FOREIGN, "an MCAP file of another program")
         manifest = released_manifest(known.get("split", ""), known.get("split_version", ""))
         return check_released(path, manifest) if manifest else check_unknown(path)
     except SequenceError as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import struct
 import zlib
@@ -11,6 +13,8 @@ from typing import IO
 
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.records import Metadata
+from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 from zstandard import ZstdError
 
@@ -34,6 +38,9 @@ DAMAGE = (
 """Exceptions that the underlying libraries raise on damaged bytes."""
 
 CHECKSUM = "crc32"
+
+START = 1 << 12
+"""Bytes at the beginning of a file that `SequenceWriter` wrote, with its first metadata."""
 
 
 class Reading:
@@ -88,13 +95,28 @@ def read_metadata(file: IO[bytes], summary: Summary) -> dict[str, dict[str, str]
     """Read the metadata records that `SequenceWriter` wrote, by name. Raises ValueError where a checksum is wrong."""
     found = {}
     for record in iter_metadata(file, summary):
-        if CHECKSUM not in record.metadata:
-            continue  # from another program
-        values = {key: value for key, value in record.metadata.items() if key != CHECKSUM}
-        if record.metadata[CHECKSUM] != checksum(values):
-            raise ValueError(f"the CRC of the metadata {record.name!r} is wrong")
-        found[record.name] = values
+        if CHECKSUM in record.metadata:  # or it is from another program
+            found[record.name] = _checked(record)
     return found
+
+
+def first_metadata(path: Path, name: str) -> dict[str, str]:
+    """Values of the metadata record of that name at the beginning of a file, also of one that is damaged or ends behind
+    it; empty where there is none, or it is damaged itself."""
+    with open(path, "rb") as file:
+        start = io.BytesIO(file.read(START))
+    with contextlib.suppress(*DAMAGE):
+        for record in StreamReader(start, emit_chunks=True).records:
+            if isinstance(record, Metadata) and record.name == name:
+                return _checked(record)
+    return {}
+
+
+def _checked(record: Metadata) -> dict[str, str]:
+    values = {key: value for key, value in record.metadata.items() if key != CHECKSUM}
+    if record.metadata[CHECKSUM] != checksum(values):
+        raise ValueError(f"the CRC of the metadata {record.name!r} is wrong")
+    return values
 
 
 def read_attachment(file: IO[bytes], offset: int) -> tuple[str, bytes]:

@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from mcap.writer import Writer
+
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.download import Hub
 from oysterbench.hub.index import Index, Release
@@ -50,6 +52,17 @@ def write_sequence(path: Path, name: str, seconds: float = 1.0, digest: str = DI
                 if message.topic == topic:
                     writer.write(message)
             writer.section()
+        writer.finish()
+    return path
+
+
+def write_bag(path: Path) -> Path:
+    """A sound MCAP file of another program."""
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "rosbag2")
+        channel = writer.register_channel("/notes", "json", writer.register_schema("note", "jsonschema", b"{}"))
+        writer.add_message(channel, 1, b"{}", 1)
         writer.finish()
     return path
 

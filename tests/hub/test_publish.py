@@ -30,6 +30,7 @@ from tests.helpers.trees import (
     tree_bytes,
     write_split,
 )
+from tests.helpers.weights_made import release, write_weights
 
 
 def test_the_tree_is_addressed_by_content(tmp_path, files, key_and_public):
@@ -144,6 +145,18 @@ def test_an_interrupted_publish_leaves_what_was_there(tmp_path, files, key_and_p
     publish_split(undisturbed, {"dive-02": files["dive-02"]}, key, version="0.9")
     publish_split(undisturbed, files, key)
     assert tree_bytes(tmp_path) == tree_bytes(undisturbed)
+
+
+@pytest.mark.parametrize("what", ["manifests", "models"])
+def test_a_damaged_manifest_or_card_is_reported_and_all_else_is_checked(tmp_path, files, key, what):
+    manifest = publish_split(tmp_path, files, key)
+    release(tmp_path, write_weights(tmp_path / "of" / "unet.pt"), key)
+    (path,) = (tmp_path / what).iterdir()
+    path.write_bytes(path.read_bytes()[:-5])
+    found = {one.path: one.state for one in checks(str(tmp_path))}
+    assert [one for one, state in found.items() if state != RIGHT] == [path]
+    assert found[path] == DAMAGED
+    assert {tmp_path / "blobs" / entry.sha256 for entry in manifest.files} <= {*found}
 
 
 def test_what_a_killed_publisher_left_is_taken_away(tmp_path, files, key):

@@ -10,11 +10,24 @@ from oysterbench.hub.download import plan
 from oysterbench.hub.manifest import describe_file
 from oysterbench.hub.pixels import NUMBERS, share_within
 from oysterbench.hub.release import keep_read, put_together
-from oysterbench.hub.verify import ALIKE, DAMAGED, OTHER, REPACKED, RIGHT, SMALLER, check_file, check_released, checks
+from oysterbench.hub.verify import (
+    ALIKE,
+    DAMAGED,
+    FOREIGN,
+    OTHER,
+    REPACKED,
+    RIGHT,
+    SMALLER,
+    UNKNOWN,
+    check_file,
+    check_released,
+    checks,
+    claims,
+)
 from oysterbench.sensors import camera_messages
 from oysterbench.sequence.cut import cut_to
-from tests.helpers import hand_made_dive
-from tests.helpers.trees import DIGEST, FACTS, write_sequence
+from tests.helpers import hand_made_dive, trees
+from tests.helpers.trees import DIGEST, FACTS, write_bag, write_sequence
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +176,60 @@ def test_files_beside_those_of_the_manifest_are_checked_too(file, tmp_path):
         ("dive-01.mcap", RIGHT),
         ("before.mcap", DAMAGED),
     ]
+
+
+def test_smaller_files_are_held_against_the_manifest_of_the_folder_around_theirs(file, tmp_path):
+    keep_read(tmp_path / "kept", "dive-01", file, ())
+    manifest = put_together(tmp_path / "kept", FACTS, ["dive-01"], DIGEST)
+    (tmp_path / "manifest.json").write_bytes(manifest.data)
+    some = tmp_path / "topics-1" / "dive-01.mcap"
+    (tmp_path / "dive-01.mcap").write_bytes(file.read_bytes())
+    cut_to(some, file, ["/imu"])
+    assert [one.state for one in checks(str(tmp_path))] == [RIGHT, SMALLER]
+    cut_to(some, write_sequence(tmp_path / "other" / "dive-01.mcap", "dive-01", 0.5), ["/imu"])
+    assert [one.state for one in checks(str(tmp_path))] == [RIGHT, OTHER]
+    assert [one.state for one in checks(str(some))] == [OTHER]
+    some.write_bytes(some.read_bytes()[:-9])
+    (check,) = checks(str(some))
+    assert check.state == DAMAGED
+    assert "truncated or damaged" in check.detail
+
+
+def test_files_of_other_programs_are_said_to_be_that_and_bad_only_where_they_are_named(file, tmp_path):
+    (tmp_path / "dive-01.mcap").write_bytes(file.read_bytes())
+    bag = write_bag(tmp_path / "bag.mcap")
+    assert [(one.path.name, one.state, one.good) for one in checks(str(tmp_path))] == [
+        ("bag.mcap", FOREIGN, True),
+        ("dive-01.mcap", UNKNOWN, True),
+    ]
+    assert [(one.state, one.good) for one in checks(str(bag))] == [(FOREIGN, False)]
+    (tmp_path / "dive-01.mcap").unlink()
+    with pytest.raises(IntegrityError, match=r"expected sequence files \(\.mcap\)"):
+        list(checks(str(tmp_path)))
+
+
+def test_a_sound_file_that_this_version_cannot_open_is_not_damaged(tmp_path, monkeypatch):
+    """Such as one whose calibration is of a later version."""
+    known = trees.calibration()
+    for camera in known["cameras"].values():
+        camera["distortion_model"] = "double_sphere"
+    monkeypatch.setattr(trees, "calibration", lambda: known)
+    path = write_sequence(tmp_path / "dive-01.mcap", "dive-01")
+    assert [one.state for one in checks(str(path))] == [UNKNOWN]
+
+
+def test_a_file_tells_which_sequence_it_is_as_long_as_its_beginning_is_right(file, tmp_path):
+    said, data = ("fake-val", "1.0", DIGEST), file.read_bytes()
+    path = tmp_path / "dive-01.mcap"
+    for whole in (data, data[:-100], data[:5000], data[:5000] + bytes(900)):
+        path.write_bytes(whole)
+        assert claims(path, *said)
+        assert not claims(path, "fake-val", "1.1", DIGEST)
+        assert not claims(path, "fake-val", "1.0", None)
+        assert not claims(path.rename(tmp_path / "dive-02.mcap"), *said)
+    for other in (b"", b"my notes", data[:100], bytes(5000) + data[5000:], data.replace(b"fake-val", b"fake-vam", 1)):
+        path.write_bytes(other)
+        assert not claims(path, *said)
 
 
 def test_pixels_that_cannot_be_compared_are_like_none():
