@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -201,7 +202,7 @@ def _render_instead(
     check: bool,
     as_json: bool,
 ) -> None:
-    """Without a hub, render the split, which gives the same bytes; with `check`, damaged files first make way."""
+    """Without a hub, render the split, which gives the same bytes; with `check`, damaged files make way."""
     from oysterbench.core.names import did_you_mean, nearest
     from oysterbench.hub.download import choose_names
     from oysterbench.hub.settings import NAME_ONE, NO_HUB
@@ -227,25 +228,48 @@ def _render_instead(
         message(f"{NO_HUB}: of {split.name} {split.version} would be rendered: {', '.join(names)}{some}")
         return
     message(f"{NO_HUB}: {split.name} {split.version} is rendered instead, which gives the same bytes")
-    if check:
-        whole = split_folder(split)
-        _delete_damaged(out or (topics_folder(whole, topics) if topics else whole), names)
     group = context.find_root().command
     assert isinstance(group, click.Group)
-    context.invoke(
-        group.commands["render"], split_name=name, names=tuple(names), topics=topics, out=out, as_json=as_json
-    )
+    whole = split_folder(split)
+    folders = {out or (topics_folder(whole, topics) if topics else whole)}
+    folders |= {whole} if topics else set()  # from whose files smaller ones are cut
+    paths = [folder / f"{each}.mcap" for folder in folders for each in names]
+    with _aside(split, paths) if check else nullcontext():
+        context.invoke(
+            group.commands["render"], split_name=name, names=tuple(names), topics=topics, out=out, as_json=as_json
+        )
 
 
-def _delete_damaged(folder: Path, names: Sequence[str]) -> None:
-    """Delete the files of these sequences that are damaged, so that they are rendered again."""
-    from oysterbench.hub.verify import DAMAGED, check_alone
+@contextmanager
+def _aside(split: SplitRecipe, paths: Sequence[Path]) -> Iterator[None]:
+    """Set damaged files of a split aside, under hidden names, while others are made in their place: each is deleted
+    once there is another, and put back otherwise.
 
-    for path in (folder / f"{name}.mcap" for name in names):
-        found = check_alone(path)
-        if found.state == DAMAGED:
-            message(f"{path}: damaged ({found.detail}); it is deleted and rendered again")
-            path.unlink()
+    Raises HubError, and leaves all unchanged, where one does not say that it is this sequence: it may be somebody's own
+    """
+    from oysterbench.hub.verify import DAMAGED, FOREIGN, check_alone, claims
+    from oysterbench.simulation.generate import digest
+
+    made_by = digest(split)
+    damaged = [found for found in map(check_alone, paths) if found.state in (DAMAGED, FOREIGN)]
+    for found in damaged:
+        if not claims(found.path, split.name, split.version, made_by):
+            raise HubError(
+                f"{found.path}: expected {found.path.stem} of {split.name} {split.version}, as its recipe makes it, got "
+                "a file that does not say so; it was left unchanged: delete it or choose another folder with --out"
+            )
+    aside = {path: path.with_name(f".{path.name}.damaged") for path in paths}
+    try:
+        for found in damaged:
+            message(f"{found.path}: damaged ({found.detail}); it is deleted once it has been rendered again")
+            os.replace(found.path, aside[found.path])
+        yield
+    finally:
+        for path, hidden in aside.items():
+            if path.exists():
+                hidden.unlink(missing_ok=True)
+            elif hidden.exists():
+                os.replace(hidden, path)
 
 
 @click.command(short_help="Check local data against its manifest.")

@@ -14,7 +14,7 @@ from oysterbench.recipe import load_split
 from oysterbench.sequence.cut import cut_to
 from oysterbench.simulation.generate import digest
 from tests.helpers.hub_place import Place
-from tests.helpers.trees import FACTS, oysterbench_serve, write_sequence
+from tests.helpers.trees import FACTS, oysterbench_serve, write_bag, write_sequence
 
 
 @pytest.fixture(scope="module")
@@ -180,6 +180,45 @@ def test_without_a_hub_verify_renders_damaged_files_again(place, tmp_path, monke
     assert f"{path}: damaged (" in place.run(*words, home=tmp_path).stderr
     assert rendered == [True, False]
     assert path.read_bytes() == whole
+
+
+@pytest.mark.parametrize("mine", ["notes", "bag", "other recipe"])
+def test_without_a_hub_verify_leaves_files_alone_that_may_be_somebodys_own(place, tmp_path, monkeypatch, mine):
+    path = tmp_path / "tiny-01.mcap"
+    if mine == "bag":
+        write_bag(path)
+    else:
+        place.write(tmp_path, "0" * 64)
+        path.write_bytes(b"my notes" if mine == "notes" else path.read_bytes()[:-100])
+    data = path.read_bytes()
+    monkeypatch.setattr("oysterbench.cli.render.render_files", lambda *given, **more: pytest.fail("rendered"))
+    line = place.run("download", place.recipe, "--verify", "--out", tmp_path, home=tmp_path / "home", code=1).stderr
+    assert f"oysterbench: {path}: expected tiny-01 of tiny 1.0, as its recipe makes it, got" in line
+    assert "it was left unchanged: delete it or choose another folder with --out" in line
+    assert [one.name for one in tmp_path.iterdir() if one.is_file()] == ["tiny-01.mcap"]
+    assert path.read_bytes() == data
+
+
+def test_a_damaged_file_is_gone_only_once_another_is_complete(place, tmp_path, monkeypatch):
+    path, aside = tmp_path / "tiny-01.mcap", tmp_path / ".tiny-01.mcap.damaged"
+    place.write(tmp_path, digest(load_split(str(place.recipe))))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-100])
+
+    def stopped(*given, **more):
+        assert (path.exists(), aside.read_bytes()) == (False, whole[:-100])
+        raise OSError(28, "No space left on device")
+
+    words = ("download", place.recipe, "--verify", "--out", tmp_path)
+    monkeypatch.setattr("oysterbench.cli.render.render_files", stopped)
+    place.run(*words, home=tmp_path / "home", code=1)
+    assert (path.read_bytes(), aside.exists()) == (whole[:-100], False)
+    path.rename(aside)  # as a kill leaves it
+    monkeypatch.setattr(
+        "oysterbench.cli.render.render_files", lambda *given, **more: [path.write_bytes(whole), {"tiny-01": path}][1]
+    )
+    place.run(*words, home=tmp_path / "home")
+    assert (path.read_bytes(), aside.exists()) == (whole, False)
 
 
 def test_splits_tells_what_is_here_and_what_the_hub_has(place, tmp_path, monkeypatch):
