@@ -27,7 +27,7 @@ from oysterbench.hub.pieces import Pieced
 from oysterbench.hub.sources import Patience, Refusal, Setback, is_offline, open_source
 from oysterbench.hub.transfer import Mirror, Transfer, no_mirror_left, pause_s
 from oysterbench.hub.trusted import remember, remember_folder, was_filled_here
-from oysterbench.hub.verify import DAMAGED, MANIFEST, RIGHT, Check, check_file, kept_manifest
+from oysterbench.hub.verify import DAMAGED, MANIFEST, RIGHT, Check, check_file, claims, kept_manifest
 
 T = TypeVar("T")
 
@@ -212,8 +212,9 @@ def plan(manifest: Manifest, entries: Sequence[FileEntry], folder: Path) -> list
 
     In a folder that was filled here by this manifest, a file of the right name and size is right: it appeared complete.
     Others are read and, elsewhere, each file with a name of the manifest, also those not chosen, since the manifest
-    will stand for them too. A chosen one that is damaged beside this manifest has to be fetched; raises HubError where
-    another is different, and leaves it unchanged.
+    will stand for them too. A chosen one that is damaged has to be fetched where this manifest is beside it, or where
+    it says that it is this sequence (as rendered files do); raises HubError where another is different, and leaves it
+    unchanged.
     """
     kept = kept_manifest(folder)
     same = kept is not None and kept.sha256 == manifest.sha256
@@ -226,7 +227,8 @@ def plan(manifest: Manifest, entries: Sequence[FileEntry], folder: Path) -> list
         found = check_file(path, entry)
         if found.good:
             continue
-        if not (same and entry in entries and found.state == DAMAGED):
+        ours = same or claims(path, manifest.split, manifest.version, manifest.recipe_digest)
+        if not (ours and entry in entries and found.state == DAMAGED):
             raise _in_the_way(found)
         wrong.add(entry.name)
     steps = []

@@ -6,7 +6,7 @@ import pytest
 
 from oysterbench.core.errors import HubError
 from oysterbench.hub.download import Hub, all_here, download
-from tests.helpers.trees import assert_same, hub_at, write_sequence
+from tests.helpers.trees import assert_same, hub_at, write_sequence, write_split
 
 
 @pytest.fixture(autouse=True)
@@ -42,6 +42,21 @@ def test_another_file_in_a_folder_that_was_filled_here_is_left_alone(published, 
         download(hub_at(published, published.tree), published.manifest, filled, verify=verify)
     assert path.read_bytes() == mine
     assert all_here("fake-val", "1.0") == []
+
+
+@pytest.mark.parametrize("size", [-100, 5000])
+def test_a_damaged_file_that_was_rendered_is_repaired_as_it_says_which_one_it_is(published, tmp_path, size):
+    """There is no manifest beside rendered files. A file of another recipe is left alone."""
+    write_split(tmp_path)
+    path = tmp_path / "dive-01.mcap"
+    path.write_bytes(path.read_bytes()[:size])
+    assert_same(download(hub_at(published, published.tree), published.manifest, tmp_path), published)
+    (tmp_path / "manifest.json").unlink()
+    other = write_sequence(path, "dive-01", digest="0" * 64).read_bytes()[:size]
+    path.write_bytes(other)
+    with pytest.raises(HubError, match=r"dive-01\.mcap: a different file has this name .*it was left unchanged"):
+        download(hub_at(published, published.tree), published.manifest, tmp_path, verify=True)
+    assert path.read_bytes() == other
 
 
 def test_a_truncated_file_in_a_folder_that_was_filled_here_is_fetched_again(published, filled):
