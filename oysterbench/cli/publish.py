@@ -96,7 +96,7 @@ def publish(
     folder = data or split_folder(split, salt_for(split.name, split.hidden, salt_file))
     files = sequence_files(split, folder)
     topics = {one.name: wanted_topics(split, one) for one in split.sequence}
-    check_made_by(files, split.name, split.version, digest(split), hidden, topics)
+    check_made_by(files, split.name, split.version, digest(split), hidden, topics, split.texts)
     shared = {"version": split.version, "track": split.track, "summary": split.summary}
     facts = {"split": split.name, "rig": split.rig.name, **shared}
     manifest = publish(tree, facts, files, key, digest(split), url, message, old_keys, truth_out)

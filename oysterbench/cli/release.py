@@ -54,7 +54,7 @@ def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Pat
     wanted = [split.find_sequence(name).name for name in names] or known
     files = sequence_files(split, data or split_folder(split))
     todo = {name: files[name] for name in (wanted if again else not_read(kept, wanted))}
-    check_made_by(todo, split.name, split.version, made_by, hidden=False)
+    check_made_by(todo, split.name, split.version, made_by, hidden=False, texts=split.texts)
     done, total = 0, sum(path.stat().st_size for path in todo.values())
     with bytes_bar(f"reading {split.name}") as progress:
         for name, path in todo.items():
@@ -66,7 +66,7 @@ def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Pat
         message(f"{split.name} {split.version}: {len(missing)} of {len(known)} to be read: {', '.join(missing)}")
         return
     facts = {"split": split.name, "version": split.version, "track": split.track, "summary": split.summary}
-    manifest = put_together(kept, {**facts, "rig": split.rig.name}, known, made_by)
+    manifest = put_together(kept, {**facts, "rig": split.rig.name}, known, made_by, split.texts)
     folder = out or Path(str(resources.files("oysterbench_datasets"))) / "manifests"
     message(f"{split.name} {split.version}: {counted(len(manifest.files), 'file')}, {manifest.size / 1e6:.1f} MB")
     echo(write_release(manifest, folder))

@@ -135,10 +135,14 @@ def check_made_by(
     digest: str,
     hidden: bool,
     topics: Mapping[str, Collection[str]] | None = None,
+    texts: Mapping[str, bytes] | None = None,
 ) -> None:
     """Raise HubError unless the files are of this split and version, made with the recipe's own digest; if hidden, with
     another one, which only a salt gives, as without a salt anybody could render the ground truth, and with the ground
-    truth to commit to. topics: sequence -> all topics of its rig, none of which may be missing: a release never changes
+    truth to commit to.
+
+    topics: sequence -> all topics of its rig, none of which may be missing: a release never changes. texts: of recipe
+    and rig (`SplitRecipe.texts`), which the files, unless hidden, have to keep: with others, nobody's render is the same
     """
     for name, path in files.items():
         if not path.is_file():
@@ -169,6 +173,12 @@ def check_made_by(
                 f"nothing was published: `oysterbench render {split}` makes what the recipe says, and --hidden "
                 "publishes what was rendered with a salt"
             )
+        for text, data in (texts or {}).items():
+            if not hidden and sequence.attachments.get(text) != data:
+                raise HubError(
+                    f"{path}: made from another text of {text} than the recipe has now (a comment counts); nothing was "
+                    "published: put that text back, or delete the file and render it again"
+                )
         if absent := sorted({*(topics or {}).get(name, ())} - {*sequence.types}):
             raise HubError(
                 f"{path}: expected all topics of its rig, got none of {listed(absent)}; nothing was published: render "

@@ -15,7 +15,7 @@ import msgspec
 
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import HubError
-from oysterbench.hub.canonical import canonical, decode
+from oysterbench.hub.canonical import canonical, decode, sha256
 from oysterbench.hub.manifest import FileEntry, Manifest, describe_file
 from oysterbench.version import GENERATION, VERSION
 
@@ -56,11 +56,14 @@ def not_read(kept: Path, names: Sequence[str]) -> list[str]:
     return [name for name in names if not (kept / f"{name}.json").is_file()]
 
 
-def put_together(kept: Path, facts: Mapping[str, str], names: Sequence[str], recipe_digest: str) -> Manifest:
-    """Assemble the manifest of sequences that were read; facts: split, version, track, rig and summary.
+def put_together(
+    kept: Path, facts: Mapping[str, str], names: Sequence[str], recipe_digest: str, texts: Mapping[str, bytes]
+) -> Manifest:
+    """Assemble the manifest of sequences that were read; facts: split, version, track, rig and summary; texts: of the
+    recipe and the rig (`SplitRecipe.texts`).
 
-    Raises HubError where they were made with different versions of what decides the bytes, or from different texts of
-    the recipe or the rig, which every file keeps: nobody's render could match them all.
+    Raises HubError where they were made with different versions of what decides the bytes, or from other texts, which
+    every file keeps, perhaps before a comment was edited: nobody's render could match them all.
     """
     reads = {name: decode((kept / f"{name}.json").read_bytes(), Read, f"{kept}/{name}.json") for name in sorted(names)}
     first, *others = reads.items()
@@ -70,11 +73,12 @@ def put_together(kept: Path, facts: Mapping[str, str], names: Sequence[str], rec
                 f"{name} was made with {what} {there}, and {first[0]} with {here}; nothing was written: render one of "
                 "them again with the other's, and release it with --again"
             )
-        for text in ("split.toml", "rig.toml"):
-            if read.entry.attachments.get(text) != first[1].entry.attachments.get(text):
+    for name, read in reads.items():
+        for text, data in texts.items():
+            if read.entry.attachments.get(text) != sha256(data):
                 raise HubError(
-                    f"{name} was made from another text of {text} than {first[0]} (a comment counts); nothing was "
-                    "written: render both from the same text, and release them with --again"
+                    f"{name} was made from another text of {text} than the recipe has now (a comment counts); nothing "
+                    "was written: put that text back, or render the sequence again and release it with --again"
                 )
     entries = tuple(read.entry for read in reads.values())
     made = {"oysterbench": VERSION, "files": entries, "made_with": first[1].made_with}

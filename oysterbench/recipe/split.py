@@ -76,6 +76,11 @@ class SplitRecipe:
         where = f"split {self.name}: sequence {sequence.name}"
         return draw(sequence, lambda key: float(streams.generator("drawn", key).random()), where)
 
+    @property
+    def texts(self) -> dict[str, bytes]:
+        """Texts of recipe and rig, by the names under which every sequence file keeps them."""
+        return {"split.toml": self.source.encode(), "rig.toml": self.rig_source.encode()}
+
     def digest(self) -> str:
         """SHA-256 of the values of recipe and rig: two recipes with the same digest make the same data. Their texts,
         with comments and summary, are kept in the files, too, and are not part of it."""

@@ -64,8 +64,8 @@ def assemble(
         writer.attachment(CALIBRATION, "application/json", json.dumps(calibration.given, indent=1).encode())
         classes = CLASSES if recipe.life.moves else REEF_CLASSES
         writer.attachment("classes.json", "application/json", json.dumps(classes).encode())
-        writer.attachment("split.toml", "application/toml", split.source.encode())
-        writer.attachment("rig.toml", "application/toml", split.rig_source.encode())
+        for name, text in split.texts.items():
+            writer.attachment(name, "application/toml", text)
         for name, table in read_attachments(parts / Job(recipe.name).part).items():
             writer.attachment(name, "text/csv", table)
         if calibration.true != calibration.given:

@@ -15,7 +15,7 @@ from oysterbench.hub.manifest import read_manifest
 from oysterbench.recipe import load_split, split_names
 from oysterbench.simulation.generate import digest
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
-from tests.helpers.trees import FACTS, write_sequence
+from tests.helpers.trees import FACTS, TEXTS, write_sequence
 
 RELEASED = sorted(Path(str(resources.files("oysterbench_datasets") / "manifests")).glob("*.json"))
 
@@ -28,6 +28,8 @@ def recipe(tmp_path, monkeypatch):
     path = tmp_path / "tiny.toml"
     path.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "rig.toml"'))
     monkeypatch.setitem(FACTS, "split", "tiny")
+    for name, text in load_split(str(path)).texts.items():
+        monkeypatch.setitem(TEXTS, name, text)
     write_sequence(tmp_path / "data" / "tiny-01.mcap", "tiny-01", 0.3, digest(load_split(str(path))))
     monkeypatch.setattr("oysterbench.sequence.truth.rig_topics", lambda rig: {"/imu": "sensor_msgs/msg/Imu"})
     return path
@@ -50,6 +52,21 @@ def test_a_split_is_released_from_its_files_which_may_go_afterwards(recipe, tmp_
     run("release", recipe, *options)
     assert path.read_bytes() == first
     assert "does not exist yet" in run("release", recipe, *options, "--again", code=1).stderr
+
+
+def test_what_was_read_before_the_text_of_the_recipe_was_edited_is_not_released(recipe, tmp_path):
+    """The digest leaves comments out, but files keep them: what everybody renders would be other content."""
+    options = ("--data", tmp_path / "data", "--out", tmp_path / "manifests")
+    text = recipe.read_text()
+    recipe.write_text(f"# a comment\n{text}")
+    line = run("release", recipe, *options, code=1).stderr
+    assert "tiny-01.mcap: made from another text of split.toml than the recipe has now" in line
+    recipe.write_text(text)
+    Path(run("release", recipe, *options).stdout.strip()).unlink()
+    recipe.write_text(f"# a comment\n{text}")
+    line = run("release", recipe, *options, code=1).stderr
+    assert "tiny-01 was made from another text of split.toml than the recipe has now" in line
+    assert not list((tmp_path / "manifests").iterdir())
 
 
 def test_a_hidden_split_is_not_released_so(tmp_path):

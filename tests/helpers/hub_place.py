@@ -11,7 +11,7 @@ from oysterbench.recipe import load_split
 from oysterbench.simulation.generate import digest
 from tests.helpers.hand_made_dive import SENSORS
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
-from tests.helpers.trees import FACTS, write_sequence
+from tests.helpers.trees import FACTS, TEXTS, write_sequence
 
 
 class Place:
@@ -29,12 +29,14 @@ class Place:
 
     def write(self, folder, made_with):
         """The file of the recipe's sequence, by the digest that it is said to be made with."""
-        known = dict(FACTS)
+        known, texts = dict(FACTS), dict(TEXTS)
         FACTS.update(split="tiny", version="1.0")
+        TEXTS.update(load_split(str(self.recipe)).texts)
         try:
             write_sequence(folder / "tiny-01.mcap", "tiny-01", 0.5, made_with)
         finally:
             FACTS.update(known)
+            TEXTS.update(texts)
 
     def run(self, *arguments, code=0, home=None, **environment):
         """Type a command; its exit status is `code`."""

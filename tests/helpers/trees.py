@@ -28,6 +28,7 @@ FACTS = {"split": "fake-val", "version": "1.0", "track": "slam", "rig": "hand", 
 DIGEST = sha256(b"the recipe")
 SECRET = sha256(b"the recipe, with a salt")
 SEED = "seed = 20261120"
+TEXTS = {"split.toml": SEED.encode(), "rig.toml": RIG}
 
 PIECE = 1 << 19
 SIZE = 20 * PIECE + 1234
@@ -44,8 +45,8 @@ def write_sequence(path: Path, name: str, seconds: float = 1.0, digest: str = DI
         writer.metadata(METADATA, {**known, "rig": "hand", "digest": digest, "generation": "4"})
         writer.attachment(CALIBRATION, "application/json", json.dumps(calibration()).encode())
         writer.attachment("classes.json", "application/json", b"{}")
-        writer.attachment("split.toml", "application/toml", SEED.encode())
-        writer.attachment("rig.toml", "application/toml", RIG)
+        for text, data in TEXTS.items():
+            writer.attachment(text, "application/toml", data)
         writer.attachment(OYSTERS, "text/csv", b"id,state,x,y,z\n7,live,0.5,0.1,-3.0\n40000,box,0.8,-0.2,-3.0\n")
         for topic in types:
             for message in sent:

@@ -17,7 +17,7 @@ from oysterbench.hub.manifest import build_manifest, describe_file, read_manifes
 from oysterbench.hub.verify import ABSENT, DAMAGED, OTHER, REPACKED, RIGHT, UNKNOWN, check_file, check_unknown, checks
 from oysterbench.sensors import camera_messages
 from tests.helpers.hand_made_dive import write_dive
-from tests.helpers.trees import DIGEST, FACTS, write_sequence
+from tests.helpers.trees import DIGEST, FACTS, TEXTS, write_sequence
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def test_content_of_an_image_is_its_pixels_and_not_its_bytes(tmp_path):
 
 
 def test_another_attachment_is_another_content(file, tmp_path, monkeypatch):
-    monkeypatch.setattr("tests.helpers.trees.SEED", "seed = 1")
+    monkeypatch.setitem(TEXTS, "split.toml", b"seed = 1")
     other = write_sequence(tmp_path / "other.mcap", "dive-01")
     assert content_of(other).topics == content_of(file).topics
     assert content_of(other).attachments != content_of(file).attachments

@@ -24,6 +24,7 @@ from tests.helpers.command import run
 from tests.helpers.trees import (
     DIGEST,
     FACTS,
+    TEXTS,
     a_key,
     publish_secret,
     publish_split,
@@ -194,6 +195,15 @@ def test_what_is_published_is_made_by_the_recipe(files, secret_files, tmp_path):
         check_made_by(files, "fake-val", "2.0", DIGEST, hidden=False)
     with pytest.raises(HubError, match="oysterbench render fake-val"):
         check_made_by({"dive-01": tmp_path / "no.mcap"}, "fake-val", "1.0", DIGEST, hidden=False)
+
+
+@pytest.mark.parametrize("text", ["split.toml", "rig.toml"])
+def test_what_is_published_keeps_the_texts_that_the_recipe_has(files, secret_files, text):
+    check_made_by(files, "fake-val", "1.0", DIGEST, hidden=False, texts=TEXTS)
+    other = {**TEXTS, text: b"# a comment\n" + TEXTS[text]}
+    with pytest.raises(HubError, match=rf"dive-01\.mcap: made from another text of {text} than the recipe has now"):
+        check_made_by(files, "fake-val", "1.0", DIGEST, hidden=False, texts=other)
+    check_made_by(secret_files, "fake-val", "1.0", DIGEST, hidden=True, texts=other)  # which keep none in public
 
 
 def test_a_tree_can_be_verified_and_is_repaired_by_publishing_again(tmp_path, files, key):

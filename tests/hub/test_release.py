@@ -10,7 +10,7 @@ from oysterbench.core.errors import HubError
 from oysterbench.hub.manifest import describe_file, read_manifest
 from oysterbench.hub.release import DECIDING, keep_read, made_with, not_read, put_together, write_release
 from oysterbench.version import GENERATION
-from tests.helpers.trees import DIGEST, FACTS, write_split
+from tests.helpers.trees import DIGEST, FACTS, TEXTS, write_split
 
 NAMES = ("dive-01", "dive-02")
 TOPICS = ("/cam_left/image", "/imu", "/truth/pose")
@@ -29,7 +29,7 @@ def test_a_release_is_made_of_sequences_that_were_never_on_the_disk_together(fil
         keep_read(kept, name, path, TOPICS)
         path.unlink()
     assert not_read(kept, NAMES) == []
-    manifest = put_together(kept, FACTS, NAMES, DIGEST)
+    manifest = put_together(kept, FACTS, NAMES, DIGEST, TEXTS)
     assert [(entry.sequence, entry) for entry in manifest.files] == sorted(entries.items())
     path = write_release(manifest, tmp_path / "manifests")
     assert path.name == "fake-val-1.0.json"
@@ -52,7 +52,7 @@ def test_parts_made_with_different_versions_make_no_release(files, tmp_path):
     document["made_with"]["numpy"] = "9.9"
     other.write_text(json.dumps(document))
     with pytest.raises(HubError, match=r"dive-02 was made with numpy 9\.9, and dive-01 with"):
-        put_together(tmp_path, FACTS, NAMES, DIGEST)
+        put_together(tmp_path, FACTS, NAMES, DIGEST, TEXTS)
 
 
 def test_a_file_that_lacks_a_topic_of_its_rig_is_not_released(files, tmp_path):
@@ -64,22 +64,22 @@ def test_a_file_that_lacks_a_topic_of_its_rig_is_not_released(files, tmp_path):
 def test_a_release_never_changes(files, tmp_path):
     for name, path in files.items():
         keep_read(tmp_path, name, path, TOPICS)
-    manifest = put_together(tmp_path, FACTS, NAMES, DIGEST)
+    manifest = put_together(tmp_path, FACTS, NAMES, DIGEST, TEXTS)
     path = write_release(manifest, tmp_path)
     assert write_release(manifest, tmp_path) == path
     with pytest.raises(HubError, match="a release never changes"):
-        write_release(put_together(tmp_path, FACTS, NAMES[:1], DIGEST), tmp_path)
+        write_release(put_together(tmp_path, FACTS, NAMES[:1], DIGEST, TEXTS), tmp_path)
     assert path.read_bytes() == manifest.data
 
 
 @pytest.mark.parametrize("text", ["split.toml", "rig.toml"])
-def test_sequences_made_from_different_texts_of_a_recipe_make_no_release(files, tmp_path, text):
-    """The digest leaves comments out, but files keep them: one recipe could not render both to the byte."""
+def test_sequences_made_from_another_text_of_a_recipe_make_no_release(files, tmp_path, text):
+    """The digest leaves comments out, but files keep them: the recipe as it is could not render them to the byte."""
     for name, path in files.items():
         keep_read(tmp_path, name, path, TOPICS)
     other = tmp_path / "dive-02.json"
     document = json.loads(other.read_bytes())
     document["entry"]["attachments"][text] = "0" * 64
     other.write_text(json.dumps(document))
-    with pytest.raises(HubError, match=rf"dive-02 was made from another text of {text} than dive-01"):
-        put_together(tmp_path, FACTS, NAMES, DIGEST)
+    with pytest.raises(HubError, match=rf"dive-02 was made from another text of {text} than the recipe has now"):
+        put_together(tmp_path, FACTS, NAMES, DIGEST, TEXTS)

@@ -27,7 +27,7 @@ from oysterbench.hub.verify import (
 from oysterbench.sensors import camera_messages
 from oysterbench.sequence.cut import cut_to
 from tests.helpers import hand_made_dive, trees
-from tests.helpers.trees import DIGEST, FACTS, write_bag, write_sequence
+from tests.helpers.trees import DIGEST, FACTS, TEXTS, write_bag, write_sequence
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +130,7 @@ def test_a_file_with_some_of_the_topics_is_held_against_those(file, entry, tmp_p
 
 def test_a_smaller_file_of_another_recipe_or_in_the_place_of_a_complete_one_is_not_right(file, tmp_path, monkeypatch):
     keep_read(tmp_path, "dive-01", file, ())
-    manifest = put_together(tmp_path, FACTS, ["dive-01"], DIGEST)
+    manifest = put_together(tmp_path, FACTS, ["dive-01"], DIGEST, TEXTS)
     some, folder = tmp_path / "some" / "dive-01.mcap", tmp_path / "split"
     cut_to(some, file, ["/imu"])
     assert check_released(some, manifest).state == SMALLER
@@ -150,7 +150,7 @@ def test_a_smaller_file_of_another_recipe_or_in_the_place_of_a_complete_one_is_n
 
 def test_a_render_that_differs_says_which_versions_do(file, tmp_path, monkeypatch):
     keep_read(tmp_path, "dive-01", file, ())
-    manifest = put_together(tmp_path, FACTS, ["dive-01"], DIGEST)
+    manifest = put_together(tmp_path, FACTS, ["dive-01"], DIGEST, TEXTS)
     assert check_released(file, manifest).state == RIGHT
     made = {**manifest.made_with, "numpy": "9.9"}
     monkeypatch.setattr("oysterbench.hub.verify.made_with", lambda: made)
@@ -168,7 +168,7 @@ def test_a_render_that_differs_says_which_versions_do(file, tmp_path, monkeypatc
 def test_files_beside_those_of_the_manifest_are_checked_too(file, tmp_path):
     """Such as those of a split that was downloaded into the same folder before."""
     keep_read(tmp_path / "kept", "dive-01", file, ())
-    manifest = put_together(tmp_path / "kept", FACTS, ["dive-01"], DIGEST)
+    manifest = put_together(tmp_path / "kept", FACTS, ["dive-01"], DIGEST, TEXTS)
     (tmp_path / "manifest.json").write_bytes(manifest.data)
     (tmp_path / "dive-01.mcap").write_bytes(file.read_bytes())
     (tmp_path / "before.mcap").write_bytes(file.read_bytes()[:-100])
@@ -180,7 +180,7 @@ def test_files_beside_those_of_the_manifest_are_checked_too(file, tmp_path):
 
 def test_smaller_files_are_held_against_the_manifest_of_the_folder_around_theirs(file, tmp_path):
     keep_read(tmp_path / "kept", "dive-01", file, ())
-    manifest = put_together(tmp_path / "kept", FACTS, ["dive-01"], DIGEST)
+    manifest = put_together(tmp_path / "kept", FACTS, ["dive-01"], DIGEST, TEXTS)
     (tmp_path / "manifest.json").write_bytes(manifest.data)
     some = tmp_path / "topics-1" / "dive-01.mcap"
     (tmp_path / "dive-01.mcap").write_bytes(file.read_bytes())
