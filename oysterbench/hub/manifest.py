@@ -131,10 +131,11 @@ def build_manifest(
     commitment: str | None = None,
     piece_size: int = PIECE,
 ) -> Manifest:
-    """Build the manifest of sequence files, sequence name -> path; facts: split, version, track, rig and summary."""
+    """Build the manifest of sequence files, sequence name -> path; facts: split, version, track, rig and summary, and
+    the version of `oysterbench` where it is not this one."""
     entries = tuple(describe_file(path, f"{name}.mcap", piece_size) for name, path in sorted(files.items()))
-    made = {"oysterbench": VERSION, "files": entries, "piece_size": piece_size}
-    return Manifest(**facts, **made, recipe_digest=recipe_digest, commitment=commitment)  # type: ignore[arg-type]
+    made = {"oysterbench": VERSION, **facts, "files": entries, "piece_size": piece_size}
+    return Manifest(**made, recipe_digest=recipe_digest, commitment=commitment)  # type: ignore[arg-type]
 
 
 def read_manifest(data: bytes, what: str) -> Manifest:

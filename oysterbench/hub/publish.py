@@ -6,22 +6,23 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from oysterbench.core.atomic import appearing, write_atomically
-from oysterbench.core.errors import HubError
+from oysterbench.core.errors import HubError, IntegrityError
 from oysterbench.core.locks import locked
 from oysterbench.core.names import listed
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.croissant import croissant
 from oysterbench.hub.index import Index, Release, read_own_index
-from oysterbench.hub.manifest import Manifest, build_manifest, released_manifest
+from oysterbench.hub.manifest import Manifest, build_manifest, read_manifest, released_manifest
 from oysterbench.hub.pages import index_page, pictures_of
 from oysterbench.hub.sign import public_hex
+from oysterbench.hub.verify import MANIFEST
 from oysterbench.sequence.cut import cut_public, cut_truth, is_scorable
 from oysterbench.sequence.read import McapSequence
 
@@ -52,12 +53,13 @@ def publish(
     """
     keys = (key, *old_keys)
     with writing(tree, *keys) as index, tempfile.TemporaryDirectory(dir=tree, prefix=TEMPORARY) as scratch:
-        if truth is None:
+        package = None if truth is None else _package(tree, truth, facts)
+        facts = {**facts, **_said_before(tree, index, package, facts)}
+        if truth is None or package is None:
             announce(f"hashing {len(files)} sequences")
             manifest = _as_released(build_manifest(facts, files, recipe_digest))
             _check_unchanged(tree, index, manifest)
         else:
-            package = _package(tree, truth, facts)
             with tempfile.TemporaryDirectory(dir=truth, prefix=TEMPORARY) as draft:
                 files, secret = _without_truth(facts, files, Path(scratch), Path(draft), announce)
                 announce(f"hashing {len(files)} sequences")
@@ -66,6 +68,19 @@ def publish(
                 _keep_truth(Path(draft), secret, package)
         _release(tree, keys, index, manifest, files, url, announce)
     return manifest
+
+
+def _said_before(tree: Path, index: Index, package: Path | None, facts: Mapping[str, str]) -> dict[str, str]:
+    """Version of oysterbench, and once it is published the summary, by the manifest of this version of the split that
+    is in the tree or in its truth package: a later oysterbench or another summary make no other release of its files"""
+    known = index.splits.get(facts["split"], {}).get(facts["version"])
+    paths = [tree / "manifests" / f"{known.manifest}.json"] if known else []
+    paths += [package / MANIFEST] if package else []
+    for path in paths:
+        with suppress(FileNotFoundError, IntegrityError):  # a damaged one is written again
+            earlier = read_manifest(path.read_bytes(), str(path))
+            return {"oysterbench": earlier.oysterbench} | ({"summary": earlier.summary} if known else {})
+    return {}
 
 
 def _as_released(manifest: Manifest) -> Manifest:
@@ -115,7 +130,7 @@ def _without_truth(
 def _keep_truth(draft: Path, secret: Manifest, package: Path) -> None:
     """Move a truth package to its place, its `manifest.json` last. Raises HubError where another one is there, which a
     released split may be committed to."""
-    known = package / "manifest.json"
+    known = package / MANIFEST
     if known.is_file() and (there := sha256(known.read_bytes())) != secret.sha256:
         raise HubError(
             f"{known}: the truth of another render of {secret.split} {secret.version} is there (SHA-256 {there[:12]}…, "

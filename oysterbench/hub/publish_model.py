@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from msgspec.structs import replace
 
 from oysterbench.core.atomic import write_atomically
-from oysterbench.core.errors import HubError
+from oysterbench.core.errors import HubError, IntegrityError
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.card import card_page
 from oysterbench.hub.index import ModelRelease
-from oysterbench.hub.model import Figure, Model, Training, WeightsFile
+from oysterbench.hub.model import Figure, Model, Training, WeightsFile, read_model
 from oysterbench.hub.pieces import PIECE, hashed
 from oysterbench.hub.publish import Announce, put, put_blob, put_index, writing
 from oysterbench.hub.verify import kept_card
@@ -70,6 +72,8 @@ def publish_model(
         if model.name in index.splits:
             raise HubError(f"{model.name}: a split in {tree} has this name, and `download` finds both by name")
         known = index.models.get(model.name, {}).get(model.version)
+        if known is not None:
+            model = _as_before(tree / "models" / f"{known.card}.json", model)
         if known is not None and known.card != model.sha256:
             raise HubError(
                 f"{model.name} {model.version} was released with other weights or another card ({known.card[:12]}…, "
@@ -98,12 +102,23 @@ def publish_model(
     return model
 
 
+def _as_before(card: Path, model: Model) -> Model:
+    """The model with the version of oysterbench that its card, if released before, names: a later one alone makes no
+    other release."""
+    with suppress(FileNotFoundError, IntegrityError):
+        earlier = read_model(card.read_bytes(), str(card))
+        if (as_before := replace(model, oysterbench=earlier.oysterbench)) == earlier:
+            return as_before
+    return model
+
+
 def write_released(model: Model, weights: Path, folder: Path) -> Path:
     """Write trained weights and their card among those that are part of oysterbench, in place of an earlier version.
 
     Raises HubError where this version was released with another card or other weights, or the file changed meanwhile.
     """
     path = folder / f"{model.name}.pt"
+    model = _as_before(path.with_suffix(".json"), model)
     known = kept_card(path)
     if known is not None and known.version == model.version and known.sha256 != model.sha256:
         raise HubError(

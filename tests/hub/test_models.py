@@ -14,7 +14,7 @@ from oysterbench.hub.download import Hub, part_path
 from oysterbench.hub.index import read_index
 from oysterbench.hub.model import read_model
 from oysterbench.hub.pages import SCRIPT
-from oysterbench.hub.publish_model import publish_model
+from oysterbench.hub.publish_model import publish_model, write_released
 from oysterbench.hub.verify import ABSENT, DAMAGED, RIGHT, UNKNOWN, checks
 from oysterbench.hub.weights import fetch_weights, there_bytes, weights_here
 from oysterbench.notebook.doctor.data import look_at_data
@@ -80,6 +80,18 @@ def test_publishing_a_model_twice_adds_nothing_and_a_release_never_changes(relea
     with pytest.raises(HubError, match=r"a release never changes"):
         publish_model(tmp_path / "tree", other, released.files["1.0"], released.key)
     assert tree_bytes(tmp_path / "tree") == before
+
+
+def test_a_later_oysterbench_publishes_the_same_card_again(tmp_path, monkeypatch):
+    path, (key, _) = write_weights(tmp_path / "unet.pt"), a_key(tmp_path)
+    model = release(tmp_path / "tree", path, key)
+    monkeypatch.setattr("oysterbench.hub.publish_model.VERSION", "99.0")
+    assert release(tmp_path / "tree", path, key) == model
+    write_released(model, path, tmp_path / "package")
+    write_released(card_of(path), path, tmp_path / "package")
+    assert (tmp_path / "package" / "unet.json").read_bytes() == model.data
+    with pytest.raises(HubError, match="a release never changes"):
+        publish_model(tmp_path / "tree", card_of(path, summary="Others"), path, key)
 
 
 def test_a_file_that_changes_while_it_is_published_is_not_released(released, tmp_path):

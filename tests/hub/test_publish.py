@@ -115,6 +115,21 @@ def test_an_old_key_and_a_new_one_sign_while_users_change_over(tmp_path, files, 
         publish_split(tree, files, old)
 
 
+def test_a_later_oysterbench_signs_the_same_files_again(tmp_path, files, key_and_public, monkeypatch):
+    """As a key is changed: neither its version nor a corrected summary makes other bytes."""
+    (old, old_public), tree = key_and_public, tmp_path / "tree"
+    manifest = publish_split(tree, files, old)
+    before = read_index((tree / "index.json").read_bytes(), old_public, "index")
+    new, new_public = a_key(tmp_path)
+    monkeypatch.setattr("oysterbench.hub.manifest.VERSION", "99.0")
+    facts = {**FACTS, "summary": "Two short dives, by hand"}
+    assert publishing.publish(tree, facts, files, new, DIGEST, old_keys=[old]) == manifest
+    assert read_index((tree / "index.json").read_bytes(), new_public, "index") == before
+    assert publish_split(tree, files, new, version="2.0").oysterbench == "99.0"
+    with pytest.raises(HubError, match="a release never changes"):
+        publish_split(tree, {**files, "dive-02": files["dive-01"]}, new)
+
+
 @pytest.mark.parametrize("step", range(6))
 def test_an_interrupted_publish_leaves_what_was_there(tmp_path, files, key_and_public, step, monkeypatch):
     """Whatever write is the last: the index that was there is whole and names only what is there."""

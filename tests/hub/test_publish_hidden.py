@@ -112,6 +112,21 @@ def test_publishing_a_hidden_split_twice_adds_nothing(hidden, secret_files, key,
     assert tree_bytes(tmp_path / "truth" / "fake-val-1.0") == tree_bytes(truth)
 
 
+@pytest.mark.parametrize("published", [True, False])
+def test_a_later_oysterbench_goes_on_with_a_hidden_split(hidden, secret_files, key, tmp_path, monkeypatch, published):
+    """Also where it was interrupted once its truth package was written."""
+    tree, truth, manifest = hidden
+    if published:
+        shutil.copytree(tree, tmp_path / "tree")
+    shutil.copytree(truth, tmp_path / "truth" / "fake-val-1.0")
+    monkeypatch.setattr("oysterbench.hub.manifest.VERSION", "99.0")
+    found = publish_secret(tmp_path / "tree", tmp_path / "truth", secret_files, key)
+    assert found.commitment == manifest.commitment
+    assert tree_bytes(tmp_path / "truth" / "fake-val-1.0") == tree_bytes(truth)
+    if published:
+        assert publish_secret(tmp_path / "tree", tmp_path / "elsewhere", secret_files, key) == manifest
+
+
 def test_another_truth_has_another_commitment(hidden, key, tmp_path):
     other = {"dive-01": write_sequence(tmp_path / "dive-01.mcap", "dive-01", 0.8, SECRET)}
     manifest = publish_secret(tmp_path / "tree", tmp_path / "truth", other, key)
