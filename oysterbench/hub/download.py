@@ -284,6 +284,11 @@ def part_path(folder: Path, entry: Pieced) -> Path:
     return folder / f".{entry.name}.{entry.sha256[:16]}.part"
 
 
+def topics_mark(part: Path) -> Path:
+    """Path of an empty file that marks a part as begun for some topics only, to be removed once they are cut from it"""
+    return part.with_suffix(".topics")
+
+
 def check_space(folder: Path, wanted: int) -> None:
     """Raise HubError unless there is room for `wanted` more bytes, and `SPARE`."""
     free = free_bytes(folder)
@@ -332,6 +337,7 @@ def _fetch(hub: Hub, step: Step, verify: bool, count: Callable[[int], None]) -> 
     """Complete one file. Several processes may do so at once: they wait for one another where the disk has locks."""
     entry, target, path = step.entry, step.path, part_path(step.path.parent, step.entry)
     with locked_if_possible(path.with_suffix(".lock")):
+        topics_mark(path).unlink(missing_ok=True)  # a part that is there is the complete file's from now on
         if target.is_file() and _is_good(hub, target, entry, verify or step.state != "here", path):
             count(entry.size)
             path.unlink(missing_ok=True)

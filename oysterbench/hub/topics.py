@@ -15,7 +15,7 @@ from mcap.summary import Summary
 from oysterbench.core.errors import HubError, IntegrityError, SequenceError
 from oysterbench.core.locks import scratch
 from oysterbench.core.mcap import FOOTER, MAGIC
-from oysterbench.hub.download import Hub, Progress, check_space, locked_if_possible, part_path
+from oysterbench.hub.download import Hub, Progress, check_space, locked_if_possible, part_path, topics_mark
 from oysterbench.hub.draft import remove_drafts
 from oysterbench.hub.manifest import FileEntry
 from oysterbench.hub.part import Part
@@ -46,8 +46,8 @@ def fetch_topics(
 
     They go to `out`, by default a subfolder of the split's. A file that is here completely is not fetched, and a
     smaller one that is here with the same topics is taken once its content has been checked. Raises SequenceError where
-    a pattern matches no topic, and HubError where a file is in the way. verify: read back what was written, too; raises
-    IntegrityError where that fails.
+    a pattern matches no topic, and HubError where a file is in the way. verify: read complete files before they are
+    taken, and read back what was written; raises IntegrityError where that fails.
     """
     out = out or topics_folder(folder, wanted)
     total = sum(entry.size for entry in entries)
@@ -62,7 +62,7 @@ def fetch_topics(
                 f"{target}: expected none, or a sound one with the same {len(names)} of {len(entry.content)} topics, "
                 "got another file; it was left unchanged: delete it or choose another folder with --out"
             )
-        elif _is_here(folder, entry):
+        elif _is_here(folder, entry, verify):
             cut_to(target, folder / entry.name, names)
         else:
             _fetch_and_cut(hub, entry, folder, target, names, lambda n, done=done: progress(done + n, total))  # type: ignore[misc]
@@ -111,11 +111,14 @@ def _fetch_and_cut(hub: Hub, entry: FileEntry, folder: Path, target: Path, names
 
 @contextmanager
 def _part_of(hub: Hub, entry: FileEntry, folder: Path, tell: Count) -> Iterator[tuple[Path, Fetch]]:
-    """Yield the part of a file, and a function that fetches bytes into it. A part that existed before is kept, so that
+    """Yield the part of a file, and a function that fetches bytes into it. A part that `download` began is kept, so that
     it can grow later; otherwise it is removed afterwards. Other processes wait where the disk has locks."""
     path = part_path(folder, entry)
     with locked_if_possible(path.with_suffix(".lock")):  # `download` of the whole file holds it, too
-        kept = path.is_file()
+        own = topics_mark(path)
+        if not path.is_file():
+            folder.mkdir(parents=True, exist_ok=True)
+            own.touch()
         part = Part(path, entry)
         there: set[int] = set()
 
@@ -129,9 +132,10 @@ def _part_of(hub: Hub, entry: FileEntry, folder: Path, tell: Count) -> Iterator[
             yield path, fetch
         finally:
             part.close()
-        if not kept:
+        if own.is_file():
             path.unlink(missing_ok=True)
             remove_drafts(path)
+            own.unlink()
 
 
 def _pieces(spans: Iterable[Span], entry: FileEntry) -> set[int]:
@@ -148,14 +152,14 @@ def _index(path: Path, entry: FileEntry, fetch: Fetch) -> tuple[Summary, list[Sp
         return summary, ends
 
 
-def _is_here(folder: Path, entry: FileEntry) -> bool:
-    """Whether a folder has the whole file. It is read unless the folder was filled here by a manifest that names it, as
-    in `download.plan`."""
+def _is_here(folder: Path, entry: FileEntry, read: bool = False) -> bool:
+    """Whether a folder has the whole file. It is read if that is asked for, or unless the folder was filled here by a
+    manifest that names it, as in `download.plan`."""
     path = folder / entry.name
     if not path.is_file() or path.stat().st_size != entry.size:
         return False
     kept = kept_manifest(folder)
-    filled = kept is not None and kept.find(entry.name) == entry and was_filled_here(folder, kept)
+    filled = not read and kept is not None and kept.find(entry.name) == entry and was_filled_here(folder, kept)
     return filled or check_file(path, entry).good
 
 

@@ -221,6 +221,20 @@ def test_a_damaged_file_is_gone_only_once_another_is_complete(place, tmp_path, m
     assert (path.read_bytes(), aside.exists()) == (whole, False)
 
 
+def test_without_a_hub_verify_cuts_no_topics_from_a_damaged_file(place, tmp_path, monkeypatch):
+    split = load_split(str(place.recipe))
+    path = tmp_path / "splits" / "tiny" / f"1.0-{digest(split)[:12]}" / "tiny-01.mcap"
+    place.write(path.parent, digest(split))
+    damaged = path.read_bytes()[:-100]
+    path.write_bytes(damaged)
+    there = []
+    monkeypatch.setattr("oysterbench.cli.render.render_files", lambda *given, **more: there.append(path.exists()) or {})
+    line = place.run("download", place.recipe, "--verify", "--topics", "/imu", home=tmp_path).stderr
+    assert f"{path}: damaged (" in line
+    assert there == [False]
+    assert path.read_bytes() == damaged  # until somebody asks for it
+
+
 def test_splits_tells_what_is_here_and_what_the_hub_has(place, tmp_path, monkeypatch):
     monkeypatch.setattr("oysterbench.recipe.split_names", lambda: ["slam-mini"])  # one of its own beside the hub's
 

@@ -56,6 +56,43 @@ def test_a_damaged_smaller_file_in_a_folder_of_their_own_is_made_again(published
         assert fetch_topics(hub, entries, tmp_path, ["/imu"])["dive-01"].read_bytes() == data
 
 
+def test_with_verify_a_damaged_complete_file_is_passed_over(published, tmp_path):
+    hub, entries = hub_at(published, published.tree), published.manifest.files[:1]
+    path = download(hub, published.manifest, tmp_path, entries)["dive-01"]
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3 : len(data) // 3 + 4000] = bytes(4000)
+    path.write_bytes(data)
+    smaller_file = fetch_topics(hub, entries, tmp_path, ["*"], verify=True)["dive-01"]
+    assert list(read_messages(smaller_file)) == list(read_messages(published.files["dive-01"]))
+    assert path.read_bytes() == data
+
+
+def test_what_an_interrupted_call_fetched_is_removed_by_the_next_one_and_parts_of_complete_files_are_not(
+    published, tmp_path, monkeypatch
+):
+    hub, entries = hub_at(published, published.tree), published.manifest.files[:1]
+    part = part_path(tmp_path, entries[0])
+
+    def interrupted(*given):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(smaller, "cut_to", interrupted)
+        fetch_topics(hub, entries, tmp_path, ["/imu"])
+    assert part.exists()
+    fetch_topics(hub, entries, tmp_path, ["/imu"])
+    assert {path.suffix for path in tmp_path.glob(".*")} <= {".lock"}
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(smaller, "cut_to", interrupted)
+        fetch_topics(hub, entries, tmp_path, ["/imu", "/pressure"])
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Part, "install", interrupted)
+        download(hub, published.manifest, tmp_path, entries)
+    fetch_topics(hub, entries, tmp_path, ["/imu", "/pressure"])
+    assert part.exists()
+    download(NOWHERE, published.manifest, tmp_path, entries)  # all of it is in the part
+
+
 @pytest.mark.parametrize("whole", [True, False])
 def test_no_process_loses_the_part_that_another_one_fills(published, tmp_path, monkeypatch, whole):
     """While one cuts /imu from the part, the other wants the whole file, or other topics: it waits."""
