@@ -71,12 +71,19 @@ class Example:
 
 
 def parted(sets: Sequence[LabelledSet]) -> Parts:
-    """Divide the images into parts, train, val and test first. Raises LabelError if two have the same file name."""
+    """Divide the images into parts, train, val and test first; their names, from sides that may be any text, are what
+    Hugging Face allows for a split: letters, digits and `_`. Raises LabelError if two images have the same file name,
+    or two sides the same name as parts."""
     found: Parts = {TRAIN: [], VAL: [], TEST: []}
+    sides: dict[str, str] = {}
     for one in sets:
         own = next((part for part in (TRAIN, VAL, TEST) if one.name.endswith(f"-{part}")), TRAIN)
         for entry in one.entries:
-            found.setdefault(entry.split or own, []).append(entry)
+            side = entry.split or own
+            part = re.sub(r"\W", "_", side)
+            if sides.setdefault(part, side) != side:
+                raise LabelError(f"the sides {sides[part]!r} and {side!r} are both named {part} in files: rename one")
+            found.setdefault(part, []).append(entry)
     names: dict[str, str] = {}
     for entry in (entry for entries in found.values() for entry in entries):
         key = key_of(entry.name)

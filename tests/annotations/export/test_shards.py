@@ -156,6 +156,23 @@ def test_of_anybodys_photographs_no_licence_is_claimed_and_their_files_are_passe
         assert sample[f"image.{file.suffix[1:]}"] == file.read_bytes()
 
 
+def test_sides_of_any_name_are_parts_that_hugging_face_can_tell_apart(tmp_path):
+    sides = {"a": "test", "b": "test-hard", "c": "site 2/spring"}
+    source = yolo_folder(tmp_path / "mine", dict.fromkeys(sides, ""))
+    rows = [f"{name},{name},{side}\n" for name, side in sides.items()]
+    (source / "manifest.csv").write_text("id,clip,split\n" + "".join(rows))
+    folder, _ = export_set([open_labelled(source)], "webdataset", tmp_path / "out")
+    for file in card(folder)[0]["configs"][0]["data_files"]:
+        assert file["split"].isidentifier()
+        assert len(list(folder.glob(file["path"]))) == 1
+    assert len(card(folder)[0]["configs"][0]["data_files"]) == 3
+    with open(source / "manifest.csv", "a") as table:
+        table.write("d,d,test_hard\n")
+    yolo_folder(source, dict.fromkeys([*sides, "d"], ""))
+    with pytest.raises(LabelError, match="'test-hard' and 'test_hard' are both named test_hard in files"):
+        export_set([open_labelled(source)], "webdataset", tmp_path / "other")
+
+
 def test_names_may_be_as_long_as_those_of_files(tmp_path):
     name = "reef-" + 200 * "1"
     folder, _ = export_set([open_labelled(yolo_folder(tmp_path / "mine", {name: ""}))], "webdataset", tmp_path / "out")
