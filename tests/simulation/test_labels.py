@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
+import pandas as pd
 import pytest
 
 import oysterbench
@@ -10,8 +13,10 @@ from oysterbench.core.errors import MethodError, RecipeError, SequenceError
 from oysterbench.exploration.labelled_views import labelled_views
 from oysterbench.recipe import load_split, parse_split
 from oysterbench.render.camera import CameraRenderer
+from oysterbench.sensors.camera import shown
 from oysterbench.sequence.read import STEERING
 from oysterbench.simulation.generate import generate_split
+from oysterbench.simulation.sensor_simulation import sensor_kept
 from oysterbench.simulation.simulated_sequence import build_sequence, forget_sequence
 from oysterbench.simulation.steering.labels import steering_csv
 from tests.helpers.exploring_made import RIG, made_split
@@ -75,6 +80,26 @@ def test_a_fence_that_leaves_no_room_is_refused():
     split = parse_split(SHORT.replace("rollout_s = 30.0", "rollout_s = 30.0\nfence_m = 5.0"), "short.toml")
     with pytest.raises(RecipeError, match=r"'steering\.fence_m': expected a fence that leaves"):
         steering_csv(build_sequence(split, "mini-01", b""), split.steering)
+
+
+def test_the_expert_knows_of_a_repeated_picture_what_it_shows(monkeypatch):
+    """And that of a picture that was lost, too, where it is repeated."""
+    times: list[float] = []
+    truth = CameraRenderer.truth
+    monkeypatch.setattr(
+        CameraRenderer, "truth", lambda self, pose, time_s=0.0: times.append(time_s) or truth(self, pose, time_s)
+    )
+    split = made_split(("one",), RIG.replace("\nrate_hz = 0.5\n", "\nrate_hz = 0.5\ndropout = 0.4\nrepeats = 0.5\n"))
+    simulated = build_sequence(split, "one", b"")
+    camera = simulated.rig.camera[0]
+    own = np.arange(10)
+    taken, kept = shown(simulated, camera), sensor_kept(simulated, camera, len(own))
+    assert (taken[kept] != own[kept]).any()
+    assert not kept[taken[kept]].all()
+    table = pd.read_csv(io.BytesIO(steering_csv(simulated, split.steering)))
+    assert times == (taken[kept] / camera.rate_hz).tolist()
+    depths_m = [-body[2, 3] for body in simulated.bodies(own[kept] / camera.rate_hz)]
+    assert table["depth_m"].tolist() == pytest.approx(depths_m, abs=1e-3)  # the state is of the label's own time
 
 
 def test_a_picture_that_the_camera_lost_has_no_label_and_each_label_is_of_its_time(tmp_path, monkeypatch):
