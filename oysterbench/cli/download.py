@@ -255,8 +255,8 @@ def _aside(split: SplitRecipe, paths: Sequence[Path]) -> Iterator[None]:
     for found in damaged:
         if not claims(found.path, split.name, split.version, made_by):
             raise HubError(
-                f"{found.path}: expected {found.path.stem} of {split.name} {split.version}, as its recipe makes it, got "
-                "a file that does not say so; it was left unchanged: delete it or choose another folder with --out"
+                f"{found.path}: expected {found.path.stem} of {split.name} {split.version}, as its recipe makes it, "
+                "got a file that does not say so; it was left unchanged: delete it or choose another folder with --out"
             )
     aside = {path: path.with_name(f".{path.name}.damaged") for path in paths}
     try:

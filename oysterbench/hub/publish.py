@@ -157,7 +157,7 @@ def check_made_by(
     truth to commit to.
 
     topics: sequence -> all topics of its rig, none of which may be missing: a release never changes. texts: of recipe
-    and rig (`SplitRecipe.texts`), which the files, unless hidden, have to keep: with others, nobody's render is the same
+    and rig (`SplitRecipe.texts`), which the files, unless hidden, have to keep: or nobody's render would be the same
     """
     for name, path in files.items():
         if not path.is_file():

@@ -111,8 +111,8 @@ def _fetch_and_cut(hub: Hub, entry: FileEntry, folder: Path, target: Path, names
 
 @contextmanager
 def _part_of(hub: Hub, entry: FileEntry, folder: Path, tell: Count) -> Iterator[tuple[Path, Fetch]]:
-    """Yield the part of a file, and a function that fetches bytes into it. A part that `download` began is kept, so that
-    it can grow later; otherwise it is removed afterwards. Other processes wait where the disk has locks."""
+    """Yield the part of a file, and a function that fetches bytes into it. A part of `download` is kept, so that it can
+    grow later; otherwise it is removed afterwards. Other processes wait where the disk has locks."""
     path = part_path(folder, entry)
     with locked_if_possible(path.with_suffix(".lock")):  # `download` of the whole file holds it, too
         own = topics_mark(path)

@@ -119,7 +119,7 @@ def _check_content(path: Path, content: Content, entry: FileEntry, smaller: bool
     if alike:
         return Check(path, ALIKE, ", ".join([*alike, *some]))
     if some:
-        return Check(path, SMALLER, *some)
+        return Check(path, SMALLER, some[0])
     return Check(path, REPACKED, "all messages and attachments are right, but packed differently")
 
 

@@ -20,6 +20,7 @@ from oysterbench.hub.pages import SCRIPT
 from oysterbench.hub.publish import check_made_by
 from oysterbench.hub.sign import public_hex
 from oysterbench.hub.verify import ABSENT, DAMAGED, RIGHT, checks
+from tests.helpers import weights_made
 from tests.helpers.command import run
 from tests.helpers.trees import (
     DIGEST,
@@ -31,7 +32,6 @@ from tests.helpers.trees import (
     tree_bytes,
     write_split,
 )
-from tests.helpers.weights_made import release, write_weights
 
 
 def test_the_tree_is_addressed_by_content(tmp_path, files, key_and_public):
@@ -166,7 +166,7 @@ def test_an_interrupted_publish_leaves_what_was_there(tmp_path, files, key_and_p
 @pytest.mark.parametrize("what", ["manifests", "models"])
 def test_a_damaged_manifest_or_card_is_reported_and_all_else_is_checked(tmp_path, files, key, what):
     manifest = publish_split(tmp_path, files, key)
-    release(tmp_path, write_weights(tmp_path / "of" / "unet.pt"), key)
+    weights_made.release(tmp_path, weights_made.write_weights(tmp_path / "of" / "unet.pt"), key)
     (path,) = (tmp_path / what).iterdir()
     path.write_bytes(path.read_bytes()[:-5])
     found = {one.path: one.state for one in checks(str(tmp_path))}

@@ -76,18 +76,22 @@ def test_what_an_interrupted_call_fetched_is_removed_by_the_next_one_and_parts_o
     def interrupted(*given):
         raise KeyboardInterrupt
 
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(smaller, "cut_to", interrupted)
+    cut_to, install = smaller.cut_to, Part.install
+    monkeypatch.setattr(smaller, "cut_to", interrupted)
+    with pytest.raises(KeyboardInterrupt):
         fetch_topics(hub, entries, tmp_path, ["/imu"])
+    monkeypatch.setattr(smaller, "cut_to", cut_to)
     assert part.exists()
     fetch_topics(hub, entries, tmp_path, ["/imu"])
     assert {path.suffix for path in tmp_path.glob(".*")} <= {".lock"}
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(smaller, "cut_to", interrupted)
+    monkeypatch.setattr(smaller, "cut_to", interrupted)
+    with pytest.raises(KeyboardInterrupt):
         fetch_topics(hub, entries, tmp_path, ["/imu", "/pressure"])
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(Part, "install", interrupted)
+    monkeypatch.setattr(smaller, "cut_to", cut_to)
+    monkeypatch.setattr(Part, "install", interrupted)
+    with pytest.raises(KeyboardInterrupt):
         download(hub, published.manifest, tmp_path, entries)
+    monkeypatch.setattr(Part, "install", install)
     fetch_topics(hub, entries, tmp_path, ["/imu", "/pressure"])
     assert part.exists()
     download(NOWHERE, published.manifest, tmp_path, entries)  # all of it is in the part
