@@ -306,9 +306,9 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
     bad = sum(not check.good for check in found)
     if bad:
         raise IntegrityError(
-            f"{bad} of {len(found)} files are damaged, absent or different from the release; `oysterbench download "
-            "SPLIT --verify`, or `oysterbench download MODEL --again`, makes damaged and absent ones anew; delete "
-            "those of other content first"
+            f"{bad} of {len(found)} files are damaged, absent, of other programs or different from the release; "
+            "`oysterbench download SPLIT --verify`, or `oysterbench download MODEL --again`, makes damaged and absent "
+            "ones anew; delete those of other content first"
         )
 
 
