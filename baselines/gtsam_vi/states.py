@@ -53,8 +53,8 @@ class Keyframe:
     earlier one.
 
     lost: whether the estimator was lost on the way to it. astray: whether that is where it got lost, so that the state
-    before it is doubtful. measured: whether another sensor measured its velocity. blind: whether it saw next to nothing,
-    and no other sensor measured its velocity.
+    before it is doubtful. measured: whether another sensor measured its velocity. blind: whether none did, and it saw
+    next to nothing.
     """
 
     index: int
