@@ -13,7 +13,7 @@ import click
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.labelled import LABELLED
 from oysterbench.core.errors import MethodError
-from oysterbench.methods.weights import existing, usable_path, weights_path
+from oysterbench.methods.weights import existing, usable_path, weights_path, weights_variable
 
 if TYPE_CHECKING:
     from oysterbench.annotations import LabelledSet
@@ -64,13 +64,13 @@ def training_options(steps: int = 2000) -> Callable[[Callable[..., Any]], Callab
 def checkpoint_path(name: str) -> Path:
     """Path of the checkpoint that `oysterbench train NAME` leaves: OYSTERBENCH_<NAME>, or by default in the folder of
     trained weights."""
-    return Path(os.environ.get(f"OYSTERBENCH_{name.upper()}") or weights_path(name))
+    return Path(os.environ.get(weights_variable(name)) or weights_path(name))
 
 
 def used_path(name: str, checkpoint: str = "") -> Path:
     """Path of the checkpoint that a method uses: the one given, else the one that OYSTERBENCH_<NAME> names, else one
     trained or downloaded here, else the one that is part of oysterbench."""
-    return Path(checkpoint or os.environ.get(f"OYSTERBENCH_{name.upper()}") or usable_path(name))
+    return Path(checkpoint or os.environ.get(weights_variable(name)) or usable_path(name))
 
 
 def trained(name: str, checkpoint: str = "") -> Path:

@@ -23,6 +23,7 @@ from oysterbench.core.locks import SCRATCH
 from oysterbench.core.places import MODELS, home, models
 from oysterbench.methods.sandbox import Sandbox, can_hide
 from oysterbench.methods.supervise import KILLING_S
+from oysterbench.methods.weights import weights_names, weights_variable
 from oysterbench.simulation.salt import SALT_FILE
 
 SUPERVISOR = Path(__file__).with_name("supervise.py")
@@ -38,7 +39,7 @@ LEAST_FREE = 1 << 20
 KILLED_STATUS = 128 + signal.SIGKILL
 """Exit status by which a shell reports that its command was killed by SIGKILL."""
 WEIGHTS = ".pt"
-"""File suffix of trained weights."""
+"""File suffix of trained weights: those of a user's own method may be named by any variable."""
 CACHES = ("huggingface", "matplotlib", "numba", "torch", "torch_extensions")
 """Folders in the user's cache that libraries of methods fail or are slow without. All others are fixed: those of
 installers have files that may be hard links to installed code."""
@@ -219,8 +220,13 @@ def _is_in(path: str, places: Iterable[str]) -> bool:
 
 def environment() -> dict[str, str]:
     """Environment of a method's process: this one's, without the variables that say where data is kept, and the salts.
-    Trained weights remain known: OYSTERBENCH_MODELS is their folder, and other variables may name a weights file."""
-    kept = {k: v for k, v in os.environ.items() if not k.startswith("OYSTERBENCH_") or v.endswith(WEIGHTS)}
+    Trained weights remain known: OYSTERBENCH_MODELS is their folder, and other variables name files of weights."""
+    named = {weights_variable(name) for name in weights_names()}
+    kept = {
+        key: value
+        for key, value in os.environ.items()
+        if not key.startswith("OYSTERBENCH_") or key in named or value.endswith(WEIGHTS)
+    }
     return kept | {MODELS: str(models())}
 
 

@@ -69,6 +69,11 @@ def usable_path(name: str) -> Path:
     return released if released.is_file() and not own.is_file() else own
 
 
+def weights_variable(name: str) -> str:
+    """Environment variable by which a user names a file of other weights, whatever its suffix."""
+    return f"OYSTERBENCH_{name.upper()}"
+
+
 def weights_names() -> list[str]:
     """Names of the known weights."""
     return sorted(point.name for point in entry_points(group=ENTRY_POINTS))
@@ -117,7 +122,7 @@ def no_weights(name: str, path: Path) -> MethodError:
     return MethodError(
         f"{name}: no trained weights at {path}: `oysterbench train {known.train}` trains them on your machine "
         f"({known.takes}), `oysterbench download {name} --from URL --key KEY` downloads them from a hub; name others "
-        f"with {known.option} or OYSTERBENCH_{name.upper()}"
+        f"with {known.option} or {weights_variable(name)}"
     )
 
 

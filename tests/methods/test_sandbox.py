@@ -127,8 +127,10 @@ def test_a_method_is_told_where_trained_weights_are_and_neither_where_data_is_no
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path))
     monkeypatch.setenv("OYSTERBENCH_SALT", "secret")
-    monkeypatch.setenv("OYSTERBENCH_STEERING", "mine.pt")
+    of_weights = {"OYSTERBENCH_STEERING": "best.pth", "OYSTERBENCH_UNET_SMALL": "weights", "OYSTERBENCH_MINE": "my.pt"}
+    for name, value in of_weights.items():
+        monkeypatch.setenv(name, value)
     told = {key: value for key, value in environment().items() if key.startswith("OYSTERBENCH_")}
-    assert told == {"OYSTERBENCH_MODELS": str(tmp_path / "models"), "OYSTERBENCH_STEERING": "mine.pt"}
+    assert told == {"OYSTERBENCH_MODELS": str(tmp_path / "models"), **of_weights}
     monkeypatch.setenv("OYSTERBENCH_MODELS", str(tmp_path / "elsewhere"))
     assert environment()["OYSTERBENCH_MODELS"] == str(tmp_path / "elsewhere")

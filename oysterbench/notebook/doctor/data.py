@@ -94,14 +94,14 @@ def _split(name: str, known: bool) -> Iterator[Finding]:
 def _weights() -> Iterator[Finding]:
     from oysterbench.hub.settings import hub_places
     from oysterbench.hub.verify import kept_card
-    from oysterbench.methods.weights import find_weights, usable_path, weights_names
+    from oysterbench.methods.weights import find_weights, usable_path, weights_names, weights_variable
 
     folder = models()
     if os.environ.get(MODELS) and folder.exists() and not folder.is_dir():
         yield Finding("data", "trained weights", "broken", f"{MODELS} = {folder} is a file", "let it name a folder")
         return
     for name in weights_names():
-        variable = f"OYSTERBENCH_{name.upper()}"
+        variable = weights_variable(name)
         named = os.environ.get(variable)
         path = Path(named) if named else usable_path(name)
         if not path.is_file():
@@ -186,10 +186,10 @@ def _salt() -> Iterator[Finding]:
 
 def _variables() -> Iterator[Finding]:
     """Report variables that nothing reads, most likely misspelled."""
-    from oysterbench.methods.weights import weights_names
+    from oysterbench.methods.weights import weights_names, weights_variable
 
     prefix = "OYSTERBENCH_"
-    known = [HOME, HUB, HUB_KEY, EXPORTS, MODELS, *OTHERS, *(f"OYSTERBENCH_{name.upper()}" for name in weights_names())]
+    known = [HOME, HUB, HUB_KEY, EXPORTS, MODELS, *OTHERS, *map(weights_variable, weights_names())]
     for name in sorted(os.environ):
         meant = nearest(name.removeprefix(prefix), [one.removeprefix(prefix) for one in known])[:1]
         if name.startswith(prefix) and name not in known and meant:
