@@ -15,6 +15,7 @@ from string import Formatter
 from typing import Any, TypeVar
 
 from oysterbench.core.errors import MethodError
+from oysterbench.core.helpers import module_command
 from oysterbench.methods.code import code_digests, file_digest
 from oysterbench.methods.command_line import files_named, filled
 from oysterbench.methods.finding import find_method, find_variant, versions_of
@@ -171,7 +172,7 @@ class PythonMethod(MethodAdapter):
     def command(self, given: Path, folder: Path, number: int) -> list[str]:
         seed = self.seed(number)
         asked = [self.reference, str(given), str(folder), *([] if seed is None else [str(seed)])]
-        return [sys.executable, "-m", "oysterbench.methods.worker", *asked]
+        return module_command("oysterbench.methods.worker", *asked)
 
     def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
         try:

@@ -20,6 +20,7 @@ from typing import IO, Any
 import numpy as np
 
 from oysterbench.core.errors import MachineError, MethodError, OysterbenchError
+from oysterbench.core.helpers import module_command
 from oysterbench.core.locks import scratch
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.interfaces.steering import task_of
@@ -46,7 +47,7 @@ class PolicyProcess:
         """Yield a command for each view. Raises MethodError where the policy fails, MachineError where it was killed
         from outside, for lack of memory or by a person."""
         with scratch() as folder, tempfile.TemporaryFile() as report:
-            words = [sys.executable, "-m", __name__, self.reference]
+            words = module_command(__name__, self.reference)
             command = supervised_command(words, self.limit_s, report, secrets(), own=[folder])
             with open(folder / STDERR, "wb") as err:
                 process = subprocess.Popen(

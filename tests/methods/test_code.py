@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import warnings
 from dataclasses import replace
@@ -212,3 +213,15 @@ def test_warnings_of_a_methods_source_are_left_to_its_import(folder):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert set(code_digests("coded_warns:Net")) == {"coded_warns.py", "coded_utils.py"}
+
+
+def test_what_is_known_is_what_runs_where_another_copy_is_in_the_working_folder(folder, tmp_path_factory, monkeypatch):
+    installed = tmp_path_factory.mktemp("installed") / "coded.py"
+    installed.write_text(NET + "# installed\n")
+    monkeypatch.setenv("PYTHONPATH", str(installed.parent), prepend=os.pathsep)
+    monkeypatch.setattr("sys.path", [str(installed.parent), *filter(None, sys.path)])
+    command = PythonMethod("coded:Net").command(folder, folder, 0)
+    asks = "from oysterbench.methods import find_method; print(find_method('coded:Net').run.__code__.co_filename)"
+    done = subprocess.run([*command[: command.index("-m")], "-c", asks], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == str(installed), done.stderr
+    assert code_digests("coded:Net") == {"coded.py": file_digest(installed)}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 
 from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import invert
+from oysterbench.core.helpers import module_command
 from oysterbench.methods.systems.launch import Launch
 from oysterbench.sequence import Sequence
 from oysterbench_baselines.external.common.yaml import opencv_matrix, replace_block, replace_values
@@ -107,7 +107,7 @@ def prepare(place: Path, announce: Callable[[str], None]) -> None:
 
 def oysterbench(*words: str) -> str:
     """What a command of this project's prints. Raises MethodError with its last line where it fails."""
-    done = subprocess.run([sys.executable, "-m", "oysterbench", *words], capture_output=True, text=True, check=False)
+    done = subprocess.run(module_command("oysterbench", *words), capture_output=True, text=True, check=False)
     if done.returncode:
         raise MethodError(f"oysterbench {' '.join(words)}: {(done.stderr.splitlines() or ['failed'])[-1]}")
     return done.stdout

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 
+from oysterbench.core.helpers import module_command
 from oysterbench.core.places import home
 from oysterbench.methods.systems import find_system
 from oysterbench_baselines.learning.trained import device_option, run_training, side_option, training_options
@@ -49,7 +50,7 @@ def command(
     system = find_system("segformer")
     python = interpreter(system)
     if not os.path.samefile(sys.prefix, python.parent.parent):
-        os.execv(python, [str(python), "-m", "oysterbench", *sys.argv[1:]])
+        os.execv(python, module_command("oysterbench", *sys.argv[1:], python=python))
 
     from oysterbench.cli.labelled import open_training_data
     from oysterbench_baselines.external.segformer.network import SegFormerSettings

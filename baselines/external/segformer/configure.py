@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+from oysterbench.core.helpers import module_command
 from oysterbench.methods.systems.launch import Launch
 
 
@@ -12,5 +13,6 @@ def command(launch: Launch) -> list[str]:
     task = {**launch.options, "instances": launch.about.track == "detection"}
     weights = task.pop("weights")  # known by what it holds, and not by its path
     (launch.folder / "task.json").write_text(json.dumps(task, indent=1), encoding="utf-8")
-    words = [launch.build.parent / "venv" / "bin" / "python", "-m", f"{__package__}.segment"]
-    return [str(word) for word in (*words, launch.folder / "task.json", weights, launch.given, launch.out)]
+    words = (launch.folder / "task.json", weights, launch.given, launch.out)
+    python = launch.build.parent / "venv" / "bin" / "python"
+    return module_command(f"{__package__}.segment", *words, python=python)

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from oysterbench.core.disk_space import link
 from oysterbench.core.errors import MethodError, OysterbenchError, TrajectoryError
 from oysterbench.core.geometry import Array, transform
+from oysterbench.core.helpers import module_command
 from oysterbench.core.permissions import umask
 from oysterbench.core.trajectory import Trajectory, read_times, read_trajectory, write_npz
 from oysterbench.methods.health import HEALTH, health_notes, read_health, write_health
@@ -93,7 +94,7 @@ class SequencePath(RunSequence):
 
     def write_input(self, form: str, out: Path, processes: Processes) -> None:
         """Write the input in a separate process, which can be stopped at any time."""
-        words = [sys.executable, "-m", __name__, str(self.path.absolute()), form, str(out.absolute())]
+        words = module_command(__name__, self.path.absolute(), form, out.absolute())
         ended = processes.run(words, EXPORT_LIMIT_S, out.parent)
         if ended.failure is not None:
             raise MethodError(ended.failure)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import MethodError, OysterbenchError
+from oysterbench.core.helpers import module_command
 from oysterbench.methods.adapters import MethodAdapter, check_name
 from oysterbench.methods.code import file_digest
 from oysterbench.methods.interfaces import Predicted, RunSequence, interface_of
@@ -104,7 +104,7 @@ class SystemAdapter(MethodAdapter):
     def preparation(self, given: Path, folder: Path, number: int) -> list[str]:
         # The path under the home is passed, as a method's environment does not say where the home is.
         asked = [self.reference, str(self.system.place), str(given), str(folder), str(number)]
-        return [sys.executable, "-m", "oysterbench.methods.systems.launch", *asked]
+        return module_command("oysterbench.methods.systems.launch", *asked)
 
     def command(self, given: Path, folder: Path, number: int) -> list[str]:
         return printed_command(folder / STDOUT)

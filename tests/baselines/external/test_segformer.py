@@ -8,6 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 
+from oysterbench.core.helpers import module_command
 from oysterbench.methods.options import with_options
 from oysterbench.methods.systems import find_system, split_reference
 from oysterbench.methods.systems.building import built, environment, interpreter
@@ -28,8 +29,9 @@ def test_its_program_is_given_the_pictures_and_the_options_without_the_path_of_t
     place = find_system("segformer").place
     _, words = launch_of(f"{method}[weights={weights},flips=true]", place, tmp_path / "given", tmp_path, 0)
     task = tmp_path / "configuration" / "task.json"
-    program = [str(place / "venv" / "bin" / "python"), "-m", "oysterbench_baselines.external.segformer.segment"]
-    assert words == [*program, *map(str, (task, weights, tmp_path / "given", tmp_path / "predictions"))]
+    given = (task, weights, tmp_path / "given", tmp_path / "predictions")
+    python = place / "venv" / "bin" / "python"
+    assert words == module_command("oysterbench_baselines.external.segformer.segment", *given, python=python)
     read = json.loads(task.read_text())
     assert read == {"device": "auto", "flips": True, "least_area": 30, "instances": instances}
     assert split_reference(f"{method}[weights={weights}]")[2]["weights"] == str(weights)
