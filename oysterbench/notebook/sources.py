@@ -93,10 +93,15 @@ class HubSource(Source):
 
 
 class RecipeSource(Source):
-    """A split that is rendered from its recipe, or downloaded from a hub where one is set."""
+    """A split that is rendered from its recipe, or downloaded from a hub where one is set.
 
-    def __init__(self, recipe: SplitRecipe) -> None:
-        self.recipe = recipe
+    A recipe of the user's own is always rendered, as the split of its name on a hub may be another one; unless it is
+    hidden and its salt is not here.
+    """
+
+    def __init__(self, recipe: SplitRecipe, from_file: bool = False) -> None:
+        """from_file: whether the user named the file of the recipe, which may be one of their own."""
+        self.recipe, self._from_file = recipe, from_file
         self.name, self.version, self.track, self.about = recipe.name, recipe.version, recipe.track, recipe.summary
         self.names = tuple(sequence.name for sequence in recipe.sequence)
 
@@ -105,6 +110,19 @@ class RecipeSource(Source):
         from oysterbench.simulation.salt import read_salt
 
         return (read_salt() or b"") if self.recipe is not None and self.recipe.hidden else b""
+
+    @cached_property
+    def _own(self) -> bool:
+        """Whether it is a recipe of the user's own, whose files only its digest tells from those of others."""
+        from oysterbench.recipe import load_split, split_names
+        from oysterbench.simulation.generate import digest
+
+        assert self.recipe is not None
+        if not self._from_file:
+            return False
+        if self.name in split_names():
+            return digest(self.recipe) != digest(load_split(self.name))
+        return bool(self._salt) or not self.recipe.hidden
 
     @property
     def folder(self) -> Path:
@@ -121,22 +139,27 @@ class RecipeSource(Source):
     def _downloaded(self, name: str) -> Path | None:
         """File of a sequence from a separate folder, as for a hub whose files another version of this program made."""
         from oysterbench.hub.verify import kept_manifest
+        from oysterbench.simulation.generate import digest
 
+        assert self.recipe is not None
+        made_by = digest(self.recipe, self._salt) if self._own else None
         for folder in sorted((home() / "splits" / self.name).glob(f"{self.version}-*")):
             manifest = kept_manifest(folder)
-            if manifest is not None and (manifest.split, manifest.version) == (self.name, self.version):
-                found = _whole(manifest, folder, name)
-                if found is not None:
-                    return found
+            if manifest is None or (manifest.split, manifest.version) != (self.name, self.version):
+                continue
+            found = _whole(manifest, folder, name)
+            if found is not None and made_by in (None, manifest.recipe_digest):
+                return found
         return None
 
     def get(self, names: Sequence[str], workers: int | None, quiet: bool) -> None:
         assert self.recipe is not None
-        hub = hub_here(quiet)
+        hub = None if self._own else hub_here(quiet)
         if hub is None:
             if self.recipe.hidden and not self._salt:
+                lacking = "its recipe is not the released one" if self._own else NO_HUB
                 raise HubError(
-                    f"{self.name} is a hidden split: it comes from a hub, without its ground truth, and {NO_HUB}; "
+                    f"{self.name} is a hidden split: it comes from a hub, without its ground truth, and {lacking}; "
                     "rendering it needs its salt"
                 )
             render_files(self.recipe, self.folder, workers, tuple(names), self._salt, quiet=quiet)
@@ -165,7 +188,7 @@ def find_source(name: str | Path) -> Source:
     if text.endswith(".toml") or plain in known:
         recipe = load_split(text if text.endswith(".toml") else plain)
         if version in ("", recipe.version) or text.endswith(".toml"):
-            return RecipeSource(recipe)
+            return RecipeSource(recipe, from_file=text.endswith(".toml"))
     hub = hub_here()
     if hub is not None and hub.public is not None:
         return HubSource(hub, hub.manifest(plain, version or None))

@@ -271,7 +271,8 @@ class Split:
 
 
 def split(name: str | os.PathLike[str], *, workers: int | None = None, quiet: bool = False) -> Split:
-    """Open a split by its name; its files are rendered, or downloaded where a hub is set, on first use.
+    """Open a split by its name; its files are rendered, or downloaded where a hub is set, on first use. Those of a
+    recipe of your own are always rendered.
 
     Parameters
     ----------

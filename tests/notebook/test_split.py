@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import os
+import re
 import subprocess
 import sys
 from contextlib import contextmanager
+from importlib.resources import files
+from pathlib import Path
 
 import pytest
 
 import oysterbench
 from oysterbench.core.errors import HubError, MachineError, RecipeError, SequenceError
 from oysterbench.core.places import home as home_folder
-from oysterbench.hub.manifest import build_manifest
+from oysterbench.hub.manifest import build_manifest, released_manifest
+from oysterbench.recipe import load_split
+from oysterbench.simulation.generate import digest, split_folder
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 from tests.helpers.trees import FACTS, a_key, publish_split, write_sequence, write_split
 
@@ -143,13 +149,35 @@ def test_a_split_that_only_a_hub_knows_is_downloaded(hub, capsys):
     assert split.fetch()["dive-02"].read_bytes() == hub["dive-02"].read_bytes()
 
 
-def test_files_by_the_manifest_of_another_split_are_not_taken(recipe):
+@pytest.mark.parametrize(
+    ("split", "changed", "taken"),
+    [("tiny", "", True), ("other", "", False), ("tiny", "seed = 9", False)],
+    ids=["its own", "of another split", "of another recipe of its name"],
+)
+def test_files_are_taken_by_the_manifest_of_the_same_recipe_only(recipe, split, changed, taken):
     folder = home_folder() / "splits" / "tiny" / "1.0-x"
     file = write_sequence(folder / "tiny-01.mcap", "tiny-01")
-    for split, here in (("tiny", [file]), ("other", [])):
-        manifest = build_manifest({**FACTS, "split": split}, {"tiny-01": file})
-        (folder / "manifest.json").write_bytes(manifest.data)
-        assert list(oysterbench.split(recipe).here.values()) == here
+    manifest = build_manifest({**FACTS, "split": split}, {"tiny-01": file}, digest(load_split(str(recipe))))
+    (folder / "manifest.json").write_bytes(manifest.data)
+    recipe.write_text(re.sub(r"seed = \d+", changed, recipe.read_text()) if changed else recipe.read_text())
+    assert list(oysterbench.split(recipe).here.values()) == ([file] if taken else [])
+
+
+def test_an_edited_copy_of_a_recipe_that_kept_its_name_is_not_the_released_split(tmp_path):
+    folder, manifest = split_folder(load_split("slam-mini")), released_manifest("slam-mini", "1.0")
+    folder.mkdir(parents=True)
+    (folder / "manifest.json").write_bytes(manifest.data)
+    file = folder / "mini-01.mcap"
+    file.touch()
+    os.truncate(file, manifest.find(file.name).size)
+    text = (Path(str(files("oysterbench_datasets"))) / "splits" / "slam-mini.toml").read_text()
+    for name, change, here in (("same.toml", "", [file]), ("edited.toml", "seed = 9", [])):
+        (tmp_path / name).write_text(re.sub(r"seed = \d+", change, text, count=1) if change else text)
+        assert list(oysterbench.split(tmp_path / name).here.values()) == here
+
+
+def test_a_recipe_of_ones_own_is_rendered_though_a_hub_is_set(recipe, hub):
+    assert [sequence.name for sequence in oysterbench.split(recipe, workers=1, quiet=True)[:1]] == ["tiny-01"]
 
 
 def test_a_folder_of_files_is_a_split(hub):
