@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from oysterbench.cli.echo import echo, message
 from oysterbench.cli.evaluate import FOLDER
 from oysterbench.cli.numbers import Number
 from oysterbench.cli.outputs import print_table
-from oysterbench.core.errors import MethodError
+from oysterbench.core.errors import MethodError, OysterbenchError
 
 if TYPE_CHECKING:
     from oysterbench.methods.tuning import OptionRange
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 @click.option("--jobs", type=click.IntRange(min=1), help="Maximum runs at a time.  [default: one per core]")
 @click.option("--timeout", "limit_s", type=Number(min=0, min_open=True), help="Time limit of a run, in s.")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask scheduler instead.")
+@click.option("--again", is_flag=True, help="Rerun finished trials.")
 @click.option("--out", type=FOLDER, required=True, help="Folder of all runs; the same command resumes in it.")
 def tune_command(
     method: str,
@@ -54,6 +56,7 @@ def tune_command(
     jobs: int | None,
     limit_s: float | None,
     scheduler: str | None,
+    again: bool,
     out: Path,
 ) -> None:
     """Try METHOD with random options, and print those with the best mean of the ranking metric of its track.
@@ -67,7 +70,8 @@ def tune_command(
     A trial's options depend only on the seed, its number and their names, so methods with the same budget are searched
     alike. A ranges file has a table for each option: range = [1, 9], log = true, or choices = ["a", "b"]. A failed run
     counts as one without any estimates. The last line is the method with the best options, ready for `oysterbench run`.
-    The same command resumes after interruption.
+    A trial with a run that the machine ended, as for lack of memory, has no mean; the same command runs it again, and
+    resumes after interruption.
     """
     from oysterbench.cli.progress import runs_shown
     from oysterbench.cli.render import frames_bar, render_files
@@ -100,6 +104,7 @@ def tune_command(
         jobs=jobs,
         limit_s=limit_s,
         scheduler=scheduler,
+        again=again,
         exports=home() / "exports",
         render=render_files,
         bar=frames_bar,
@@ -110,13 +115,19 @@ def tune_command(
         _check_values(ranges, known, references[:2], lambda one: track.adapters(replace(request, methods=[one])))
     names = {adapter.name: reference for adapter, reference in zip(track.adapters(request), references, strict=True)}
     with runs_shown() as show:
-        records = track.evaluate(replace(request, on_output=show)).records
+        evaluation = track.evaluate(replace(request, on_output=show))
+    records = evaluation.records
     table = trials_table(records, names)
     print_table(table)
     best = best_of(records, names)
     if math.isfinite(best[1]):
         message(f"best of {len(references)} trials, mean {ranking_heading(track.name)} {best[1]:.3f}:")
         echo(names[best[0]])
+    absent = [each.failure for each in evaluation.unscored if each.failure is not None]
+    for failure in absent:
+        message(failure)
+    if absent:
+        sys.exit(OysterbenchError.exit_code)
 
 
 def _check_values(

@@ -16,16 +16,18 @@ SHOWN = 10
 
 def mean_scores(records: Sequence[ResultRecord], names: Mapping[str, str]) -> dict[str, float]:
     """Mean of the track's ranking metric over the sequences, for each trial, as methods are ranked: a failed run counts
-    as one that estimates nothing, and a sequence on which the metric has no value in no mean. NaN if there is none."""
+    as one that estimates nothing, and a sequence on which the metric has no value in no mean. NaN if there is none, or
+    where a trial lacks a run on a sequence that others ran on, as it may be a hard one."""
     found: dict[str, list[ResultRecord]] = {name: [] for name in names}
     for record in records:
         if record.method in found:
             found[record.method].append(record)
-    return {name: _mean_score(of_trial) for name, of_trial in found.items()}
+    sequences = {record.sequence for of_trial in found.values() for record in of_trial}
+    return {name: _mean_score(of_trial, sequences) for name, of_trial in found.items()}
 
 
-def _mean_score(records: Sequence[ResultRecord]) -> float:
-    if not records:
+def _mean_score(records: Sequence[ResultRecord], sequences: set[str]) -> float:
+    if not records or {record.sequence for record in records} != sequences:
         return math.nan
     metric = PRIMARY[records[0].track]
     return mean_over_sequences(samples(records, metric), mean_weights(records, metric))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from oysterbench.methods.options import LONGEST, split_variant, variant_name
 from oysterbench.methods.tuning import OptionRange, read_ranges, trials
 from oysterbench_leaderboard.storage.record import MOST_TEXT
 from tests.helpers.command import run as run_here
+from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 
 RANGES = {
     "gain": OptionRange(range=(0.01, 100.0), log=True),
@@ -180,3 +182,25 @@ def test_a_draw_of_the_defaults_is_the_method_itself():
 
 def test_a_value_written_in_two_ways_is_tried_once():
     assert len(trials("mine", {"gain": OptionRange(choices=(1, 1.0))}, 30)) == 2
+
+
+def test_a_trial_that_the_machine_killed_is_told_and_is_not_the_best(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    (tmp_path / "tuned_killed.py").write_text(
+        "import os\nfrom oysterbench_baselines.template import Template\n\n\n"
+        "class Killed(Template):\n    name = 'killed'\n\n"
+        "    def __init__(self, dies: bool = False):\n        super().__init__()\n        self.dies = dies\n\n"
+        "    def run(self, sequence):\n        if self.dies:\n            os.kill(os.getpid(), 9)\n"
+        "        return super().run(sequence)\n"
+    )
+    (tmp_path / "ranges.toml").write_text("[dies]\nchoices = [false, true]\n")
+    (tmp_path / "rig.toml").write_text(TINY_RIG)
+    (tmp_path / "tiny.toml").write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "rig.toml"'))
+    words = ["tune", "tuned_killed:Killed", "--split", tmp_path / "tiny.toml", "--sequence", "tiny-01"]
+    words += ["--topics", "/imu", "--ranges", tmp_path / "ranges.toml", "--out", tmp_path / "out"]
+    done = run_here(*words, home=tmp_path / "home")
+    assert done.returncode == 1
+    assert "killed by SIGKILL" in done.stderr
+    assert done.stderr.rstrip().endswith("; the run is not counted, and the same command runs it again")
+    assert done.stdout.splitlines()[-1] == "tuned_killed:Killed"

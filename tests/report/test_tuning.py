@@ -30,6 +30,14 @@ def test_a_sequence_without_a_value_does_not_make_a_failure_the_best():
     assert [row.cells[0].value for row in trials_table(made, names).rows] == [1, 0, 2]
 
 
+def test_a_trial_without_a_run_on_a_sequence_that_others_ran_on_has_no_mean():
+    made = [detected("m", "easy", 0.9), detected("m", "hard", 0.3), detected("m[k=1]", "easy", 0.8)]
+    names = {name: name for name in ("m", "m[k=1]")}
+    assert best_of(made, names) == ("m", pytest.approx(0.6))
+    assert math.isnan(mean_scores(made, names)["m[k=1]"])
+    assert [row.cells[0].value for row in trials_table(made, names).rows] == [0, 1]
+
+
 def test_the_best_trial_is_the_first_in_a_comparison():
     """Of IoU by pixels: what is right on many pixels counts more than what is right on few."""
     found = {"large": (0.8, 0.3), "small": (0.5, 0.9)}
