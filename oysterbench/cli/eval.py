@@ -175,13 +175,16 @@ def _evaluate(
     if reading:
         raise click.UsageError(f"{', '.join(reading)}: says how to read files, but no --truth and --estimate are given")
 
+    from oysterbench.methods.runner import AGAIN
     from oysterbench.recipe import load_split
     from oysterbench.simulation.generate import split_folder
     from oysterbench.tracks import Request
 
     split = load_split(split_name or track.default_split)
+    out = out or split_folder(split) / track.folder("results", options)
+    (out / AGAIN).unlink(missing_ok=True)  # an interrupted evaluation is not gone on with
     request = Request(
-        out=out or split_folder(split) / track.folder("results", options),
+        out=out,
         split=split,
         sequences=sequences,
         methods=methods,

@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
@@ -29,6 +30,8 @@ from oysterbench.methods.sandbox import can_hide
 
 AGAIN = "again"
 """File in the folder of the results while their runs are being repeated."""
+REPETITION_S = 24 * 3600.0
+"""Time after its last run until which an interrupted repetition is gone on with, s."""
 ASSUMED_BYTES = 2 * 2**30
 """Memory that a method is assumed to need until one of its runs has been measured."""
 LOOK_S = 1.0
@@ -57,9 +60,9 @@ def run_jobs(
     """Yield each job with its outcome as it finishes; jobs that were finished before come first and are not run.
 
     root: folder of the results, which only one runner at a time may use. again: run finished jobs again, or
-    go on with that where it was interrupted; retry: rerun what failed, and what it is true of, such as of a run that
-    cannot be scored; None to keep these. What failed is rerun in any case if files of its sequence or method have
-    changed.
+    go on with that where it was interrupted, unless that is REPETITION_S ago; retry: rerun what failed, and what it is
+    true of, such as of a run that cannot be scored; None to keep these. What failed is rerun in any case if files of
+    its sequence or method have changed.
     workers: jobs at a time; None for one per core. exports: folder where inputs are kept for other runs. hardware:
     describes a machine; scheduler: address of a Dask cluster to run the jobs on. on_output: called with the latest
     output of jobs that run here.
@@ -71,13 +74,18 @@ def run_jobs(
         todo, kept = [], []
         begun_ns = _begun_again(jobs, root) if again else 0
         for job in jobs:
-            known = _finished(job, root, retry) if _written_ns(job, root) >= begun_ns else None
+            known = _finished(job, root, retry) if _written_ns(job.folder(root) / OUTCOME) >= begun_ns else None
             if known is None:
                 todo.append(job)
             else:
                 kept.append(known.ended)
                 yield job, known
-        if kept:
+        if kept and again:
+            announce(
+                f"{root}: going on with the repetition begun {_time(begun_ns / 1e9)}, of which {len(kept)} of "
+                f"{len(jobs)} runs are there; to begin anew, delete {root / AGAIN}"
+            )
+        elif kept:
             announce(
                 f"{root}: kept {len(kept)} of {len(jobs)} runs from an earlier command, the last of {max(kept)}, "
                 "and did not run them again; `oysterbench run` with --again reruns them"
@@ -93,10 +101,12 @@ def run_jobs(
 
 
 def _begun_again(jobs: Sequence[Job], root: Path) -> int:
-    """When these jobs began to be repeated, ns since the epoch: now or, where that was interrupted, then. What was
-    finished since need not be run again."""
+    """When these jobs began to be repeated, ns since the epoch: now or, where that was interrupted of late, then. What
+    was finished since need not be run again."""
     marker, text = root / AGAIN, _digest_of(jobs)
-    if not marker.is_file() or marker.read_text() != text:
+    known = marker.is_file() and marker.read_text() == text
+    last_ns = max(map(_written_ns, [marker, *(job.folder(root) / OUTCOME for job in jobs)]))
+    if not known or time.time_ns() - last_ns > REPETITION_S * 1e9:
         write_atomically(marker, text.encode())
     return marker.stat().st_mtime_ns
 
@@ -105,9 +115,8 @@ def _digest_of(jobs: Sequence[Job]) -> str:
     return hashlib.sha256(json.dumps([job.identity for job in jobs], sort_keys=True).encode()).hexdigest()
 
 
-def _written_ns(job: Job, root: Path) -> int:
-    """When the outcome of a job was written, ns since the epoch; 0 where there is none."""
-    path = job.folder(root) / OUTCOME
+def _written_ns(path: Path) -> int:
+    """When a file was written, ns since the epoch; 0 where there is none."""
     return path.stat().st_mtime_ns if path.is_file() else 0
 
 
@@ -368,7 +377,11 @@ def _known_peaks(jobs: Sequence[Job], root: Path) -> dict[str, int]:
 
 
 def _now() -> str:
-    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return _time(time.time())
+
+
+def _time(since_epoch_s: float) -> str:
+    return datetime.fromtimestamp(since_epoch_s, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 @contextmanager

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import time
 from pathlib import Path
 
 import pytest
@@ -11,8 +13,9 @@ import oysterbench
 from oysterbench.core.errors import MethodError
 from oysterbench.core.trajectory import write_tum
 from oysterbench.evaluate.slam.scoring import SlamSettings
+from oysterbench.methods import runner
 from oysterbench.methods.adapters import ExternalCommand
-from oysterbench.methods.outcomes import differing
+from oysterbench.methods.outcomes import OUTCOME, differing
 from oysterbench.tracks import Request
 from oysterbench.tracks.slam import TRACK, SlamSequence, own_sequences
 from tests.helpers.command import run as run_here
@@ -248,3 +251,38 @@ def test_runs_that_were_to_be_repeated_go_on_after_an_interruption(dive_file, tm
     assert log.read_text() == "0\n1\n2\n0\n1\n2\n"
     list(TRACK.run(sequences, [counts], SlamSettings(), again))
     assert log.read_text() == "0\n1\n2\n" * 3
+
+
+def test_a_repetition_that_was_interrupted_is_gone_on_with_for_a_day_and_says_so(folder, tmp_path):
+    work, out, said = tmp_path / "work", tmp_path / "out", list[str]()
+    work.mkdir()
+    write_answer(work)
+    counts = ExternalCommand(command(tmp_path, "counts", work / "answer.tum", "euroc", "{seed}"), "counts")
+
+    def repeated(finished):
+        """Seeds of the runs so far, after as many of two were finished once more."""
+        request = Request(out, runs=2, jobs=1, again=True, announce=said.append)
+        found = TRACK.run(own_sequences([folder.path]), [counts], SlamSettings(), request)
+        for _ in range(finished):
+            next(found)
+        found.close()
+        return (work / "answer.tum.log").read_text().split()
+
+    assert repeated(1) == ["0"]
+    assert repeated(2) == ["0", "1"]
+    (told,) = (text for text in said if "repetition" in text)
+    begun = "going on with the repetition begun 20.*Z, of which 1 of 2 runs are there"
+    assert re.fullmatch(rf"{out}: {begun}; to begin anew, delete {out}/again", told)
+    before = time.time() - 1.1 * runner.REPETITION_S
+    for path in (out / runner.AGAIN, *out.rglob(OUTCOME)):
+        os.utime(path, (before, before))
+    assert repeated(1) == ["0", "1", "0"]
+
+
+def test_eval_does_not_go_on_with_an_evaluation_that_was_interrupted(tmp_path, monkeypatch):
+    (tmp_path / runner.AGAIN).write_text("of these jobs")
+    begun: list[bool] = []
+    monkeypatch.setattr("oysterbench.cli.eval.evaluate", lambda track, request, outputs: begun.append(request.again))
+    assert run_here("eval", "slam", "--split", "slam-mini", "--out", tmp_path).returncode == 0
+    assert begun == [True]
+    assert not (tmp_path / runner.AGAIN).exists()
