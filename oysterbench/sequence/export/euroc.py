@@ -12,7 +12,7 @@ import scipy
 
 from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.export.kalibr import write_calibration
-from oysterbench.sequence.export.parts import number, numbers, sensor_poses, write_lines, write_png
+from oysterbench.sequence.export.parts import inertial_samples, number, numbers, sensor_poses, write_lines, write_png
 from oysterbench.sequence.export.readme import truth_line, write_readme
 from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.truth import TRUTH
@@ -53,7 +53,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     write_lines(inertial / "sensor.yaml", _imu_yaml(sequence.imu_calibration))
     samples = (
         ",".join([str(sample.stamp_ns), *(repr(float(value)) for value in (*sample.gyro, *sample.accel))])
-        for sample in sequence.imu()
+        for sample in inertial_samples(sequence)
     )
     write_lines(inertial / "data.csv", [IMU_HEADER, *samples])
     write_lines(root / "body.yaml", [f"comment: {sequence.name}"])

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array, invert
-from oysterbench.core.measurements import Image
+from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence.pictures import png_bytes
 from oysterbench.sequence.types import CameraCalibration, Sequence
@@ -43,6 +43,11 @@ def write_lines(path: Path, lines: Iterable[str]) -> None:
     """Write a text file of lines."""
     with open(path, "w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{line}\n" for line in lines)
+
+
+def inertial_samples(sequence: Sequence) -> Iterator[ImuMeasurement]:
+    """Inertial measurements; none where a file has other topics of its split only."""
+    return sequence.imu() if sequence.has_imu else iter(())
 
 
 def labelled_cameras(sequence: Sequence, *further: str) -> dict[str, list[str]]:

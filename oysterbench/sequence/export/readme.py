@@ -64,7 +64,8 @@ def write_readme(
     for coefficients in dict.fromkeys(_coefficients(sequence.cameras[name]) for name in cameras.values()):
         lines.append(f"Names of this distortion ({coefficients}):")
         lines += [*(f"  {systems}: {name}" for systems, name in NAMES[coefficients].items()), ""]
-    write_lines(folder / README, [*lines, *_imu(sequence.imu_calibration), "", *further])
+    absent = [] if sequence.has_imu else ["There are no inertial measurements of this sequence here."]
+    write_lines(folder / README, [*lines, *_imu(sequence.imu_calibration), *absent, "", *further])
 
 
 def _coefficients(camera: CameraCalibration) -> str:

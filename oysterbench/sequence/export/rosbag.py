@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_typestore
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.sequence.export.kalibr import write_calibration
-from oysterbench.sequence.export.parts import sensor_poses
+from oysterbench.sequence.export.parts import inertial_samples, sensor_poses
 from oysterbench.sequence.export.readme import truth_line, write_readme
 from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.types import Sequence
@@ -35,9 +35,11 @@ UNKNOWN = np.array([-1.0, *[0.0] * 8])
 def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
     """Write NAME.bag, camchain-imucam.yaml, imu.yaml and README.txt."""
     topics = {name: f"/cam{index}/image_raw" for index, name in enumerate(sequence.cameras)}
-    types = dict.fromkeys(topics.values(), IMAGE) | {IMU_TOPIC: IMU} | ({TRUTH_TOPIC: POSE} if truth else {})
+    types = dict.fromkeys(topics.values(), IMAGE)
+    types |= ({IMU_TOPIC: IMU} if sequence.has_imu else {}) | ({TRUTH_TOPIC: POSE} if truth else {})
     messages = Messages(topics)
-    sources: list[Iterator[Any]] = [sequence.stream()]
+    # At equal stamps in this order, as in `Sequence.stream`.
+    sources: list[Iterator[Any]] = [inertial_samples(sequence), *map(sequence.images, sequence.cameras)]
     if truth:
         sources.append(_truth(sequence))
     steps.expect(frames(sequence, sequence.cameras))

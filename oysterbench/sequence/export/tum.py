@@ -9,7 +9,14 @@ import scipy
 
 from oysterbench.core.geometry import invert
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds, write_tum
-from oysterbench.sequence.export.parts import any_camera, port_notes, sensor_poses, write_lines, write_png
+from oysterbench.sequence.export.parts import (
+    any_camera,
+    inertial_samples,
+    port_notes,
+    sensor_poses,
+    write_lines,
+    write_png,
+)
 from oysterbench.sequence.export.readme import truth_line, write_readme
 from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.types import CameraCalibration, Sequence
@@ -35,7 +42,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     write_lines(folder / "rgb.txt", rows)
     samples = (
         " ".join([ns_to_seconds(sample.stamp_ns), *(repr(float(value)) for value in sample.accel)])
-        for sample in sequence.imu()
+        for sample in inertial_samples(sequence)
     )
     write_lines(
         folder / "accelerometer.txt", ["# accelerometer, in the frame of the IMU", "# timestamp ax ay az", *samples]

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 
 import pytest
+from rosbags.rosbag1 import Reader
 
 import oysterbench
 from oysterbench.core.errors import SequenceError
+from oysterbench.sequence.cut import cut_to
 from oysterbench.sequence.export import export_sequence
 
 
@@ -27,6 +29,24 @@ def test_an_export_that_fails_leaves_nothing(dive_file, tmp_path):
     with pytest.raises(SequenceError, match=r"damaged\.mcap: truncated or damaged"):
         export_sequence(oysterbench.open(damaged), "euroc", tmp_path / "out" / "here")
     assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize("form", ["euroc", "tum", "rosbag", "kalibr"])
+def test_a_file_with_images_only_is_exported_without_inertial_measurements(form, sequence, dive_file, tmp_path):
+    kept = [topic for topic, _, _ in sequence.contents() if topic.startswith(("/cam_left/", "/truth", "/tf_static"))]
+    cut_to(tmp_path / "left.mcap", dive_file, kept)
+    out = tmp_path / "out"
+    export_sequence(oysterbench.open(tmp_path / "left.mcap"), form, out)
+    assert "There are no inertial measurements of this sequence here." in (out / "README.txt").read_text()
+    if form == "euroc":
+        again = oysterbench.open(out)
+        assert not again.has_imu
+        images = [image.stamp_ns for image in sequence.images("cam_left")]
+        assert [image.stamp_ns for image in again.images("cam0")] == images
+        assert again.duration_s == pytest.approx((images[-1] - images[0]) * 1e-9)
+    if form == "rosbag":
+        with Reader(next(out.glob("*.bag"))) as bag:
+            assert {connection.topic for connection in bag.connections} == {"/cam0/image_raw", "/groundtruth"}
 
 
 def test_an_unknown_format_is_named(sequence, tmp_path):
