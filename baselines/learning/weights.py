@@ -15,8 +15,14 @@ def _describe(name: str, path: Path) -> Training:
     return describe(name, path)
 
 
+def _check(path: Path) -> None:
+    from oysterbench_baselines.learning.checkpoint import read_finished
+
+    read_finished(path)
+
+
 def _weights(name: str, **known: object) -> Weights:
-    return Weights(name=name, describe=partial(_describe, name), **known)  # type: ignore[arg-type]
+    return Weights(name=name, describe=partial(_describe, name), **{"check": _check, **known})  # type: ignore[arg-type]
 
 
 LIMITS = (
@@ -79,4 +85,5 @@ CUT = _weights(
     summary="Makes rendered pictures of oysters look like real ones",
     limits="Pictures that are shown as real ones. Labels may drift by some pixels: `oysterbench translate` says by how "
     "many.",
+    check=lambda path: None,  # those of an unfinished training translate, too
 )

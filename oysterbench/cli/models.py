@@ -235,7 +235,7 @@ def _rows(hub: Hub | None) -> list[dict[str, Any]]:
         rows.append(
             {
                 "model": name,
-                "here": f"{here.brief}, {here.path.stat().st_size / 1e6:.1f} MB" if here else "no",
+                "here": f"{_state(name, here)}, {here.path.stat().st_size / 1e6:.1f} MB" if here else "no",
                 "file": str(here.path) if here else None,
                 "sha256": here.sha256 if here else None,
                 "hub": [f"{version} ({release.size / 1e6:.1f} MB)" for version, release in of_hub.items()],
@@ -244,6 +244,17 @@ def _rows(hub: Hub | None) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _state(name: str, here: Here) -> str:
+    """Where weights that are here are from, and whether methods can use them."""
+    from oysterbench.methods.weights import check_usable
+
+    try:
+        check_usable(name, here.path)
+    except MethodError:
+        return f"{here.brief} (unfinished or damaged)"
+    return here.brief
 
 
 def _print_card(name: str, hub: Hub | None, as_json: bool) -> None:

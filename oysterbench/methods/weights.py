@@ -12,7 +12,7 @@ The entry-point group `oysterbench.weights` provides what is known about weights
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -44,6 +44,7 @@ class Weights:
     summary:  what they are, in one line; limits: what they are not suited for, in sentences; licence: a URL
     describe: reads how the weights in a file were trained; raises MethodError where the file is not one of these
               weights, or training did not finish
+    check:    raises MethodError where methods refuse a file: it is damaged, or training did not finish
     """
 
     name: str
@@ -55,6 +56,7 @@ class Weights:
     limits: str
     describe: Callable[[Path], Training]
     licence: str = LICENCE
+    check: Callable[[Path], object] = lambda path: None
 
 
 def weights_path(name: str) -> Path:
@@ -126,6 +128,16 @@ def no_weights(name: str, path: Path) -> MethodError:
     )
 
 
+def check_usable(name: str, path: Path) -> None:
+    """Raise MethodError where methods refuse the file of known weights, such as one of an interrupted training. Files
+    with a card, which were released, are not read, and none are where what reads them is not installed."""
+    from oysterbench.hub.verify import kept_card
+
+    if name in weights_names() and kept_card(path) is None:
+        with suppress(ModuleNotFoundError):
+            find_weights(name).check(path)
+
+
 def have_weights(
     needed: Mapping[str, Path],
     announce: Announce = lambda text: None,
@@ -133,11 +145,13 @@ def have_weights(
 ) -> None:
     """Make sure that weights are here before a method uses them: missing ones are fetched if a hub is set.
 
-    Raises MethodError, with what to type, where weights are missing and no hub is set or the user named another file;
-    HubError, with the same and the reason, where the hub does not provide them.
+    Raises MethodError, with what to type, where weights are missing and no hub is set or the user named another file,
+    or where they cannot be used (`check_usable`); HubError, with the same and the reason, where the hub does not
+    provide them.
     """
     for name, path in needed.items():
         if path.is_file():
+            check_usable(name, path)
             continue
         absent = no_weights(name, path)
         if path.absolute() != weights_path(name):

@@ -13,6 +13,8 @@ from click.testing import CliRunner  # noqa: E402
 
 from oysterbench.cli.main import main  # noqa: E402
 from oysterbench.core.errors import MethodError  # noqa: E402
+from oysterbench.methods.weights import have_weights, weights_path  # noqa: E402
+from oysterbench.notebook.doctor.data import look_at_data  # noqa: E402
 from oysterbench_baselines.gtsam_vi_learned.model import MapModel  # noqa: E402
 from oysterbench_baselines.learning.card import describe  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint  # noqa: E402
@@ -80,6 +82,35 @@ def test_weights_of_a_training_that_was_interrupted_are_refused(tmp_path, read, 
     Checkpoint({"settings": {"measured": True}}, {}, {}, {}, {}, 30, finished, [1.0], 0.0).write(path)
     with pytest.raises(MethodError, match=r"half\.pt: the training is not finished, it has done 30 steps.*resumes"):
         read(path if read is not MovingMask else str(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "said"),
+    [
+        ("unet", None, "the training is not finished, it has done 30 steps"),
+        ("moving", None, "the training is not finished, it has done 30 steps"),
+        ("unet", b"no file", "not a checkpoint of this version, or cut short"),
+    ],
+)
+def test_weights_that_methods_refuse_are_refused_before_a_run_and_told_of(name, data, said, home, monkeypatch):
+    monkeypatch.delenv(f"OYSTERBENCH_{name.upper()}", raising=False)
+    path = weights_path(name)
+    Checkpoint({}, {}, {}, {}, {}, 30, False, [1.0], 0.0).write(path)
+    if data is not None:
+        path.write_bytes(data)
+    with pytest.raises(MethodError, match=said):
+        have_weights({name: path})
+    doctor = {finding.name: finding for finding in look_at_data()}[f"weights {name}"]
+    assert (doctor.state, said in doctor.detail) == ("broken", True)
+    listed = json.loads(CliRunner().invoke(main, ["models", "--json"]).stdout)
+    (row,) = (row for row in listed["models"] if row["model"] == name)
+    assert row["here"].startswith("trained here (unfinished or damaged), ")
+
+
+def test_an_unfinished_training_that_its_command_takes_is_not_refused(home, monkeypatch):
+    monkeypatch.delenv("OYSTERBENCH_CUT", raising=False)
+    Checkpoint({}, {}, {}, {}, {}, 30, False, [1.0], 0.0).write(weights_path("cut"))
+    have_weights({"cut": weights_path("cut")})
 
 
 def test_no_training_begins_with_weights_of_one_that_was_interrupted(labelled, tmp_path):

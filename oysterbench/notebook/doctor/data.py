@@ -94,7 +94,7 @@ def _split(name: str, known: bool) -> Iterator[Finding]:
 def _weights() -> Iterator[Finding]:
     from oysterbench.hub.settings import hub_places
     from oysterbench.hub.verify import kept_card
-    from oysterbench.methods.weights import find_weights, usable_path, weights_names, weights_variable
+    from oysterbench.methods.weights import check_usable, find_weights, usable_path, weights_names, weights_variable
 
     folder = models()
     if os.environ.get(MODELS) and folder.exists() and not folder.is_dir():
@@ -119,6 +119,12 @@ def _weights() -> Iterator[Finding]:
         if not named and card is None and path.with_suffix(".json").is_file():
             detail = f"{path.with_suffix('.json')}: not a card that can be read"
             yield Finding("data", f"weights {name}", "broken", detail, f"oysterbench download {name} --again")
+            continue
+        try:
+            check_usable(name, path)
+        except OysterbenchError as error:
+            advice = f"unset {variable}" if named else f"oysterbench train {find_weights(name).train}"
+            yield broken_by("data", f"weights {name}", error, advice)
             continue
         of = "part of oysterbench" if path.parent == released_models() else "of a hub"
         origin = named or (f"version {card.version}, {of}" if card else "trained here")
