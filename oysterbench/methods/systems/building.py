@@ -10,6 +10,7 @@ import os
 import re
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
@@ -17,6 +18,7 @@ import tarfile
 import tempfile
 import tomllib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -228,18 +230,29 @@ def _install(system: System, log: IO[bytes], announce: Announce) -> None:
 
 
 def _call(system: System, command: Sequence[str], log: IO[bytes], announce: Announce | None = None) -> None:
-    """Run a build step; its output goes to the log, and its progress to `announce`."""
+    """Run a build step; its output goes to the log, and its progress to `announce`. When this is interrupted, the step
+    is ended with all that it has started."""
     log.write(f"$ {' '.join(command)}\n".encode())
     log.flush()
     try:
         with subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            start_new_session=True,
         ) as step:
             assert step.stdout is not None
-            for line in step.stdout:
-                log.write(line.encode())
-                if announce is not None and (where := STEP.match(line)):
-                    announce(f"building {system.name}: {where.group().strip('[] ')}")
+            try:
+                for line in step.stdout:
+                    log.write(line.encode())
+                    if announce is not None and (where := STEP.match(line)):
+                        announce(f"building {system.name}: {where.group().strip('[] ')}")
+            except BaseException:  # Ctrl-C and SIGTERM included; leaving this block waits for the step
+                with suppress(ProcessLookupError):
+                    os.killpg(step.pid, signal.SIGTERM)
+                raise
     except FileNotFoundError:
         raise MethodError(f"{system.name} needs {command[0]}, which is not installed") from None
     log.flush()
