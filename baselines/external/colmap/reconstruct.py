@@ -27,9 +27,15 @@ def main(task_file: str, folder: str, out: str) -> None:
     rows = (Path(folder) / "mav0" / "cam0" / "data.csv").read_text(encoding="utf-8").splitlines()
     fields = [row.split(",") for row in rows if row and not row.startswith("#")]
     step = max(1, round(task["frame_rate_hz"] / task["rate_hz"]))
-    stamps = {file.strip(): int(stamp) + task["shift_ns"] for stamp, file, *_ in fields[::step]}
     pycolmap.set_random_seed(task["seed"])
     with tempfile.TemporaryDirectory() as scratch:
+        stamps, chosen = {}, Path(scratch) / "pictures"
+        chosen.mkdir()
+        for number, (stamp, file, *_) in enumerate(fields[::step]):
+            # The order of names says which are neighbours: a stamp of 9 digits would come after those of 10.
+            name = f"{number:06d}{Path(file.strip()).suffix}"
+            (chosen / name).symlink_to((pictures / file.strip()).absolute())
+            stamps[name] = int(stamp) + task["shift_ns"]
         database = Path(scratch) / "database.db"
         extraction = pycolmap.FeatureExtractionOptions()
         extraction.sift.max_num_features = task["max_num_features"]
@@ -38,11 +44,11 @@ def main(task_file: str, folder: str, out: str) -> None:
         reader.camera_model = task["camera_model"]
         reader.camera_params = ",".join(map(repr, task["camera_params"]))
         single = pycolmap.CameraMode.SINGLE
-        pycolmap.extract_features(database, pictures, list(stamps), single, reader, extraction)
+        pycolmap.extract_features(database, chosen, list(stamps), single, reader, extraction)
         pairing = pycolmap.SequentialPairingOptions()
         pairing.overlap = task["overlap"]
         pycolmap.match_sequential(database, pairing_options=pairing)
-        models = MAPPERS[task["mapper"]](task, database, pictures, scratch)
+        models = MAPPERS[task["mapper"]](task, database, chosen, scratch)
     if not models:
         sys.exit("COLMAP found no pair of pictures to begin with")
     largest = max(models.values(), key=lambda model: model.num_reg_images())
