@@ -125,4 +125,6 @@ def test_who_writes_where_he_may_not_is_told_where_he_may(tmp_path):
     failure = run(tmp_path / "own", f"open({str(place)!r}, 'w')", hidden=[tmp_path / "hidden"]).failure
     assert failure is not None
     assert not place.exists()
-    assert failure.endswith("it can write only to the folder of {out}, to TMPDIR and to /dev/shm")
+    assert failure.endswith(
+        "; it can write only to the folder of {out}, to temporary folders such as TMPDIR, and to /dev/shm"
+    )
