@@ -24,6 +24,8 @@ class EvaluatorSettings:
             if isinstance(value, list):
                 value = tuple(value)
                 object.__setattr__(self, key.name, value)
+            if get_origin(hint) is tuple and not isinstance(value, tuple):
+                self.refuse(key.name, f"a list of {key.metadata.get('expected', 'values')}", value)
             if get_origin(hint) is Literal and value not in get_args(hint):
                 self.refuse(key.name, f"one of {', '.join(get_args(hint))}", value)
             if "allows" in key.metadata and not key.metadata["allows"](value):

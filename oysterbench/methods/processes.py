@@ -249,7 +249,9 @@ def _ended(report: dict[str, Any], limit_s: float, folder: Path) -> Ended:
     if failure is not None and (last := tail(folder / STDERR) or tail(folder / STDOUT)):
         failure = f"{failure}; last output: {last}"
         if any(os.strerror(denied) in last for denied in (errno.EACCES, errno.EROFS)):
-            failure += "; it can write only to the folder of {out}, to temporary folders such as TMPDIR, and to /dev/shm"
+            failure += (
+                "; it can write only to the folder of {out}, to temporary folders such as TMPDIR, and to /dev/shm"
+            )
     return Ended(report["wall_s"], report["cpu_s"], report["peak_bytes"], report["left_behind"], failure, killed)
 
 

@@ -295,6 +295,9 @@ def test_settings_that_mean_nothing_are_refused_by_name():
         SlamSettings(align_first=2)
     with pytest.raises(TrajectoryError, match=r"'subpath_m': expected lengths of more than 0 m, got .*-1"):
         SlamSettings(subpath_m=(3.0, -1.0))
+    for lengths in (5.0, "5"):
+        with pytest.raises(TrajectoryError, match=r"'subpath_m': expected a list of lengths of more than 0 m, got .*5"):
+            SlamSettings(subpath_m=lengths)
     with pytest.raises(TrajectoryError, match="'rpe_angle': expected 'turned' with consecutive pairs"):
         SlamSettings(rpe_pairs="consecutive", rpe_angle="direct")
 

@@ -11,6 +11,7 @@ import pytest
 
 from oysterbench.annotations import write_folder
 from oysterbench.core.errors import MethodError
+from oysterbench.methods.options import as_word
 from oysterbench.methods.systems import building, find_system, split_reference, track_of
 from oysterbench.methods.systems.adapter import SystemAdapter
 from oysterbench.methods.systems.manifest import read_system
@@ -99,6 +100,19 @@ def test_a_file_of_weights_is_known_by_its_content(toy, tmp_path, monkeypatch):
     changed = SystemAdapter("toy_masks[weights=mine.txt]", ("segmentation",))
     assert changed.name != one.name
     assert changed.settings["weights"] != plain.settings["weights"]
+
+
+@pytest.mark.parametrize("name", ["doe, john", "a]b", 'say "x"', '"x', "a,b=[c"])
+def test_a_file_with_any_path_is_given_to_what_launches_it(name, toy, tmp_path, monkeypatch):
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "a.txt").write_text("120")
+    word = as_word(f"{tmp_path}/{name}/a.txt")
+    launched = SystemAdapter(f"toy_masks[weights={word}]", ("segmentation",)).reference
+    assert split_reference(launched)[2]["weights"] == f"{tmp_path}/{name}/a.txt"
+    shutil.copytree(tmp_path / "home", tmp_path / name / "home")
+    monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / name / "home"))
+    launched = SystemAdapter("toy_masks", ("segmentation",)).reference
+    assert split_reference(launched)[2]["weights"] == f"{tmp_path}/{name}/home/models/toy.txt"
 
 
 @pytest.mark.slow

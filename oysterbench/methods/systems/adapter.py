@@ -14,7 +14,7 @@ from oysterbench.methods.adapters import MethodAdapter, check_name
 from oysterbench.methods.code import file_digest
 from oysterbench.methods.interfaces import Predicted, RunSequence, interface_of
 from oysterbench.methods.interfaces.slam import SequencePath
-from oysterbench.methods.options import with_options
+from oysterbench.methods.options import as_word, with_options
 from oysterbench.methods.processes import STDOUT
 from oysterbench.methods.systems.building import find_build
 from oysterbench.methods.systems.launch import cameras_of, printed_command
@@ -41,7 +41,7 @@ class SystemAdapter(MethodAdapter):
         self.build = find_build(self.system)
         self._files = file_options(self.system, self.options)
         # It is launched in another folder, with another home, so files are given by their absolute paths.
-        self.reference = with_options(reference, [f"{key}={self.options[key]}" for key in self._files])
+        self.reference = with_options(reference, [f"{key}={as_word(self.options[key])}" for key in self._files])
         self.interface = interface_of(self.method.track)
         self.form = self.method.form
 
