@@ -30,7 +30,8 @@ def decode_picture(data: bytes | NDArray[np.uint8], flags: int) -> NDArray[Any] 
 
 def upper_bits(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """Upper 8 of the bits that an image of any shape uses: 8, or those of a camera stored in 16: 10, 12, 14 or 16.
-    Taken as 16 bits, an image of 12 bits would be almost black.
+    Taken as 16 bits, an image of 12 bits would be almost black. The bits are those of this image alone: a darker one of
+    the same camera may use fewer, and becomes brighter.
 
     >>> import numpy as np
     >>> upper_bits(np.array([0, 2048, 4095], np.uint16)), upper_bits(np.array([0, 255], np.uint16))
