@@ -31,10 +31,10 @@ def main(task_file: str, folder: str, out: str) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         stamps, chosen = {}, Path(scratch) / "pictures"
         chosen.mkdir()
-        for number, (stamp, file, *_) in enumerate(fields[::step]):
+        for number, (stamp, picture, *_) in enumerate(fields[::step]):
             # The order of names says which are neighbours: a stamp of 9 digits would come after those of 10.
-            name = f"{number:06d}{Path(file.strip()).suffix}"
-            (chosen / name).symlink_to((pictures / file.strip()).absolute())
+            name = f"{number:06d}{Path(picture.strip()).suffix}"
+            (chosen / name).symlink_to((pictures / picture.strip()).absolute())
             stamps[name] = int(stamp) + task["shift_ns"]
         database = Path(scratch) / "database.db"
         extraction = pycolmap.FeatureExtractionOptions()
