@@ -50,6 +50,8 @@ def test_the_wheel_has_data_of_every_kind_and_nothing_of_the_checkout_only(wheel
         "oysterbench_datasets/rigs/",
         "oysterbench_datasets/gallery/",
         "oysterbench_datasets/manifests/slam-mini-1.0.json",
+        "oysterbench_datasets/models/unet.pt",
+        "oysterbench_datasets/models/unet.json",
         "oysterbench_baselines/external/openvins/",
         "oysterbench_leaderboard/records/",
         "oysterbench_leaderboard/curves/",

@@ -75,7 +75,13 @@ def splits(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | 
     if name is not None:
         if ask_hub or places:
             raise click.UsageError("SPLIT and --hub cannot be combined: a hub lists splits, a recipe lists sequences")
-        _print_sequences(load_split(name), as_json)
+        split = load_split(name)
+        if name.endswith(".toml"):
+            from oysterbench.scene.vehicle import check_cameras
+
+            for sequence in split.sequence:  # as rendering does, at its beginning
+                check_cameras(split.rig_of(sequence), f"split {split.name}: sequence {sequence.name}")
+        _print_sequences(split, as_json)
         return
     from oysterbench.simulation.generate import split_folder
 

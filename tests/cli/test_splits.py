@@ -285,3 +285,24 @@ def test_an_unknown_split_to_list_is_named():
 )
 def test_the_time_of_rendering_is_told_in_a_unit_that_suits_it(name, told):
     assert re.search(told, sequences_table(load_split(name)).notes[0])
+
+
+def test_a_recipe_that_rendering_would_refuse_for_its_cameras_is_not_listed(tmp_path):
+    rig = (DATASETS / "rigs" / "survey-stereo.toml").read_text()
+    for folder, text in ((tmp_path / "outside", rig), (tmp_path / "inside", _at_the_middle(rig))):
+        folder.mkdir()
+        (folder / "mine.toml").write_text(text.replace('name = "survey-stereo"', 'name = "mine"'))
+        recipe = (DATASETS / "splits" / "slam-mini.toml").read_text()
+        named = recipe.replace('rig = "bluerov2"', 'rig = "mine.toml"').replace('name = "slam-mini"', 'name = "reef"')
+        (folder / "reef.toml").write_text(named)
+    done = CliRunner().invoke(main, ["splits", str(tmp_path / "outside" / "reef.toml")])
+    assert done.exit_code == 0, done.stderr
+    failed = CliRunner().invoke(main, ["splits", str(tmp_path / "inside" / "reef.toml")])
+    assert failed.exit_code == 1
+    assert "split reef: sequence mini-01: camera cam_left: key 'camera.position_m': expected a place" in failed.stderr
+
+
+def _at_the_middle(rig):
+    """A rig whose first camera sits in the middle of the vehicle."""
+    before, name, after = rig.partition("[[camera]]")
+    return before + name + re.sub(r"position_m = .*", "position_m = [0.0, 0.0, 0.0]", after, count=1)
