@@ -332,3 +332,20 @@ def test_counts_and_panoptic_quality_have_intervals_over_clips():
     values = -(drawn @ np.arange(8)) / (2 * drawn.sum(axis=1))
     assert intervals["count_bias"].low == pytest.approx(resampled_interval(values, 8).low)
     assert not over_clips(clips[:3])[1]["count_bias"].known
+
+
+def test_ignored_oysters_excuse_no_boxes_between_them():
+    """All of them are one crowd region, whose bounding box is the whole image: false boxes were neither right nor wrong
+    wherever they were."""
+    numbers, ignore = np.zeros((SIDE, SIDE), np.int32), np.zeros((SIDE, SIDE), bool)
+    numbers[50:70, 50:70] = 1
+    ignore[:12, :12] = ignore[-12:, -12:] = True
+    truth = from_planes("a", numbers, ignore)
+    right, false = square(50, 50, 20, 0.6), [square(x, 75, 10, 0.9) for x in range(10, 100, 12)]
+    on_ignored = square(1, 1, 10, 0.9)
+    found = scored((truth, image(right, *false, on_ignored)))
+    assert found.metrics["ap50_box"] == found.metrics["ap50_mask"] == pytest.approx(1 / (1 + len(false)), abs=1e-3)
+    boxes = [replace(one, mask=None) for one in (right, *false, on_ignored)]
+    counted = scored((truth, image(*boxes)))
+    assert counted.metrics["ap50_box"] == found.metrics["ap50_box"]
+    assert counted.metrics["count_estimate"] == found.metrics["count_estimate"] == 1 + len(false)

@@ -47,7 +47,8 @@ def count(truth: ImageInstances, estimate: ImageInstances, threshold: float) -> 
         boxes = any(one.mask is None for one in (*detections, *crowds))
         with numpy_2():
             parts = np.array([one.box for one in detections]) if boxes else [one.mask for one in detections]
-            regions = np.array([one.box for one in crowds]) if boxes else [tools.merge([one.mask for one in crowds])]
+            of_crowds = [box for one in crowds for box in one.boxes]
+            regions = np.array(of_crowds) if boxes else [tools.merge([one.mask for one in crowds])]
             share = tools.iou(parts, regions, [True] * len(regions)).max(axis=1)
         detections = [one for one, on_crowd in zip(detections, share, strict=True) if on_crowd <= 0.5]
     footprint = math.nan if truth.footprint_m2 is None else truth.footprint_m2

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,9 @@ from oysterbench.core.masks import as_mask
 
 OUTSIDE = 1.0
 """Distance by which a box may extend beyond the image, as after a crop, in widths or heights of the image."""
+
+Box = tuple[float, float, float, float]
+"""x, y, width, height in px."""
 
 Runs = Mapping[str, Any]
 """A run-length encoded mask as in pycocotools: `size` [H, W] and compressed `counts`."""
@@ -46,20 +49,27 @@ def numpy_2() -> Iterator[None]:
 class Instance:
     """One oyster.
 
-    box:   x, y, width, height in px
+    box:   of the whole
     mask:  None if only the box is known
     area:  px, which COCO's classes small, medium and large refer to
     score: confidence of an estimate; NaN for the truth
     crowd: true for a region of the truth that is to be ignored
     live:  probability that it is alive, 1 or 0 for the truth; NaN if unknown
+    parts: boxes of the separate parts of a crowd whose mask has several, each of which is compared with boxes
     """
 
-    box: tuple[float, float, float, float]
+    box: Box
     mask: Runs | None
     area: float
     score: float = math.nan
     crowd: bool = False
     live: float = math.nan
+    parts: tuple[Box, ...] = ()
+
+    @property
+    def boxes(self) -> tuple[Box, ...]:
+        """Boxes to be compared with boxes: its own or, of a crowd, those of its parts."""
+        return self.parts or (self.box,)
 
 
 @dataclass(frozen=True)
@@ -120,7 +130,7 @@ def from_planes(
     live: Mapping[int, float] | None = None,
 ) -> ImageInstances:
     """Extract the instances of a plane (H, W) of numbers, 0 for none; scores, live: by number, the latter where known;
-    ignore (H, W) becomes a crowd region.
+    ignore (H, W) becomes a crowd region, whose parts are pixels connected by edges or corners.
 
     Each mask is taken from its bounding box, as comparing the whole plane for each would take most of the time.
     """
@@ -132,8 +142,17 @@ def from_planes(
         alive = (live or {}).get(number, math.nan)
         found.append(from_mask(whole, math.nan if scores is None else scores[number], live=alive))
     if ignore is not None and ignore.any():
-        found.append(from_mask(ignore, crowd=True))
+        found.append(replace(from_mask(ignore, crowd=True), parts=tuple(_parts(ignore))))
     return ImageInstances(name, height, width, tuple(found), footprint_m2)
+
+
+def _parts(mask: NDArray[np.bool_]) -> Iterator[Box]:
+    """Boxes of the connected parts of a mask (H, W)."""
+    from scipy.ndimage import find_objects, label
+
+    for rows, columns in find_objects(label(mask, structure=np.ones((3, 3)))[0]):
+        height, width = rows.stop - rows.start, columns.stop - columns.start
+        yield float(columns.start), float(rows.start), float(width), float(height)
 
 
 def pieces(numbers: NDArray[np.integer]) -> dict[int, tuple[int, int, NDArray[np.bool_]]]:

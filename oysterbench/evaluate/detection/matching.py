@@ -69,12 +69,15 @@ def _annotations(side: Sequence[ImageInstances], kind: Kind) -> list[dict[str, A
     """COCO annotations of the images. Their ids start at 1: pycocotools mistakes a match with id 0 for none."""
     found: list[dict[str, Any]] = []
     for image_id, image in enumerate(side, start=1):
-        for instance in image.instances:
+        wholes = [(instance, instance.box) for instance in image.instances]
+        if kind == "box":
+            wholes = [(instance, box) for instance in image.instances for box in instance.boxes]
+        for instance, box in wholes:
             annotation = {
                 "id": len(found) + 1,
                 "image_id": image_id,
                 "category_id": 1,
-                "bbox": list(instance.box),
+                "bbox": list(box),
                 "area": _area(instance, kind),
                 "iscrowd": int(instance.crowd),
                 "score": instance.score,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.settings import EvaluatorSettings, is_number, setting, whole
 
-EVALUATOR = "detection 1"
+EVALUATOR = "detection 2"
 """Name and version of this evaluator; the version rises whenever a number may change."""
 
 
