@@ -208,19 +208,22 @@ def _ground(
 
 
 def _exact(sequence: Sequence, trajectory: Trajectory, depth: str, settings: MapSettings) -> bool:
-    """Whether positions are certain enough to tell shells apart: true depths along the true path, attitudes included.
+    """Whether positions are certain enough to tell shells apart: true depths along the true path, attitudes included,
+    also between its poses, where images are placed.
 
     The error of any other path between two passes over the same ground is unknown: covariances are only claims. If
     depths are measured, the ground truth is not consulted.
     """
     if depth != "layer" or sigma_of(depth, settings) * settings.far_m >= settings.shell_m:
         return False
-    truth, stamps = sequence.truth(), trajectory.stamps_ns
-    within = (stamps >= truth.stamps_ns[0]) & (stamps <= truth.stamps_ns[-1])
-    given, true = trajectory.select(within), truth.at(stamps[within])
+    truth = sequence.truth()
+    stamps = np.union1d(trajectory.stamps_ns, truth.stamps_ns)
+    for path in (trajectory, truth):
+        stamps = stamps[(stamps >= path.stamps_ns[0]) & (stamps <= path.stamps_ns[-1])]
+    given, true = trajectory.at(stamps), truth.at(stamps)
     turns = (Rotation.from_quat(true.quaternions).inv() * Rotation.from_quat(given.quaternions)).magnitude()
     near = np.abs(given.positions - true.positions) <= EXACT_PATH_M
-    return bool(near.all() and (turns * settings.far_m <= EXACT_PATH_M).all())
+    return bool(len(stamps) and near.all() and (turns * settings.far_m <= EXACT_PATH_M).all())
 
 
 def sigma_of(depth: str, settings: MapSettings) -> float:

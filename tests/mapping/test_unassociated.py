@@ -81,3 +81,10 @@ def test_the_true_positions_with_other_attitudes_are_not_the_true_path(turned_de
     turn = Rotation.from_euler("z", turned_deg, degrees=True)
     path = replace(truth, quaternions=(turn * Rotation.from_quat(truth.quaternions)).as_quat())
     assert (map_of(reef, path, SETTINGS).unassociated is None) == known
+
+
+@pytest.mark.parametrize(("poses", "known"), [([0, 7, 8, 15], True), ([0, 4, 8, 15], False), ([0, 15], False)])
+def test_poses_of_the_true_path_are_the_true_path_only_if_it_is_straight_between_them(poses, known):
+    reef = FlatReef(LANES, DISCS)
+    sparse = reef.truth().select(np.array(poses))
+    assert (map_of(reef, sparse, replace(SETTINGS, max_gap_s=20.0)).unassociated is None) == known
