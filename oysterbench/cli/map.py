@@ -290,7 +290,7 @@ def _oysters(
             f"{opened.name} has no camera {first or ''!r}; its cameras: {', '.join(opened.cameras) or 'none'}"
         )
     depth = depth or default_depth(opened, first)
-    own = str(masks) == TRUTH
+    own = str(masks) == TRUTH and not masks.exists()
     if own or depth == "layer":
         used = " and ".join([*(["masks"] if own else []), *(["depths"] if depth == "layer" else [])])
         message(f"the true {used} of {opened.name} are used: this map is not an estimate")

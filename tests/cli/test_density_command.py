@@ -9,8 +9,10 @@ from oysterbench.annotations.forms import FORMS
 from oysterbench.cli.main import STATES, main
 from oysterbench.cli.map import KINDS, _settings
 from oysterbench.core.errors import OptionError
+from oysterbench.core.trajectory import write_tum
 from oysterbench.mapping import MapSettings
 from oysterbench.scene.oyster import STATES as scene_states
+from oysterbench.sequence import open_sequence
 
 
 def error_of(*arguments: str) -> str:
@@ -49,6 +51,16 @@ def test_a_map_is_a_folder_and_not_named_as_a_cloud(tmp_path):
     said = error_of("map", "x.mcap", "--trajectory", "p.tum", "--masks", "truth", "--out", str(out))
     assert "true.ply: expected the name of a folder for a map, or no --masks for a cloud" in said
     assert not out.exists()
+
+
+def test_a_folder_of_masks_may_be_called_truth(dive_file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_tum(tmp_path / "p.tum", open_sequence(dive_file).truth())
+    common = ("map", str(dive_file), "--trajectory", "p.tum", "--depth", "layer", "--out", "m")
+    (tmp_path / "truth").mkdir()
+    said = error_of(*common, "--masks", "truth")
+    assert "the true depths of hand-made are used" in said
+    assert "truth: expected a .png, .npy or .npz per image, got none" in said
 
 
 def test_an_oyster_is_refused_by_the_names_of_its_options():
