@@ -72,15 +72,14 @@ class Raster:
 
         Raises TrajectoryError like `raster_around`.
         """
-        ends = [raster.bounds(move) for raster, move in others if raster.rows]
-        if not ends:
+        stays = np.eye(4)
+        ends = np.array([raster.bounds(way) for raster, move in others if raster.rows for way in (move, stays)])
+        if not len(ends):
             return self
-        own_low, own_high = self.bounds(np.eye(4))
+        low, high = ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)
+        own_low, own_high = self.bounds(stays)
         half = 0.5 * self.edge_m
-        beyond = [
-            own_low - np.min([low for low, _ in ends], axis=0),
-            np.max([high for _, high in ends], axis=0) - own_high,
-        ]
+        beyond = [own_low - low, high - own_high]
         (west, south), (east, north) = np.ceil(np.maximum(np.array(beyond) - half, 0.0) / whole_m).astype(int).tolist()
         per_whole = round(whole_m / self.edge_m)
         return _fitting(
@@ -90,7 +89,9 @@ class Raster:
                 self.edge_m,
                 self.rows + (south + north) * per_whole,
                 self.columns + (west + east) * per_whole,
-            )
+            ),
+            high - low,
+            whole_m,
         )
 
 
@@ -103,14 +104,16 @@ def raster_around(places: Array, margin_m: float, edge_m: float, whole_m: float)
     low = np.floor((places.min(axis=0) - margin_m) / whole_m) * whole_m
     high = np.ceil((places.max(axis=0) + margin_m) / whole_m) * whole_m
     columns, rows = (int(n) for n in np.rint((high - low) / edge_m))
-    far_apart = np.prod(np.ptp(places, axis=0) + 2 * margin_m) > MOST * edge_m**2
-    cause = DIVERGED if far_apart else f"are cells of {whole_m:g} m too large (--cell)?"
-    return _fitting(Raster(float(low[0]), float(high[1]), edge_m, rows, columns), cause)
+    spans_m = np.ptp(places, axis=0) + 2 * margin_m
+    return _fitting(Raster(float(low[0]), float(high[1]), edge_m, rows, columns), spans_m, whole_m)
 
 
-def _fitting(raster: Raster, cause: str = DIVERGED) -> Raster:
-    """Return the raster. Raises TrajectoryError, with the likely cause, where it would not fit into memory."""
+def _fitting(raster: Raster, spans_m: Array, whole_m: float) -> Raster:
+    """Return the raster. Raises TrajectoryError where it would not fit into memory: because of the spans (2,) m of what
+    it shows, or because it is made of whole squares of `whole_m`."""
     if raster.rows * raster.columns > MOST:
+        far_apart = np.prod(spans_m) > MOST * raster.edge_m**2
+        cause = DIVERGED if far_apart else f"are cells of {whole_m:g} m too large (--cell)?"
         raise TrajectoryError(
             f"a map of the images' poses would be {raster.columns * raster.edge_m:.0f} x "
             f"{raster.rows * raster.edge_m:.0f} m: expected an area of at most {MOST * raster.edge_m**2:.0f} m^2 at a "

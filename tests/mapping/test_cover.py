@@ -139,3 +139,12 @@ def test_cells_that_are_too_large_for_a_map_are_named_rather_than_the_path():
         raster_around(places, 4.0, 0.01, 100.0)
     with pytest.raises(TrajectoryError, match="has the trajectory diverged"):
         raster_around(places * 1e3, 4.0, 0.01, 1.0)
+
+
+def test_cells_that_are_too_large_are_named_where_a_move_of_a_picture_adds_one():
+    around = raster_around(np.array([[5.0, 10.0], [50.0, 40.0]]), 4.0, 0.01, 60.0)
+    points, *rest = patch_of_ground()
+    tile = tile_of(around, points + np.array([2.0, 10.0, 0.0]), *rest)
+    assert around.holding([(tile.raster, moved_by(-1.0))], 60.0) == around
+    with pytest.raises(TrajectoryError, match=r"120 x 60 m: .* are cells of 60 m too large \(--cell\)\?$"):
+        around.holding([(tile.raster, moved_by(-5.0))], 60.0)
