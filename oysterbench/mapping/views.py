@@ -134,14 +134,16 @@ class PoseInterpolator:
 
 
 def begin_ns(sequence: Sequence) -> int:
-    """First stamp, of the IMU or, in a file without its topic, of a camera. Raises SequenceError where there is
-    neither."""
+    """First stamp, of the IMU or, in a file without its topic, of the first sensor whose topics are there, cameras
+    first. Raises SequenceError where there is none."""
     if sequence.has_imu:
         return next(iter(sequence.imu())).stamp_ns
-    for camera in sequence.cameras:
-        for image in sequence.images(camera):
-            return image.stamp_ns
-    raise SequenceError(f"{sequence.name} has neither inertial measurements nor images: expected one of them for a map")
+    here = {topic for topic, _, count in sequence.contents() if count}
+    for name, kind in sequence.sensors().items():
+        if name in here or here.issuperset(kind.read_topics(name)):  # a folder of EuRoC, or topics of a file
+            for measured in sequence.measurements(name):
+                return int(measured.stamp_ns)
+    raise SequenceError(f"{sequence.name} has all topics of no sensor: expected those of one or more for a map")
 
 
 def check_time(sequence: Sequence, trajectory: Trajectory) -> None:

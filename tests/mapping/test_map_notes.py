@@ -11,8 +11,10 @@ import pytest
 from oysterbench.core.errors import SequenceError, TrajectoryError
 from oysterbench.mapping import Seen, true_seen
 from oysterbench.mapping.survey import _unmasked
-from oysterbench.mapping.views import check_upright
+from oysterbench.mapping.views import begin_ns, check_time, check_upright
 from oysterbench.report.density_files import map_page, summary
+from oysterbench.sequence import open_sequence
+from oysterbench.sequence.cut import cut_to
 from tests.helpers.flat_reef import LANE, FlatReef, scattered
 from tests.mapping.test_density_map import SETTINGS, map_of
 
@@ -95,3 +97,21 @@ def test_a_map_needs_no_inertial_measurements(reef):
     late = replace(alone.truth(), stamps_ns=alone.truth().stamps_ns + 10**12)
     with pytest.raises(TrajectoryError, match=r"from 1000000000\.000 to .* do not overlap in time"):
         map_of(alone, late)
+
+
+DVL = ("/dvl/velocity", "/dvl/beams", "/dvl/altitude")
+
+
+@pytest.mark.parametrize("topics", [("/cam_left/class", "/cam_right/image"), DVL, (DVL[0], "/alt/range")])
+def test_a_map_begins_with_what_its_file_has_all_topics_of(dive_file, tmp_path, topics):
+    cut_to(tmp_path / "some.mcap", dive_file, ["/truth/odometry", *topics])
+    some = open_sequence(tmp_path / "some.mcap")
+    first = next(some.measurements(topics[-1].split("/")[1])).stamp_ns
+    assert begin_ns(some) == begin_ns(some.for_method()) == first
+    check_time(some, some.truth())
+
+
+def test_a_file_without_all_topics_of_any_sensor_is_refused(dive_file, tmp_path):
+    cut_to(tmp_path / "some.mcap", dive_file, ["/truth/odometry", DVL[0], "/cam_left/class"])
+    with pytest.raises(SequenceError, match="has all topics of no sensor: expected those of one or more for a map"):
+        begin_ns(open_sequence(tmp_path / "some.mcap"))

@@ -65,7 +65,7 @@ class Reef(Sequence):
         return SECONDS
 
     def contents(self):
-        return []
+        return [(f"/{name}/image", "", round(SECONDS * RATE_HZ)) for name in self.cameras]
 
     def truth(self) -> Trajectory:
         t = (self.stamps - self.stamps[0]) * 1e-9
