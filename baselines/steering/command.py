@@ -47,8 +47,8 @@ def command(
 
     Data is a split of the track steering, which is rendered if missing, a sequence file, or a folder of them. With
     --dagger ROUNDS, each round rolls the network out over the reefs of the data, labels the rollouts with the expert's
-    commands, and continues training on them as well. May be interrupted, even killed: the same command resumes from the
-    last checkpoint and the last finished rollout, and gives the same weights.
+    commands, and continues training on them as well. May be interrupted, even killed: the same command, without
+    --again, resumes from the last checkpoint and the last finished rollout, and gives the same weights.
     """
     from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.steering.dagger import Rounds, learn_rounds, reef_of

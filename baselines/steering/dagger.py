@@ -9,6 +9,7 @@ which a killed training resumes.
 from __future__ import annotations
 
 import dataclasses
+import filecmp
 import io
 import json
 import shutil
@@ -31,7 +32,7 @@ from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoin
 from oysterbench_baselines.steering.examples import TrainingExamples, joined, recipe_of, senses_of, small
 from oysterbench_baselines.steering.memory import Memory
 from oysterbench_baselines.steering.network import SteeringNetworkSettings
-from oysterbench_baselines.steering.training import SteeringSettings, train
+from oysterbench_baselines.steering.training import SteeringSettings, identity, train
 
 Bar = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
 """Creates a progress bar from a title and a unit; the bar is called with the number done and the total
@@ -88,9 +89,10 @@ def learn_rounds(
     """Train on examples, then roll out over the reefs and train further, round by round; return the checkpoint of the
     last round, which is also at `path`.
 
-    bar: creates progress bars. again: start over, without the rounds that are there. Raises MethodError where `path` or
-    a file beside it is of another training, or two reefs have one name, by which their rollouts are kept; LabelError
-    for reefs of a hidden split, whose ground truth is not available.
+    bar: creates progress bars. again: start over, without the rounds that are there; `path` is replaced at the end, and
+    if this was interrupted, a call without `again` resumes. Raises MethodError where `path` or a file beside it is of
+    another training, or two reefs have one name, by which their rollouts are kept; LabelError for reefs of a hidden
+    split, whose ground truth is not available.
     """
     for reef in reefs:
         if reef.split.hidden:
@@ -100,20 +102,27 @@ def learn_rounds(
             raise MethodError(f"reefs of the rounds: expected each name once, got {name!r} {count} times")
     folder = path.with_suffix(".rounds")
     known: dict[str, Any] = {"examples": examples.digest()}
+    replaced = folder / "replaced.pt"  # what `again` was asked to replace
     if again:
         shutil.rmtree(folder, ignore_errors=True)
-    elif path.is_file() and read_checkpoint(path).identity.get("data", {}).get("examples") != known["examples"]:
-        raise MethodError(
-            f"{path}: holds a training on other examples; remove it to train anew, or choose another --out"
-        )
+        if path.is_file():
+            write_atomically(replaced, path.read_bytes())
+    elif path.is_file() and not (replaced.is_file() and filecmp.cmp(path, replaced, shallow=False)):
+        further = (folder / f"round-{number}.pt" for number in range(1, plan.rounds + 1))
+        own = [identity(settings, known, seed), *(read_checkpoint(one).identity for one in further if one.is_file())]
+        if read_checkpoint(path).identity not in own:
+            raise MethodError(
+                f"{path}: holds another training, or more rounds of this one; remove it to train anew, or choose "
+                "another --out"
+            )
     parts = [examples]
     checkpoint = _trained(parts, folder / "round-0.pt", settings, seed, None, known, bar)
     fit = dataclasses.replace(settings.fit, steps=plan.steps, learning_rate=plan.learning_rate)
     for number in range(1, plan.rounds + 1):
         parts += collect(reefs, checkpoint, folder, settings.network, plan, number, workers, bar)
         known = {**known, f"round {number}": joined(parts[-len(reefs) :]).digest(), "begun": checkpoint.digest()}
-        further = dataclasses.replace(settings, fit=fit)
-        checkpoint = _trained(parts, folder / f"round-{number}.pt", further, seed + number, checkpoint, known, bar)
+        changed = dataclasses.replace(settings, fit=fit)
+        checkpoint = _trained(parts, folder / f"round-{number}.pt", changed, seed + number, checkpoint, known, bar)
     checkpoint.write(path)
     return checkpoint
 
@@ -142,11 +151,20 @@ def collect(
     workers: int = 1,
     bar: Bar = silent,
 ) -> list[TrainingExamples]:
-    """Collect the examples of a round's rollouts, one over each reef; rollouts whose files exist already are read."""
+    """Collect the examples of a round's rollouts, one over each reef; rollouts whose files exist already are read.
+
+    Raises MethodError where the round has been trained on rollouts other than these.
+    """
     place = folder / f"round-{number}"
     made_by = {reef.name: _made_by(reef, policy, network, plan, number) for reef in reefs}
     found = {reef.name: read_rollout(place / f"{reef.name}.npz", reef, made_by[reef.name]) for reef in reefs}
     missing = [reef for reef in reefs if found[reef.name] is None]
+    trained = folder / f"round-{number}.pt"
+    if trained.is_file() and any((place / f"{reef.name}.npz").is_file() for reef in missing):
+        raise MethodError(
+            f"{trained}: holds a training on rollouts of another length (--rollout-s), or of another version; --again "
+            "starts over, or choose another --out"
+        )
     task = partial(
         rollout,
         checkpoint=folder / f"round-{number - 1}.pt",

@@ -4,6 +4,8 @@ stopped."""
 from __future__ import annotations
 
 import dataclasses
+import io
+import shutil
 
 import numpy as np
 import pytest
@@ -27,6 +29,7 @@ from tests.helpers.exploring_made import made_split  # noqa: E402
 NETWORK = SteeringNetworkSettings(width=32, height=24, channels=(8, 16), columns=8, hidden=32)
 SETTINGS = SteeringSettings(batch=4, network=NETWORK, fit=FitSettings(steps=4, warm_up=1, threads=1))
 PLAN = Rounds(rounds=2, seconds=3.0, steps=3)
+ONE = dataclasses.replace(PLAN, rounds=1)
 SPLIT = made_split()
 REEFS = [Reef(SPLIT, "one"), Reef(SPLIT, "two")]
 
@@ -174,8 +177,79 @@ def test_two_reefs_of_one_name_are_refused(examples, tmp_path):
 
 def test_rounds_do_not_take_the_place_of_another_training(examples, files, tmp_path):
     train(read_examples(files[0], NETWORK), tmp_path / "a.pt", SETTINGS, 0)
-    with pytest.raises(MethodError, match="holds a training on other examples; remove it to train anew"):
+    with pytest.raises(MethodError, match="holds another training, or more rounds of this one; remove it"):
         learn_rounds(examples, REEFS, tmp_path / "a.pt", SETTINGS, PLAN, 0)
+
+
+@pytest.fixture
+def rolled(examples, monkeypatch):
+    """Makes up the rollouts; returns the list of those made, by the number of their round."""
+    done = []
+
+    def made_up(reef, plan, number, made_by, **options):
+        done.append(number)
+        data = io.BytesIO()
+        kept = {key: getattr(examples, key) for key in ("pixels", "senses", "looked", "action_values")}
+        values = kept.pop("action_values") + number + plan.seconds
+        np.savez(data, made_by=np.array(made_by[reef.name]), action_values=values, **kept)
+        return data.getvalue()
+
+    monkeypatch.setattr(dagger, "rollout", made_up)
+    return done
+
+
+def learnt(folder, examples, plan=PLAN, seed=0, settings=SETTINGS, **options):
+    return learn_rounds(examples, REEFS, folder / "a.pt", settings, plan, seed, **options)
+
+
+def test_rounds_that_start_over_and_are_stopped_resume_without_again(examples, files, tmp_path, rolled, monkeypatch):
+    train(read_examples(files[0], NETWORK), tmp_path / "a.pt", SETTINGS, 0)
+    old = (tmp_path / "a.pt").read_bytes()
+    made_up = dagger.rollout
+
+    def stopped(reef, number, **options):
+        if number == 2:
+            raise KeyboardInterrupt
+        return made_up(reef, number=number, **options)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(dagger, "rollout", stopped)
+        learnt(tmp_path, examples, again=True)
+    assert rolled == [1, 1]
+    assert (tmp_path / "a.pt").read_bytes() == old
+    found = learnt(tmp_path, examples)
+    assert rolled == [1, 1, 2, 2]
+    assert read_checkpoint(tmp_path / "a.pt").identity == found.identity
+    # Another training that has taken its place since then was not to be replaced.
+    train(read_examples(files[0], NETWORK), tmp_path / "a.pt", SETTINGS, 1, again=True)
+    with pytest.raises(MethodError, match="holds another training"):
+        learnt(tmp_path, examples)
+
+
+def test_rollouts_of_another_length_do_not_take_the_place_of_those_learnt_from(examples, tmp_path, rolled):
+    learnt(tmp_path, examples)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
+    rolled.clear()
+    with pytest.raises(MethodError, match=r"round-1\.pt: holds a training on rollouts of another length \(--rollout-s\)"):
+        learnt(tmp_path, examples, dataclasses.replace(PLAN, seconds=4.0))
+    assert rolled == []
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()} == before
+
+
+def test_only_a_training_of_the_same_plan_is_replaced_by_its_rounds(examples, tmp_path, rolled):
+    train(examples, tmp_path / "a.pt", SETTINGS, 0)
+    learnt(tmp_path, examples, ONE)
+    two = learnt(tmp_path, examples)
+    for plan, seed in ((ONE, 0), (PLAN, 1)):
+        with pytest.raises(MethodError, match="or choose another --out"):
+            learnt(tmp_path, examples, plan, seed)
+    shutil.rmtree(tmp_path / "a.rounds")
+    longer = dataclasses.replace(SETTINGS, fit=dataclasses.replace(SETTINGS.fit, steps=5))
+    for settings, seed in ((SETTINGS, 1), (longer, 0)):
+        with pytest.raises(MethodError, match="holds another training, or more rounds of this one"):
+            learnt(tmp_path, examples, ONE, seed, settings)
+    assert read_checkpoint(tmp_path / "a.pt").identity == two.identity
+    assert learnt(tmp_path, examples, ONE, 1, again=True).finished
 
 
 def test_the_command_trains_and_says_how_good_it_is(files, home):
