@@ -55,6 +55,7 @@ def interruption(command: str, what: str = "interrupted") -> str:
     'terminated; nothing was written'
     """
     if command in RESUMED:
-        typed = shlex.join(["oysterbench", *sys.argv[1:]])
+        words = [word for word in sys.argv[1:] if (command, word) != ("train", "--again")]  # which would start over
+        typed = shlex.join(["oysterbench", *words])
         return f"{what}; {RESUMED[command]}, and the same command resumes from there: {typed}"
     return f"{what}; {BEGUN_ANEW.get(command, 'nothing was written')}"

@@ -82,3 +82,10 @@ def test_what_is_typed_again_is_what_was_typed(monkeypatch):
     monkeypatch.setattr("sys.argv", ["/usr/bin/oysterbench", "run", "my slam", "--split", "slam-mini"])
     assert interruption("run").endswith(": oysterbench run 'my slam' --split slam-mini")
     assert module.interruption is interruption
+
+
+def test_a_training_that_starts_over_is_resumed_without_again(monkeypatch):
+    words = ["train", "steering", "--again", "--data", "steer-mini"]
+    monkeypatch.setattr("sys.argv", ["/usr/bin/oysterbench", *words])
+    assert interruption("train").endswith(": oysterbench train steering --data steer-mini")
+    assert "--again" in interruption("run")
