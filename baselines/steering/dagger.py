@@ -25,8 +25,10 @@ import numpy as np
 
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import LabelError, MethodError
+from oysterbench.exploration.rollout_store import steering_source
 from oysterbench.recipe import SplitRecipe
 from oysterbench.sequence import open_sequence
+from oysterbench.simulation.generate import PROGRAM
 from oysterbench.simulation.scheduling import run_here, run_in_processes
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
 from oysterbench_baselines.steering.examples import TrainingExamples, joined, recipe_of, senses_of, small
@@ -185,9 +187,8 @@ def collect(
 def _made_by(reef: Reef, policy: Checkpoint, network: SteeringNetworkSettings, plan: Rounds, number: int) -> str:
     """Identity of a rollout, all that determines it, as text."""
     size = (network.width, network.height)
-    return json.dumps(
-        [policy.digest(), reef.split.digest(), reef.name, number, plan.mixture(number), plan.seconds, size]
-    )
+    made = [policy.digest(), reef.split.digest(), reef.name, number, plan.mixture(number), plan.seconds, size]
+    return json.dumps([*made, PROGRAM, steering_source()])
 
 
 def rollout(

@@ -212,9 +212,10 @@ def test_rounds_that_start_over_and_are_stopped_resume_without_again(examples, f
             raise KeyboardInterrupt
         return made_up(reef, number=number, **options)
 
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(dagger, "rollout", stopped)
+    monkeypatch.setattr(dagger, "rollout", stopped)
+    with pytest.raises(KeyboardInterrupt):
         learnt(tmp_path, examples, again=True)
+    monkeypatch.setattr(dagger, "rollout", made_up)
     assert rolled == [1, 1]
     assert (tmp_path / "a.pt").read_bytes() == old
     found = learnt(tmp_path, examples)
@@ -226,12 +227,27 @@ def test_rounds_that_start_over_and_are_stopped_resume_without_again(examples, f
         learnt(tmp_path, examples)
 
 
-def test_rollouts_of_another_length_do_not_take_the_place_of_those_learnt_from(examples, tmp_path, rolled):
+def longer(monkeypatch):
+    return dataclasses.replace(PLAN, seconds=4.0)
+
+
+def of_another_release(monkeypatch):
+    monkeypatch.setattr(dagger, "PROGRAM", "oysterbench 0.9")
+    return PLAN
+
+
+def with_another_expert(monkeypatch):
+    monkeypatch.setattr(dagger, "steering_source", lambda: "as edited")
+    return PLAN
+
+
+@pytest.mark.parametrize("changed", [longer, of_another_release, with_another_expert])
+def test_other_rollouts_do_not_take_the_place_of_those_learnt_from(examples, tmp_path, rolled, monkeypatch, changed):
     learnt(tmp_path, examples)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
     rolled.clear()
-    with pytest.raises(MethodError, match=r"round-1\.pt: holds a training on rollouts of another length \(--rollout-s\)"):
-        learnt(tmp_path, examples, dataclasses.replace(PLAN, seconds=4.0))
+    with pytest.raises(MethodError, match=r"round-1\.pt: holds a training on rollouts of another length"):
+        learnt(tmp_path, examples, changed(monkeypatch))
     assert rolled == []
     assert {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()} == before
 
@@ -244,8 +260,8 @@ def test_only_a_training_of_the_same_plan_is_replaced_by_its_rounds(examples, tm
         with pytest.raises(MethodError, match="or choose another --out"):
             learnt(tmp_path, examples, plan, seed)
     shutil.rmtree(tmp_path / "a.rounds")
-    longer = dataclasses.replace(SETTINGS, fit=dataclasses.replace(SETTINGS.fit, steps=5))
-    for settings, seed in ((SETTINGS, 1), (longer, 0)):
+    more_steps = dataclasses.replace(SETTINGS, fit=dataclasses.replace(SETTINGS.fit, steps=5))
+    for settings, seed in ((SETTINGS, 1), (more_steps, 0)):
         with pytest.raises(MethodError, match="holds another training, or more rounds of this one"):
             learnt(tmp_path, examples, ONE, seed, settings)
     assert read_checkpoint(tmp_path / "a.pt").identity == two.identity
