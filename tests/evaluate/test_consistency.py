@@ -208,6 +208,27 @@ def test_the_exact_pose_from_which_odometry_starts_costs_no_consistency(align):
     assert "pose 1 has a negative" in score(truth, replace(estimate, covariances=covariances)).reasons["nees_pose"]
 
 
+@pytest.mark.parametrize("step", [2, 10])
+@pytest.mark.parametrize("align", ["posyaw", "origin"])
+def test_an_exact_first_pose_costs_no_consistency_where_the_truth_is_faster(align, step):
+    """Several stamps of the truth are then nearest to that pose, and matched with its covariance."""
+    truth = survey(duration_s=60)
+    n = len(truth.stamps_ns[::step])
+    sigma = 1e-3
+    walk = np.cumsum(stream(12, b"", "walk").normal(0, sigma, (n, 6)), axis=0)
+    walk -= walk[0]
+    covariances = sigma**2 * np.arange(n)[:, None, None] * np.eye(6)
+    given = truth.select(slice(None, None, step))
+    turned = Rotation.from_rotvec(walk[:, 3:]) * Rotation.from_quat(given.quaternions)
+    estimate = Trajectory(given.stamps_ns, given.positions + walk[:, :3], turned.as_quat(), covariances)
+    result = score(truth, estimate, SlamSettings(align=align))
+    assert not any("NEES" in note for note in result.notes)
+    assert len(result.nees["pose"].values) == result.metrics["matched"] - step // 2 - 1
+    assert np.isfinite(result.metrics["nees_pose"])
+    never = score(truth, replace(estimate, covariances=0 * covariances), SlamSettings(align=align))
+    assert never.reasons["nees_pose"] == "the covariance of matched pose 2 is not positive definite"
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("pose", [0, 41])
 def test_a_covariance_that_is_not_finite_is_a_reason_and_a_note(pose, value):

@@ -68,14 +68,15 @@ def nees(truth: Trajectory, estimate: Trajectory, align: Align, fit: Similarity)
 
     align, fit: the evaluator's alignment, whose freedom and scale are adopted. The estimate's covariances (N, 6, 6) are
     in the axes of its world frame, and rotate and scale with it. If the first pose is used for alignment, it is not a
-    sample: (N - 1,), and may be exact. Raises ValueError where another covariance is not positive definite, or one is
-    not finite.
+    sample, and may be exact: (N - 1,), or fewer where matched poses next to an exact one have its covariance. Raises
+    ValueError where another covariance is not positive definite, or one is not finite.
     """
     covariances = estimate.covariances
     if covariances is None:
         raise ValueError("the estimate has no covariances")
     by_first = align not in ("none", "scale")
-    _check(covariances, by_first)
+    begin = _first_sample(covariances) if by_first else 0
+    _check(covariances, begin)
     change = _by_first(truth, estimate, align, fit.scale) if by_first else fit
     aligned = Trajectory(truth.stamps_ns, change.apply(estimate.positions), change.rotate(estimate.quaternions))
     turn = scipy.spatial.transform.Rotation.from_quat(absolute_errors(truth, aligned).turn).as_rotvec()
@@ -84,7 +85,7 @@ def nees(truth: Trajectory, estimate: Trajectory, align: Align, fit: Similarity)
     error = np.einsum("nkj,ji->nki", error.reshape(-1, 2, 3), change.rotation).reshape(-1, 6)
     if by_first:
         covariances = covariances + _of_first(estimate, covariances[0], align)
-        covariances, error = covariances[1:], error[1:]
+        covariances, error = covariances[begin:], error[begin:]
     return {
         "position": Nees(_squared(covariances[:, :3, :3], error[:, :3]), 3),
         "rotation": Nees(_squared(covariances[:, 3:, 3:], error[:, 3:]), 3),
@@ -120,25 +121,36 @@ def _of_first(estimate: Trajectory, covariance: Array, align: Align) -> Array:
     return np.asarray(change @ covariance @ np.swapaxes(change, 1, 2))
 
 
-def _check(covariances: Array, by_first: bool) -> None:
+def _first_sample(covariances: Array) -> int:
+    """Number of matched poses, with covariances (N, 6, 6), before the first sample of an estimate aligned by its first
+    pose: that pose, and if its covariance is singular, those next to it with the same. A truth faster than the estimate
+    is matched to poses between two of it, each with the covariance of the nearer one."""
+    first = covariances[0]
+    if not np.isfinite(first).all() or np.linalg.eigvalsh(first)[0] > 0:
+        return 1
+    others = np.flatnonzero((covariances != first).any(axis=(1, 2)))
+    return int(others[0]) if len(others) else 1
+
+
+def _check(covariances: Array, begin: int) -> None:
     """Refuse covariances (N, 6, 6) that are not finite, or not positive definite. Raises ValueError naming the first of
     these.
 
-    by_first: the first pose is no sample, so that its covariance need only have no negative eigenvalue
+    begin: the first sample; before it, covariances need only have no negative eigenvalue
     """
     finite = np.isfinite(covariances).all(axis=(1, 2))
     if not finite.all():
         raise ValueError(f"the covariance of matched pose {int(np.argmin(finite)) + 1} is not finite")
-    if by_first:
+    if begin:
         values = np.linalg.eigvalsh(covariances[0])
         if values[0] < -ROUNDING * np.abs(values).max():
             raise ValueError("the covariance of matched pose 1 has a negative eigenvalue")
-    for begin in range(int(by_first), len(covariances), BLOCK):
-        part = covariances[begin : begin + BLOCK]
+    for start in range(begin, len(covariances), BLOCK):
+        part = covariances[start : start + BLOCK]
         try:
             np.linalg.cholesky(part)
         except np.linalg.LinAlgError:
-            wrong = begin + int(np.argmin(np.linalg.eigvalsh(part)[:, 0] > 0))
+            wrong = start + int(np.argmin(np.linalg.eigvalsh(part)[:, 0] > 0))
             raise ValueError(f"the covariance of matched pose {wrong + 1} is not positive definite") from None
 
 

@@ -36,6 +36,7 @@ def errors_by_state(
         found[name] = {"share": float(np.mean(of)), "ate_rmse_m": rms(result.error_m[of])}
         for part in ("position", "rotation"):
             values = result.nees[part].values if part in result.nees else np.empty(0)
-            mean = float(np.mean(values[of[len(of) - len(values) :]])) if len(values) and of[1:].any() else math.nan
+            sampled = of[len(of) - len(values) :]
+            mean = float(np.mean(values[sampled])) if sampled.any() else math.nan
             found[name][f"nees_{part}"] = mean if math.isfinite(mean) else None
     return found
