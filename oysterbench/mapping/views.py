@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.errors import SequenceError, TrajectoryError
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import Image
-from oysterbench.core.trajectory import Trajectory
+from oysterbench.core.trajectory import Trajectory, too_wide
 from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.sequence.export.parts import undistorting_maps
 from oysterbench.sequence.types import CameraCalibration, Sequence
@@ -93,7 +93,7 @@ class PoseInterpolator:
     """Interpolates poses of base_link (4, 4), in the world frame of a trajectory, at any stamp that it covers."""
 
     def __init__(self, trajectory: Trajectory, max_gap_s: float) -> None:
-        self.trajectory, self._max_gap_ns = trajectory, max_gap_s * 1e9
+        self.trajectory, self._max_gap_s = trajectory, max_gap_s
 
     def at(self, stamp_ns: int) -> Array | None:
         """Interpolate T_world_base; None outside the trajectory and in its gaps."""
@@ -101,7 +101,7 @@ class PoseInterpolator:
         after = int(np.searchsorted(stamps, stamp_ns))
         if after < len(stamps) and stamps[after] == stamp_ns:
             return np.asarray(self.trajectory.select(slice(after, after + 1)).matrices[0])
-        if after in (0, len(stamps)) or stamps[after] - stamps[after - 1] > self._max_gap_ns:
+        if after in (0, len(stamps)) or too_wide(stamps[after] - stamps[after - 1], self._max_gap_s):
             return None
         return np.asarray(self.trajectory.select(slice(after - 1, after + 1)).at(np.array([stamp_ns])).matrices[0])
 
@@ -125,7 +125,7 @@ class PoseInterpolator:
         if middle is None or camera.readout_s == 0:
             return None if middle is None else (middle @ camera.T_base_cam)[None]
         stamps = self.trajectory.stamps_ns
-        gaps, time = np.flatnonzero(np.diff(stamps) > self._max_gap_ns), camera.taken_ns(stamp_ns)
+        gaps, time = np.flatnonzero(too_wide(np.diff(stamps), self._max_gap_s)), camera.taken_ns(stamp_ns)
         first = max((stamps[gap + 1] for gap in gaps if stamps[gap] < time), default=stamps[0])
         last = min((stamps[gap] for gap in gaps if stamps[gap] >= time), default=stamps[-1])
         taken = np.clip(camera.rows_taken_ns(stamp_ns), first, last)

@@ -14,6 +14,7 @@ from torch.utils.data import Dataset
 
 from oysterbench.core.errors import OptionError, SequenceError
 from oysterbench.core.geometry import Array, invert
+from oysterbench.core.trajectory import too_wide
 from oysterbench.sequence import Sequence
 from oysterbench.sequence.places import CACHE_BYTES, Chunks, IndexedFile
 from oysterbench.sequence.types import imu_arrays
@@ -158,8 +159,8 @@ class _Part:
         """Numbers of the first frames of the windows."""
         count = len(self.shots.stamps_ns)
         known = np.ones(count, dtype=bool) if self.poses is None else np.isfinite(self.poses[:, 0, 0])
-        most_ns = np.iinfo(np.int64).max if max_gap_s is None else round(1e9 * max_gap_s)
-        near = np.asarray(np.diff(self.shots.stamps_ns) <= most_ns)
+        gaps_ns = np.diff(self.shots.stamps_ns)
+        near = np.ones(len(gaps_ns), dtype=bool) if max_gap_s is None else ~too_wide(gaps_ns, max_gap_s)
         starts = range(0, count - length + 1, stride)
         whole = [k for k in starts if known[k : k + length].all() and near[k : k + length - 1].all()]
         return np.array(whole, dtype=np.intp)

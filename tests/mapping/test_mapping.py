@@ -165,6 +165,17 @@ def test_a_pose_between_two_is_interpolated():
     np.testing.assert_allclose(halfway[:3, 3], truth.positions[3:5].mean(axis=0), atol=1e-6)
 
 
+def test_a_gap_as_large_as_may_be_is_bridged_whatever_its_stamps_were_rounded_to():
+    """Seconds since 1970 in float64 are exact to some 0.2 us."""
+    stamps = ((1_700_000_000_000_012_345 + np.arange(50) * 300_000_000) * 1e-9 * 1e9).astype(np.int64)
+    assert (np.diff(stamps) > 300_000_000).any()
+    path = Trajectory(stamps, np.zeros((50, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (50, 1)))
+    poses, rolling = PoseInterpolator(path, 0.3), replace(camera(0.0), readout_s=0.2)
+    assert all(poses.at(stamp) is not None for stamp in (stamps[:-1] + 10**8).tolist())
+    assert not any(np.isnan(poses.of_rows(rolling, stamp)).any() for stamp in (stamps[1:-1] + 10**8).tolist())
+    assert PoseInterpolator(path, 0.2999).at(int(stamps[0]) + 10**8) is None
+
+
 def test_rows_taken_in_a_gap_of_the_path_have_the_pose_before_it():
     truth, rolling = Reef(MONO).truth(), replace(camera(0.0), readout_s=0.2)
     stamp = int(truth.stamps_ns[10])

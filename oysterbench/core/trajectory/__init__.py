@@ -3,7 +3,7 @@
 from oysterbench.core.trajectory.options import ReadOptions
 from oysterbench.core.trajectory.poses import Trajectory
 from oysterbench.core.trajectory.read import read_trajectory
-from oysterbench.core.trajectory.stamps import ns_to_seconds, seconds_to_ns
+from oysterbench.core.trajectory.stamps import ns_to_seconds, seconds_to_ns, too_wide
 from oysterbench.core.trajectory.text import read_times
 from oysterbench.core.trajectory.write import write_npz, write_tum
 
@@ -14,6 +14,7 @@ __all__ = [
     "read_times",
     "read_trajectory",
     "seconds_to_ns",
+    "too_wide",
     "write_npz",
     "write_tum",
 ]

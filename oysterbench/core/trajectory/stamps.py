@@ -14,6 +14,9 @@ SHIFTS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 INT64_DIGITS = 19
 """A number with this many digits fits an int64 if its first digit is at most 8; one with fewer always does."""
 
+ROUNDING_NS = 1_000
+"""Tolerance, ns, beyond the largest gap: seconds since 1970 in float64, or with six decimals, are that exact."""
+
 
 def seconds_to_ns(text: str) -> int:
     """Nanoseconds from seconds as text, exact where a float64 would round ("1403636580.838555648").
@@ -28,6 +31,11 @@ def ns_to_seconds(stamp_ns: int) -> str:
     sign = "-" if stamp_ns < 0 else ""
     whole, nanoseconds = divmod(abs(int(stamp_ns)), 1_000_000_000)
     return f"{sign}{whole}.{nanoseconds:09d}"
+
+
+def too_wide(gaps_ns: NDArray[np.int64], max_gap_s: float) -> NDArray[np.bool_]:
+    """Which gaps (N,), ns, between two stamps are larger than max_gap_s, by more than the rounding of the stamps."""
+    return np.asarray(gaps_ns > round(max_gap_s * 1e9) + ROUNDING_NS)
 
 
 def scaled_integer(text: str, shift: int) -> int:

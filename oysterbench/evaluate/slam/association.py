@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import Array
-from oysterbench.core.trajectory import Trajectory, ns_to_seconds
+from oysterbench.core.trajectory import Trajectory, ns_to_seconds, too_wide
 from oysterbench.evaluate.slam.pairs import Index, run_of
 from oysterbench.evaluate.slam.settings import MIN_MATCHED, SlamSettings
 
@@ -17,9 +17,6 @@ Stamps = NDArray[np.int64]
 
 EDGE_NS = 1_000_000
 """Tolerance, ns, beyond the estimate's ends, within which its first and last pose count: files round timestamps."""
-
-ROUNDING_NS = 1_000
-"""Tolerance, ns, beyond the largest gap: seconds since 1970 in float64, or with six decimals, are that exact."""
 
 FEW = 0.9
 """If a smaller share of the poses that could be compared is matched, a note says so."""
@@ -95,11 +92,6 @@ def covered_stamps(stamps_ns: Stamps, estimate_ns: Stamps, max_gap_s: float) -> 
     close = inside & ~too_wide(estimate_ns[high] - estimate_ns[low], max_gap_s)
     at_an_end = np.minimum(np.abs(stamps_ns - estimate_ns[0]), np.abs(stamps_ns - estimate_ns[-1])) <= EDGE_NS
     return np.asarray(close | at_an_end | (estimate_ns[high] == stamps_ns))
-
-
-def too_wide(gaps_ns: Stamps, max_gap_s: float) -> NDArray[np.bool_]:
-    """Which gaps (N,) between two poses are larger than max_gap_s, by more than the rounding of their stamps."""
-    return np.asarray(gaps_ns > round(max_gap_s * 1e9) + ROUNDING_NS)
 
 
 def nearest_pairs(stamps_ns: Stamps, estimate_ns: Stamps, max_difference_s: float) -> tuple[Index, Index]:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from oysterbench.core.geometry import Array
-from oysterbench.core.trajectory import Trajectory
+from oysterbench.core.trajectory import Trajectory, too_wide
 from oysterbench.evaluate.slam.alignment import Alignment
-from oysterbench.evaluate.slam.association import Association, find_gaps, too_wide
+from oysterbench.evaluate.slam.association import Association, find_gaps
 from oysterbench.evaluate.slam.consistency import Nees, nees
 from oysterbench.evaluate.slam.metrics import RECALL_PERCENTS
 from oysterbench.evaluate.slam.pairs import (
