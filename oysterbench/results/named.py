@@ -24,7 +24,7 @@ def named_results(names: Iterable[str], find: Finder | None = None) -> list[Resu
     sources: dict[tuple[str, ...], tuple[str, ResultRecord]] = {}
     given: list[tuple[str, Path, bool, list[ResultRecord]]] = []
     for name in names:
-        label, rest = _labelled(name)
+        label, rest = _labelled(name, find)
         path = Path(rest)
         known = find(rest) if find is not None and not path.exists() else None
         found = read_results(path / "results.json" if path.is_dir() else path) if known is None else known
@@ -49,12 +49,23 @@ def named_results(names: Iterable[str], find: Finder | None = None) -> list[Resu
     return [record for _, record in sources.values()]
 
 
-def _labelled(name: str) -> tuple[str, str]:
-    """Label and path of PATH or LABEL=PATH: both may contain "=", so that the first split at one whose path exists is
-    meant."""
+def _labelled(name: str, find: Finder | None) -> tuple[str, str]:
+    """Label and name of NAME or LABEL=NAME, where NAME is a path or known to `find`: both may contain "=", as names of
+    methods with options do. The first reading is meant in which there is such a NAME; if there is none, the first whose
+    label does not end within the brackets of options."""
     if Path(name).exists():
         return "", name
     parts = name.split("=")
     splits = [("=".join(parts[:k]), "=".join(parts[k:])) for k in range(1, len(parts)) if any(parts[:k])]
-    meant = (split for split in splits if Path(split[1]).exists())
-    return next(meant, splits[0] if splits else ("", name))
+    readings = [("", name), *splits]
+    likely = [one for one in splits if one[0].count("[") == one[0].count("]")]
+    meant = (one for one in readings if Path(one[1]).exists() or (splits and _knows(find, one[1])))
+    return next(meant, (likely or readings)[0])
+
+
+def _knows(find: Finder | None, name: str) -> bool:
+    """Whether `find` has records for a name."""
+    try:
+        return find is not None and find(name) is not None
+    except ResultError:
+        return False

@@ -235,6 +235,22 @@ def test_labels_and_paths_may_contain_the_sign_between_them(tmp_path, monkeypatc
         named_results(["base=k=3"])
 
 
+def test_a_method_with_options_is_named_as_on_the_board():
+    known = {name: runs(name, [0.5]) for name in ("mono", "mono[mask=fish]", "mono[mask=fish,k=2]")}
+
+    def find(name):  # as the board does
+        if name not in known:
+            raise ResultError(f"{name}: no such method")
+        return known[name]
+
+    asked = ["mono[mask=fish]", "mono[mask=fish,k=2]", "a=b=mono", "mine=mono[mask=fish]"]
+    assert [one.method for one in named_results(asked, find)] == [*asked[:2], "a=b", "mine"]
+    for name, meant in (("mono[mask=fis]", "mono[mask=fis]"), ("a=mono[mask=fis]", "mono[mask=fis]")):
+        with pytest.raises(ResultError) as error:
+            named_results([name], find)
+        assert str(error.value) == f"{meant}: no such method"
+
+
 def test_boards_of_two_tracks_are_told_apart_by_their_evaluators_alone():
     found = boards([*runs("a", [0.9]), *runs("a", [0.8], track="density", evaluator_version="density 2", settings={})])
     assert [board.name for board in found] == ["slam-mini (slam 1)", "slam-mini (density 2)"]
