@@ -56,14 +56,21 @@ def results_table(records: Sequence[ResultRecord]) -> Table:
     means = [{column.key: _mean(group, column.key) for column in columns} for group in groups.values()]
     several_machines = len(machines_of(records)) > 1
     competing = [column for column in columns if not (several_machines and column.key in TIMES)]
-    best = _best([group[0].sequence for group in groups.values()], means, competing)
+    failed = [sum(record.failure is not None for record in group) for group in groups.values()]
+    # What a failed run spent, it spent on nothing: it is shown, but is no record.
+    unspent = dict.fromkeys((column.key for column in costs), math.nan)
+    entered = [
+        {**of, **(unspent if failures == len(group) else {})}
+        for of, failures, group in zip(means, failed, groups.values(), strict=True)
+    ]
+    best = _best([group[0].sequence for group in groups.values()], entered, competing)
     rows = []
-    for group, of in zip(groups.values(), means, strict=True):
-        sequence, failures = group[0].sequence, sum(record.failure is not None for record in group)
+    for group, of, entry, failures in zip(groups.values(), means, entered, failed, strict=True):
+        sequence = group[0].sequence
         runs = f" ({len(group)} runs{f', {failures} failed' if failures else ''})" if len(group) > 1 else ""
         name = f"{group[0].method}{runs}"
         lost = failures == len(group)
-        values = [Cell(of[c.key], kind="best" if of[c.key] == best.get((sequence, c.key)) else "") for c in columns]
+        values = [Cell(of[c.key], kind="best" if entry[c.key] == best.get((sequence, c.key)) else "") for c in columns]
         method = Cell(name, kind="warn", mark="failed") if lost else name
         rows.append(TableRow((sequence, method, *values), "failed" if lost else ""))
     over_all = aggregate(records) if len(order) > 1 else []

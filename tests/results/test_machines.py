@@ -84,3 +84,19 @@ def test_processor_time_on_images_is_not_compared_across_machines_either():
     failed = on_images("slow", SMALL, 50.0, failure="no masks")
     assert failed.metrics["cpu_s"] == 50.0, "it was spent, though on nothing"
     assert machines_note([records[0], failed]) == ""
+
+
+def test_what_a_failed_run_spent_is_shown_but_is_no_record():
+    about = {"track": "segmentation", "split": "s", "sequence": "a", "hardware": BIG}
+    good = {"iou": 0.8, "union_px": 10, "cpu_s": 30.0, "peak_memory_mb": 900.0}
+    crashed = {"union_px": 10, "cpu_s": 0.4, "peak_memory_mb": 60.0}
+    records = [
+        ResultRecord(method="good", metrics=good, **about),
+        ResultRecord(method="crash", metrics=crashed, failure="ImportError", **about),
+    ]
+    rows = results_table(records).rows
+    assert [cell.value for cell in rows[1].cells if cell.value in (0.4, 60.0)] == [0.4, 60.0]
+    assert [cell.value for row in rows for cell in row.cells if cell.kind == "best"] == [0.8]
+    other = ResultRecord(method="slow", metrics={**good, "cpu_s": 40.0}, **about)
+    best = [cell.value for row in results_table([*records, other]).rows for cell in row.cells if cell.kind == "best"]
+    assert best == [0.8, 30.0, 0.8]
