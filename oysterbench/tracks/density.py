@@ -13,7 +13,6 @@ from oysterbench.annotations.forms import FORMS
 from oysterbench.core.errors import MachineError, MethodError, TrajectoryError
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.evaluate.density.scoring import EVALUATOR
-from oysterbench.evaluate.slam.settings import SlamSettings
 from oysterbench.methods.adapters import PythonMethod, check_distinct
 from oysterbench.methods.checks import check_shape
 from oysterbench.methods.images import Detections
@@ -192,7 +191,7 @@ class DensityTrack(Track):
                 missing = TrajectoryError(f"{folder} has no {sequence.name}-{name}.tum")
                 found[name] = _read(there[name]) if name in there else missing
         within = replace(request, out=request.out / "paths")
-        for done in SLAM.run([sequence], methods, SlamSettings(), within) if methods else ():
+        for done in SLAM.run([sequence], methods, SLAM.settings(request.options), within) if methods else ():
             failed = _failure(done.outcome)
             name = done.job.adapter.name
             file = within.out / f"{sequence.name}-{name}.tum"

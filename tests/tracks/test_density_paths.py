@@ -152,3 +152,12 @@ def test_each_map_is_kept_once_it_is_made(dive_file, tmp_path, monkeypatch):
     kept: list[list[str]] = []
     TRACK.evaluate(Request(tmp_path, places=[dive_file], finished=lambda runs: kept.append(list(runs))))
     assert kept == [["a"], ["a", "b"]]
+
+
+def test_methods_are_run_with_the_alignment_and_the_gaps_of_the_maps(dive_file, tmp_path, monkeypatch):
+    """A vertical path, of which posyaw finds no yaw, is refused only if maps are to be aligned by it."""
+    asked = []
+    monkeypatch.setattr(SLAM, "run", lambda sequences, adapters, settings, request: asked.append(settings) or [])
+    monkeypatch.setattr("oysterbench.tracks.mapping_evaluation.evaluate_maps", lambda *rest: [])
+    TRACK.evaluate(Request(tmp_path, places=[dive_file], options={"align": "origin", "max_gap_s": 0.5, "cell_m": 2.0}))
+    assert [(one.align, one.max_gap_s) for one in asked] == [("origin", 0.5)]
