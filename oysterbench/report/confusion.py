@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.evaluate.runs import span_of_runs
 from oysterbench.evaluate.steering import PictureScore
 from oysterbench.recipe import SteeringRecipe
 from oysterbench.report.figures import INK, SOFT, add_note, figure_style, new_figure
@@ -18,9 +20,9 @@ if TYPE_CHECKING:
 
 
 @figure_style()
-def confusion_figure(method: str, score: PictureScore, task: SteeringRecipe, runs: int = 1) -> Figure:
-    """Draw a panel for yaw, from left to right as in the image, and one for pitch, from up to down. runs: number of
-    runs, in each of which every image counts."""
+def confusion_figure(method: str, score: PictureScore, task: SteeringRecipe, runs: Sequence[int] = (1,)) -> Figure:
+    """Draw a panel for yaw, from left to right as in the image, and one for pitch, from up to down. runs: numbers of
+    runs on the sequences, in each of which every image counts."""
     figure = new_figure(f"Confusions of {method}", 13.0, 7.0)
     panels = figure.subplots(1, 2)
     for panel, axis, counts, degrees, ends in (
@@ -35,9 +37,10 @@ def confusion_figure(method: str, score: PictureScore, task: SteeringRecipe, run
         panel.set_title(axis.capitalize() + found)
     label = "share of the expert's images of that class"
     figure.colorbar(panels[0].collections[0], ax=panels, label=label, format="{x:.0%}", shrink=0.8)
-    within = f", in each of {runs} runs" if runs > 1 else ""
+    several = max(runs) > 1
+    within = f", in each of {span_of_runs(runs)}" if several else ""
     pictures = f"{score.metrics['pictures']:.0f} images{within}, by the expert's command and that of {method}"
-    of_all = f", in {runs} runs together" if runs > 1 else ""
+    of_all = f", in {span_of_runs(runs)} together" if several else ""
     add_note(figure, pictures, f"Framed: both agree. Right of a row: images of that class{of_all}.")
     return figure
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from oysterbench.core.html import capital
+from oysterbench.evaluate.runs import span_of_runs
 from oysterbench.evaluate.statistics import Interval, compare
 from oysterbench.evaluate.steering.dataset import Constant, Whole, over_sequences, together
 from oysterbench.evaluate.steering.metrics import STEERING
@@ -43,7 +44,7 @@ def whole_of(runs: Sequence[PictureRun]) -> dict[str, Whole]:
         ]
         counts = [len(group) for group in sequences.values()]
         if [len(part) for part in parts] == counts:
-            found[method] = over_sequences([together(part) for part in parts], counts[0])
+            found[method] = over_sequences([together(part) for part in parts], counts)
     return found
 
 
@@ -62,7 +63,7 @@ def pictures_table(wholes: Mapping[str, Whole], constant: Constant | None, task:
     for whole in list(wholes.values())[:1]:
         n, pictures = whole.sequences, whole.score.metrics["pictures"]
         about = f"{pictures:.0f} images of {n} sequence{'' if n == 1 else 's'} together"
-        about += f", in {whole.runs} runs on each" if whole.runs > 1 else ""
+        about += f", in {span_of_runs(whole.runs)} on each" if max(whole.runs) > 1 else ""
         reason = whole.intervals[INTERVALS[0]].reason
         notes.append(f"{about}; {reason or 'sequences are resampled for the interval'}.")
     if constant is not None:

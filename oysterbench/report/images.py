@@ -13,6 +13,7 @@ import numpy as np
 from oysterbench.evaluate.detection import DetectionClip
 from oysterbench.evaluate.detection.precision import RECALLS
 from oysterbench.evaluate.metrics import TRACKS
+from oysterbench.evaluate.runs import span_of_runs
 from oysterbench.evaluate.segmentation import ClipResult
 from oysterbench.evaluate.statistics import Interval
 from oysterbench.report.cards import Card, Picture, PlotGroup
@@ -48,7 +49,7 @@ class ImageRun:
 @dataclass(frozen=True)
 class DatasetRow:
     """A method over all clips together: metrics, reasons for missing ones, confidence intervals where they exist,
-    number of clips, and of runs on each; totals are as of one run."""
+    number of clips, and (C,) of runs on each; totals are as of one run."""
 
     track: str
     method: str
@@ -57,7 +58,7 @@ class DatasetRow:
     intervals: Mapping[str, Interval]
     clips: int
     whole: ClipResult | DetectionClip
-    runs: int = 1
+    runs: Sequence[int] = (1,)
 
     def as_plain(self) -> dict[str, Any]:
         """Convert to plain values for JSON; a number that does not exist is null, with the reason beside it."""
@@ -98,8 +99,9 @@ def _dataset_table(rows: Sequence[DatasetRow]) -> Table:
     clips = f"{rows[0].clips} sequence{'' if rows[0].clips == 1 else 's'}"
     unknown = next((row.intervals[first.key].reason for row in rows if first.key in row.intervals), "")
     about = f"All images of {clips} together"
-    if rows[0].runs > 1:
-        about += f", in {rows[0].runs} runs on each; totals are as of one run"
+    runs = [count for row in rows for count in row.runs]
+    if max(runs) > 1:
+        about += f", in {span_of_runs(runs)} on each; totals are as of one run"
     notes = (f"{about}; {unknown}.",) if unknown else (f"{about}; sequences are resampled for the interval.",)
     columns = (*name_columns("method"), first, interval_column(first), *others)
     return Table("Over the data set", columns, tuple(table_rows), notes)

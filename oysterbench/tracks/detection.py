@@ -70,7 +70,7 @@ class DetectionTrack(ImageTrack):
 
     def over_dataset(self, method: str, results: Sequence[Sequence[DetectionClip]]) -> DatasetRow:
         """Result over all images together."""
-        runs = len(results[0])
+        runs = [len(one) for one in results]
         whole, intervals = over_clips([join(one) for one in results], runs)
         return DatasetRow(self.name, method, whole.metrics, whole.reasons, intervals, len(results), whole, runs)
 

@@ -135,7 +135,7 @@ class ImageTrack(Track):
 
     @abstractmethod
     def over_dataset(self, method: str, results: Sequence[Sequence[Any]]) -> DatasetRow:
-        """The result of a method over all sequences, from those of its runs on each, as many on one as on another."""
+        """The result of a method over all sequences, from those of its runs on each."""
 
     def dataset_rows(self, runs: Sequence[ImageRun]) -> list[DatasetRow]:
         """Result over all sequences for each method that could be scored on all of them."""

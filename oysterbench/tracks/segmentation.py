@@ -91,7 +91,7 @@ class SegmentationTrack(ImageTrack):
     def over_dataset(self, method: str, results: Sequence[Sequence[ClipResult]]) -> DatasetRow:
         """Result over all images together."""
         found = over_dataset([mean_of_runs(list(runs)) for runs in results])
-        whole, runs = found.whole, len(results[0])
+        whole, runs = found.whole, [len(one) for one in results]
         return DatasetRow(self.name, method, whole.metrics, whole.reasons, found.intervals, found.clips, whole, runs)
 
 

@@ -182,7 +182,7 @@ def test_several_runs_on_a_sequence_are_resampled_with_it_and_its_images_counted
     about = {"track": "steering", "split": "", "method": "m"}
     records = [ResultRecord(**about, sequence=f"{k}", run=run) for k in range(7) for run in range(3)]
     whole = whole_of([PictureRun(record, *parts[int(record.sequence)]) for record in records])["m"]
-    assert (whole.sequences, whole.runs) == (7, 3)
+    assert (whole.sequences, whole.runs) == (7, [3] * 7)
     assert whole.score.metrics == pytest.approx(once.score.metrics)
     for key, interval in once.intervals.items():
         assert (whole.intervals[key].low, whole.intervals[key].high) == pytest.approx((interval.low, interval.high))
@@ -190,6 +190,11 @@ def test_several_runs_on_a_sequence_are_resampled_with_it_and_its_images_counted
     assert "2 sequences: no" in few.intervals["skill"].reason
     note = pictures_table({"m": few}, None, TASK).notes[0]
     assert note.startswith("16 images of 2 sequences together, in 3 runs on each; 2 sequences")
+    lost = whole_of([PictureRun(record, *parts[0]) for record in records[:5]])["m"]
+    assert lost.score.metrics["pictures"] == 16
+    assert (
+        "16 images of 2 sequences together, in 2 to 3 runs on each" in pictures_table({"m": lost}, None, TASK).notes[0]
+    )
 
 
 def _ratio(parts, counts, top, bottom) -> float:
@@ -323,7 +328,7 @@ def test_every_metric_is_defined_and_every_definition_measured():
 def test_the_figure_of_confusions_says_in_how_many_runs_its_images_count():
     truth, commands = made(12)
     for runs, said in ((1, "images, by the expert's"), (3, "images, in each of 3 runs, by the expert's")):
-        whole = over_sequences([together([(truth, commands)] * runs)], runs)
+        whole = over_sequences([together([(truth, commands)] * runs)], [runs])
         figure = confusion_figure("mine", whole.score, truth.task, whole.runs)
         (note,) = [text.get_text() for text in figure.texts if "Framed" in text.get_text()]
         assert f"{len(truth.classes)} {said}" in note

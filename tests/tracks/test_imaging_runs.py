@@ -47,7 +47,7 @@ def row_of(track, found, runs):
 @pytest.mark.parametrize("track", SCORERS)
 def test_a_method_that_finds_the_same_in_each_run_has_the_row_of_one_run(track):
     once, thrice = (row_of(track, range(2, 9), runs) for runs in ((0,), (0, 0, 0)))
-    assert (once.clips, thrice.clips, thrice.runs) == (7, 7, 3)
+    assert (once.clips, thrice.clips, thrice.runs) == (7, 7, [3] * 7)
     assert thrice.metrics == pytest.approx(once.metrics, nan_ok=True)
     for key, interval in once.intervals.items():
         found = thrice.intervals[key]
@@ -75,3 +75,17 @@ def test_over_runs_that_differ_ratios_are_of_all_and_totals_their_means():
     assert row.metrics["rq"] == pytest.approx(27 / (27 + 0.5 * (60 - 27)))
     assert [row.metrics[f"count_{key}"] for key in ("truth", "estimate", "error")] == [40, 18, -22]
     assert (row.metrics["images"], row.metrics["count_bias"]) == (4, pytest.approx(-5.5))
+
+
+@pytest.mark.parametrize("track", SCORERS)
+def test_totals_are_as_of_one_run_where_a_sequence_lacks_a_run(track):
+    """The machine, not the method, failed there: it has no record."""
+    made = [
+        SimpleNamespace(record=SimpleNamespace(method="m", sequence=name), result=result(track, 4))
+        for name, count in (("a", 3), ("b", 2))
+        for _ in range(count)
+    ]
+    (row,) = TRACKS[track].dataset_rows(made)
+    whole = row_of(track, (4, 4), (0,))
+    assert row.metrics == pytest.approx(whole.metrics, nan_ok=True)
+    assert "2 sequences together, in 2 to 3 runs on each; totals" in dataset_tables([row])[0].notes[0]

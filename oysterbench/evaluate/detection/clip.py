@@ -18,6 +18,7 @@ from oysterbench.evaluate.detection.precision import PrecisionCurve, average_pre
 from oysterbench.evaluate.detection.precision import join as join_matches
 from oysterbench.evaluate.detection.settings import DetectionSettings
 from oysterbench.evaluate.detection.states import STATE_METRICS, StateCounts, state_metrics, states_of
+from oysterbench.evaluate.runs import sum_as_of_one_run
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
 
 NO_TRUTH = "the ground truth has no such oyster"
@@ -166,11 +167,15 @@ def join(clips: Sequence[DetectionClip]) -> DetectionClip:
     return finish(matches, counts, quality, states, clips[0].settings)
 
 
-def over_clips(clips: Sequence[DetectionClip], runs: int = 1) -> tuple[DetectionClip, dict[str, Interval]]:
+def over_clips(
+    clips: Sequence[DetectionClip], runs: Sequence[int] | None = None
+) -> tuple[DetectionClip, dict[str, Interval]]:
     """Compute the result over all clips, and intervals of AP, panoptic quality and counts by resampling clips, each
-    with all its images. runs: number of runs joined in each clip; totals over images are as of one run."""
+    with all its images. runs: (C,) number of runs joined in each clip, None for one; totals over images are as of one
+    run."""
     whole = join(clips)
-    whole = replace(whole, metrics={**whole.metrics, **{key: whole.metrics[key] / runs for key in TOTALS}})
+    totals = {key: sum_as_of_one_run([clip.metrics[key] for clip in clips], runs) for key in TOTALS}
+    whole = replace(whole, metrics={**whole.metrics, **totals})
     kinds = whole.matches
     parts = [clip.panoptic for clip in clips if clip.panoptic is not None]
     intervals = {f"ap_{kind}": _interval([clip.matches[kind]["all"] for clip in clips]) for kind in kinds}

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oysterbench.core.geometry import Array
+from oysterbench.evaluate.runs import sum_as_of_one_run
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
 from oysterbench.evaluate.steering import labels
 from oysterbench.evaluate.steering.pictures import (
@@ -23,12 +24,12 @@ from oysterbench.evaluate.steering.pictures import (
 @dataclass(frozen=True)
 class Whole:
     """Result over several sequences. score: over all images; intervals: of its metrics that have one, with the reason
-    if it is unknown; runs: on each sequence, of which images are counted once."""
+    if it is unknown; runs: (C,) on each sequence, of which images are counted once."""
 
     score: PictureScore
     intervals: Mapping[str, Interval]
     sequences: int
-    runs: int = 1
+    runs: Sequence[int] = (1,)
 
 
 @dataclass(frozen=True)
@@ -67,12 +68,14 @@ def _constant(truth: Labels, pair: Sequence[int]) -> Commands:
     return Commands(np.tile(np.array(pair, dtype=np.int64), (n, 1)), yaw, pitch)
 
 
-def over_sequences(parts: Sequence[tuple[Labels, Commands]], runs: int = 1) -> Whole:
-    """Score the commands for the images of one or more sequences together; all are of the same task. runs: number of
-    runs that each part holds (`together`)."""
+def over_sequences(parts: Sequence[tuple[Labels, Commands]], runs: Sequence[int] | None = None) -> Whole:
+    """Score the commands for the images of one or more sequences together; all are of the same task. runs: (C,) number
+    of runs that each part holds (`together`), None for one."""
     score, scores = score_pictures(*together(parts)), [score_pictures(*part) for part in parts]
-    score = replace(score, metrics={**score.metrics, "pictures": score.metrics["pictures"] / runs})
+    pictures = sum_as_of_one_run([one.metrics["pictures"] for one in scores], runs)
+    score = replace(score, metrics={**score.metrics, "pictures": pictures})
     n = len(parts)
+    runs = runs or (1,) * n
     counts = resample_counts(n)
     if counts is None:
         unknown = Interval(math.nan, math.nan, too_few(n))
