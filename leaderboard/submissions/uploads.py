@@ -110,6 +110,9 @@ def announced_kind(request: Request) -> str:
         kind, options = parse_options_header(content_type)
         if kind != b"multipart/form-data" or not 0 < len(options.get(b"boundary", b"")) <= 200:
             raise Refusal("type", f"expected multipart/form-data with a boundary, got {content_type!r:.80}")
+        # Names any codec of Python to the parser, also those that fail or make text that no page can show.
+        if options.get(b"charset", b"utf-8").lower() not in (b"utf-8", b"us-ascii"):
+            raise Refusal("type", f"expected a form in UTF-8, got {content_type!r:.80}")
         return FORM
     if name not in KINDS:
         raise Refusal(

@@ -51,6 +51,23 @@ def test_what_is_refused_is_read_so_often_a_day_and_no_more(service, tmp_path, b
     assert upload(service, answers(tmp_path)).status_code == 201
 
 
+def test_a_body_whose_reading_fails_is_counted(service, monkeypatch):
+    async def fails(*_):
+        raise UnicodeError("not foreseen")
+
+    service.reads = DailyReads(1, service.clock)
+    monkeypatch.setattr("oysterbench_leaderboard.submissions.accounts.auth.receive_form", fails)
+    assert [upload(service, form_body(), FORM_KIND).status_code for _ in range(2)] == [500, 429]
+
+
+@pytest.mark.parametrize("charset", ["punycode", "undefined", "unicode_escape", "utf-16"])
+def test_a_form_in_another_encoding_is_not_read(service, charset):
+    answer = upload(service, form_body(**{"method-": "\\ud800"}), f"{FORM_KIND}; charset={charset}")
+    assert (answer.status_code, json.loads(answer.body)["reason"].split(",")[0]) == (415, "expected a form in UTF-8")
+    for same in ("UTF-8", "us-ascii"):
+        assert upload(service, form_body(method=""), f"{FORM_KIND}; charset={same}").status_code == 422
+
+
 def test_what_is_received_is_counted_once_and_what_is_not_received_is_not(service, tmp_path):
     service.reads, bodies = DailyReads(3, service.clock), [answers(tmp_path, case) for case in range(2)]
     assert upload(service, bodies[0], "image/png").status_code == 415

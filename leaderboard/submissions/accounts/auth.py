@@ -82,8 +82,8 @@ class Auth:
         self.service.reads.check(team)
         try:
             yield
-        except (Refusal, ClientDisconnect) as error:
-            if isinstance(error, ClientDisconnect) or error.kind != "busy":
+        except BaseException as error:
+            if not isinstance(error, Refusal) or error.kind != "busy":
                 self.service.reads.count(team)
             raise
         self.service.reads.count(team)
