@@ -7,7 +7,7 @@ import asyncio
 import logging
 import re
 import time
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import anyio
@@ -40,7 +40,7 @@ FRESH_S = 1.0
 """Time for which the revision of the index is not looked up again."""
 
 MAKERS = 4
-"""Number of pages made at once; others wait instead of competing for the processor."""
+"""Number of pages and files made at once; others wait instead of competing for the processor."""
 
 SECURITY = {
     b"content-security-policy": (
@@ -55,7 +55,7 @@ SECURITY = {
 """Headers of every response, unless it sets them itself."""
 
 CHANGING, FOREVER = "no-cache", "public, max-age=31536000, immutable"
-HTML = "text/html; charset=utf-8"
+HTML, JSON = "text/html; charset=utf-8", "application/json"
 
 
 for _name, _pattern_of in PATTERNS.items():
@@ -89,22 +89,26 @@ class Pages:
         return self._revision
 
     async def get(self, route: Route, given: dict[str, str], asked: Any, suffix: str) -> Kept:
-        """Return a page, or its representation. Concurrent requests for the same page wait for it to be made once."""
-        revision = await self.revision()
+        """Return a page, or its representation."""
         key = (route.path, tuple(sorted(given.items())), asked, suffix)
+        return await self.made(key, lambda: self.make(route, given, asked, suffix))
+
+    async def made(self, key: Hashable, make: Callable[[], Kept]) -> Kept:
+        """Return what `make` returns, called in a thread unless it is kept. Concurrent requests wait for one call."""
+        revision = await self.revision()
         if (kept := self.cache.get(revision, key)) is not None:
             return kept
         making = self._making.get((revision, key))
         if making is None:
-            making = self._making[revision, key] = asyncio.create_task(self._make(route, given, asked, suffix))
+            making = self._making[revision, key] = asyncio.create_task(self._make(make))
             making.add_done_callback(lambda _: self._making.pop((revision, key), None))
         kept = await asyncio.shield(making)
         self.cache.put(revision, key, kept)
         return kept
 
-    async def _make(self, route: Route, given: dict[str, str], asked: Any, suffix: str) -> Kept:
+    async def _make(self, make: Callable[[], Kept]) -> Kept:
         self._makers = self._makers or anyio.CapacityLimiter(MAKERS)
-        return await anyio.to_thread.run_sync(self.make, route, given, asked, suffix, limiter=self._makers)
+        return await anyio.to_thread.run_sync(make, limiter=self._makers)
 
     def make(self, route: Route, given: dict[str, str], asked: Any, suffix: str) -> Kept:
         """Make a page, or its representation, as bytes."""
@@ -136,7 +140,7 @@ def application(
 ) -> Starlette:
     """Make the web application. more: further routes, such as those of submissions; root: prefix that a proxy adds."""
     pages = Pages(site, root, fresh_s, most_bytes)
-    description = Kept.of(canonical(describe(root)), "application/json")
+    description = Kept.of(canonical(describe(root)), JSON)
 
     def page_route(route: Route, suffix: str) -> HttpRoute:
         async def get(request: Request) -> Response:
@@ -154,23 +158,25 @@ def application(
         return RedirectResponse(pages.links.page(route.path.format(digest=row.digest), None, suffix), 302)
 
     async def record(request: Request) -> Response:
-        digest = request.path_params["digest"]
-        row = await anyio.to_thread.run_sync(site.row, digest)
-        return send(request, Kept.of(await anyio.to_thread.run_sync(site.store.data, row.digest), "application/json"))
+        row = await anyio.to_thread.run_sync(site.row, request.path_params["digest"])
+        kept = await pages.made(("record", row.digest), lambda: Kept.of(site.store.data(row.digest), JSON))
+        return send(request, kept)
 
     async def curves(request: Request) -> Response:
         row = await anyio.to_thread.run_sync(site.row, request.path_params["digest"])
-        found = (await anyio.to_thread.run_sync(site.record, row.digest)).curves
-        if not found:
-            raise PageError("this record came without paths: its split is hidden, or none were kept")
-        document = await anyio.to_thread.run_sync(site.store.curves, found)
-        return send(request, Kept.of(canonical(document), "application/json"))
+
+        def make() -> Kept:
+            if not (found := site.record(row.digest).curves):
+                raise PageError("this record came without paths: its split is hidden, or none were kept")
+            return Kept.of(site.store.data(found, "curves"), JSON)
+
+        return send(request, await pages.made(("curves", row.digest), make))
 
     async def asset(request: Request) -> Response:
         name = request.path_params["name"]
         if name not in render.ASSETS:
             raise PageError(f"no file {name!r:.60}")
-        kept = Kept.of(render.asset(name), render.ASSETS[name])
+        kept = await pages.made(("asset", name), lambda: Kept.of(render.asset(name), render.ASSETS[name]))
         # Under the name of another version, which a page of another server may ask for, this file must not be kept.
         current = request.query_params.get("v") == render.assets_version()
         return send(request, kept, {"Cache-Control": FOREVER if current else CHANGING})
