@@ -229,6 +229,13 @@ def verify_command(context: click.Context, as_json: bool) -> None:
     type=click.Path(path_type=Path, exists=True, file_okay=False),
     help="Folder with the sequences of a hidden split.  [default: where public splits are rendered]",
 )
+@click.option(
+    "--submissions",
+    "server",
+    envvar="OYSTERBENCH_SUBMISSIONS",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    help="Private folder of the server, closed to what reads uploads.  [default: that above --estimates]",
+)
 @click.option("--split", help="Only records of this split, by name or .toml recipe; required with --truth.")
 @click.option("--reason", default="", help="Why.  [default: the evaluator's version]")
 @click.option("--again", is_flag=True, help="Also rescore what this version has scored.")
@@ -240,6 +247,7 @@ def rescore_command(
     digests: tuple[str, ...],
     estimates: Path,
     truth: Path | None,
+    server: Path | None,
     split: str | None,
     reason: str,
     again: bool,
@@ -283,7 +291,7 @@ def rescore_command(
             continue
         message(f"scoring {record.method} by {record.team} on {record.split}")
         why = reason or f"Rescored by {evaluator(record.track)[0]}, earlier by {record.evaluator_version}."
-        done = score_again(record, estimates, truth, why, recipe)
+        done = score_again(record, estimates, truth, why, recipe, server)
         if done.record is None:
             message(f"{before.digest[:8]} ({record.method} on {record.split}) was not rescored: {done.why}")
             continue

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -48,23 +47,24 @@ def score_again(
     truth: Path | None,
     reason: str,
     recipe: str | None = None,
+    server: Path | None = None,
 ) -> Again:
     """Rescore the estimates that a record was made from.
 
     estimates: folder of files named by their SHA-256; truth: folder with the sequences of a hidden split; recipe: of
-    the split, if it is not shipped with oysterbench
+    the split, if it is not shipped with oysterbench; server: private folder of the server that received the uploads, by
+    default the one that holds `estimates`
 
     Uploads are read and scored in a sandbox, as when they were submitted, within the limits of the settings.toml in the
-    folder that holds `estimates`. The process cannot open the server's private folder, which is the one that holds
-    `estimates` or that of OYSTERBENCH_SUBMISSIONS. Nothing is written but the names of images, there or beside the
-    uploads.
+    server's private folder, which the process cannot open. Nothing is written but the names of images, there or beside
+    the uploads.
     """
     if not record.estimates:
         return Again(record.digest, None, "its estimates were not kept")
     try:
         files = {digest: _file(estimates, digest) for digest in set(record.estimates.values())}
         if record.tier == "scored":
-            results, data_set, curves = _score_upload(record, files, truth, recipe or record.split)
+            results, data_set, curves = _score_upload(record, files, truth, recipe or record.split, server)
         else:
             truths = _truths(record, truth, recipe or record.split)
             results, data_set, curves = _score_paths(record, files, truths)
@@ -96,24 +96,25 @@ def _file(folder: Path, digest: str) -> Path:
     return path
 
 
-PRIVATE = ("submissions.sqlite", "key", "settings.toml")
-"""Files by which the private folder of a server is recognised."""
-
 Made = tuple[tuple[ResultRecord, ...], Mapping[str, Any] | None, dict[str, Any] | None]
 """Results, values over all sequences together, and curves."""
 
 
-def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None, split: str) -> Made:
+def _score_upload(
+    record: Record, files: Mapping[str, Path], truth: Path | None, split: str, server: Path | None
+) -> Made:
     """Score a team's upload, one file, in the same sandbox as when it was submitted."""
     from oysterbench_leaderboard.submissions.catalogue import serve_split
     from oysterbench_leaderboard.submissions.sandbox import sandbox
-    from oysterbench_leaderboard.submissions.settings import load_settings
+    from oysterbench_leaderboard.submissions.settings import is_server, load_settings
 
     if len(files) > 1:
         raise ResultError(f"expected one upload, got {len(files)} files")
     ((digest, path),) = files.items()
-    settings = load_settings(path.absolute().parent.parent)
-    private = _private_folders(settings.folder)
+    above = path.absolute().parent.parent
+    settings = load_settings(server or above)
+    # The folder above a mere copy of the uploads is no server's, and may hold our own code, which the sandbox reads.
+    private = [folder for folder in dict.fromkeys((settings.folder, above)) if is_server(folder)]
     served = serve_split(split, truth, (private[0] if private else path.parent) / "catalogue")
     wanted = served.wanted[record.track]
     _check_recipe(record, wanted.split_digest)
@@ -130,14 +131,6 @@ def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None,
         raise ResultError(f"{digest[:12]} is refused now: {ended.answer['refused']['reason']}")
     results = tuple(ResultRecord.from_dict(values) for values in ended.answer["results"])
     return results, ended.answer["data_set"], ended.answer["curves"]
-
-
-def _private_folders(above: Path) -> list[Path]:
-    """Private folders of a server: the folder above the uploads, and that of OYSTERBENCH_SUBMISSIONS. The one above a
-    mere copy of the uploads is none, and may hold our own code, which the sandbox has to read."""
-    named = os.environ.get("OYSTERBENCH_SUBMISSIONS")
-    folders = (above, *([Path(named)] if named else []))
-    return [folder for folder in folders if any((folder / name).exists() for name in PRIVATE)]
 
 
 def _truths(record: Record, folder: Path | None, recipe: str) -> dict[str, Trajectory]:

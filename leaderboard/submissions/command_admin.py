@@ -215,8 +215,7 @@ def backup_command(context: click.Context, file: Path, folder: Path, as_json: bo
     from oysterbench_leaderboard.submissions.backup import backup
     from oysterbench_leaderboard.submissions.settings import load_settings
 
-    if not folder.is_dir():
-        raise ResultError(f"--submissions {folder}: no such folder")
+    _check_server(folder)
     _show_backup(file, backup(load_settings(folder), file, find_place(context).folder), as_json)
 
 
@@ -249,6 +248,17 @@ def _database(folder: Path, must_exist: bool = False) -> Any:
     from oysterbench_leaderboard.submissions.database import SubmissionDatabase
     from oysterbench_leaderboard.submissions.settings import load_settings
 
-    if must_exist and not folder.is_dir():
-        raise ResultError(f"--submissions {folder}: no such folder; `oysterbench leaderboard team add` makes it")
+    if must_exist:
+        _check_server(folder)
     return SubmissionDatabase(load_settings(folder))
+
+
+def _check_server(folder: Path) -> None:
+    """Raise ResultError where a folder is no server's: to open it would make it one, and keep all others out of it."""
+    from oysterbench_leaderboard.submissions.settings import is_server
+
+    if not folder.is_dir():
+        raise ResultError(f"--submissions {folder}: no such folder; `oysterbench leaderboard team add` makes it")
+    if not is_server(folder):
+        expected = "expected the private folder of a server, got one without submissions.sqlite and settings.toml"
+        raise ResultError(f"--submissions {folder}: {expected}; `oysterbench leaderboard team add` makes one")

@@ -115,6 +115,11 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         return Limits(**{key: getattr(self, key) for key in Limits.__dataclass_fields__})
 
 
+def is_server(folder: Path) -> bool:
+    """Whether a folder is the private one of a server."""
+    return any((folder / name).exists() for name in ("submissions.sqlite", "key", FILE))
+
+
 def load_settings(folder: Path, **changes: Any) -> SubmissionSettings:
     """Load the settings of a private folder: its settings.toml, overridden by `changes`. Raises ResultError naming the
     key."""

@@ -90,7 +90,7 @@ def test_uploads_are_scored_again_within_the_limits_that_their_server_sets(tmp_p
     assert score_again(old, tmp_path / "estimates", truth, "x", str(recipe)).record is not None
 
 
-def hidden_from(monkeypatch, old, estimates, truth, recipe):
+def hidden_from(monkeypatch, old, estimates, truth, recipe, server=None):
     """Folders that the process which reads an upload cannot open."""
     jobs = []
 
@@ -99,7 +99,7 @@ def hidden_from(monkeypatch, old, estimates, truth, recipe):
         return sandbox.Ended(None, "crash", "")
 
     monkeypatch.setattr(sandbox, "run", run)
-    score_again(old, estimates, truth, "x", str(recipe))
+    score_again(old, estimates, truth, "x", str(recipe), server)
     return [Path(folder) for folder in jobs[0].hidden]
 
 
@@ -114,8 +114,25 @@ def test_who_reads_an_upload_again_can_open_neither_the_private_folder_nor_the_t
     (private / "key").write_bytes(b"secret")
     assert hidden_from(monkeypatch, old, estimates, truth, recipe) == [private, estimates, truth]
     (private / "key").rename(tmp_path / "key")
-    monkeypatch.setenv("OYSTERBENCH_SUBMISSIONS", str(tmp_path))
-    assert hidden_from(monkeypatch, old, estimates, truth, recipe) == [tmp_path, estimates, truth]
+    assert hidden_from(monkeypatch, old, estimates, truth, recipe, tmp_path) == [tmp_path, estimates, truth]
+    assert score_again(old, estimates, truth, "x", str(recipe), tmp_path).why.endswith("an answer (crash)")
+    (tmp_path / "settings.toml").write_text("lines = 'many'")
+    assert "known keys" in score_again(old, estimates, truth, "x", str(recipe), tmp_path).why
+
+
+def test_the_folder_of_a_server_elsewhere_is_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("OYSTERBENCH_BOARD", str(tmp_path / "board"))
+    recipe, truth = lay_split(tmp_path / "splits")
+    RecordStore(tmp_path / "board").add(uploaded(tmp_path / "data", recipe))
+    server = tmp_path / "server"
+    server.mkdir()
+    (server / "settings.toml").write_text("lines = 10\n")
+    words = ["leaderboard", "rescore", "--estimates", str(tmp_path / "data" / "estimates"), "--dry-run"]
+    words += ["--split", str(recipe), "--truth", str(truth)]
+    monkeypatch.setattr(sandbox, "run", lambda job, allowance: sandbox.Ended(None, str(job.limits.lines), ""))
+    for more, environment in ((["--submissions", str(server)], {}), ([], {"OYSTERBENCH_SUBMISSIONS": str(server)})):
+        asked = CliRunner().invoke(main, [*words, *more], env=environment)
+        assert "ended without an answer (10)" in asked.stderr
 
 
 def test_uploads_on_a_hidden_split_are_scored_again_and_what_changed_is_said(tmp_path, monkeypatch):

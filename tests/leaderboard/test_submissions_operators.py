@@ -55,5 +55,22 @@ def test_a_state_or_a_submission_that_there_is_not_is_named(tmp_path, args, stat
     assert said in asked.stderr
 
 
+@pytest.mark.parametrize(
+    "args",
+    [("submissions", "list"), ("submissions", "log"), ("submissions", "backup", "all.tar"), ("team", "list")],
+    ids=lambda args: args[1],
+)
+def test_a_folder_that_is_no_server_is_left_alone(tmp_path, monkeypatch, args):
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "other"
+    folder.mkdir(mode=0o755)
+    before = folder.stat()
+    asked = CliRunner().invoke(main, ["leaderboard", *args, "--submissions", str(folder)])
+    assert (asked.exit_code, asked.stdout, asked.stderr.count("\n")) == (1, "", 1)
+    assert "expected the private folder of a server, got one without submissions.sqlite" in asked.stderr
+    assert (list(folder.iterdir()), list(tmp_path.iterdir())) == ([], [folder])
+    assert folder.stat().st_mode == before.st_mode
+
+
 def test_the_states_that_can_be_asked_for_are_those_of_the_database():
     assert get_args(State) == STATES
