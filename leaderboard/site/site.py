@@ -16,7 +16,7 @@ from oysterbench_leaderboard.boards.board import STATES, BoardInfo, Literature, 
 from oysterbench_leaderboard.boards.index import BoardIndex
 from oysterbench_leaderboard.site.page import PageError
 from oysterbench_leaderboard.site.paths import slug
-from oysterbench_leaderboard.storage.record import Record
+from oysterbench_leaderboard.storage.record import RANKED, Record
 from oysterbench_leaderboard.storage.store import RecordStore, StatusChange
 
 Known = TypeVar("Known")
@@ -81,11 +81,11 @@ class Site:
         return self._once(f"conditions of {board} by {digest}", make)
 
     def results_on(self, board: str, sequences: Collection[str]) -> list[ResultRecord]:
-        """Results of a board's first records on some of its sequences, from as many records as it takes to have all;
-        they say what a sequence is that a record lacks."""
+        """Results of a board's records on some of its sequences, from as many of its first page as it takes to have
+        all; they say what a sequence is that a record lacks."""
         found: list[ResultRecord] = []
         lacking = set(sequences)
-        for row in self.index.page(board, Query()).rows if lacking else ():
+        for row in self.index.page(board, Query(states=STATES)).rows if lacking else ():
             if self.is_whole(row.digest):
                 results = self.record(row.digest).results
                 found += [one for one in results if one.sequence in lacking and one.failure is None]
@@ -95,17 +95,19 @@ class Site:
         return found
 
     def lowest_scores(self, info: BoardInfo) -> dict[str, float]:
-        """Sequence -> score of a record that lacks it, as in the ranking: the lowest of a ranked record there; without
-        those where no score is lower than that of a failed run."""
+        """Sequence -> score of a record that lacks it, as in the ranking: the lowest of a ranked record there, or
+        of any if none is ranked; without those where no score is lower than that of a failed run."""
         failed, metric = FAILED[info.track].get(info.metric, math.nan), find_metric(info.metric, info.track)
         if metric is None or not metric.range[0] < failed:
             return {}
 
         def make() -> dict[str, float]:
             lowest: dict[str, float] = {}
-            for number in range(1, self.index.page(info.id, Query()).pages + 1):
-                rows = self.index.page(info.id, Query(page=number)).rows
-                for scores in self.index.scores(row.digest for row in rows if row.place is not None).values():
+            ranked = Query(tiers=RANKED)
+            query = ranked if self.index.page(info.id, ranked).total else Query(states=STATES)
+            for number in range(1, self.index.page(info.id, query).pages + 1):
+                rows = self.index.page(info.id, replace(query, page=number)).rows
+                for scores in self.index.scores(row.digest for row in rows).values():
                     for name, score in scores.items():
                         lowest[name] = min(lowest.get(name, failed), score)
             return {name: score for name, score in lowest.items() if score < failed}

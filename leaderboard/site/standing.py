@@ -28,7 +28,7 @@ def filled(
     known: Sequence[ResultRecord],
     lowest: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[ResultRecord, ...]:
-    """The same results with a failed run added for each sequence of the board that has none, which is how the board
+    """The results on the sequences of a board, with a failed run added for each that has none, which is how the board
     ranks them.
 
     known: results of others, which give the conditions of such a sequence, and its weight in a mean
@@ -54,7 +54,7 @@ def filled(
                 info={},
             )
         )
-    return weighed((*results, *missing), known)
+    return weighed((*(result for result in results if result.sequence in sequences), *missing), known)
 
 
 def weighed(results: Sequence[ResultRecord], known: Sequence[ResultRecord]) -> tuple[ResultRecord, ...]:

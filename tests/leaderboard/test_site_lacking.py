@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,33 @@ def test_its_page_and_comparisons_have_the_score_of_the_ranking(track, tmp_path)
     assert several.data["means"]["part"][site.index.boards()[0].metric] == pytest.approx(row.score)
     lacking = next(line for line in sequences.rows if line.cells[0].value == LACKING[track][0])
     assert lacking.cells[0].mark == "not answered"
+
+
+@pytest.mark.parametrize("state", ["reported", "withdrawn"])
+@pytest.mark.parametrize("track", LACKING)
+def test_where_nothing_is_ranked_pages_have_the_scores_of_the_board(track, state, tmp_path):
+    whole, part = made(track)
+    if state == "reported":
+        whole, part = (replace(record, tier="reported") for record in (whole, part))
+    site = site_of(tmp_path, whole, part)
+    for record in (whole, part) if state == "withdrawn" else ():
+        site.store.change_status(record.digest, "withdrawn", "a fault")
+    site.index.refresh()
+    row = site.index.row(part.digest)
+    assert (row.place, row.state) == (None, "withdrawn" if state == "withdrawn" else "current")
+    assert record_page(site, part.digest).tables[1].rows[0].cells[2].value == pytest.approx(row.score)
+
+
+@pytest.mark.parametrize("track", LACKING)
+def test_sequences_that_are_none_of_the_board_do_not_count_on_a_page_either(track, tmp_path):
+    whole, part = made(track)
+    more = replace(whole, tier="reported")
+    site = site_of(tmp_path, more, part)
+    sequences, metrics = record_page(site, more.digest).tables[:2]
+    assert metrics.rows[0].cells[2].value == pytest.approx(site.index.row(more.digest).score)
+    said = f"Not counted, as no ranked record of the board has them: {', '.join(sorted(LACKING[track]))}."
+    assert said in sequences.notes
+    assert said not in record_page(site, part.digest).tables[0].notes
 
 
 def test_a_sequence_that_both_of_two_lack_weighs_there_what_it_weighs_in_the_ranking(tmp_path):

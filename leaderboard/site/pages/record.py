@@ -59,13 +59,18 @@ def record_page(site: Site, digest: str) -> Page:
     row = site.row(digest)
     record = site.record(row.digest)
     info = next(info for info in site.index.boards() if info.id == row.board)
-    lacking = set(info.sequences) - {result.sequence for result in record.results}
+    answered = {result.sequence for result in record.results}
+    lacking, others = set(info.sequences) - answered, answered - set(info.sequences)
     known, lowest = site.results_on(info.id, lacking), site.lowest_scores(info)
     results = standing.filled(standing.named(record, record.method), info.sequences, known, lowest)
     rank, metric = rank_cells([row])[0], metric_column(info.metric)
     name = f"{row.method} on {info.split}"
+    by_sequence = sequences_table(results, info.sequences, f"{name}, by sequence")
+    if others:
+        note = f"Not counted, as no ranked record of the board has them: {', '.join(sorted(others))}."
+        by_sequence = replace(by_sequence, notes=(*by_sequence.notes, note))
     tables = (
-        sequences_table(results, info.sequences, f"{name}, by sequence"),
+        by_sequence,
         metrics_table(results, f"{name}, over {numbers.count(len(info.sequences), 'sequence')}", record.data_set),
         *([strata] if (strata := strata_table(results, f"{name}, by conditions")).rows else []),
     )
