@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import json
 import os
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -159,3 +161,12 @@ class RecordStore:
         if sha256(data) != digest:
             raise ResultError(f"{path}: its bytes do not match its name: it was changed, and was not used")
         return data
+
+
+def usable(stores: Sequence[RecordStore], *digests: str) -> Record | None:
+    """First of some records of which one of the stores has an undamaged file; None where there is none."""
+    for digest in digests:
+        for store in stores:
+            with suppress(OysterbenchError):
+                return store.record(digest)
+    return None

@@ -244,3 +244,8 @@ def log(connection: Connection, submission: str = "", limit: int = 200) -> list[
     if submission:
         query = query.where(events.c.submission == submission)
     return [dict(row) for row in connection.execute(query).mappings()][::-1]
+
+
+def lock_team(connection: Connection, team: str) -> None:
+    """Lock a team, so that its quota, duplicates and published names are checked without interference."""
+    connection.execute(select(teams.c.name).where(teams.c.name == team).with_for_update()).first()

@@ -21,7 +21,7 @@ from oysterbench.hub.canonical import parse
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.publishing.publish import ranked_instead
 from oysterbench_leaderboard.storage.record import Record
-from oysterbench_leaderboard.storage.store import RecordStore, StatusChange
+from oysterbench_leaderboard.storage.store import RecordStore, StatusChange, usable
 from oysterbench_leaderboard.submissions.accounts.rates import DAY_S, DailyReads, Sampler, hours_and_minutes
 from oysterbench_leaderboard.submissions.catalogue import Catalogue, Wanted
 from oysterbench_leaderboard.submissions.database import (
@@ -29,9 +29,9 @@ from oysterbench_leaderboard.submissions.database import (
     SubmissionDatabase,
     change,
     find,
+    lock_team,
     log_event,
     submissions,
-    teams,
     utc,
 )
 from oysterbench_leaderboard.submissions.estimates import Estimates, Upload
@@ -156,7 +156,7 @@ class Service:
         at_s = self.clock()
         at = utc(at_s)
         with self.database.writing() as connection:
-            _lock(connection, team)
+            lock_team(connection, team)
             known = self._same(connection, team, form, upload.digest)
             if known is not None:
                 return self._again(connection, known, at)
@@ -243,8 +243,12 @@ class Service:
         return found[0]
 
     def record(self, submission: Submission) -> Record | None:
-        """Scored record of a submission, for its team only; None where it has none."""
-        return self.scored.record(submission.record) if submission.record else None
+        """Scored record of a submission, for its team only, or the published one where its file is damaged; None where
+        it has none. Raises ResultError where both are damaged."""
+        if not submission.record:
+            return None
+        found = usable((self.scored, self.store), submission.record, submission.published)
+        return found or self.scored.record(submission.record)
 
     def queued_before(self, submission: Submission) -> int:
         """Number of queued submissions that are older than this one."""
@@ -259,7 +263,7 @@ class Service:
         """Put a submission on the board, where it supersedes the team's current record of the same method; idempotent.
         Raises Refusal where its state is not "done", or the same files are there under another name."""
         with self.database.writing() as connection:
-            _lock(connection, team)
+            lock_team(connection, team)
             found = self._own(connection, team, id, lock=True)
             if found.state != "done":
                 raise Refusal("state", f"only finished submissions can be published; this one is {found.state}")
@@ -296,7 +300,8 @@ class Service:
                 f"change it, withdraw submission {others[0].id} first",
             )
         before = find(connection, *same, *shown_now, of_method)
-        shown = [*(self.scored.record(other.published) for other in before), *self._rescored(before)]
+        kept = (usable((self.scored, self.store), other.published) for other in before)
+        shown = [*filter(None, kept), *self._rescored(before)]
         replaced = {each.supersedes for each in shown}
         current = [each for each in shown if each.board == record.board and each.digest not in replaced]
         return replace(record, supersedes=current[0].digest, reason=LATER) if current else record
@@ -393,8 +398,3 @@ class Service:
             return Record.from_dict(parse(record.data, "record"))
         except (OysterbenchError, UnicodeEncodeError, ValueError) as error:
             raise ResultError(f"the record cannot be read again: {error}") from None
-
-
-def _lock(connection: Connection, team: str) -> None:
-    """Lock a team, so that its quota, duplicates and published names are checked without interference."""
-    connection.execute(select(teams.c.name).where(teams.c.name == team).with_for_update()).first()

@@ -275,3 +275,16 @@ def test_a_damaged_scored_record_keeps_no_server_from_starting(service, tmp_path
     assert again.store.digests() == [good], "what a crash left undone is done for the others"
     assert "was not put on the board again" in (tmp_path / "private" / "private.log").read_text()
     again.close()
+
+
+def test_a_damaged_scored_record_is_read_from_the_board_and_keeps_no_later_one_from_it(service, tmp_path):
+    first, second, third = (done(service, tmp_path, k) for k in range(3))
+    whole = service.record(service.get("reef lab", first))
+    old = service.publish("reef lab", first).published
+    (service.scored.folder / "records" / f"{old}.json").write_text("{}")
+    assert service.record(service.get("reef lab", first)) == whole
+    new = service.publish("reef lab", second).published
+    assert service.store.record(new).supersedes == old
+    for folder in (service.scored.folder, service.store.folder):
+        (folder / "records" / f"{new}.json").write_text("{}")
+    assert service.publish("reef lab", third).published in service.store.digests()
