@@ -19,7 +19,7 @@ from oysterbench.results.plausible import check_plausible, check_range
 from oysterbench.results.records import ResultRecord, samples
 from oysterbench.simulation.generate import digest
 from oysterbench_leaderboard.publishing.folders import without_folders
-from oysterbench_leaderboard.publishing.hidden import DIGITS, STEP, discreet, significant
+from oysterbench_leaderboard.publishing.hidden import DIGITS, STEP, discreet, over_split
 from oysterbench_leaderboard.storage.curves import Curve, Curves
 from oysterbench_leaderboard.storage.record import Record
 from oysterbench_leaderboard.storage.record_summary import means_over_sequences
@@ -174,7 +174,8 @@ def _least_percent(results: Sequence[ResultRecord], scores: Mapping[str, float],
 
 
 def _check_hidden(record: Record) -> None:
-    """All results say alike whether the split is hidden; those of a hidden one hold what is published, and no more."""
+    """All results say alike whether the split is hidden; those of a hidden one hold what is published, and no more.
+    Not checked: whether the masks have too few pixels for a precision, whose exact number is not published."""
     if len({result.hidden for result in record.results}) > 1:
         raise ResultError("expected all results to say alike whether the split is hidden, got some that differ")
     if not _is_hidden(record):
@@ -183,15 +184,15 @@ def _check_hidden(record: Record) -> None:
         if record.tier == "scored":  # the sandbox's sentences, which say nothing of the ground truth, are published
             told = without_folders(result)
             published = replace(published, failure=told.failure, notes=told.notes)
-        got, expected = result.to_dict(), published.to_dict()
-        if odd := [key for key in expected if got[key] != expected[key]]:
+        has, expected = result.to_dict(), published.to_dict()
+        if odd := [key for key in expected if has[key] != expected[key]]:
             where = f"run {result.run + 1} on {result.sequence}: key {odd[0]!r}"
             raise ResultError(f"{where}: expected only what is published of a hidden split, got more")
     for part in ("metrics", "means"):
         for key, value in _part(record, part).items():
-            if value is not None and value != significant(value, DIGITS["split"]):
-                digits = f"expected {DIGITS['split']} digits, as published of a hidden split"
-                raise ResultError(f"key 'data_set.{part}.{key}': {digits}, got {value}")
+            if value is not None and value != (rounded := over_split(key, record.track, value)):
+                got = f"expected {rounded}, as published of a hidden split, got {value}"
+                raise ResultError(f"key 'data_set.{part}.{key}': {got}")
 
 
 def _part(record: Record, name: str) -> Mapping[str, Any]:

@@ -78,18 +78,19 @@ def discreet(
     track, few = TRACKS[name], _has_few_pixels(results)
     means = means_over_sequences(results, track.standing)
     value = (data_set or {}).get("metrics", {}).get(track.ranking)
-    whole = {} if value is None or math.isnan(value) else {track.ranking: _over_split(track.ranking, name, value)}
+    whole = {} if value is None or math.isnan(value) else {track.ranking: over_split(track.ranking, name, value)}
     return [_coarse(result, judged) for result in results], {
         "method": results[0].method,
         "metrics": whole,
         "means": {
-            key: None if mean is None or (few and _is_of_estimate(key, name)) else _over_split(key, name, mean)
+            key: None if mean is None or (few and _is_of_estimate(key, name)) else over_split(key, name, mean)
             for key, mean in means.items()
         },
     }
 
 
-def _over_split(key: str, track: str, value: float) -> float:
+def over_split(key: str, track: str, value: float) -> float:
+    """Value over the split as it is published: rounded; one that is rounded already stays as it is."""
     # A median is the value of a single sequence.
     rounded = significant(value, DIGITS["sequence" if key in TRACKS[track].errors else "split"])
     metric = find_metric(key, track)

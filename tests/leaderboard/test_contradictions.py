@@ -60,7 +60,7 @@ HIDDEN: list[tuple[Forge, str]] = [
     (means(coverage=True), "coverage over all sequences: expected a number or null, got True"),
     (means(ate_percent=0.001), "key 'data_set.means.ate_percent': expected at least 0."),
     (means(ate_percent=-1.0), "metric 'ate_percent': expected 0 or more, got -1"),
-    (means(ate_percent=0.4567), "expected 3 digits, as published of a hidden split, got 0.4567"),
+    (means(ate_percent=0.4567), "expected 0.46, as published of a hidden split, got 0.4567"),
     (lambda values: values["data_set"].update(means=[]), ""),
     (lambda values: values["data_set"].update(means=[1]), "key 'data_set.means': expected values by metric, got list"),
     (lambda values: values["data_set"].update(metrics={"score": 0.99}), "the track slam has none, got score"),
@@ -134,6 +134,8 @@ def test_a_record_of_a_hidden_split_of_masks_as_it_is_published_contradicts_noth
     made = hidden_made(track="segmentation")
     assert {"truth_px", "union_px"} <= made.results[0].metrics.keys()
     assert said_of(tmp_path, made, lambda values: None) == ""
+    expected = "key 'data_set.means.recall': expected 0.0, as published of a hidden split, got 1.23e-05"
+    assert expected in said_of(tmp_path, made, means(recall=1.23e-05))
 
 
 def zeroed(sequences: dict[str, Any]) -> None:
