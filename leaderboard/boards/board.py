@@ -38,6 +38,7 @@ class BoardInfo:
     newest:    whether it is not former, and no board of the same track, split and recipe has a later evaluator; the
                others are history
     former:    whether the split has records of a later recipe: its data has changed since
+    public:    whether a ranked record says that the split is not hidden; records of earlier versions do not say it
     """
 
     id: str
@@ -53,6 +54,7 @@ class BoardInfo:
     updated: str
     newest: bool
     former: bool = False
+    public: bool = False
 
     @property
     def scored_by(self) -> str:

@@ -27,7 +27,7 @@ from oysterbench_leaderboard.boards.ranking import (
 from oysterbench_leaderboard.storage.record_summary import COLUMNS, RecordSummary
 from oysterbench_leaderboard.storage.store import RecordStore
 
-SCHEMA = f"16 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
+SCHEMA = f"17 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
 """Changes with every change of a table or of its contents: an index with another value is rebuilt."""
 
 CHUNK = 1000

@@ -138,8 +138,9 @@ def rank(board: BoardInfo, found: Sequence[Ranked]) -> tuple[BoardInfo, list[dic
     all: withdrawn records take no part. Self-reported records are not ranked: anybody can write a number down. Like
     records that are not current, they have only a score, and follow in order of score.
 
-    Of a team that sends estimates (tier "scored"), only the best method counts ahead of others': one result under many
-    names must push nobody down. Every baseline counts: they are methods of many authors, and nobody but us adds one.
+    Of a team that sends estimates (tier "scored"), only the best method counts in the ranks of others: one result under
+    many names must lower nobody's. Places count all. Every baseline counts: they are methods of many authors, and
+    nobody but us adds one.
     """
     summaries = [one.summary for one in found]
     current = [k for k, one in enumerate(found) if one.state == "current"]
@@ -179,7 +180,8 @@ def rank(board: BoardInfo, found: Sequence[Ranked]) -> tuple[BoardInfo, list[dic
     sign = 1 if better == "lower" else -1
     rows.sort(key=lambda r: (r["place"] is None, r["score"] is None, sign * (r["score"] or 0), r["key"]))
     updated = max(found[k].created for k in current or range(len(found)))
-    board = replace(board, sequences=tuple(sequences), entries=len(current), updated=updated)
+    public = any(summaries[k].hidden is False for k in ranked)
+    board = replace(board, sequences=tuple(sequences), entries=len(current), updated=updated, public=public)
     return board, [{**row, "position": position} for position, row in enumerate(rows)]
 
 

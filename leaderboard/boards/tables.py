@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from functools import cache
 from typing import Any
 
-from oysterbench.evaluate.metrics import TRACKS, find_metric
+from oysterbench.evaluate.metrics import FAILED, TRACKS, find_metric
 from oysterbench.evaluate.statistics import Interval
 from oysterbench.recipe import load_split, split_names
 from oysterbench.report.columns import (
@@ -123,14 +123,25 @@ def _is_public(split: str) -> bool:
     return split in split_names() and not load_split(split).hidden
 
 
-def trust_note(split: str, rows: Sequence[Row]) -> str:
+def trust_note(board: BoardInfo, rows: Sequence[Row]) -> str:
     """Warning on a board whose ground truth those who sent estimates could make; empty for other boards."""
-    if not _is_public(split) or not any(row.state == "current" and row.tier == "scored" for row in rows):
+    if not (board.public or _is_public(board.split)):
+        return ""
+    if not any(row.state == "current" and row.tier == "scored" for row in rows):
         return ""
     return (
-        f"{split} is public, and anyone can make its ground truth: what was sent here (tier 'scored') rests on trust; "
-        "on a hidden split it does not."
+        f"{board.split} is public, and anyone can make its ground truth: what was sent here (tier 'scored') rests on "
+        "trust; on a hidden split it does not."
     )
+
+
+def failures_note(track: str) -> str:
+    """What failed runs and lacking sequences score."""
+    ranking = TRACKS[track].ranking
+    metric = find_metric(ranking, track)
+    may_be_less = metric is not None and metric.range[0] < FAILED[track].get(ranking, math.nan)
+    lacking = "scores 0, or the lowest of a ranked method there if that is less" if may_be_less else "counts as failed"
+    return f"A failed run {TRACKS[track].failed_as}; a sequence that is lacking {lacking}."
 
 
 def rank_text(row: Row) -> str:
@@ -166,8 +177,7 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
     if any(row.place is not None and row.rank is None for row in rows):
         notes.append(f"{count}: too few for a significant difference; places in brackets are the order of these means.")
     elif rows:
-        failed_as = TRACKS[board.track].failed_as
-        notes.append(f"Over {count}; one that failed {failed_as}, and one that is lacking counts as failed.")
+        notes.append(f"Over {count}. {failures_note(board.track)}")
     if rows and (lost := lost_note(board.track)):
         notes.append(lost)
     if rows and (lacking := lacks(board.split, board.track)):
@@ -175,7 +185,7 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
     notes += [note for note in (machines_note(rows),) if note]
     if any(row.state == "current" and row.tier not in RANKED for row in rows):
         notes.append(NOT_RANKED)
-    if trust := trust_note(board.split, rows):
+    if trust := trust_note(board, rows):
         notes.append(trust)
     if has_data_set(board, rows):
         notes.append(DATA_SET.format(metric_column(board.metric).heading))

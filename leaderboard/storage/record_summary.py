@@ -43,12 +43,14 @@ class RecordSummary(msgspec.Struct, frozen=True):
     scores:    on each sequence; NaN, null in JSON, where there is no value although the sequence was run
     coverage:  of the sequences that have one
     sequences: of the record, in its order; failed: number of failed runs
+    hidden:    whether its split is hidden, as its results say; None where they do not
     """
 
     scores: SequenceScores
     coverage: dict[str, float]
     sequences: tuple[str, ...]
     failed: int
+    hidden: bool | None = None
 
     @classmethod
     def decode(cls, data: str) -> RecordSummary:
@@ -90,6 +92,7 @@ def summarise_record(record: Record) -> RecordSummary:
         sequence_means(samples(record.results, "coverage")) if "coverage" in FAILED[record.track] else {},
         tuple(dict.fromkeys(result.sequence for result in record.results)),
         sum(result.failure is not None for result in record.results),
+        record.results[0].hidden,
     )
 
 

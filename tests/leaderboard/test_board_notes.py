@@ -13,6 +13,7 @@ from oysterbench_leaderboard.boards.index import open_index
 from oysterbench_leaderboard.boards.tables import board_table
 from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.pages.board import board_page
+from oysterbench_leaderboard.site.pages.compare import compare_page
 from oysterbench_leaderboard.site.pages.record import record_page
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.site.works import code_cell, paper_cell
@@ -35,16 +36,47 @@ def test_a_board_of_pictures_to_learn_on_says_so(split, told, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("split", "tier", "told"),
-    [("slam-mini", "scored", True), ("slam-mini", "baseline", False), ("slam-test", "scored", False)],
+    ("split", "tier", "hidden", "told"),
+    [
+        ("slam-mini", "scored", None, True),
+        ("slam-mini", "baseline", None, False),
+        ("slam-test", "scored", None, False),
+        ("my-reef", "scored", False, True),
+        ("my-reef", "scored", True, False),
+        ("my-reef", "baseline", False, False),
+    ],
 )
-def test_a_board_says_where_those_who_sent_estimates_could_make_the_truth(split, tier, told, tmp_path):
+def test_a_board_says_where_those_who_sent_estimates_could_make_the_truth(split, tier, hidden, told, tmp_path):
     store = RecordStore(tmp_path / "board")
-    store.add(record_made(split=split, tier=tier))
+    made = record_made(split=split, tier=tier)
+    store.add(replace(made, results=tuple(replace(one, hidden=hidden) for one in made.results)))
     site = Site(open_index(store, str(tmp_path / "index.sqlite")))
     (info,) = site.index.boards()
     for table in (board_page(site, "slam", split).tables[0], board_table(site.index.page(info.id, Query()))):
         assert any("anyone can make its ground truth" in note for note in table.notes) == told
+
+
+@pytest.mark.parametrize(
+    ("split", "track", "said"),
+    [
+        ("slam-val", "slam", "A failed run scores 0; a sequence that is lacking counts as failed."),
+        (
+            "steer-val",
+            "steering",
+            "A failed run scores as the worst command at each image; a sequence that is lacking scores 0, or the "
+            "lowest of a ranked method there if that is less.",
+        ),
+    ],
+)
+def test_boards_and_comparisons_say_what_a_failure_and_a_lacking_sequence_score(split, track, said, tmp_path):
+    store = RecordStore(tmp_path / "board")
+    one, other = (store.add(record_made(method, split=split, track=track)) for method in ("one", "other"))
+    site = Site(open_index(store, str(tmp_path / "index.sqlite")))
+    (info,) = site.index.boards()
+    compared = compare_page(site, one, other).tables
+    tables = (board_page(site, track, split).tables[0], board_table(site.index.page(info.id, Query())))
+    for notes in [table.notes for table in tables] + [[note for table in compared for note in table.notes]]:
+        assert any(said in note for note in notes), notes
 
 
 def test_boards_of_one_split_are_told_apart_by_the_settings_that_are_not_usual(tmp_path):

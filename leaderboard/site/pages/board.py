@@ -16,6 +16,7 @@ from oysterbench_leaderboard.boards.board import STATES, BoardInfo, BoardPage, Q
 from oysterbench_leaderboard.boards.tables import (
     DATA_SET,
     NOT_RANKED,
+    failures_note,
     has_data_set,
     learnt_on,
     machines_note,
@@ -306,7 +307,7 @@ def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
         else f"Means over {numbers.count(len(info.sequences), 'sequence')}, each the mean of its runs"
     )
     rest = lost_note(info.track) or "Errors cover only what was estimated: mind the coverage."
-    notes = [f"{mean}; failures and missing estimates score 0. {rest}"]
+    notes = [f"{mean}. {failures_note(info.track)} {rest}"]
     if rows and (lacking := lacks(info.split, info.track)):
         notes.append(lacking)
     notes += [note for note in (machines_note(rows),) if note]
@@ -314,7 +315,7 @@ def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
         notes.append(DATA_SET.format(metric_column(info.metric).heading))
     if any(row.state == "current" and row.tier not in RANKED for row in rows):
         notes.append(NOT_RANKED)
-    if trust := trust_note(info.split, rows):
+    if trust := trust_note(info, rows):
         notes.append(trust)
     if warning := learnt_on(info.split):
         notes.append(warning)

@@ -17,7 +17,7 @@ from oysterbench.results.comparison import boards as boards_of
 from oysterbench.results.records import ResultRecord, lost_of, plain
 from oysterbench.results.remarks import remarks
 from oysterbench_leaderboard.boards.board import BoardInfo, Row
-from oysterbench_leaderboard.boards.tables import machines_note
+from oysterbench_leaderboard.boards.tables import failures_note, machines_note
 from oysterbench_leaderboard.site import numbers, standing
 from oysterbench_leaderboard.site.charts import drawings
 from oysterbench_leaderboard.site.page import Page, PageError
@@ -229,7 +229,7 @@ def _sequences(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:
         conditions = board.conditions(name)
         lines.append(TableRow((name, *values, Cell(gain, kind=kind), *(conditions.get(key) for key in known))))
     title = f"{sides[0].label} and {sides[1].label} by sequence"
-    notes = ("Means over the runs of each sequence; failures and missing estimates score 0.",)
+    notes = (f"Means over the runs of each sequence. {failures_note(info.track)}",)
     return Table(title, tuple(columns), tuple(lines), notes, "sequences")
 
 
