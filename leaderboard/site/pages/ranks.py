@@ -18,9 +18,9 @@ ABOUT_TIERS = {
 
 RANK = (
     "1 + the number of methods that are significantly better (95 %, paired bootstrap), and at least the rank of any "
-    "placed above; of another team's submissions, only the best counts."
+    "that counts and is placed above; of another team's submissions, only the best counts."
 )
-TIED = "A shared rank: the same number of methods is significantly better (95 %, paired bootstrap)."
+TIED = "A shared rank: other methods have the same one."
 UNRANKED = "a place by the mean only: with so few sequences, no difference is significant."
 
 

@@ -171,7 +171,7 @@ class Client:
                 time.sleep(pause_s(attempt, asked_s, self._patience))
         raise NetworkError(
             f"{self.url}: no answer after {self._patience.attempts} attempts: {failure}; run the same command again: "
-            "what has arrived is not counted twice"
+            "what has arrived whole is one submission; each attempt counts as an upload of the day"
         )
 
     def _once(
