@@ -94,7 +94,7 @@ def publish_model(
 
     \b
     Examples:
-      oysterbench run unet unet_instances --split seg-val --out val
+      oysterbench run unet --split seg-val --out val
       oysterbench publish-model unet hub --key my-hub.pem --results val
       oysterbench publish-model unet hub --key my-hub.pem \\
         --results val --version 1.1 --weights better.pt

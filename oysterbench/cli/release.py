@@ -82,7 +82,7 @@ def release_model(name: str, out: Path | None, **card: Any) -> None:
 
     \b
     Examples:
-      oysterbench run unet unet_instances --split seg-val --out val
+      oysterbench run unet --split seg-val --out val
       oysterbench release-model unet --results val
 
     A release never changes: another card or other weights under its version are refused.
