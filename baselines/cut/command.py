@@ -25,7 +25,7 @@ source_option = click.option(
     "--source", "sources", type=LABELLED, multiple=True, required=True, help="Labelled images; repeatable."
 )
 side_option = click.option(
-    "--side", help="Only targets of this split in their manifest.csv.  [default: train, if there are splits]"
+    "--side", help="Only targets of this split in their manifest.csv.  [default: train, or without one all but test]"
 )
 clip_option = click.option(
     "--clip",
@@ -94,7 +94,7 @@ def train_command(
     Writes checkpoint.pt, losses.csv, losses.png and samples/, with sheets from some twenty steps. May be interrupted,
     even killed: the same command resumes from the last checkpoint and gives the same weights.
     """
-    from oysterbench.cli.labelled import open_all, open_data
+    from oysterbench.cli.labelled import open_data, open_training_data
     from oysterbench.cli.render import frames_bar
     from oysterbench.simulation.gallery import write_picture
     from oysterbench_baselines.cut.settings import settings_of
@@ -105,7 +105,7 @@ def train_command(
     from oysterbench_baselines.learning.loop import pick_device
 
     settings = settings_of(method, size, steps)
-    rendered, real = open_all(sources), targets(open_data(target), side, clips)
+    rendered, real = open_training_data(sources), targets(open_data(target), side, clips)
     samples = [rendered[k * len(rendered) // SAMPLES] for k in range(min(SAMPLES, len(rendered)))]
     beside = [image.pixels for image in real]
 
@@ -208,15 +208,14 @@ reinhard_command = _recolour("reinhard")
 
 
 def targets(labelled: LabelledSet, side: str | None, clips: tuple[str, ...]) -> LabelledSet:
-    """Select the real images that may be used: those for training, where the set has splits, and only of some clips.
+    """Select the real images that may be used: of `side`, or as `training_side` selects them, and only of some clips.
 
     Raises LabelError for a side or a clip that does not exist.
     """
+    from oysterbench.cli.labelled import training_side
     from oysterbench.core.errors import LabelError
 
-    if side is None and "train" in labelled.splits:
-        side = "train"
-    chosen = labelled if side is None else labelled.of_split(side)
+    chosen = training_side(labelled, side)
     for clip in clips:
         if clip not in chosen.clips:
             raise LabelError(f"--clip {clip}: {chosen.name} has the clips {', '.join(chosen.clips)}")

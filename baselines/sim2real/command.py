@@ -95,7 +95,7 @@ def command(
     the same command resumes; started twice, both share the work. Training images that nearly duplicate test images are
     named and left out.
     """
-    from oysterbench.cli.labelled import named_files, named_places, open_all, open_data
+    from oysterbench.cli.labelled import named_files, named_places, open_data, open_training_data
 
     parts = named_places(names, ["real"])
     weights = named_files(given, ["real", *parts])
@@ -110,7 +110,7 @@ def command(
     from oysterbench_baselines.sim2real.settings import SCHEDULES, ExperimentSettings
     from oysterbench_baselines.sim2real.work import Source
 
-    sets = {name: open_all(places, name=name) for name, places in parts.items()}
+    sets = {name: open_training_data(places, name=name) for name, places in parts.items()}
     sources: dict[str, Source] = {**sets, **{name: read_finished(path) for name, path in weights.items()}}
     if schedule not in SCHEDULES:
         raise click.UsageError(f"--schedule: expected one of {', '.join(SCHEDULES)}, got {schedule!r}")

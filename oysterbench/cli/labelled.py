@@ -88,21 +88,22 @@ def open_all(names: Sequence[str], name: str = "") -> LabelledSet:
     return _as_one([open_data(one) for one in names], name)
 
 
-def open_training_data(names: Sequence[str], side: str | None = None) -> LabelledSet:
-    """Open several data sets as one set to train on. Of one that has sides, only `side` is used, by default train, or
-    where there is none all but test, which is said; one without sides is used whole. Raises LabelError where a set that
-    has sides, or every set, lacks that which was asked for."""
+def open_training_data(names: Sequence[str], side: str | None = None, name: str = "") -> LabelledSet:
+    """Open several data sets as one set to train on, called `name`. Of one that has sides, only `side` is used
+    (`training_side`); one without sides is used whole. Raises LabelError where a set that has sides, or every set,
+    lacks that which was asked for."""
     sets = [open_data(one) for one in names]
-    if side is not None and not any(one.splits for one in sets):
-        return _as_one([one.of_split(side) for one in sets])
-    return _as_one([_training_side(one, side) for one in sets])
+    sided = any(one.splits for one in sets)
+    return _as_one([one if sided and not one.splits else training_side(one, side) for one in sets], name)
 
 
-def _training_side(labelled: LabelledSet, side: str | None) -> LabelledSet:
+def training_side(labelled: LabelledSet, side: str | None = None) -> LabelledSet:
+    """Select the images of a set to learn from: those of `side`, by default train, or where there is none all but test;
+    without sides all. What is left out is said. Raises LabelError where there is no side that was asked for."""
     from oysterbench.annotations.manifest import TEST, TRAIN
     from oysterbench.cli.echo import message
 
-    if not labelled.splits or (side is None and labelled.splits == (TRAIN,)):
+    if side is None and labelled.splits in ((), (TRAIN,)):
         return labelled
     if side is None and TRAIN not in labelled.splits:
         # What is scored is not learnt from, unless there is nothing else.

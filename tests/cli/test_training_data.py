@@ -43,6 +43,19 @@ def test_data_without_sides_is_used_whole_beside_a_side_of_other_data(folder):
         assert names(found) == ["rendered/clip-0", "rendered/clip-1", "mine train/clip-0"]
 
 
+def test_experiments_learn_from_the_side_train_of_synthetic_images(folder, tmp_path, monkeypatch):
+    pytest.importorskip("torch")
+    from oysterbench_baselines.sim2real import experiment
+    from oysterbench_baselines.sim2real.command import command
+
+    seen: dict[str, LabelledSet] = {}
+    monkeypatch.setattr(experiment, "run", lambda real, sources, *rest, **more: seen.update(sources))
+    real, made = folder("real", "train", "test"), folder("made", "train", "test")
+    words = ["--real", real, "--synthetic", f"made={made}", "--out", str(tmp_path / "out")]
+    command.main(words, standalone_mode=False)
+    assert names(seen["made"]) == ["clip-0"]
+
+
 def test_nothing_is_said_where_nothing_is_left_out(folder, capsys):
     for sides in (("", ""), ("train", "train")):
         found = open_training_data([folder("mine", *sides)])
