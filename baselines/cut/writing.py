@@ -43,19 +43,20 @@ def write_translated(
 ) -> list[Measured]:
     """Write the images that `change` returns into `out`, and the measurements of each into `FILE` there.
 
-    share: images on which the judge's IoU falls below this share of its former value are left out; 0 keeps all. Raises
-    MethodError where none is left, and, before anything is read, where `out` holds other images than an earlier
-    translation.
+    share: images on which the judge's IoU falls below this share of its former value are left out; 0 keeps all. Images
+    stay on their sides of a split. Raises MethodError where none is left, and, before anything is read, where `out`
+    holds other images than an earlier translation, or only some images have a side.
     """
     check_out(source, out)
-    if not (out / FILE).is_file():  # first, so that an interrupted translation can be repeated
-        write_atomically(out / FILE, _table([]).encode())
+    splits = _sides(source)
     found: list[Measured] = []
 
     def kept() -> Iterator[LabelledImage]:
         for before, after in zip(source, change(source), strict=True):
             verdict = None if judge is None else judge.verdict(before, after)
             drift = mask_drift(before.pixels, after.pixels, before.oysters)
+            if not found:  # measurements of images that are written over; and by the file one may write here again
+                write_atomically(out / FILE, _table([]).encode())
             found.append(Measured(before.name, drift, verdict, verdict is None or verdict.holds(share)))
             if found[-1].written:
                 yield after
@@ -63,7 +64,7 @@ def write_translated(
                 remove_image(out, after.name)  # an earlier translation may have left it there
             progress(len(found), len(source))
 
-    number = write_folder(kept(), out)
+    number = write_folder(kept(), out, splits)
     write_atomically(out / FILE, _table(found).encode())
     if not number:
         raise MethodError(
@@ -87,6 +88,19 @@ def check_out(source: LabelledSet, out: Path) -> None:
             raise MethodError(
                 f"{out}: holds {path.name}, which is to be translated; it was left unchanged: choose another --out"
             )
+
+
+def _sides(source: LabelledSet) -> dict[str, str]:
+    """Side of each image by its name; empty where there are no sides. Raises MethodError where only some have one."""
+    splits = {entry.name: entry.split for entry in source.entries if entry.split}
+    if splits and len(splits) < len(source):
+        name = next(entry.name for entry in source.entries if not entry.split)
+        raise MethodError(
+            f"{source.name}: expected a side of a split for every image or for none, got none for {name}, and "
+            f"{', '.join(source.splits)} for others: translate sources with sides and those without into folders of "
+            "their own"
+        )
+    return splits
 
 
 def sentences(found: list[Measured]) -> Iterator[str]:

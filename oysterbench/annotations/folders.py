@@ -69,9 +69,12 @@ def write_folder(
     progress: Callable[[int], None] = lambda done: None,
 ) -> int:
     """Write images as such a folder, which may exist already; return their number. Only oysters are written: the format
-    has no other classes. Slashes in names become dashes. splits: by name of an image."""
-    rows = []
+    has no other classes. Slashes in names become dashes. splits: by name of an image. A folder that is not complete has
+    a manifest.csv without images, with which it is refused."""
+    rows: list[tuple[str, str, str]] = []
     for image in images:
+        if not rows:
+            _write_manifest(folder, rows)
         name = image.name.replace("/", "-")
         instances = np.where(image.oysters, image.instances, 0).astype(np.uint16)
         write_picture(folder / "images" / f"{name}.png", image.pixels)
@@ -80,10 +83,14 @@ def write_folder(
         write_picture(folder / "ignore" / f"{name}.png", np.where(image.ignore, 255, 0).astype(np.uint8))
         rows.append((name, image.clip.replace("/", "-"), (splits or {}).get(image.name, "")))
         progress(len(rows))
+    _write_manifest(folder, rows)
+    return len(rows)
+
+
+def _write_manifest(folder: Path, rows: list[tuple[str, str, str]]) -> None:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([("id", "clip", "split"), *rows])
     write_atomically(folder / FILE, text.getvalue().encode())
-    return len(rows)
 
 
 def remove_image(folder: Path, name: str) -> None:

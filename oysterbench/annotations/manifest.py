@@ -59,7 +59,10 @@ def read_manifest(folder: Path) -> dict[str, ManifestRow]:
 
 def _check_sides(path: Path, rows: Mapping[str, ManifestRow]) -> None:
     if not rows:
-        raise LabelError(f"{path}: lists no image")
+        raise LabelError(
+            f"{path}: lists no image: expected one in each row; where writing the folder was interrupted, as of "
+            "`oysterbench translate`, run that again"
+        )
     if any(row.split for row in rows.values()) and not all(row.split for row in rows.values()):
         name = next(name for name, row in rows.items() if not row.split)
         raise LabelError(f"{path}: {name!r} has no split, but others do; expected one for every image or for none")

@@ -26,7 +26,7 @@ BEGUN_ANEW = {
     "publish": "the tree is as it was before",
     "publish-model": "the tree is as it was before",
     "systems": "an unfinished system is built again",
-    "translate": "written images stay, but the set is incomplete: choose another --out, or delete it",
+    "translate": "written images stay, but the set is incomplete, and refused as such; the same command writes it anew",
 }
 """Command that cannot be resumed -> what is left of it."""
 

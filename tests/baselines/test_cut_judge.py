@@ -12,7 +12,7 @@ import cv2  # noqa: E402
 from click.testing import CliRunner  # noqa: E402
 
 from oysterbench.annotations import open_labelled, write_folder  # noqa: E402
-from oysterbench.core.errors import MethodError  # noqa: E402
+from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
 from oysterbench_baselines.cut.command import reinhard_command  # noqa: E402
 from oysterbench_baselines.cut.judge import Judge, Verdict, compare, together  # noqa: E402
 from oysterbench_baselines.cut.writing import FILE, sentences, write_translated  # noqa: E402
@@ -164,14 +164,26 @@ def test_a_translation_that_was_interrupted_can_be_repeated(tmp_path):
         yield next(iter(images))
         raise KeyboardInterrupt
 
+    def stop_at_once(images):
+        raise KeyboardInterrupt
+
+    def refused(folder):
+        with pytest.raises(LabelError, match="manifest.csv: lists no image: .*interrupted, .*run that again"):
+            open_labelled(folder)
+
     with pytest.raises(KeyboardInterrupt):
         write_translated(labelled(3), stop, tmp_path / "out", None, 0.0, lambda done, total: None)
+    refused(tmp_path / "out")
     write_translated(labelled(3), iter, tmp_path / "out", None, 0.0, lambda done, total: None)
     assert len(open_labelled(tmp_path / "out")) == len(rows(tmp_path / "out")) == 3
-    whole = rows(tmp_path / "out")
+    whole = bytes_in(tmp_path / "out")
+    with pytest.raises(KeyboardInterrupt):
+        write_translated(labelled(3), stop_at_once, tmp_path / "out", None, 0.0, lambda done, total: None)
+    assert bytes_in(tmp_path / "out") == whole, "images that are still there, and their measurements"
     with pytest.raises(KeyboardInterrupt):
         write_translated(labelled(3), stop, tmp_path / "out", None, 0.0, lambda done, total: None)
-    assert rows(tmp_path / "out") == whole, "the measurements of the images that are still there"
+    assert rows(tmp_path / "out") == {}, "no measurements of images that were there before"
+    refused(tmp_path / "out")
 
 
 def test_the_commands_take_a_judge(weights, tmp_path, home):

@@ -200,6 +200,18 @@ def test_only_what_is_for_training_is_a_target(folders):
         targets(real, None, ("clip-4",))
 
 
+def test_where_no_side_is_for_training_what_is_scored_is_no_target_and_that_is_said(tmp_path, capsys):
+    images = labelled(4, clips=2)
+    write_folder(images, tmp_path, {entry.name: "test" if entry.clip == "clip-1" else "val" for entry in images.entries})
+    found = targets(open_labelled(tmp_path), None, ())
+    assert found.splits == ("val",)
+    assert len(found) == 2
+    assert "2 of 4 images are used, all but the side test" in capsys.readouterr().err
+    assert targets(open_labelled(tmp_path), "test", ()).splits == ("test",)
+    with pytest.raises(LabelError, match="no image of split 'test'; its splits: none"):
+        targets(images, "test", ())
+
+
 def run(command, *arguments):
     return CliRunner().invoke(command, [str(a) for a in arguments], catch_exceptions=False)
 
@@ -213,6 +225,19 @@ def test_the_controls_write_folders_that_can_be_trained_on(folders):
     assert [entry.name for entry in found.entries] == [entry.name for entry in before.entries]
     assert np.array_equal(found[7].oysters, before[7].oysters)
     assert found[7].pixels[..., 2].mean() > before[7].pixels[..., 2].mean() + 30
+
+
+def test_translated_images_stay_on_their_sides(folders):
+    out = folders / "recoloured"
+    options = ("--target", folders / "real", "--out", out)
+    assert run(reinhard_command, "--source", folders / "real", *options).exit_code == 0
+    before = {entry.name: entry.split for entry in open_labelled(folders / "real").entries}
+    assert {entry.name: entry.split for entry in open_labelled(out).entries} == before
+    assert {*before.values()} == {"train", "test"}
+    kept = (out / "manifest.csv").read_bytes()
+    with pytest.raises(MethodError, match=r"got none for rendered/reef-0, and train, test for others"):
+        run(reinhard_command, "--source", folders / "rendered", "--source", folders / "real", *options)
+    assert (out / "manifest.csv").read_bytes() == kept
 
 
 def test_the_commands_train_and_translate(folders, monkeypatch):
