@@ -249,7 +249,7 @@ def _images(path: Path, images: list[Any]) -> dict[Any, CocoImage]:
             raise LabelError(
                 f"{where}: expected width and height in px, of an image of at most {LARGEST_IMAGE_PX} px, got {got}"
             )
-        clip, split = (str(image.get(key) or "") for key in ("clip", "split"))
+        clip, split = (str(image.get(key) or "").strip() for key in ("clip", "split"))
         found[image["id"]] = CocoImage(name, image["height"], image["width"], file, clip, split.casefold())
         names.add(name)
     if not found:

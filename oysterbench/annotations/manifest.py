@@ -28,27 +28,29 @@ class ManifestRow:
 
 def read_manifest(folder: Path) -> dict[str, ManifestRow]:
     """Read the manifest of a folder, by id of an image, in the order of the file; empty if there is no manifest. The
-    columns id and clip are required, split is optional; others are ignored. Separators are commas or semicolons, as
-    spreadsheets write them. Raises LabelError naming the line."""
+    columns id and clip are required, split is optional; others are ignored, and so are blanks around values. Separators
+    are commas or semicolons, as spreadsheets write them. Raises LabelError naming the line."""
     path = folder / FILE
     if not path.is_file():
         return {}
     rows: dict[str, ManifestRow] = {}
     try:
         text = path.read_bytes().decode("utf-8-sig")
-        reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=separator(text))
-        missing = {"id", "clip"} - set(reader.fieldnames or ())
+        lines = io.StringIO(text, newline="")
+        reader = csv.DictReader(lines, delimiter=separator(text), skipinitialspace=True)
+        reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
+        missing = {"id", "clip"} - set(reader.fieldnames)
         if missing:
             raise LabelError(f"{path}:1: expected the columns id, clip and split, missing: {', '.join(missing)}")
         for values in reader:
-            name, clip = values["id"], values["clip"]
+            name, clip, split = ((values.get(key) or "").strip() for key in ("id", "clip", "split"))
             if not any(values.values()):  # what is left of a row that was cleared in a spreadsheet
                 continue
             if not name or not clip:
                 raise LabelError(f"{path}:{reader.line_num}: expected an id and a clip, got {name!r} and {clip!r}")
             if name in rows:
                 raise LabelError(f"{path}:{reader.line_num}: {name!r} is listed twice")
-            rows[name] = ManifestRow(clip, (values.get("split") or "").casefold())
+            rows[name] = ManifestRow(clip, split.casefold())
     except UnicodeDecodeError:
         raise LabelError(f"{path}: expected a CSV table in UTF-8: in a spreadsheet, save it as 'CSV UTF-8'") from None
     except (OSError, csv.Error) as error:

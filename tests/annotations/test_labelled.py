@@ -68,7 +68,7 @@ def test_a_polygon_that_leaves_the_image_ends_at_its_border(tmp_path):
 
 
 def test_a_manifest_gives_clips_splits_and_order(tmp_path):
-    manifest = "id,clip,split,more\nb,two,test,1\na,one,train,2\n"
+    manifest = 'id, clip ,split,more\n b,two, test,1\na ,"one",train ,2\n'  # blanks, as editors and people leave them
     found = open_labelled(yolo_folder(tmp_path / "set", {"a": SQUARE, "b": ""}, manifest))
     assert [(e.name, e.clip, e.split) for e in found.entries] == [("b", "two", "test"), ("a", "one", "train")]
     assert [entry.name for entry in found.of_split("train").entries] == ["a"]

@@ -137,8 +137,9 @@ def test_only_the_test_side_of_a_manifest_is_scored_and_that_is_said(tmp_path, l
     )
     (clip,) = clips("a", "b", "b")
     assert "1 of a, 2 of b: a method may have learnt from them" in clip.sides
-    (clip,) = clips("Train", "TEST", "Test")
-    assert [name[-1] for name in clip.names] == ["b", "c"], "spreadsheets begin words with a capital"
+    for sides in (("Train", "TEST", "Test"), (" train", " test", "test ")):
+        (clip,) = clips(*sides)
+        assert [name[-1] for name in clip.names] == ["b", "c"], "as spreadsheets and people write them"
     for sides in (("", "", ""), ("test", "test", "test")):
         (clip,) = clips(*sides)
         assert (len(clip.names), clip.sides, clip.unscored) == (3, "", frozenset())
@@ -148,7 +149,7 @@ def test_only_the_test_side_of_a_manifest_is_scored_and_that_is_said(tmp_path, l
 def test_of_coco_annotations_with_sides_the_test_side_is_scored_and_not_what_train_learns_from(tmp_path, pictures):
     images = [
         {"id": k, "file_name": f"{name}.png", "width": 3, "height": 1} | ({"split": side} if side else {})
-        for k, (name, side) in enumerate({"a": "Train", "b": "Test", "c": ""}.items())
+        for k, (name, side) in enumerate({"a": "Train ", "b": " Test", "c": ""}.items())
     ]
     document = {"images": images, "annotations": [], "categories": [{"id": 1, "name": "oyster"}]}
     (tmp_path / "all.json").write_text(json.dumps(document))
