@@ -140,8 +140,12 @@ def _train(
     from oysterbench_baselines.unet.training import begun_settings, thresholds_of
     from oysterbench_baselines.unet.training import train as train_unet
 
+    path = out or checkpoint_path(name)
     if begin == Path(name) and not begin.exists():
+        _check_out(path, begin, checkpoint_path(name))  # what the name means as soon as there is such a file
         begin = trained(name)
+    if begin is not None:
+        _check_out(path, begin, begin)
     begun = None if begin is None else read_finished(begin)
     if begun is not None:
         check_kind(begun, name, begin)
@@ -158,6 +162,14 @@ def _train(
         with frames_bar("measuring", "images") as measuring:
             return partial(train_unet, measuring=measuring, begun=begun, again=again)(*arguments)
 
-    path = out or checkpoint_path(name)
     checkpoint = run_training(name, labelled, settings, train, path, seed, device, again)
     message(thresholds_of(checkpoint, begun))
+
+
+def _check_out(path: Path, begin: Path, meant: Path) -> None:
+    """Refuse to write checkpoints to the file that --begin names. Raises MethodError."""
+    if path.resolve() == meant.resolve():
+        raise MethodError(
+            f"{path}: expected another file than that of --begin {begin}: checkpoints would take the place of the "
+            "weights to begin with, and an interrupted training could not be resumed; choose another --out"
+        )

@@ -14,6 +14,7 @@ from click.testing import CliRunner  # noqa: E402
 from oysterbench.annotations import Entry, LabelledImage, LabelledSet, open_labelled, write_folder  # noqa: E402
 from oysterbench.cli.main import main  # noqa: E402
 from oysterbench.core.errors import MethodError  # noqa: E402
+from oysterbench.methods.weights import weights_path  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
 from oysterbench_baselines.unet.calibration import LEAST, Calibration, kept_back, measured  # noqa: E402
 from oysterbench_baselines.unet.training import thresholds_of, train  # noqa: E402
@@ -60,6 +61,29 @@ def test_a_training_begins_with_the_weights_of_a_name(tmp_path, begun, monkeypat
     failed = CliRunner().invoke(main, [*words, "unet_larger", *out])
     assert failed.exit_code != 0
     assert "unet_larger: no such checkpoint" in failed.stderr
+
+
+@pytest.mark.parametrize("begin", ["begun.pt", "unet_small"])
+def test_no_training_writes_over_the_weights_that_it_begins_with(tmp_path, home, begun, begin, monkeypatch):
+    """Nor where a name means those of oysterbench, and would mean the new ones once the training was interrupted."""
+    monkeypatch.delenv("OYSTERBENCH_UNET_SMALL", raising=False)
+    monkeypatch.chdir(tmp_path)
+    words = ["train", "unet_small", "--data", str(tmp_path / "many"), "--steps", "2", "--begin", begin]
+    if begin == "unet_small":
+        out = weights_path(begin)
+    else:
+        out = begun
+        words += ["--out", str(out)]
+    kept = begun.read_bytes()
+    for more in ([], ["--again"]):
+        done = CliRunner().invoke(main, [*words, *more])
+        assert done.exit_code == 1
+        assert f"{out}: expected another file than that of --begin {begin}: " in " ".join(done.stderr.split())
+        assert "choose another --out" in " ".join(done.stderr.split())
+    assert begun.read_bytes() == kept
+    monkeypatch.setenv("OYSTERBENCH_UNET_SMALL", str(begun))
+    done = CliRunner().invoke(main, ["train", "unet_small", *words[2:6], "--begin", "unet_small"])
+    assert f"{begun}: expected another file than that of --begin unet_small" in " ".join(done.stderr.split())
 
 
 def test_where_enough_images_are_held_out_thresholds_are_measured_anew_and_on_how_many_is_said(tmp_path, begun):
