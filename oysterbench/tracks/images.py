@@ -162,6 +162,9 @@ class ImageTrack(Track):
         reading = {key: options[key] for key in ("labels", "ignore_value") if key in options}
         found = [PictureSequence(one, [path]) for path in files.values() for one in open_truth(path, **reading)]
         check_names_differ(found)
+        for sequence in found:
+            # An error would come too late after all runs, and would seem to be the method's.
+            sequence.labelled.check_annotations(masks=not self.single)
         return found
 
     def score(self, job: Job, outcome: Outcome, out: Path, settings: Any) -> ImageRun:

@@ -166,6 +166,20 @@ def test_images_of_annotations_with_boxes_alone_are_run_on_too(tmp_path):
     assert [pixels.shape for _, pixels in sequence.labelled.pictures()] == [(20, 60, 3)]
 
 
+@pytest.mark.parametrize("track", ["detection", "segmentation"])
+def test_annotations_that_cannot_be_scored_are_refused_before_anything_runs(track, tmp_path):
+    """Not as a failure of each method, when all have run."""
+    write(tmp_path / "all.json", [*items(), items()[0] | {"id": 9, "segmentation": [[1, 2, 3]]}])
+    with pytest.raises(LabelError, match=r"all.json: annotations\[5\]: expected polygons of at least three corners"):
+        TRACKS[track].run_sequences(None, {"mine": tmp_path / "all.json"}, {})
+
+
+def test_boxes_alone_are_refused_before_anything_runs_where_masks_are_scored(tmp_path):
+    write(tmp_path / "all.json", items(segmentation=[]))
+    with pytest.raises(LabelError, match=r"annotations\[0\]: has no segmentation.* use `--track detection`"):
+        TRACKS["segmentation"].run_sequences(None, {"mine": tmp_path / "all.json"}, {})
+
+
 def test_annotations_without_their_images_say_where_these_belong(tmp_path):
     (sequence,) = TRACKS["detection"].run_sequences(None, {"mine": write(tmp_path / "all.json", items())}, {})
     with pytest.raises(LabelError, match=r"a: expected an image .* their file_name, beside these or in images/ there"):
