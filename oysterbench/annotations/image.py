@@ -170,23 +170,26 @@ def planes_of(
 
 def ends_of(entries: Sequence[Entry], share: float) -> list[Entry]:
     """Select the last share (rounded down) of what each camera took, of the images of one clip in order of time; an
-    image of another camera at the same instant, which shows the same ground, is selected too. Where every camera took
-    too few, the last share of all instants, or of all images, is selected."""
+    image of another camera at the same instant, which shows the same ground, is selected too. Where that is less than
+    half of this share of all images, as most cameras took too few, the last share of all instants, or of all images, is
+    selected."""
     cameras: dict[str, list[Entry]] = {}
     for entry in entries:
         cameras.setdefault(entry.camera, []).append(entry)
     ends = (entry for taken in cameras.values() for entry in taken[len(taken) - int(share * len(taken)) :])
     instants = {entry.instant for entry in ends}
-    return [entry for entry in entries if entry.instant in instants] or _last_of(entries, share)
+    found = [entry for entry in entries if entry.instant in instants]
+    return found if found and len(found) >= share * len(entries) / 2 else _last_of(entries, share)
 
 
 def _last_of(entries: Sequence[Entry], share: float) -> list[Entry]:
     """Select the images of the last share of all instants, at least of one; where these are more than twice the share
-    of all images, as of many cameras at few instants, select the last share of the images as they stand."""
+    of all images, as of many cameras at few instants, or less than half of it, as of cameras that took more images than
+    others, select the last share of the images as they stand."""
     instants = sorted({entry.instant for entry in entries}, key=lambda instant: (len(instant), instant))
     last = instants[-max(1, int(share * len(instants))) :]
     found, most = [entry for entry in entries if entry.instant in last], int(share * len(entries))
-    return found if len(found) <= 2 * most else list(entries[len(entries) - most :])
+    return found if most / 2 <= len(found) <= 2 * most else list(entries[len(entries) - most :])
 
 
 def joined(sets: Iterable[LabelledSet], name: str) -> LabelledSet:

@@ -152,6 +152,10 @@ def test_of_a_folder_that_was_written_from_two_cameras_the_same_instants_are_kep
     assert [entry.name for entry in kept.entries] == ["reef-cam_down-0009", "reef-cam_close-0009"]
 
 
+QUADRATS = [f"q{k:02}-{n:02}" for k in range(1, 31) for n in range(1, 11 if k == 1 else 10)]
+"""Of one of them alone there are ten images, of which one is the last tenth."""
+
+
 @pytest.mark.parametrize(
     ("names", "held"),
     [
@@ -159,6 +163,7 @@ def test_of_a_folder_that_was_written_from_two_cameras_the_same_instants_are_kep
         ([f"quadrat{k:02}-2024" for k in range(20)], ["quadrat18-2024", "quadrat19-2024"]),
         ([f"{k:04}/left" for k in range(20)], ["0018/left", "0019/left"]),
         ([f"reef/{camera}/{k}" for camera in "ab" for k in range(4)], []),
+        (QUADRATS, QUADRATS[-27:]),
     ],
 )
 def test_of_few_images_of_each_camera_the_last_of_all_are_kept_back(names, held):
