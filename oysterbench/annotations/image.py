@@ -78,8 +78,8 @@ class Entry:
 
     @property
     def camera(self) -> str:
-        """What took it, as far as names say: frames of sequences are named SEQUENCE/CAMERA/STAMP, or with dashes in
-        folders of masks. Empty where a name does not end in a number."""
+        """What took it, as far as names say: frames of sequences are named SEQUENCE/CAMERA/STAMP, or with dashes or
+        underscores in folders. Empty where a name does not end in a number."""
         return self._taken[0]
 
     @property
@@ -89,7 +89,7 @@ class Entry:
 
     @property
     def _taken(self) -> tuple[str, str]:
-        camera, _, instant = self.name.replace("/", "-").rpartition("-")
+        camera, _, instant = self.name.replace("/", "-").replace("_", "-").rpartition("-")
         return (camera, instant) if instant.isdecimal() else ("", self.name)
 
 

@@ -161,14 +161,15 @@ def test_one_picture_in_ten_of_a_clip_its_last_is_kept_back_and_none_where_there
     assert [len(part) for part in kept_back(few)] == [4, 0]
 
 
-def test_of_a_clip_of_two_cameras_the_same_instants_of_both_are_kept_back():
-    names = [f"reef/{camera}/{k}" for camera in ("down", "close") for k in range(40)]
-    names += [f"reef/slow/{k}" for k in range(0, 40, 2)]
+@pytest.mark.parametrize("mark", ["/", "-", "_"])
+def test_of_a_clip_of_two_cameras_the_same_instants_of_both_are_kept_back(mark):
+    names = [f"reef/{camera}{mark}{k}" for camera in ("down", "close") for k in range(40)]
+    names += [f"reef/slow{mark}{k}" for k in range(0, 40, 2)]
     entries = [Entry(name, "reef", lambda: pytest.fail("it was read"), ()) for name in names]
     learnt_from, kept = kept_back(LabelledSet("set", entries))
     assert {entry.name for entry in kept.entries} == {
-        *(f"reef/{camera}/{k}" for camera in ("down", "close") for k in range(36, 40)),
-        *("reef/slow/36", "reef/slow/38"),
+        *(f"reef/{camera}{mark}{k}" for camera in ("down", "close") for k in range(36, 40)),
+        *(f"reef/slow{mark}36", f"reef/slow{mark}38"),
     }
     assert len(learnt_from) + len(kept) == len(entries)
 
