@@ -307,7 +307,11 @@ def _coco_clips(path: Path, place: Path) -> list[LabelledSequence]:
 
 
 def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[LabelledSequence]:
-    files = {path.relative_to(place).with_suffix("").as_posix(): path for path in sorted(place.rglob("*.png"))}
+    found = sorted(path for path in place.rglob("*") if path.suffix.lower() == ".png")
+    files = {path.relative_to(place).with_suffix("").as_posix(): path for path in found}
+    if len(files) < len(found):
+        twice = next(path for path in found if path not in files.values())
+        raise LabelError(f"{twice}: expected one mask of this name, got another with the suffix in other case")
     if not files:
         got = "none of them" if place.exists() else "nothing of that name"
         raise LabelError(
@@ -324,7 +328,10 @@ def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Lab
     for name in files:
         if listed and name not in listed:
             raise LabelError(f"{place / FILE}: does not assign a clip to {name}")
-    unscored, sides = _sides({name: listed[name].split if listed else "" for name in files})
+    unscored, sides = _sides({name: row.split for name, row in listed.items()})
+    for name in listed:
+        if name not in files and name not in unscored:
+            raise LabelError(f"{place / FILE}: lists {name!r}, but there is no {name}.png; every image needs its mask")
     groups: dict[str, list[str]] = {}
     for name in (name for name in files if name not in unscored):
         clip = listed[name].clip if listed else name.rpartition("/")[0] or place.resolve().name

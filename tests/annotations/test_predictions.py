@@ -282,6 +282,23 @@ def test_clips_of_a_plain_folder_are_its_folders_or_what_the_manifest_says(tmp_p
         open_truth(tmp_path)
 
 
+def test_masks_that_a_manifest_lists_are_all_there_and_no_suffix_hides_one(tmp_path):
+    for name in ("a.png", "b.PNG"):
+        write_png(tmp_path / "x.png", MASK.astype(np.uint8) * 255)
+        (tmp_path / "x.png").rename(tmp_path / name)
+    (clip,) = open_truth(tmp_path)
+    assert clip.names == ("a", "b")
+    (tmp_path / "manifest.csv").write_text("id,clip\na,x\nb,x\nc,x\n")
+    with pytest.raises(LabelError, match="manifest.csv: lists 'c', but there is no c.png"):
+        open_truth(tmp_path)
+    (tmp_path / "manifest.csv").write_text("id,clip,split\na,x,test\nb,x,test\nc,x,train\n")
+    (clip,) = open_truth(tmp_path)
+    assert (clip.names, clip.unscored) == (("a", "b"), {"c"}), "what is not scored needs no mask"
+    write_png(tmp_path / "b.png", MASK.astype(np.uint8) * 255)
+    with pytest.raises(LabelError, match="expected one mask of this name, got another with the suffix in other case"):
+        open_truth(tmp_path)
+
+
 def test_a_number_of_the_truth_may_be_ignored_and_unknown_classes_are_refused(tmp_path):
     values = MASK.astype(np.uint8) * 2
     values[0, 0] = 255
