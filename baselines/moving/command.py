@@ -23,9 +23,9 @@ def command(
       oysterbench train moving --data slam-train --steps 1500
       oysterbench train moving --data slam-train --data my-dive.mcap --out mine.pt
 
-    Data is a split, which is rendered if missing; a sequence file or a folder of them; or a labelled folder. Images in
-    which nothing moves are skipped. May be interrupted, even killed: the same command resumes from the last checkpoint
-    and gives the same weights.
+    Data is a split, which is rendered if missing, or a sequence file or a folder of them. Images in which nothing moves
+    are skipped. May be interrupted, even killed: the same command resumes from the last checkpoint and gives the same
+    weights.
     """
     from oysterbench.cli.labelled import open_training_data
     from oysterbench_baselines.moving.labels import moving_set
