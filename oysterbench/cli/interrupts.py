@@ -20,6 +20,9 @@ RESUMED = {
 }
 """Command that can be resumed -> what is kept of it."""
 
+STARTED_OVER = ("segment", "train")
+"""Those of them that --again makes start over each time it is given; others go on with what it began."""
+
 BEGUN_ANEW = {
     "eval": "finished frames are kept, and results of finished runs are in results.json; the same command starts again "
     "from the first run, `oysterbench run` resumes",
@@ -55,7 +58,8 @@ def interruption(command: str, what: str = "interrupted") -> str:
     'terminated; nothing was written'
     """
     if command in RESUMED:
-        words = [word for word in sys.argv[1:] if (command, word) != ("train", "--again")]  # which would start over
+        words = [word for word in sys.argv[1:] if command not in STARTED_OVER or word != "--again"]
         typed = shlex.join(["oysterbench", *words])
-        return f"{what}; {RESUMED[command]}, and the same command resumes from there: {typed}"
+        same = "the same command" if words == sys.argv[1:] else "the command without --again"
+        return f"{what}; {RESUMED[command]}, and {same} resumes from there: {typed}"
     return f"{what}; {BEGUN_ANEW.get(command, 'nothing was written')}"

@@ -84,8 +84,10 @@ def test_what_is_typed_again_is_what_was_typed(monkeypatch):
     assert module.interruption is interruption
 
 
-def test_a_training_that_starts_over_is_resumed_without_again(monkeypatch):
-    words = ["train", "steering", "--again", "--data", "steer-mini"]
-    monkeypatch.setattr("sys.argv", ["/usr/bin/oysterbench", *words])
-    assert interruption("train").endswith(": oysterbench train steering --data steer-mini")
-    assert "--again" in interruption("run")
+@pytest.mark.parametrize("words", [["train", "unet", "--data", "seg-train"], ["segment", "dive.mp4"]])
+def test_what_again_starts_over_resumes_without_it(words, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["oysterbench", *words, "--again"])
+    said = f"the command without --again resumes from there: oysterbench {' '.join(words)}"
+    assert interruption(words[0]).endswith(said)
+    monkeypatch.setattr("sys.argv", ["oysterbench", "run", "--again"])
+    assert interruption("run").endswith("the same command resumes from there: oysterbench run --again")
