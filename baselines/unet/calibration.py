@@ -18,8 +18,8 @@ from oysterbench_baselines.unet.views import Look
 T = TypeVar("T")
 
 SHARE = 10
-"""Of each clip the last 1 / SHARE of each camera's images are held out; of clips with fewer images, one clip in
-SHARE."""
+"""Of each clip the last 1 / SHARE of each camera's images are held out; of clips with fewer images, one clip in SHARE.
+Images without a clip are one together, or one for each folder in their names."""
 MOST, SOME = 240, 80
 """Maximum number of images to measure on, evenly spaced; and how many of these are used to compare divisions. The score
 above which oysters are counted needs many: with 80 images of rendered reefs the count is off by 5 % (1 sigma)."""
@@ -73,13 +73,18 @@ class Calibration:
 
 def kept_back(labelled: LabelledSet) -> tuple[LabelledSet, LabelledSet]:
     """Split a set into the images to train on and those to measure on; the latter are none where there are too few.
-    Images that several cameras took at the same instant fall on the same side."""
-    by_clip: dict[str, list[Entry]] = {}
+    Images that several cameras took at the same instant fall on the same side, and of images whose clips are not known
+    those that follow each other by name, as frames of a video."""
+    by_clip: dict[tuple[str, bool], list[Entry]] = {}
     for entry in labelled.entries:
-        by_clip.setdefault(entry.clip, []).append(entry)
+        alone = entry.clip == entry.name  # as where nothing says which images are of one clip
+        clip = entry.name.rpartition("/")[0] if alone else entry.clip
+        by_clip.setdefault((clip, alone), []).append(entry)
     kept: set[str] = set()
     short = 0
-    for entries in by_clip.values():
+    for (_, alone), entries in by_clip.items():
+        if alone:
+            entries.sort(key=lambda entry: entry.name)
         ends = ends_of(entries, 1 / SHARE)
         if not ends:
             short += 1

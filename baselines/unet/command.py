@@ -65,9 +65,10 @@ def command(
       oysterbench train unet --data my-masks --begin unet --steps 200 --out mine.pt
 
     Data is a split, which is rendered if missing; a sequence file or a folder of them; or a folder with images/ and
-    masks/ (PNG), labels/ (YOLO polygons) or one COCO file. The last tenth of each camera's images of a clip is held out
-    to calibrate the network. May be interrupted, even killed: the same command resumes from the last checkpoint and
-    gives the same weights. 1200 steps take about an hour on two cores, 100 minutes on one.
+    masks/ (PNG), labels/ (YOLO polygons) or one COCO file. The last tenth of each camera's images of a clip, or by name
+    where no clips are known, is held out to calibrate the network. May be interrupted, even killed: the same command
+    resumes from the last checkpoint and gives the same weights. 1200 steps take about an hour on two cores, 100 minutes
+    on one.
     """
     from oysterbench_baselines.unet.training import pretrained_settings
 

@@ -152,6 +152,16 @@ def test_of_a_folder_that_was_written_from_two_cameras_the_same_instants_are_kep
     assert [entry.name for entry in kept.entries] == ["reef-cam_down-0009", "reef-cam_close-0009"]
 
 
+def test_where_no_clips_are_known_the_last_by_name_are_kept_back_of_each_folder():
+    """And not every tenth frame of a video, between two that were learnt from."""
+    names = [f"{place}/f{k:03}" for place in ("mine", "more") for k in reversed(range(20))]
+    entries = [Entry(name, name, lambda: pytest.fail("it was read"), ()) for name in names]
+    kept = kept_back(LabelledSet("set", entries))[1]
+    assert [entry.name for entry in kept.entries] == ["mine/f019", "mine/f018", "more/f019", "more/f018"]
+    entries = [*entries[:9], *(Entry(f"reef/{k}", "reef", lambda: pytest.fail("it was read"), ()) for k in range(10))]
+    assert [entry.name for entry in kept_back(LabelledSet("set", entries))[1].entries] == ["reef/9"]
+
+
 QUADRATS = [f"q{k:02}-{n:02}" for k in range(1, 31) for n in range(1, 11 if k == 1 else 10)]
 """Of one of them alone there are ten images, of which one is the last tenth."""
 

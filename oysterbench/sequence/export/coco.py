@@ -50,6 +50,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
                     "width": width,
                     "height": height,
                     "license": LICENCE["id"],
+                    "clip": sequence.name,
                     "camera": camera,
                     "stamp_ns": image.stamp_ns,
                 }

@@ -32,6 +32,7 @@ def test_coco_polygons_give_back_each_mask(coco, sequence):
     labels = list(sequence.layer("cam_left", "instance"))
     for image, layer in zip(coco.loadImgs(coco.getImgIds()), labels, strict=True):
         assert image["stamp_ns"] == layer.stamp_ns
+        assert image["clip"] == sequence.name
         found = coco.loadAnns(coco.getAnnIds(imgIds=image["id"]))
         assert {entry["instance"] for entry in found} == {7, 40_000}
         for entry in found:
