@@ -39,7 +39,7 @@ def training_options(steps: int = 2000) -> Callable[[Callable[..., Any]], Callab
     number = click.IntRange(min=1)
     file = click.Path(path_type=Path, dir_okay=False)
     options = (
-        click.option("--again", is_flag=True, help="Start over, even if a checkpoint exists. Without it, an interrupted training resumes."),
+        click.option("--again", is_flag=True, help="Start over, even where a training would resume."),
         click.option(
             "--threads",
             type=number,

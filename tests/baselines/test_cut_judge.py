@@ -168,7 +168,7 @@ def test_a_translation_that_was_interrupted_can_be_repeated(tmp_path):
         raise KeyboardInterrupt
 
     def refused(folder):
-        with pytest.raises(LabelError, match="manifest.csv: lists no image: .*interrupted, .*run that again"):
+        with pytest.raises(LabelError, match=r"manifest.csv: lists no image: .*interrupted, .*run that again"):
             open_labelled(folder)
 
     with pytest.raises(KeyboardInterrupt):

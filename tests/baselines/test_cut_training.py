@@ -202,7 +202,8 @@ def test_only_what_is_for_training_is_a_target(folders):
 
 def test_where_no_side_is_for_training_what_is_scored_is_no_target_and_that_is_said(tmp_path, capsys):
     images = labelled(4, clips=2)
-    write_folder(images, tmp_path, {entry.name: "test" if entry.clip == "clip-1" else "val" for entry in images.entries})
+    sides = {entry.name: "test" if entry.clip == "clip-1" else "val" for entry in images.entries}
+    write_folder(images, tmp_path, sides)
     found = targets(open_labelled(tmp_path), None, ())
     assert found.splits == ("val",)
     assert len(found) == 2
