@@ -38,6 +38,8 @@ LEAST_FREE = 1 << 20
 """Free space, bytes, below which any failure is put down to a full disk."""
 KILLED_STATUS = 128 + signal.SIGKILL
 """Exit status by which a shell reports that its command was killed by SIGKILL."""
+THREADS = "OMP_NUM_THREADS"
+"""Number of threads that libraries start to compute in parallel, such as PyTorch and those of linear algebra."""
 WEIGHTS = ".pt"
 """File suffix of trained weights: those of a user's own method may be named by any variable."""
 CACHES = ("huggingface", "matplotlib", "numba", "torch", "torch_extensions")
@@ -71,9 +73,15 @@ class Stopped(Exception):
 
 
 class Processes:
-    """Starts commands from any number of threads, and ends all of them at once."""
+    """Starts commands from any number of threads, and ends all of them at once.
 
-    def __init__(self) -> None:
+    cores: number of cores for each command, where several share a machine: libraries that compute in parallel start as
+    many threads each, unless the user has set OMP_NUM_THREADS. Threads of theirs that outnumber the cores wait for each
+    other and take several times as long.
+    """
+
+    def __init__(self, cores: int | None = None) -> None:
+        self._threads = {} if cores is None or THREADS in os.environ else {THREADS: str(cores)}
         self._running: set[subprocess.Popen[bytes]] = set()
         self._lock = threading.Lock()
         self._stopped = False
@@ -96,10 +104,10 @@ class Processes:
         Stopped once `stop` was called.
         """
         hidden, temporary = tuple(hidden), folder / TEMPORARY
-        env: dict[str, str] | None = None
+        env = dict(os.environ) | self._threads
         if hidden:
             temporary.mkdir(exist_ok=True)
-            env = environment() | {"TMPDIR": str(temporary)}
+            env = environment() | self._threads | {"TMPDIR": str(temporary)}
         with (
             tempfile.TemporaryFile() as report,
             open(folder / STDOUT, "wb") as out,

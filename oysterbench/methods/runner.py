@@ -192,7 +192,7 @@ def _run(
     announce: Announce,
     on_output: OnOutput | None,
 ) -> Iterator[tuple[Job, Outcome]]:
-    processes = Processes()
+    processes = Processes(max(1, default_workers() // min(workers, len(jobs))))
     held = ExitStack()
     # The path of a temporary folder does not reveal where the ground truth is.
     inputs = Inputs(held.enter_context(scratch()), jobs, processes, exports, announce)

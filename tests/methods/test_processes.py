@@ -45,6 +45,24 @@ def test_a_supervisor_that_was_stopped_is_not_waited_for_for_ever(tmp_path, monk
     assert run(tmp_path, STOPS, 60.0, limit_s=0.2).failure == "time limit of 0.2 s reached: killed"
 
 
+@pytest.mark.parametrize("hidden", [False, True])
+def test_commands_that_share_a_machine_have_a_share_of_its_cores_unless_the_user_says_otherwise(
+    tmp_path, monkeypatch, hidden
+):
+    prints = [sys.executable, "-I", "-S", "-c", "import os; print(os.environ.get('OMP_NUM_THREADS'))"]
+    hides = {"hidden": [tmp_path / "truth"]} if hidden else {}
+
+    def printed(started: Processes) -> str:
+        started.run(prints, 30.0, tmp_path, **hides)
+        return (tmp_path / "stdout.txt").read_text().strip()
+
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    assert printed(Processes(3)) == "3"
+    assert printed(Processes()) == "None"
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    assert printed(Processes(3)) == "7"
+
+
 def test_a_report_is_not_forged_by_the_command(tmp_path):
     forges = "import os, sys; open('process.json', 'w').write(sys.argv[1]); os.kill(os.getppid(), 9)"
     forged = json.dumps({**FORGED, "peak_bytes": 4096, "left_behind": 0, "error": None})
