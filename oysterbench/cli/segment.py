@@ -140,7 +140,7 @@ def segment_command(
 
     # These imports are slow, so everything that can be refused without them has been.
     from oysterbench.cli.render import frames_bar
-    from oysterbench.counting.accuracy import figures_of_counts, read_accuracy
+    from oysterbench.counting.accuracy import figures_of_counts, read_accuracy, saw_rendered_reefs_alone
     from oysterbench.counting.coco import is_as_counted
     from oysterbench.counting.identity import method_identity
     from oysterbench.counting.least import Least
@@ -178,6 +178,7 @@ def segment_command(
         least,
         counted.copies,
         whole_m2,
+        saw_rendered_reefs_alone(weights),
     )
     videos = any(source.video for source in found.sources)
     said = {

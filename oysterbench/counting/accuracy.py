@@ -10,6 +10,7 @@ from pathlib import Path
 from oysterbench.core.errors import ResultError
 from oysterbench.hub.model import Figure
 from oysterbench.hub.weights import weights_here
+from oysterbench.recipe import split_names
 from oysterbench.results.card_figures import weights_in
 from oysterbench.results.records import ResultRecord, read_results
 
@@ -65,6 +66,14 @@ def read_accuracy(path: Path, method: str, weights: Mapping[str, str] | None = N
     )
     other = any(weights_in(one) != dict(weights) for one in own if weights_in(one)) if weights else False
     return Accuracy(labelled, counted, ", ".join(places), other, own[0].settings.get("threshold"))
+
+
+def saw_rendered_reefs_alone(weights: Mapping[str, Path]) -> bool:
+    """Whether the cards of weights, by name, say that all that any of them has learnt from is splits of oysterbench."""
+    here = (weights_here(path) for path in weights.values())
+    cards = [known.model for known in here if known is not None and known.model is not None]
+    learnt_from = {part for card in cards for name in card.training.data for part in name.split("+")}
+    return bool(cards) and learnt_from <= {*split_names()}
 
 
 def figures_of_counts(weights: Mapping[str, Path], method: str) -> list[Figure]:

@@ -29,10 +29,17 @@ def doubts(
     scale: str,
     copies: Sequence[tuple[str, str]] = (),
     quadrat_m2: float = math.nan,
+    rendered: bool = False,
 ) -> Iterator[str]:
     """Yield a sentence for each warning. length_mm: mean of all oysters, NaN if unknown; scale: its kind, empty for
     none; copies: names of files, each with that of the file of which it is a copy; quadrat_m2: area of a whole quadrat,
-    NaN if there are none."""
+    NaN if there are none; rendered: whether the method has learnt from rendered images alone, and nothing tells how far
+    off it is on others."""
+    if pictures and rendered:
+        yield (
+            f"{method} has learnt from rendered reefs alone: it may count several times as many oysters as there are "
+            "in real images; train it further on labelled images of your own (docs/paths/biology.md says how)"
+        )
     if copies:
         listed = ", ".join(f"{name} is {first}" for name, first in copies[:3]) + ", ..." * (len(copies) > 3)
         files = "file is a copy of another" if len(copies) == 1 else "files are copies of others"

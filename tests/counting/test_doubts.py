@@ -71,6 +71,12 @@ def test_a_method_without_a_test_of_novelty_is_a_doubt():
     assert list(doubts("m", [picture(0.1), picture()], math.nan, "")) == []
 
 
+def test_a_method_that_has_learnt_from_rendered_reefs_alone_is_a_doubt():
+    (only,) = doubts("m", [picture(0.1)], math.nan, "", rendered=True)
+    assert only.startswith("m has learnt from rendered reefs alone: it may count several times as many")
+    assert list(doubts("m", [], math.nan, "", rendered=True)) == []
+
+
 def test_one_scale_for_images_of_several_sizes_is_a_doubt():
     upright = picture(0.1, width=480, height=640)
     large = picture(0.1, width=3456, height=2304)
