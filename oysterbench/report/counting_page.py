@@ -74,7 +74,10 @@ def counting_page(
         "colours": _colours(found),
         "scale": _scale(settings),
         "accuracy": _accuracy(found, settings),
-        "figures": [f"{one.heading[:1].lower()}{one.heading[1:]} on {one.split} {reached(one)} per image" for one in found.figures],
+        "figures": [
+            f"{one.heading[:1].lower()}{one.heading[1:]} on {one.split} {reached(one)} per image"
+            for one in found.figures
+        ],
         "settings": settings,
         "coco": coco,
         "command": command,

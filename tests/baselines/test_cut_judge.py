@@ -198,7 +198,9 @@ def test_the_commands_take_a_judge(weights, tmp_path, home):
     assert refused.exit_code == 2
     assert "expected --judge beside it" in refused.stderr
     with pytest.raises(MethodError, match="no trained weights at"):
-        CliRunner().invoke(reinhard_command, [*place, "--judge", "unet"], catch_exceptions=False)
+        CliRunner().invoke(reinhard_command, [*place, "--judge", str(tmp_path / "absent.pt")], catch_exceptions=False)
+    released = CliRunner().invoke(reinhard_command, [*place, "--judge", "unet"], catch_exceptions=False)
+    assert "the judge, over 6 images" in released.stderr, "the weights that are part of oysterbench"
     wrong = tmp_path / "wrong.pt"
     wrong.write_bytes(b"no checkpoint")
     with pytest.raises(MethodError, match="not a checkpoint"):

@@ -329,10 +329,10 @@ def test_weights_of_the_other_training_are_refused(checkpoint):
 def test_without_a_training_one_line_says_how_to_make_one(home):
     with pytest.raises(
         MethodError,
-        match=r"no trained weights at .*models/unet\.pt: "
-        r"`oysterbench train unet --data seg-train`",
+        match=r"no trained weights at .*models/unet_small\.pt: "
+        r"`oysterbench train unet_small --data seg-train`",
     ):
-        list(UNet().run([]))
+        list(find_method("unet_small").run([]))
 
 
 def test_the_checkpoint_is_an_option_of_the_method(checkpoint):

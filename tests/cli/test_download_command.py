@@ -135,7 +135,7 @@ def test_errors_are_one_line_with_their_code(place, tmp_path):
     place.run("publish", place.recipe, tmp_path, "--key", place.folder / "key.pem", "--hidden", code=2)
 
 
-@pytest.mark.parametrize("command", [("download", "unet"), ("models", "--hub"), ("splits", "--hub")])
+@pytest.mark.parametrize("command", [("download", "moving"), ("models", "--hub"), ("splits", "--hub")])
 def test_empty_variables_are_a_hub_that_is_not_set_and_the_line_says_what_to_type(place, command):
     options = ("--from", "", "--key", "")
     for more, variables in ((options, {}), ((), {"OYSTERBENCH_HUB": "", "OYSTERBENCH_HUB_KEY": ""})):

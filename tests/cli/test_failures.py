@@ -102,7 +102,7 @@ def test_a_home_that_is_no_folder_is_named_with_the_variable_that_names_it(what,
 
 @pytest.mark.parametrize(
     "words",
-    [("info", "nosuch"), ("view", "nosuch"), ("render", "nosuch"), ("splits", "nosuch"), ("download", "unet")],
+    [("info", "nosuch"), ("view", "nosuch"), ("render", "nosuch"), ("splits", "nosuch"), ("download", "moving")],
     ids=" ".join,
 )
 def test_a_refusal_loads_nothing_that_only_the_work_needs(words, tmp_path):

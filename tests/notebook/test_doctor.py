@@ -44,7 +44,8 @@ def test_what_is_missing_is_no_fault():
         assert f"\n{part}\n" in f"\n{done.stdout}"
     assert found("splits") == Finding("data", "splits", "missing", "none here yet", "oysterbench render slam-mini")
     assert found("hub").state == "missing"
-    assert found("weights unet").advice.startswith("oysterbench train unet")
+    assert found("weights unet_small").advice.startswith("oysterbench train unet_small")
+    assert found("weights unet").detail.endswith(", part of oysterbench")
 
 
 def test_findings_are_printed_as_json_and_nothing_else():
