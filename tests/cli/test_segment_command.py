@@ -382,7 +382,6 @@ def test_what_cannot_be_done_is_one_line(folder, options, code, said):
 
 
 def test_a_method_without_weights_says_what_to_type(folder, tmp_path, monkeypatch):
-    monkeypatch.delenv("OYSTERBENCH_UNET_SMALL", raising=False)
     monkeypatch.setenv("OYSTERBENCH_MODELS", str(tmp_path / "models"))
     done = run("segment", folder, "--method", "unet_small_instances", home=tmp_path / "home")
     assert_one_line(done, "no trained weights at .*oysterbench train unet_small")
