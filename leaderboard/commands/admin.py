@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oysterbench.cli.echo import echo, message
-from oysterbench.core.errors import ResultError
+from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench_leaderboard.commands.options import find_place
 from oysterbench_leaderboard.commands.terminal import AS_JSON
 from oysterbench_leaderboard.storage.record import TIERS
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from oysterbench_leaderboard.boards.index import BoardIndex
 
 DAMAGED = 3
-"""Exit code of `verify` where a file is damaged, as for all damaged data."""
+"""Exit code of `verify` and `rescore` where a file is damaged, as for all damaged data."""
 
 
 @click.command("add", short_help="Put results on the board.")
@@ -282,9 +282,14 @@ def rescore_command(
     wanted = [index.row(digest) for digest in digests] or [
         row for board in index.boards() for row in _current(index, board.id) if split in (None, board.split)
     ]
-    changes = []
+    changes, skipped, damaged = [], False, False
     for before in wanted:
-        record = index.store.record(before.digest)
+        try:
+            record = index.store.record(before.digest)
+        except OysterbenchError as error:
+            message(f"{before.digest[:8]} ({before.method} by {before.team}) was not rescored: {error}")
+            damaged = True
+            continue
         if split is not None and record.split != split:
             raise ResultError(f"{before.digest[:8]} is of the split {record.split}, not of {split}")
         if not again and not is_outdated(record):
@@ -294,6 +299,7 @@ def rescore_command(
         done = score_again(record, estimates, truth, why, recipe, server)
         if done.record is None:
             message(f"{before.digest[:8]} ({record.method} on {record.split}) was not rescored: {done.why}")
+            skipped = True
             continue
         made = done.record
         if not dry_run and done.curves is not None:
@@ -306,18 +312,19 @@ def rescore_command(
     shown = [_change(index, before, made, dry_run) for before, made in changes]
     if as_json:
         echo(dump(shown))
-        return
-    for line in shown:
+    for line in [] if as_json else shown:
         rank = _rank(line["before"])
         echo(
             f"{line['before']['record'][:8]} -> {line['after']['record'][:8]}  {line['method']} on {line['split']}: "
             f"score {_number(line['before']['score'])} -> {_number(line['after']['score'])}, "
             + (f"now rank {rank}" if dry_run else f"rank {rank} -> {_rank(line['after'])}")
         )
-    if shown and dry_run:
+    if shown and dry_run and not as_json:
         message("nothing was written: ranks are known once the same command without --dry-run has stored the records")
-    if not shown:
-        echo("nothing was rescored: all current records use this version's evaluator, or have no kept estimates")
+    if not (shown or skipped or damaged or as_json):
+        echo("nothing was rescored: all current records use this version's evaluator")
+    if damaged:
+        sys.exit(DAMAGED)
 
 
 def _current(index: BoardIndex, board: str) -> list[Row]:

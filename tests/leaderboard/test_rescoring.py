@@ -165,3 +165,22 @@ def test_uploads_on_a_hidden_split_are_scored_again_and_what_changed_is_said(tmp
     again = CliRunner().invoke(main, words)
     assert json.loads(again.stdout) == []
     assert len(store.digests()) == 3
+
+
+def test_a_damaged_record_is_named_and_the_others_are_scored_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("OYSTERBENCH_BOARD", str(tmp_path / "board"))
+    recipe, truth = lay_split(tmp_path / "splits")
+    store, old = RecordStore(tmp_path / "board"), uploaded(tmp_path, recipe)
+    (tmp_path / "key").write_bytes(b"secret")
+    store.add(old)
+    damaged = store.add(replace(old, team="others"))
+    words = ["leaderboard", "rescore", "--estimates", str(tmp_path / "estimates"), "--json"]
+    words += ["--split", str(recipe), "--truth", str(truth)]
+    assert CliRunner().invoke(main, [*words, "--dry-run"]).exit_code == 0  # both are in the index now
+    (tmp_path / "board" / "records" / f"{damaged}.json").write_bytes(b"{}")
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 3, done.output
+    assert f"{damaged[:8]} (" in done.stderr
+    assert "its bytes do not match its name" in done.stderr
+    assert [change["before"]["record"] for change in json.loads(done.stdout)] == [old.digest]
