@@ -37,9 +37,9 @@ UNIT = wp.constant(64)  # steps per cell in which a landing place is resolved
 class Waves:
     """The water surface over a reef over time: a fixed set of waves, and the tile of light that they produce."""
 
-    def __init__(self, recipe: LightRecipe, water: Water, depth_m: float, texture_seed: int, device: str) -> None:
+    def __init__(self, recipe: LightRecipe, water: Water, depth_m: float, appearance: Streams, device: str) -> None:
         self.device = device
-        generator = Streams(texture_seed).generator("waves")
+        generator = appearance.generator("waves")
         # Mean square slope over wind speed: Cox & Munk, J. Opt. Soc. Am. 44, 1954; equal in every octave.
         square = SLOPE_SHARE * (0.003 + 0.00512 * recipe.wind_m_s)
         lengths = LONGEST_M * (SHORTEST_M / LONGEST_M) ** ((np.arange(WAVES) + generator.random(WAVES)) / WAVES)

@@ -54,7 +54,7 @@ class TurbidityField:
         water: Water,
         daylight: Daylight,
         plumes: Plumes | None,
-        texture_seed: int,
+        appearance: Streams,
         shape: tuple[int, int],
         device: str,
     ) -> None:
@@ -70,7 +70,7 @@ class TurbidityField:
         field.bottom, field.excess, field.fade = -depth, layer.factor - 1.0, 1.0 / layer.thickness_m
         field.contrast, field.frequency = patches.contrast, 1.0 / patches.size_m
         field.blurring = round(forward_share(IMAGE_CONE_RAD) - forward_share(PATTERN_CONE_RAD), 7)
-        field.seed = int(Streams(texture_seed).generator("patches").integers(0, 2**31))
+        field.seed = int(appearance.generator("patches").integers(0, 2**31))
         ambient, own, silt = admixtures(recipe.water, water, daylight, depth)
         self._admix("own", own)
         self._admix("silt", silt)

@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 
 from oysterbench.core.geometry import Array
+from oysterbench.core.streams import Streams
 from oysterbench.render import caustics, lamps
 from oysterbench.render.lens import pixel_rays
 from oysterbench.render.optics import Optics
@@ -33,7 +34,7 @@ class Meter(ViewTracer):
             self._movers.move(None)
             self._movers = None
         still = dataclasses.replace(light, wind_m_s=0.0)
-        self._waves = caustics.Waves(still, self._water, self.recipe.reef.depth_m, 0, self.device)
+        self._waves = caustics.Waves(still, self._water, self.recipe.reef.depth_m, Streams(0), self.device)
         self._allocate()
         y, x = np.meshgrid(np.linspace(-1, 1, ROWS), np.linspace(-1, 1, COLUMNS), indexing="ij")
         weights = np.exp(-(x**2 + y**2) / (2 * CENTRE**2))

@@ -49,11 +49,11 @@ UNIT = 2.0**-20  # quantum in which light is accumulated, so that sums in any or
 class Snow:
     """Flakes in the water, and their light in the images of one camera."""
 
-    def __init__(self, per_m3: float, camera: CameraRecipe, water: Water, texture_seed: int, device: str) -> None:
+    def __init__(self, per_m3: float, camera: CameraRecipe, water: Water, appearance: Streams, device: str) -> None:
         self.per_m3 = per_m3
         self.camera = camera
         self.device = device
-        generator = Streams(texture_seed).generator("snow")
+        generator = appearance.generator("snow")
         self._salt = np.uint32(generator.integers(0, 2**32))
         heading = 2 * np.pi * generator.random()
         self._velocity = np.array([DRIFT_M_S * np.cos(heading), DRIFT_M_S * np.sin(heading), -SINKING_M_S])

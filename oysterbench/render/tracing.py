@@ -12,7 +12,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from oysterbench.core.streams import Streams
 from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe
 from oysterbench.render import (
     blur,
@@ -74,7 +73,7 @@ class ViewTracer:
         self.device = device
         self.seconds: dict[str, float] = defaultdict(float)
         self._rays = pixel_rays(camera)
-        self._streams = Streams(world.texture_seed).at("camera", camera.name)
+        self._streams = world.appearance.at("camera", camera.name)
         self._geometry, self._movers, self._kept = upload_geometry(world, device, life)
         if rig is not None:
             body = build_vehicle(rig, with_tether=not recipe.life.tether)
@@ -229,19 +228,19 @@ class ViewTracer:
             self._movers.throw_shadows(np.vstack([fan, light.sun_direction]))
         self._looks = upload_looks(world, recipe, np.vstack([fan, light.sun_direction]), device)
         self._optics = upload_optics(water, light, fan, recipe, world.terrain.steepest(), device)
-        self._optics.shade_seed = world.texture_seed ^ SHADE_SEED
+        self._optics.shade_seed = world.appearance.seed ^ SHADE_SEED
         shape = (camera.height, camera.width)
         self._optics.lamps = lamps.build_lamps(self._lamps, recipe.light.lamps, water, shape, device)
-        self._fill = partial(march.TurbidityField, recipe, water, daylight, plumes, world.texture_seed)
+        self._fill = partial(march.TurbidityField, recipe, water, daylight, plumes, world.appearance)
         self._turbidity = self._fill(shape, device)
-        self._waves = caustics.Waves(recipe.light, water, recipe.reef.depth_m, world.texture_seed, device)
+        self._waves = caustics.Waves(recipe.light, water, recipe.reef.depth_m, world.appearance, device)
         self._clear = without_water(self._optics, device)
         self._clear.lamps = lamps.without_water(self._optics.lamps, device)
         self._water = water
         self._water_scattering = wp.vec3(*np.round(water.scattering, 7).tolist())
         self._asymmetry = water.asymmetry
         self._fan = wp.array(sky_fan(), dtype=wp.vec3, device=device)
-        self._snow = snow.Snow(recipe.water.snow_per_m3, camera, water, world.texture_seed, device)
+        self._snow = snow.Snow(recipe.water.snow_per_m3, camera, water, world.appearance, device)
         self._blur_share = recipe.water.forward_blur
         self._blur = blur.Blur(shape, float(camera_matrix(camera)[0, 0]), water.spread_rad, device)
         self._spots = port.PortSpots(camera, self._streams, device) if camera.port_spots else None

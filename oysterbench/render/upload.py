@@ -100,7 +100,7 @@ def upload_looks(world: World, recipe: SequenceRecipe, fan: NDArray[np.float32],
     fan (N, 3): unit vectors towards all light that casts shadows.
     """
     looks = Looks()
-    looks.seed = world.texture_seed
+    looks.seed = world.appearance.seed
     looks.ground = build_ground(recipe.reef)
     looks.envelope_start = float(world.envelope_lines[0])
     cell = float(world.envelope_lines[1] - world.envelope_lines[0])

@@ -35,7 +35,9 @@ MAX_INSTANCES = 2**16 - 1
 class World:
     """Seabed, shapes and their instances: oysters, stones, rocks, broken shell, sponges, plants, algae and litter.
 
-    library: the meshes that `instances.shapes` points into. texture_seed: uint32 for the procedural albedo.
+    library: the meshes that `instances.shapes` points into. appearance: streams of what is drawn while rendering
+    (waves, snow, patches, spots on a port); their seed, a uint32, is also that of the procedural albedo. They have the
+    salt of a hidden split: spots are at one place in all its images, so a seed of 32 bits could be found by trying.
     envelope_lines (M,) float64: grid lines of the envelope along x and y, m. envelope (M, M) float32, indexed [y, x]:
     height in `map` of the highest surface around a grid point, m; solid (M, M): the same without plants.
     """
@@ -43,7 +45,7 @@ class World:
     terrain: Terrain
     library: Library
     instances: Instances
-    texture_seed: int
+    appearance: Streams
     envelope_lines: NDArray[np.float64]
     envelope: NDArray[np.float32]
     solid: NDArray[np.float32]
@@ -163,8 +165,8 @@ def build_world(recipe: SequenceRecipe, streams: Streams) -> World:
     envelope = solid
     if len(plants):
         envelope = np.maximum(solid, _envelope(reef.size_m, terrain, library.meshes, plants)[1])
-    texture_seed = int(scene.generator("texture").integers(0, 2**32))
-    return World(terrain, library, instances, texture_seed, lines, envelope, solid)
+    appearance = Streams(int(scene.generator("texture").integers(0, 2**32)), streams.salt)
+    return World(terrain, library, instances, appearance, lines, envelope, solid)
 
 
 def _check_count(reef: ReefRecipe, name: str) -> None:

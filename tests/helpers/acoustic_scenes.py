@@ -9,6 +9,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import transform
+from oysterbench.core.streams import Streams
 from oysterbench.render.rays import RayCaster
 from oysterbench.scene.instances import CLASS_NUMBERS, Instances, join_instances, make_instances
 from oysterbench.scene.library import Library
@@ -31,7 +32,9 @@ def caster_over(depth_m: float, *things: Instances, heights=None) -> RayCaster:
     box.unmerge_vertices()  # hard edges
     meshes = tuple(build_mesh(shape.vertices, shape.faces) for shape in (ball, box))
     instances = join_instances(things) if things else nothing()
-    return RayCaster(World(terrain, Library((), meshes, {}, {}), instances, 0, lines, terrain.heights, terrain.heights))
+    return RayCaster(
+        World(terrain, Library((), meshes, {}, {}), instances, Streams(0), lines, terrain.heights, terrain.heights)
+    )
 
 
 def ball(x: float, y: float, z: float, radius: float, kind: str = "stone") -> Instances:

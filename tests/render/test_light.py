@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import LampRecipe
 from oysterbench.render import blur, lamps
 from oysterbench.render.camera import CameraRenderer
@@ -86,7 +87,7 @@ def test_lamps_that_are_off_change_no_byte():
 
 def waves(wind, depth=3.0):
     recipe = small_reef(light={"wind_m_s": wind})
-    return Waves(recipe.light, build_water(recipe.water, Daylight(), 6.0), depth, 77, "cpu")
+    return Waves(recipe.light, build_water(recipe.water, Daylight(), 6.0), depth, Streams(77), "cpu")
 
 
 def test_caustics_have_mean_one_and_move():
