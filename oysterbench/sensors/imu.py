@@ -74,8 +74,13 @@ IMU_GRADES: Mapping[str, Mapping[str, float]] = {
 """Grade -> noise keys of an `ImuRecipe`, in its units; low, mid and high are those of OysterSim. Bias instability is
 the stationary sigma of a Gauss-Markov process."""
 
-COMMON = {"gyro_random_walk": 0.0, "gyro_bias_tau_s": 100.0, "accel_random_walk": 0.0, "accel_bias_tau_s": 100.0}
-"""Keys that all grades share: a bias that stays around its turn-on value, correlated over 100 s."""
+COMMON: Mapping[str, float | None] = {
+    f"{sensor}_{key}": value
+    for sensor in ("gyro", "accel")
+    for key, value in (("random_walk", 0.0), ("bias_tau_s", 100.0), ("turn_on", 0.0), ("range", None), ("step", 0.0))
+}
+"""Values of the keys that a grade does not set: a bias that stays around its turn-on value, correlated over 100 s, and
+a unit without turn-on bias, limits and steps. They, too, replace those of a rig whose grade a sequence changes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +141,11 @@ class ImuRecipe(SensorRecipe):
 @dataclass(frozen=True)
 class ImuCalibration:
     """An IMU: continuous noise densities, bias random walks, 1-sigma turn-on biases, and stationary 1 sigma and
-    correlation time of the Gauss-Markov processes of the biases (units as in `ImuRecipe`); pose."""
+    correlation time of the Gauss-Markov processes of the biases (units as in `ImuRecipe`); pose.
+
+    A random walk is that of a filter that models the bias as a walk alone: it includes the instability
+    (`ImuRecipe.gyro_bias_walk`). A filter with a Gauss-Markov process beside it uses sqrt(walk^2 - 2 sigma^2 / tau).
+    """
 
     rate_hz: float
     gyro_noise_density: float

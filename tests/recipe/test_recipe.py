@@ -10,6 +10,7 @@ import pytest
 
 from oysterbench.core.errors import RecipeError
 from oysterbench.recipe import as_plain, load_split, parse_split, split_names, vary_split
+from oysterbench.recipe.rig import read_rig, vary_rig
 from oysterbench.sensors.imu import ImuRecipe
 from oysterbench.simulation.simulated_sequence import build_sequence
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT, make_split
@@ -288,6 +289,15 @@ def test_a_changed_grade_brings_its_values_along(tiny_split):
     split = rigged('{ imu = { grade = "high" } }')
     graded = split.rig_of(split.sequence[0]).of(ImuRecipe)[0]
     assert graded.gyro_noise_density < tiny_split.rig.of(ImuRecipe)[0].gyro_noise_density
+
+
+def test_a_changed_grade_keeps_nothing_of_the_one_before(tiny_split):
+    first = rigged('{ imu = { grade = "mems" } }')
+    plain = as_plain(first.rig_of(first.sequence[0]))
+    changed = vary_rig(read_rig(plain, "here"), {"imu": {"grade": "high"}}, "here").of(ImuRecipe)[0]
+    split = rigged('{ imu = { grade = "high" } }')
+    assert changed == split.rig_of(split.sequence[0]).of(ImuRecipe)[0]
+    assert (changed.gyro_turn_on, changed.gyro_range, changed.accel_step) == (0.0, None, 0.0)
 
 
 @pytest.mark.parametrize(
