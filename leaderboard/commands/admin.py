@@ -304,10 +304,10 @@ def rescore_command(
         made = done.record
         if not dry_run and done.curves is not None:
             made = replace(made, curves=index.store.add_curves(done.curves))
+        if not dry_run:
+            index.store.add(made)
         changes.append((before, made))
     if not dry_run:
-        for _, made in changes:
-            index.store.add(made)
         index.refresh()
     shown = [_change(index, before, made, dry_run) for before, made in changes]
     if as_json:
