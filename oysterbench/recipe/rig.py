@@ -73,7 +73,7 @@ class CameraRecipe(NamedSensorRecipe):
     # Bit rate of a video link that the frames pass through first, coded as by H.264; 0: none. Tethers carry 5 to 15
     # Mbit/s of 1080p at 30 Hz, 0.08 to 0.24 bit per pixel, equivalent to 0.25 to 0.75 Mbit/s of 640 x 480 at 10 Hz.
     video_mbit_s: float = number(0, 100, 0.0)
-    max_range_m: float = number(1, 100, 20.0)  # beyond this distance everything is water; at most 65.5 with layer depth
+    max_range_m: float = number(1, 100, 20.0)  # ground truth ends there, images do not; at most 65.5 with layer depth
     lens: str = choice(tuple(LENSES), "pinhole")
     """Distortion model; brown-conrady: k1 k2 p1 p2 [k3]; fisheye (Kannala-Brandt): k1 k2 k3 k4."""
     distortion: tuple[float, ...] = number(-10, 10, ())  # its coefficients, as in OpenCV

@@ -36,7 +36,7 @@ class ReefRecipe:
     relief_rms_m: float = number(0, 3)  # RMS height of the fractal seabed
     oysters: int | None = number(0, 60_000, None)  # number of oysters; alternatively, give density_per_m2
     density_per_m2: float | None = number(0, 1_000, None)  # oysters per square metre, dead ones included
-    oyster_size_mm: float = number(25, 170, 85.0)  # median shell height
+    oyster_size_mm: float = number(25, 170, 85.0)  # median shell height, before heights are limited to 25 to 172 mm
     clump_size: float = number(1, 30, 7.0)  # mean number of oysters in a clump
     patchiness: float = number(0, 1, 0.5)  # 0 spreads the clumps evenly, 1 leaves bare ground between patches of them
     box_share: float = number(0, 1, 0.08)  # share of oysters that are boxes: dead, with both valves on the hinge

@@ -16,7 +16,7 @@ SHARED = "cameras"  # prefix of errors that all cameras of a rig share: they sit
 def camera_errors(entry: Mapping[str, Any], quality: Quality) -> ErrorModel:
     """Error model of a camera's entry in calibration.json.
 
-    A calibration that puts the principal point e px too far to the right also turns the camera by e / f to the left,
+    A calibration that puts the principal point e px too far to the right also turns the camera by e / f to the right,
     since it saw its targets where they were: the two errors are correlated, as in any bundle adjustment. All cameras
     share a rotation and a displacement relative to the IMU, about the origin of base_link, and each adds a little.
     """

@@ -56,8 +56,8 @@ def motor_field(earth: Array, throttle_deg: float, shares: Array, motion: Motion
     horizontal plane.
 
     It is proportional to the motor current, for which the throttle is taken, as in the compensation of autopilots
-    (ArduPilot, COMPASS_MOT_X); at full throttle it turns the heading by throttle_deg where it lies across the Earth's
-    field (3,) T.
+    (ArduPilot, COMPASS_MOT_X); at full throttle it turns the heading by throttle_deg at most: where it lies across the
+    sum of both fields. earth (3,) T: the Earth's.
     """
     towards = streams.generator("magnetometer", "motors").uniform(0, 2 * np.pi)
     size = float(np.hypot(earth[0], earth[1])) * np.sin(np.radians(throttle_deg))

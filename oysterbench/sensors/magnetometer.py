@@ -48,7 +48,7 @@ class MagnetometerRecipe(SensorRecipe):
     )  # matrix from the Earth's field to the field at the sensor, both in the sensor's frame
     step_ut: float = number(0, 10, 0.0)  # resolution of the digital reading
     throttle_deg: float = number(0, 25, 0.0)
-    """Heading error at full throttle, where the field of the motors lies across the Earth's: 5 to 20 deg close to them
+    """Greatest heading error at full throttle over all headings, by the field of the motors: 5 to 20 deg close to them
     (ArduPilot calls interference of 30 % of the field, 17 deg, acceptable, and of 60 % not)."""
     rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # roll, pitch, yaw: magnetometer to base_link
 

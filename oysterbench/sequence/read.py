@@ -281,8 +281,8 @@ class McapSequence(Sequence):
         return self._table_of(FAULTS, COLUMNS)
 
     def taken(self) -> pd.DataFrame:
-        """How each frame was truly taken by cameras that adapt or repeat frames, one row each: camera, stamp_ns;
-        shown_ns, the stamp of the frame whose image it shows; exposure_ms, gain, and the white balance red, green,
+        """How each frame was truly taken by cameras that adapt or repeat frames, one row each, lost
+        frames included: camera, stamp_ns; shown_ns, the stamp of the frame whose image it shows; exposure_ms, gain, and the white balance red, green,
         blue. No rows where no camera does."""
         return self._table_of(FRAMES, ("camera", "stamp_ns", "shown_ns"))
 
@@ -301,9 +301,10 @@ class McapSequence(Sequence):
         return self._table_of(MOVING, ["id", "class", "kind", "group", "size_m"])
 
     def moving_poses(self) -> pd.DataFrame:
-        """Poses of everything that moves by itself, one row each per stamp of the layers: stamp_ns, id, and the pose of
-        its frame in `map` (x to the nose, z to the back): x, y, z (m), qx, qy, qz, qw; for the tether, of its end at
-        the stern."""
+        """Poses of everything that moves by itself, at the rate of the layers, one row each: stamp_ns, id, and the pose
+        of its frame in `map` (x to the nose, z to the back): x, y, z (m), qx, qy, qz, qw; for the tether, of its end at
+        the stern. Stamps are true times: that of a layer, which its camera's clock gave, is at
+        `truly_calibrated().cameras[NAME].taken_ns(stamp)`."""
         return self._table_of(MOVING_POSES, ["stamp_ns", "id", *"xyz", "qx", "qy", "qz", "qw"])
 
     def _table_of(self, attachment: str, columns: Collection[str]) -> pd.DataFrame:

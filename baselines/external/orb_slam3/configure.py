@@ -90,7 +90,8 @@ def settings(authors: str, sequence: Sequence, mode: str, options: Mapping[str, 
 
 
 def prepare(place: Path, announce: Callable[[str], None]) -> None:
-    """Train the vocabulary, as the published one is not part of the source. The same pictures give the same words."""
+    """Train the vocabulary: the published one is a large file that mirrors of the source may lack. The same pictures
+    give the same words."""
     with tempfile.TemporaryDirectory(dir=place) as scratch:
         pictures = []
         for split, name in TAUGHT_ON:
