@@ -37,11 +37,11 @@ from oysterbench_baselines.moving import mask_weights
 class GtsamFull:
     """gtsam_vi with DVL, imaging sonar, pressure, magnetometer and altimeters, each where the rig has it.
 
-    It needs no images while it has a DVL or a sonar.
+    It needs no images while it has a DVL or a sonar, but always a camera's calibration, which gives the frame rate.
 
-    output: "online" gives each pose and covariance as known at its frame, "smoothed" those after an adjustment of the
-    whole path. camera: name of the camera; the first one by default. seed: of the random samples in the epipolar check.
-    mask: as in gtsam_vi.
+    output: "online" gives each pose and covariance as known at its frame, but before the first velocity or start as
+    known then; "smoothed" those after an adjustment of the whole path. camera: name of the camera; the first one by
+    default. seed: of the random samples in the epipolar check. mask: as in gtsam_vi.
     """
 
     name = "gtsam_full"

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.trajectory import Trajectory
@@ -26,11 +25,8 @@ from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.common.memory import hand_back
 from oysterbench_baselines.gtsam_vi.bundle import Bundle
 from oysterbench_baselines.gtsam_vi.calibration import CameraUncertainty
-from oysterbench_baselines.gtsam_vi.covariance import (
-    between_keyframes,
-    covariances_until,
-)
-from oysterbench_baselines.gtsam_vi.fallback import dead_reckon
+from oysterbench_baselines.gtsam_vi.covariance import between_keyframes, covariances_until
+from oysterbench_baselines.gtsam_vi.fallback import dead_reckon, go_back, go_on
 from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FeatureTracks, Observations, Translation
 from oysterbench_baselines.gtsam_vi.graph import Model, StartPrior
 from oysterbench_baselines.gtsam_vi.handover import correct_filter
@@ -45,10 +41,11 @@ from oysterbench_baselines.gtsam_vi.keyframes import (
 )
 from oysterbench_baselines.gtsam_vi.loops import LoopCloser
 from oysterbench_baselines.gtsam_vi.mapping import Palette, landmark_map
+from oysterbench_baselines.gtsam_vi.paths import known_now, known_then, path_of, trajectory_of
 from oysterbench_baselines.gtsam_vi.recovery import Recovery, grow_on
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.smoothing import smooth
-from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, backward, forward, predict_stationary, state_of
+from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, backward, forward, state_of
 from oysterbench_baselines.gtsam_vi.window import Window
 
 MatchSecond = Callable[[], Array]
@@ -98,6 +95,7 @@ class Estimator:
         self._since_frame: list[Segment] = []
         self._since_keyframe: list[Segment] = []
         self._palette = Palette()
+        self._first_known: tuple[Frame, State] | None = None  # the first frame of which the filter knew the pose
         self._smoothed: tuple[list[Keyframe], Bundle] | None = None
 
     @property
@@ -235,6 +233,7 @@ class Estimator:
             known = covariances_until(start.bundle, self.keyframes, start.stretch, self.filter.noise, self.model)
             for frame in self.frames:
                 frame.covariance = known[frame.keyframe] if frame.covariance is None else frame.covariance
+        self._give()
 
     def _smooth(self, window: Window) -> None:
         """Add the factors of the last keyframe; smooth; marginalise what leaves the window."""
@@ -282,7 +281,8 @@ class Estimator:
     def _add_frame(self, stamp_ns: int, landmarks: NDArray[np.int64]) -> None:
         frame = Frame(stamp_ns, self.keyframes[-1].index, Segment.join(self._since_keyframe))
         if self.navigating:
-            frame.online = self.filter.pose
+            frame.pose = self.filter.pose
+            self._first_known = self._first_known or (frame, state_of(self.filter))
         if self._aided or self.window is not None:
             place = (self.filter.pose @ invert(self.imu.T_base_imu))[:3, 3]
             frame.covariance = self.filter.pose_covariance(place) + FLOOR
@@ -290,38 +290,38 @@ class Estimator:
         frame.health = self._watch.health(stamp_ns, frame.keyframe, sees)
         frame.correction = None if self.loops is None else self.loops.correction
         self.frames.append(frame)
+        if self.navigating:
+            frame.online = frame.known
+        elif self._recovery.has_begun:
+            frame.online = self._recovery.coasting(self.keyframes, frame)
 
     # Frames from before there was a window.
 
     def _fill_back(self, index: int) -> None:
         """Fill in the states of the keyframes before `index`, back along the inertial measurements, and the missing
         poses of frames."""
-        for k in range(index - 1, -1, -1):
-            if self.keyframes[k].state is not None:
-                break
-            after = self.keyframes[k + 1]
-            self.keyframes[k].state = (
-                predict_stationary(after.estimate)
-                if after.stationary
-                else backward(after.estimate, after.segment, self.imu.gravity)
-            )
+        go_back(self.keyframes, index, self.imu.gravity)
         for frame in self.frames:
-            if frame.online is None:
+            if frame.pose is None:
                 if self.window is not None and frame.keyframe >= index:
                     frame.health = Health.TRACKING  # the start has seen it
-                frame.online = forward(self.keyframes[frame.keyframe].estimate, frame.since, self.model.params).matrix
+                frame.pose = forward(self.keyframes[frame.keyframe].estimate, frame.since, self.model.params).matrix
+
+    def _give(self) -> None:
+        """Give frames without an online pose what is known of them by now."""
+        for frame in self.frames:
+            frame.online = frame.online or frame.known
 
     def _dead_reckon(self) -> None:
-        """Fill in states from the inertial measurements alone, from level or the last good state on."""
+        """Fill in states from the inertial measurements alone, from level or the last good state on; where an aided
+        filter has known its velocity, only those before that."""
         if self.keyframes and self.keyframes[0].state is None:
+            if self._first_known is not None:
+                frame, state = self._first_known
+                self.keyframes[frame.keyframe].state = backward(state, frame.since, self.imu.gravity)
+                return self._fill_back(frame.keyframe)
             return dead_reckon(self.keyframes, self.frames, self.imu, self.filter.noise, self.settings.zero_velocity)
-        for before, keyframe in zip(self.keyframes[:-1], self.keyframes[1:], strict=True):
-            if keyframe.state is None:
-                keyframe.state = (
-                    predict_stationary(before.estimate)
-                    if keyframe.stationary
-                    else forward(before.estimate, keyframe.segment, self.model.params)
-                )
+        go_on(self.keyframes, self.model.params)
         self._fill_back(0)
         grow_on(self.frames, self.settings.recovery, self.model.gyro_turn_on)
 
@@ -343,33 +343,27 @@ class Estimator:
         if self.window is None:
             self._initialiser.give_up(self.keyframes)
             self._dead_reckon()
+        self._give()
 
     def paths(self) -> dict[str, Trajectory]:
         """Smoothed and online path, by name."""
         return {"smoothed": self.smoothed(), "online": self.online()}
 
     def online(self) -> Trajectory:
-        """T_odom_base at every frame as it was known at that frame; before the start, as it was known at the start."""
-        poses, covariances = [], []
-        for frame in self.frames:
-            assert frame.online is not None
-            turn = np.eye(4) if frame.correction is None else frame.correction
-            poses.append(turn @ frame.online)
-            if frame.covariance is not None:
-                both = np.kron(np.eye(2), turn[:3, :3])
-                covariances.append(both @ frame.covariance @ both.T)
-        return self._trajectory(poses, covariances)
+        """T_odom_base at every frame as it was known at that frame: it coasts while the path is lost. Before the first
+        start, as it was known at that start."""
+        return path_of(self.frames, known_then, self.imu.T_base_imu)
 
     def smoothed(self) -> Trajectory:
-        """T_odom_base at every frame after an adjustment of all keyframes; the online path where none can be made."""
+        """T_odom_base at every frame after an adjustment of all keyframes; where none can be made, as known before."""
         if self.window is None and (self.aiding.knows_velocity or not self._recovery.has_begun):
-            return self.online()
+            return path_of(self.frames, known_now, self.imu.T_base_imu)
         keyframes = self.keyframes if self.loops is None else self.loops.joined(self.keyframes)
         try:
             smoothed = smooth(self.model, keyframes, self.frames)
         except RuntimeError:  # GTSAM: the system of equations cannot be solved
             self.info["smoothing_failed"] = 1
-            return self.online()
+            return path_of(self.frames, known_now, self.imu.T_base_imu)
         self._smoothed = keyframes, smoothed.bundle
         self.info |= self.aiding.counts()
         if len(smoothed.bundle.errors_px):
@@ -378,23 +372,17 @@ class Estimator:
             known = smoothed.covariances(invert(self.imu.T_base_imu)[:3, 3], self.model)
         except RuntimeError:  # the system is singular there; the poses are unaffected
             self.info["covariances_failed"] = 1
-            return self._trajectory(smoothed.poses, [])
-        return self._trajectory(smoothed.poses, between_keyframes(known, keyframes, self.frames))
+            return trajectory_of(self.frames, smoothed.poses, [], self.imu.T_base_imu)
+        covariances = between_keyframes(known, keyframes, self.frames)
+        return trajectory_of(self.frames, smoothed.poses, covariances, self.imu.T_base_imu)
 
-    def health(self) -> NDArray[np.uint8]:
-        """How the pose of each frame was obtained, one `Health` each."""
-        return np.array([frame.health for frame in self.frames], dtype=np.uint8)
+    def health(self, path: str = "smoothed") -> NDArray[np.uint8]:
+        """How the pose of each frame was obtained, one `Health` each, in a path of `paths`."""
+        known = known_then if path == "online" else known_now
+        return np.array([known(frame).health for frame in self.frames], dtype=np.uint8)
 
     def map(self) -> LandmarkMap | None:
         """Keyframes and landmarks of the smoothed path; None before there is one, or without images."""
         if self._smoothed is None or not self._palette:
             return None
         return landmark_map(self.model, *self._smoothed, self._palette)
-
-    def _trajectory(self, poses: list[Array], covariances: list[Array]) -> Trajectory:
-        """T_odom_base from T_odom_imu; with covariances where every frame has one."""
-        stamps = np.array([frame.stamp_ns for frame in self.frames], dtype=np.int64)
-        matrices = np.array(poses).reshape(-1, 4, 4) @ invert(self.imu.T_base_imu)
-        quaternions = Rotation.from_matrix(matrices[:, :3, :3]).as_quat() if len(poses) else np.empty((0, 4))
-        spread = np.array(covariances) if len(poses) and len(covariances) == len(poses) else None
-        return Trajectory(stamps, matrices[:, :3, 3].copy(), quaternions, spread)

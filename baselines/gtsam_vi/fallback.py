@@ -1,7 +1,10 @@
-"""The path by inertial measurements alone, where the estimator has never started."""
+"""The path by inertial measurements alone, where the estimator has never started, or is lost to the end."""
 
 from __future__ import annotations
 
+from itertools import pairwise
+
+import gtsam
 import numpy as np
 
 from oysterbench.core.errors import MethodError
@@ -12,7 +15,7 @@ from oysterbench_baselines.common.filter import ATTITUDE, FLOOR, VELOCITY, Inert
 from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.closed_form import level_rotation
 from oysterbench_baselines.gtsam_vi.settings import ZeroVelocitySettings
-from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, state_of
+from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, backward, forward, predict_stationary, state_of
 
 
 def dead_reckon(
@@ -40,7 +43,29 @@ def dead_reckon(
             filter.propagate_all(frame.since.after(done))
             done = len(frame.since.dt)
             place = (filter.pose @ invert(imu.T_base_imu))[:3, 3]
-            frame.online, frame.covariance = filter.pose, filter.pose_covariance(place) + FLOOR
+            frame.pose, frame.covariance = filter.pose, filter.pose_covariance(place) + FLOOR
+
+
+def go_on(keyframes: list[Keyframe], params: gtsam.PreintegrationCombinedParams) -> None:
+    """Fill in the states that keyframes lack, on from the one before, the first of which has one."""
+    for before, keyframe in pairwise(keyframes):
+        if keyframe.state is None:
+            keyframe.state = (
+                predict_stationary(before.estimate)
+                if keyframe.stationary
+                else forward(before.estimate, keyframe.segment, params)
+            )
+
+
+def go_back(keyframes: list[Keyframe], index: int, gravity: float) -> None:
+    """Fill in the states that keyframes before `index` lack, back to the first one or to the last that has one."""
+    for k in range(index - 1, -1, -1):
+        if keyframes[k].state is not None:
+            break
+        after = keyframes[k + 1]
+        keyframes[k].state = (
+            predict_stationary(after.estimate) if after.stationary else backward(after.estimate, after.segment, gravity)
+        )
 
 
 def _started(keyframes: list[Keyframe], imu: ImuCalibration, noise: InertialNoise) -> InvariantFilter:

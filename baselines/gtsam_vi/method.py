@@ -31,7 +31,8 @@ Output = Literal["smoothed", "online"]
 class GtsamVi:
     """Visual-inertial odometry on GTSAM: KLT tracks, preintegrated inertial factors, a fixed-lag smoother.
 
-    output: "smoothed" gives the poses after an adjustment of the whole path, "online" those known at each frame.
+    output: "smoothed" gives the poses after an adjustment of the whole path, "online" those known at each frame, but
+    before the first start those known at that start.
     camera: name of the camera; the first one by default. stereo: use a second camera beside it as well.
     seed: of the random samples in the epipolar check. mask: "moving", or a file of weights, to leave out what
     moves in an image, as detected by a network from `oysterbench train moving`; empty: nothing is left out.
@@ -205,7 +206,7 @@ def estimate_of(estimator: Estimator, output: Output, settings: GtsamViSettings,
     paths = estimator.paths()
     others = {name: path for name, path in paths.items() if name != output and len(path)}
     info = {"trajectory": output, **info, **estimator.info, "settings": dataclasses.asdict(settings)}
-    return Estimate(paths[output], info, output, others, estimator.map(), estimator.health())
+    return Estimate(paths[output], info, output, others, estimator.map(), estimator.health(output))
 
 
 def _match(matcher: StereoMatcher, front_end: FrontEnd, tracks: FeatureTracks, other: Image) -> Array:

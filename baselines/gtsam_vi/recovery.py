@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import takewhile
 
 import numpy as np
@@ -11,7 +11,15 @@ from oysterbench.core.geometry import Array
 from oysterbench.methods import Health
 from oysterbench_baselines.gtsam_vi.graph import Model, StartPrior
 from oysterbench_baselines.gtsam_vi.settings import RecoverySettings
-from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, coast, coast_through, time_missing
+from oysterbench_baselines.gtsam_vi.states import (
+    Frame,
+    Keyframe,
+    Known,
+    State,
+    coast,
+    coast_through,
+    time_missing,
+)
 from oysterbench_baselines.gtsam_vi.window import Window
 
 
@@ -23,6 +31,18 @@ class Anchor:
     covariance: Array
 
 
+@dataclass(frozen=True)
+class Lost:
+    """A lost path at a keyframe: its index and coasted state; stamp and covariance (6, 6) of the last good keyframe,
+    and for how long since then, s, inertial samples are missing."""
+
+    index: int
+    state: State
+    good_ns: int
+    covariance: Array
+    gap_s: float
+
+
 class Recovery:
     """Monitor of the window, which remembers the last keyframe at which all was well."""
 
@@ -32,6 +52,7 @@ class Recovery:
         self._misfits = False  # whether tracks that fit no point are all that was bad
         self._good: tuple[int, State] | None = None  # a keyframe's index, and its state then
         self._coasted = 0  # index of the keyframe up to which the path has been coasted since
+        self._lost: Lost | None = None  # at the last keyframe, since the last loss
 
     @property
     def has_begun(self) -> bool:
@@ -103,13 +124,26 @@ class Recovery:
         self._coasted = keyframes[-1].index
         for frame in frames:
             if frame.stamp_ns > stamp_ns and frame.keyframe >= done:
-                frame.online = coast(keyframes[frame.keyframe].estimate, frame.since, limits.memory_s).matrix
+                frame.pose = coast(keyframes[frame.keyframe].estimate, frame.since, limits.memory_s).matrix
                 time = (frame.stamp_ns - stamp_ns) * 1e-9
                 gap_s = time_missing([*(k.segment for k in passed if k.index <= frame.keyframe), frame.since])
                 frame.covariance = grown_covariance(covariance, time, limits, turn_on, gap_s)
         time = (keyframes[-1].stamp_ns - stamp_ns) * 1e-9
         gap_s = time_missing(keyframe.segment for keyframe in passed)
+        self._lost = Lost(keyframes[-1].index, last, stamp_ns, covariance, gap_s)
         return Anchor(last, grown_covariance(covariance, time, limits, turn_on, gap_s))
+
+    def coasting(self, keyframes: list[Keyframe], frame: Frame) -> Known:
+        """What is known of a new frame while the path is lost: it coasts on, whatever a later start will find."""
+        assert self._lost is not None  # since `predict`
+        lost, limits = self._lost, self._model.settings.recovery
+        for keyframe in keyframes[lost.index + 1 : frame.keyframe + 1]:
+            state = coast(lost.state, keyframe.segment, limits.memory_s)
+            gap_s = float(np.hypot(lost.gap_s, time_missing([keyframe.segment])))
+            lost = self._lost = replace(lost, index=keyframe.index, state=state, gap_s=gap_s)
+        time, gap_s = (frame.stamp_ns - lost.good_ns) * 1e-9, float(np.hypot(lost.gap_s, time_missing([frame.since])))
+        covariance = grown_covariance(lost.covariance, time, limits, self._model.gyro_turn_on, gap_s)
+        return Known(coast(lost.state, frame.since, limits.memory_s).matrix, covariance, Health.COASTING)
 
 
 def grown_covariance(

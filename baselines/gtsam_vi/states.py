@@ -91,19 +91,36 @@ class Keyframe:
         return self.state
 
 
+@dataclass(frozen=True)
+class Known:
+    """What is known of a frame: T_odom_imu (4, 4), the covariance (6, 6) of base_link's pose as in a `Trajectory`, if
+    there is one, and how the pose was obtained."""
+
+    pose: Array
+    covariance: Array | None
+    health: Health
+
+
 @dataclass
 class Frame:
-    """A frame: the keyframe before it (or itself), the measurements since, the online pose of the IMU, the covariance
-    (6, 6) of base_link's pose as in a `Trajectory`, the correction of odom by loops known then, and how the pose was
-    obtained."""
+    """A frame: the keyframe before it (or itself), the measurements since, the correction of odom by loops known then;
+    pose, covariance and health (see `Known`) as they are known by now; and online, as they were known at the frame, but
+    before the first start at that start."""
 
     stamp_ns: int
     keyframe: int
     since: Segment
-    online: Array | None = None  # T_odom_imu
+    pose: Array | None = None
     covariance: Array | None = None
     correction: Array | None = None  # T_corrected_odom (4, 4), a rotation about z and a translation
     health: Health = Health.COASTING
+    online: Known | None = None
+
+    @property
+    def known(self) -> Known:
+        """What is known of it by now; its pose exists from the start of the window on."""
+        assert self.pose is not None
+        return Known(self.pose, self.covariance, self.health)
 
 
 def make_state(rotation: Array, position: Array, velocity: Array, gyro_bias: Array, accel_bias: Array) -> State:

@@ -123,6 +123,14 @@ def test_in_the_dark_from_the_first_frame_to_the_last_it_still_answers_every_fra
     assert estimator.info["initialised"] == 1
 
 
+def test_a_dive_too_short_for_a_window_keeps_the_path_of_its_dvl():
+    sequence = dive.SensorDive(1, dive.rig("dvl", "pressure"), dive.survey_path(3.5, resting=False))
+    estimator = estimate(sequence, tracks(sequence, 1, (np.inf, np.inf)))
+    assert estimator.window is None
+    for trajectory in estimator.paths().values():
+        assert np.linalg.norm(errors(sequence, trajectory)[:, :3], axis=1).max() < 0.02 * sequence.truth().path_length
+
+
 @pytest.mark.slow
 def test_errors_are_as_large_as_the_covariances_say():
     """Not overconfident, which is what costs a user his vehicle; what it is too modest by comes from pixel_sigma_px,
