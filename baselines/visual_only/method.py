@@ -40,7 +40,7 @@ class VisualOnly:
         self.settings = settings or VisualOnlySettings()
         self.about = {
             "sensors": ["stereo" if stereo else "mono"],
-            "online": True,
+            "online": False,  # frames before a map get their poses from the one that begins after them
             "code": "baselines/visual_only",
         }
 

@@ -109,6 +109,18 @@ def test_a_stereo_pair_gives_the_path_at_its_true_scale():
     assert 0.98 < scored(estimate.trajectory, sequence.truth(), "sim3")["scale"] < 1.02
 
 
+def test_a_camera_with_pictures_of_another_size_is_no_second_one():
+    small = replace(TWO["cam_right"], width=160, height=120)
+    sequence = Bottom({**ONE, "cam_right": small}, 1.0)
+    assert overlapping(sequence, "cam_left", VisualOnlySettings()) is None
+    sequence.cameras = {**sequence.cameras, "cam_far": TWO["cam_right"]}
+    assert overlapping(sequence, "cam_left", VisualOnlySettings()) == "cam_far"
+
+
+def test_it_does_not_claim_to_be_online_where_the_first_frames_wait_for_a_map():
+    assert VisualOnly().about["online"] is False
+
+
 def test_one_camera_gives_the_path_up_to_scale_and_says_so():
     sequence = Bottom(ONE, 6.0)
     estimate = VisualOnly().run(sequence)
