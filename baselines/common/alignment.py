@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array, invert
+from oysterbench.core.measurements import ImuMeasurement
 from oysterbench.sequence.types import ImuCalibration
 from oysterbench_baselines.common.filter import (
     ACCEL_BIAS,
@@ -19,6 +22,10 @@ from oysterbench_baselines.common.filter import (
     InvariantFilter,
     rotation_exp,
 )
+from oysterbench_baselines.common.inertial import MOST_FORCE, MOST_RATE, is_plausible
+
+JITTER_NS = 10_000_000
+"""By how much another sensor's first stamp may precede that of the inertial unit though both begin together."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +44,46 @@ class StartSettings:
     rest_speed: float = 0.005  # m/s, 1 sigma at rest
     moving_speed: float = 1.0  # m/s, 1 sigma otherwise
     moving_accel: float = 0.3  # m/s^2, 1 sigma of the mean acceleration: an ROV accelerates and sways
+
+
+@dataclass(frozen=True)
+class FirstMoments:
+    """What a sequence begins with: all items of the stream until then; stamps (N,), gyro and accel (N, 3) of the
+    inertial samples by which the vehicle is levelled."""
+
+    items: list[Any]
+    stamps_ns: NDArray[np.int64]
+    gyro: Array
+    accel: Array
+
+
+def first_moments(method: str, sequence: str, stream: Iterator[Any], settings: StartSettings) -> FirstMoments:
+    """Take the first moments from a stream: `level_s` from the first inertial sample on, whatever began before it.
+
+    Samples that no motion explains are left out, as later: a single one would tilt the vehicle by degrees. Raises
+    MethodError, with the names of method and sequence, where there are fewer than two others.
+    """
+    items, inertial, begin_ns = list[Any](), list[ImuMeasurement](), 0
+    for item in stream:
+        items.append(item)
+        if isinstance(item, ImuMeasurement) and is_plausible(item):
+            if not inertial:
+                early = item.stamp_ns - items[0].stamp_ns > JITTER_NS
+                begin_ns = item.stamp_ns if early else items[0].stamp_ns
+            inertial.append(item)
+        if inertial and item.stamp_ns - begin_ns > settings.level_s * 1e9:
+            break
+    if len(inertial) < 2:
+        raise MethodError(
+            f"{method}: expected inertial samples in the first {settings.level_s:g} s of those of sequence {sequence}, "
+            f"of less than {MOST_RATE:g} rad/s and {MOST_FORCE:g} m/s^2, got {len(inertial)}"
+        )
+    return FirstMoments(
+        items,
+        np.array([sample.stamp_ns for sample in inertial], dtype=np.int64),
+        np.array([sample.gyro for sample in inertial]),
+        np.array([sample.accel for sample in inertial]),
+    )
 
 
 def align(

@@ -17,6 +17,11 @@ LONGEST_GAP_S = 0.1
 """Time without samples beyond which nothing is known of the motion: twice the interval of a unit of 20 Hz."""
 
 
+def is_plausible(sample: ImuMeasurement) -> bool:
+    """Whether a vehicle can have moved like this; false for what is not a number, too."""
+    return bool(sample.gyro @ sample.gyro < MOST_RATE**2 and sample.accel @ sample.accel < MOST_FORCE**2)
+
+
 @dataclass(frozen=True)
 class Segment:
     """Inertial measurements between two stamps: dt (N,) s, and over each the mean gyro, accel (N, 3), SI, IMU frame.
@@ -74,7 +79,7 @@ class SampleBuffer:
         self._sampled_ns: int | None = None  # stamp of the last sample before the last cut
 
     def add(self, sample: ImuMeasurement) -> None:
-        if sample.gyro @ sample.gyro < MOST_RATE**2 and sample.accel @ sample.accel < MOST_FORCE**2:
+        if is_plausible(sample):
             self._samples.append(sample)
         else:
             self.refused += 1

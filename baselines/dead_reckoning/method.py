@@ -9,13 +9,12 @@ from itertools import chain
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Estimate
 from oysterbench.sequence.types import ImuMeasurement, Sequence
 from oysterbench_baselines.common.aiding import Aiding, AidingSettings, aiding_sensors, sensors_of
-from oysterbench_baselines.common.alignment import StartSettings, start_filter
+from oysterbench_baselines.common.alignment import StartSettings, first_moments, start_filter
 from oysterbench_baselines.common.checks import check_inertial
 from oysterbench_baselines.common.filter import InertialNoise
 from oysterbench_baselines.common.inertial import SampleBuffer
@@ -60,22 +59,12 @@ class DeadReckoning:
         sensors = sensors_of(sequence)
         # A sensor must be named: with no name, a stream has the cameras.
         stream = sequence.stream(*(sensors or ["imu"]))
-        head = []
-        for item in stream:
-            head.append(item)
-            if item.stamp_ns - head[0].stamp_ns > self.settings.start.level_s * 1e9:
-                break
-        inertial = [item for item in head if isinstance(item, ImuMeasurement)]
-        if len(inertial) < 2:
-            raise MethodError(
-                f"{self.name}: expected inertial samples in the first second of sequence {sequence.name}, got "
-                f"{len(inertial)}"
-            )
         calibration, settings = sequence.imu_calibration, self.settings
+        first = first_moments(self.name, sequence.name, stream, settings.start)
         filter, at_rest = start_filter(
-            np.array([sample.stamp_ns for sample in inertial], dtype=np.int64),
-            np.array([sample.gyro for sample in inertial]),
-            np.array([sample.accel for sample in inertial]),
+            first.stamps_ns,
+            first.gyro,
+            first.accel,
             calibration,
             InertialNoise.of(calibration, settings.imu_inflation),
             settings.start,
@@ -85,8 +74,8 @@ class DeadReckoning:
         stamps: list[int] = []
         poses: list[Array] = []
         covariances: list[Array] = []
-        for item in chain(head, stream):
-            if item.stamp_ns < inertial[0].stamp_ns:
+        for item in chain(first.items, stream):
+            if item.stamp_ns < first.stamps_ns[0]:
                 continue
             if isinstance(item, ImuMeasurement):
                 samples.add(item)

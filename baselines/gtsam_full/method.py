@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array, invert
-from oysterbench.core.measurements import ImuMeasurement
 from oysterbench.methods import Estimate
 from oysterbench.sequence.types import CameraCalibration, Sequence
 from oysterbench_baselines.common.aiding import Aiding, aiding_sensors, imaging_sonar
 from oysterbench_baselines.common.aiding.dvl import Dvl
-from oysterbench_baselines.common.alignment import start_filter
+from oysterbench_baselines.common.alignment import first_moments, start_filter
 from oysterbench_baselines.common.checks import check_inertial
 from oysterbench_baselines.common.filter import InertialNoise
 from oysterbench_baselines.gtsam_full.ranges import Ranges
@@ -74,27 +72,15 @@ class GtsamFull:
         sensors = [*self.settings.sensors(sequence), *sequence.altimeters, *sonars]
         sensors += [camera] if self.settings.pictures else []
         stream = sequence.stream(*(sensors or ["imu"]))
-        head = []
-        for item in stream:
-            head.append(item)
-            if item.stamp_ns - head[0].stamp_ns > self.settings.start.level_s * 1e9:
-                break
-        inertial = [item for item in head if isinstance(item, ImuMeasurement)]
-        if len(inertial) < 2:
-            raise MethodError(
-                f"{self.name}: expected inertial samples in the first second of sequence {sequence.name}, got "
-                f"{len(inertial)}"
-            )
-        stamps_ns = np.array([sample.stamp_ns for sample in inertial], dtype=np.int64)
-        gyro, accel = (np.array([getattr(sample, name) for sample in inertial]) for name in ("gyro", "accel"))
-        calibration, first = sequence.cameras[camera], (stamps_ns, gyro, accel)
+        first = first_moments(self.name, sequence.name, stream, self.settings.start)
+        calibration = sequence.cameras[camera]
         stated = sequence.uncertainty if self.settings.calibration.enabled else None
         known = CameraUncertainty.of(stated, [camera], [calibration])
-        estimator = aided_estimator(sequence, calibration, self.settings, first, known)
+        moments = first.stamps_ns, first.gyro, first.accel
+        estimator = aided_estimator(sequence, calibration, self.settings, moments, known)
         front_end = FrontEnd(calibration, self.settings.frontend, self.seed, moving_mask(self.mask))
-        run_estimator(
-            estimator, sequence, [camera], chain(head, stream), self.seed, int(stamps_ns[0]), front_end=front_end
-        )
+        whole, start_ns = chain(first.items, stream), int(first.stamps_ns[0])
+        run_estimator(estimator, sequence, [camera], whole, self.seed, start_ns, front_end=front_end)
         info = {"camera": camera, "sensors": ["imu", *sensors]}
         return estimate_of(estimator, self.output, self.settings, info)
 

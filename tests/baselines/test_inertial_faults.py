@@ -15,6 +15,7 @@ from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Health
 from oysterbench.sequence.types import ImuMeasurement
+from oysterbench_baselines.common.alignment import StartSettings, align, first_moments
 from oysterbench_baselines.common.checks import check_inertial, on_imu_clock
 from oysterbench_baselines.common.filter import ATTITUDE, InertialNoise, InvariantFilter
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
@@ -139,6 +140,31 @@ def test_a_wild_sample_is_left_out():
     assert found.duration == pytest.approx(right.duration)
     np.testing.assert_allclose(found.accel, np.tile([0.0, 0.0, 9.8], (len(found.dt), 1)))
     assert not found.gyro.any()
+
+
+@pytest.mark.parametrize("force", [300.0, np.nan])
+def test_a_wild_sample_in_the_first_second_does_not_tilt_the_vehicle(force):
+    right = dive.inertial_samples(dive.survey_pose, dive.imu_calibration(), 1.5, np.random.default_rng(0))
+    spoilt = list(right)
+    spoilt[60] = replace(right[60], accel=np.array([force, 0.0, 0.0]))
+    rotations = []
+    for samples in (right, spoilt):
+        first = first_moments("mine", "theirs", iter(samples), StartSettings())
+        assert len(first.items) == 202, "of 200 Hz, and one after the second"
+        rotations.append(align(first.stamps_ns, first.gyro, first.accel, dive.imu_calibration(), StartSettings())[0])
+    np.testing.assert_allclose(rotations[1], rotations[0], atol=2e-3)
+
+
+@pytest.mark.parametrize("early_s", [0.9, 1.5])
+def test_the_vehicle_is_levelled_by_a_second_of_samples_whatever_begins_before_them(early_s):
+    pictures = [Image(round(-1e9 * early_s) + 50_000_000 * n, "cam", np.zeros((1, 1, 3), np.uint8)) for n in range(80)]
+    samples = [sample(0.005 * n) for n in range(400)]
+    stream = sorted([*pictures, *samples], key=lambda item: item.stamp_ns)
+    first = first_moments("mine", "theirs", iter(stream), StartSettings())
+    assert first.stamps_ns[0] == 0
+    assert first.stamps_ns[-1] == 1_005_000_000, "the first one after it"
+    with pytest.raises(MethodError, match=r"^mine: expected inertial samples in the first 1 s .* theirs, .* got 0$"):
+        first_moments("mine", "theirs", iter(pictures), StartSettings())
 
 
 def test_a_gap_is_measured_from_sample_to_sample_wherever_it_is_cut():
