@@ -58,11 +58,11 @@ int main(int argc, char **argv) {
 
   const std::string folder = std::string(argv[3]) + "/mav0/";
   const std::vector<ImuRow> imu = read_imu(folder + "imu0/data.csv");
-  std::vector<std::vector<ImageRow>> images;
-  for (std::size_t i = 0; i < calibration.intrinsics.size(); i++)
-    images.push_back(read_images(folder + "cam" + std::to_string(i)));
-  if (imu.empty() || images.empty() || images[0].empty()) {
-    std::cerr << folder << ": no pictures, or no inertial measurements" << std::endl;
+  const auto pairs = taken_together(folder, calibration.intrinsics.size());
+  if (pairs.empty())
+    return 1;
+  if (imu.empty()) {
+    std::cerr << folder << ": no inertial measurements" << std::endl;
     return 1;
   }
 
@@ -77,32 +77,25 @@ int main(int argc, char **argv) {
 
   std::ofstream out(argv[4]);
   out << std::fixed;
-  const std::size_t tenth = std::max<std::size_t>(images[0].size() / 10, 1);
+  const std::size_t tenth = std::max<std::size_t>(pairs.size() / 10, 1);
   std::size_t next = 0, given = 0;
-  std::vector<std::size_t> others(images.size(), 0);
   long written = 0;
-  for (const ImageRow &first : images[0]) {
+  for (const auto &rows : pairs) {
     if (++given % tenth == 0)
-      std::cout << "progress " << given << " of " << images[0].size() << std::endl;
+      std::cout << "progress " << given << " of " << pairs.size() << std::endl;
     auto pictures = std::make_shared<basalt::OpticalFlowInput>();
-    pictures->t_ns = first.stamp_ns + calibration.cam_time_offset_ns;  // which Basalt leaves to its caller
+    pictures->t_ns = rows[0].stamp_ns + calibration.cam_time_offset_ns;  // which Basalt leaves to its caller
     if (imu.back().stamp_ns <= pictures->t_ns)
       break;  // it would wait for a measurement past the picture
-    for (std::size_t i = 0; i < images.size(); i++) {
-      while (others[i] < images[i].size() && images[i][others[i]].stamp_ns < first.stamp_ns)
-        others[i]++;
-      if (others[i] == images[i].size() || images[i][others[i]].stamp_ns != first.stamp_ns)
-        continue;
-      const cv::Mat picture = cv::imread(images[i][others[i]].path, cv::IMREAD_GRAYSCALE);
+    for (const ImageRow &row : rows) {
+      const cv::Mat picture = cv::imread(row.path, cv::IMREAD_GRAYSCALE);
       if (picture.empty()) {
-        std::cerr << images[i][others[i]].path << ": not a picture" << std::endl;
+        std::cerr << row.path << ": not a picture" << std::endl;
         std::_Exit(1);  // its threads wait for more
       }
       pictures->img_data.emplace_back();
       pictures->img_data.back().img = in_16_bits(picture);
     }
-    if (pictures->img_data.size() != images.size())
-      continue;  // a pair needs both
     flow->input_queue.push(pictures);
     for (; next == 0 || imu[next - 1].stamp_ns <= pictures->t_ns; next++) {
       auto measured = std::make_shared<basalt::ImuData<double>>();
@@ -116,9 +109,9 @@ int main(int argc, char **argv) {
     write_pose(out, state->t_ns, state->T_w_i);
     written++;
   }
-  std::cout << written << " poses of " << images[0].size() << " pictures" << std::endl;
+  std::cout << written << " poses of " << pairs.size() << " pictures" << std::endl;
   if (written == 0) {
-    std::cerr << folder << ": no picture of all cameras has inertial measurements after it" << std::endl;
+    std::cerr << folder << ": no picture has inertial measurements after it" << std::endl;
     std::_Exit(1);
   }
   flow->input_queue.push(nullptr);

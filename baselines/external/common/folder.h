@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <cstdlib>
 #include <fstream>
 #include <iostream>
 #include <sstream>
@@ -56,6 +57,34 @@ inline std::vector<ImageRow> read_images(const std::string &camera) {
   std::vector<ImageRow> found;
   for (const auto &row : read_rows(camera + "/data.csv"))
     found.push_back({std::stoll(row.at(0)), camera + "/data/" + row.at(1)});
+  return found;
+}
+
+// Pictures that the cameras cam0, cam1, ... of a folder took together: a row of each, those of the others being the
+// nearest to that of cam0, and at most tolerance_ns from it. Where there are none at all, it says so.
+inline std::vector<std::vector<ImageRow>> taken_together(const std::string &folder, std::size_t cameras,
+                                                         int64_t tolerance_ns = 1'000'000) {
+  std::vector<std::vector<ImageRow>> images, found;
+  for (std::size_t i = 0; i < cameras; i++)
+    images.push_back(read_images(folder + "cam" + std::to_string(i)));
+  std::vector<std::size_t> at(cameras, 0);
+  for (std::size_t k = 0; cameras > 0 && k < images[0].size(); k++) {
+    std::vector<ImageRow> together = {images[0][k]};
+    for (std::size_t i = 1; i < cameras; i++) {
+      const auto apart = [&](std::size_t n) { return std::llabs(images[i][n].stamp_ns - images[0][k].stamp_ns); };
+      while (at[i] + 1 < images[i].size() && apart(at[i] + 1) <= apart(at[i]))
+        at[i]++;
+      if (at[i] < images[i].size() && apart(at[i]) <= tolerance_ns)
+        together.push_back(images[i][at[i]]);
+    }
+    if (together.size() == cameras)  // a pair needs both
+      found.push_back(together);
+  }
+  if (found.empty() && cameras > 1 && !images[0].empty())
+    std::cerr << folder << ": no two pictures taken together: expected stamps of cam0 and cam1 within "
+              << double(tolerance_ns) * 1e-6 << " ms of each other; correct them" << std::endl;
+  else if (found.empty())
+    std::cerr << folder << ": no pictures" << std::endl;
   return found;
 }
 

@@ -23,6 +23,7 @@
 
 namespace {
 
+constexpr int64_t TOGETHER_NS = 5'000'000;  // the authors' timestamp_tolerance
 constexpr int64_t OVERLAP_NS = 20'000'000;  // upstream waits for inertial measurements up to 20 ms after a picture
 
 okvis::Time time_of(int64_t stamp_ns) {
@@ -73,34 +74,27 @@ int main(int argc, char **argv) {
   okvis::ViParametersReader(argv[1]).getParameters(parameters);
   const std::string folder = std::string(argv[3]) + "/mav0/";
   const std::vector<ImuRow> imu = read_imu(folder + "imu0/data.csv");
-  std::vector<std::vector<ImageRow>> images;
-  for (std::size_t i = 0; i < parameters.nCameraSystem.numCameras(); i++)
-    images.push_back(read_images(folder + "cam" + std::to_string(i)));
+  const auto pairs = taken_together(folder, parameters.nCameraSystem.numCameras(), TOGETHER_NS);
+  if (pairs.empty())
+    return 1;
 
   okvis::ThreadedSlam slam(parameters, argv[2]);
   slam.setBlocking(true);
   const int64_t shift_ns = std::llround(std::stod(argv[5]) * 1e9);
   const std::string path = argv[4];
   std::ofstream online(path.substr(0, path.rfind('.')) + ".online.tum");
-  std::vector<std::size_t> others(images.size(), 0);
   std::size_t next = 0;
-  for (const ImageRow &first : images[0]) {
-    tell_progress(&first - images[0].data(), images[0].size());
+  for (const auto &rows : pairs) {
+    tell_progress(&rows - pairs.data(), pairs.size());
     std::map<std::size_t, cv::Mat> pictures;
-    for (std::size_t i = 0; i < images.size(); i++) {
-      while (others[i] < images[i].size() && images[i][others[i]].stamp_ns < first.stamp_ns)
-        others[i]++;
-      if (others[i] == images[i].size() || images[i][others[i]].stamp_ns != first.stamp_ns)
-        continue;
-      pictures[i] = cv::imread(images[i][others[i]].path, cv::IMREAD_GRAYSCALE);
+    for (std::size_t i = 0; i < rows.size(); i++) {
+      pictures[i] = cv::imread(rows[i].path, cv::IMREAD_GRAYSCALE);
       if (pictures[i].empty()) {
-        std::cerr << images[i][others[i]].path << ": not a picture" << std::endl;
+        std::cerr << rows[i].path << ": not a picture" << std::endl;
         return 1;
       }
     }
-    if (pictures.size() != images.size())
-      continue;  // a pair needs both
-    const int64_t stamp_ns = first.stamp_ns + shift_ns;
+    const int64_t stamp_ns = rows[0].stamp_ns + shift_ns;
     while (next < imu.size() && (next == 0 || imu[next - 1].stamp_ns < stamp_ns + OVERLAP_NS))
       add_imu(slam, imu[next++]);
     if (next == 0 || imu[next - 1].stamp_ns < stamp_ns + OVERLAP_NS)
@@ -124,6 +118,6 @@ int main(int argc, char **argv) {
   if (parameters.estimator.do_final_ba)
     slam.doFinalBa();
   const long written = write_path(slam.estimator_.realtimeGraph_, path);
-  std::cout << written << " poses of " << images[0].size() << " pictures" << std::endl;
+  std::cout << written << " poses of " << pairs.size() << " pictures" << std::endl;
   return 0;
 }

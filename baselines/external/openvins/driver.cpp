@@ -43,39 +43,32 @@ int main(int argc, char **argv) {
 
   const std::string folder = std::string(argv[2]) + "/mav0/";
   const std::vector<ImuRow> imu = read_imu(folder + "imu0/data.csv");
-  std::vector<std::vector<ImageRow>> images;
-  for (int i = 0; i < options.state_options.num_cameras; i++)
-    images.push_back(read_images(folder + "cam" + std::to_string(i)));
-  if (imu.empty() || images.empty() || images[0].empty()) {
-    std::cerr << folder << ": no pictures, or no inertial measurements" << std::endl;
+  const auto pairs = taken_together(folder, std::size_t(options.state_options.num_cameras));
+  if (pairs.empty())
+    return 1;
+  if (imu.empty()) {
+    std::cerr << folder << ": no inertial measurements" << std::endl;
     return 1;
   }
 
   std::ofstream out(argv[3]);
   out << std::fixed;
   std::size_t next = 0;
-  std::vector<std::size_t> others(images.size(), 0);
   long written = 0;
   double last = -1;
-  for (const ImageRow &first : images[0]) {
+  for (const auto &rows : pairs) {
     ov_core::CameraData pictures;
-    pictures.timestamp = seconds(first.stamp_ns);
-    for (std::size_t i = 0; i < images.size(); i++) {
-      while (others[i] < images[i].size() && images[i][others[i]].stamp_ns < first.stamp_ns)
-        others[i]++;
-      if (others[i] == images[i].size() || images[i][others[i]].stamp_ns != first.stamp_ns)
-        continue;
-      cv::Mat picture = cv::imread(images[i][others[i]].path, cv::IMREAD_GRAYSCALE);
+    pictures.timestamp = seconds(rows[0].stamp_ns);
+    for (std::size_t i = 0; i < rows.size(); i++) {
+      cv::Mat picture = cv::imread(rows[i].path, cv::IMREAD_GRAYSCALE);
       if (picture.empty()) {
-        std::cerr << images[i][others[i]].path << ": not a picture" << std::endl;
+        std::cerr << rows[i].path << ": not a picture" << std::endl;
         return 1;
       }
       pictures.sensor_ids.push_back(int(i));
       pictures.images.push_back(picture);
       pictures.masks.push_back(cv::Mat::zeros(picture.rows, picture.cols, CV_8UC1));
     }
-    if (pictures.images.size() != images.size())
-      continue;  // a pair needs both
     // One measurement past the picture is needed to propagate to it.
     const double offset = system.get_state()->_calib_dt_CAMtoIMU->value()(0);
     while (next < imu.size()) {
@@ -90,7 +83,7 @@ int main(int argc, char **argv) {
         break;
     }
     system.feed_measurement_camera(pictures);
-    tell_progress(&first - images[0].data(), images[0].size());
+    tell_progress(&rows - pairs.data(), pairs.size());
     if (!system.initialized())
       continue;
     const auto state = system.get_state();
@@ -105,7 +98,7 @@ int main(int argc, char **argv) {
     out << '\n';
     written++;
   }
-  std::cout << written << " poses of " << images[0].size() << " pictures" << std::endl;
+  std::cout << written << " poses of " << pairs.size() << " pictures" << std::endl;
   if (written == 0) {
     std::cerr << "OpenVINS never initialised" << std::endl;
     return 1;

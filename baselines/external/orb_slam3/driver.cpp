@@ -31,6 +31,8 @@
 
 namespace {
 
+constexpr int64_t TOGETHER_NS = 10'000'000;  // the authors' maxTimeDiff
+
 bool mapped(ORB_SLAM3::System &system) {
   ORB_SLAM3::LocalMapping &mapping = *system.mpLocalMapper;
   return mapping.KeyframesInQueue() == 0 && mapping.AcceptKeyFrames() && !mapping.stopRequested() &&
@@ -110,8 +112,9 @@ int main(int argc, char **argv) {
   }
   const bool inertial = sensor != Sensor::MONOCULAR, stereo = sensor == Sensor::IMU_STEREO;
   const std::string folder = std::string(argv[4]) + "/mav0/";
-  const std::vector<ImageRow> left = read_images(folder + "cam0");
-  const std::vector<ImageRow> right = stereo ? read_images(folder + "cam1") : std::vector<ImageRow>();
+  const auto pairs = taken_together(folder, stereo ? 2 : 1, TOGETHER_NS);
+  if (pairs.empty())
+    return 1;
   const std::vector<ImuRow> imu = read_imu(folder + "imu0/data.csv");
 
   DUtils::Random::SeedRandOnce(std::stoi(argv[7]));  // upstream's own is 0
@@ -121,14 +124,11 @@ int main(int argc, char **argv) {
   const int64_t shift_ns = std::llround(std::stod(argv[6]) * 1e9);
   const std::string path = argv[5];
   std::ofstream online(path.substr(0, path.rfind('.')) + ".online.tum");
-  std::size_t next = 0, other = 0;
-  for (const ImageRow &row : left) {
-    while (other < right.size() && right[other].stamp_ns < row.stamp_ns)
-      other++;
-    if (stereo && (other == right.size() || right[other].stamp_ns != row.stamp_ns))
-      continue;  // a pair needs both
+  std::size_t next = 0;
+  for (const auto &rows : pairs) {
+    const ImageRow &row = rows.front();
     const cv::Mat picture = cv::imread(row.path, cv::IMREAD_GRAYSCALE);
-    const cv::Mat second = stereo ? cv::imread(right[other].path, cv::IMREAD_GRAYSCALE) : cv::Mat();
+    const cv::Mat second = stereo ? cv::imread(rows.back().path, cv::IMREAD_GRAYSCALE) : cv::Mat();
     if (picture.empty() || (stereo && second.empty())) {
       std::cerr << row.path << ": not a picture" << std::endl;
       return 1;
@@ -144,7 +144,7 @@ int main(int argc, char **argv) {
     if (system.GetTrackingState() == ORB_SLAM3::Tracking::OK && (!inertial || system.mpAtlas->isImuInitialized()))
       write_pose(online, time, (inertial ? system.mpTracker->mpImuCalib->mTbc * T_cam_world : T_cam_world).inverse());
     wait_until(mapped, system);
-    tell_progress(&row - left.data(), left.size());
+    tell_progress(&rows - pairs.data(), pairs.size());
   }
   system.Shutdown();
   wait_until(finished, system);
@@ -154,7 +154,7 @@ int main(int argc, char **argv) {
     return 1;
   }
   const long written = write_path(system, inertial, path);
-  std::cout << written << " poses of " << left.size() << " pictures, " << system.mpAtlas->GetAllMaps().size() << " maps"
+  std::cout << written << " poses of " << pairs.size() << " pictures, " << system.mpAtlas->GetAllMaps().size() << " maps"
             << std::endl;
   if (written == 0) {
     std::cerr << "ORB-SLAM3 never initialised" << std::endl;

@@ -27,6 +27,7 @@ namespace {
 Estimator estimator;  // upstream's is a global, too: its constructor takes members for zero
 std::ofstream out;
 long written = 0;
+constexpr int64_t TOGETHER_NS = 3'000'000;  // the authors' tolerance in sync_process
 std::atomic<double> optimised{-1};  // stamp of the last picture that was
 
 }  // namespace
@@ -61,24 +62,20 @@ int main(int argc, char **argv) {
   }
   cv::setNumThreads(1);
   readParameters(argv[1]);
-  estimator.setParameter();
-
   const std::string folder = std::string(argv[2]) + "/mav0/";
   const std::vector<ImuRow> imu = read_imu(folder + "imu0/data.csv");
-  const std::vector<ImageRow> left = read_images(folder + "cam0");
-  const std::vector<ImageRow> right = STEREO ? read_images(folder + "cam1") : std::vector<ImageRow>();
+  const auto pairs = taken_together(folder, STEREO ? 2 : 1, TOGETHER_NS);
+  if (pairs.empty())
+    std::_Exit(1);  // its destructor waits for a thread that has not begun
+  estimator.setParameter();
   out.open(argv[3]);
-  std::size_t next = 0, other = 0;
-  for (std::size_t i = 0; i < left.size(); i++) {
-    if (i % std::max<std::size_t>(1, left.size() / 10) == 0)
-      std::cout << "progress " << i << " of " << left.size() << std::endl;
-    const ImageRow &row = left[i];
-    while (other < right.size() && right[other].stamp_ns < row.stamp_ns)
-      other++;
-    if (STEREO && (other == right.size() || right[other].stamp_ns != row.stamp_ns))
-      continue;  // a pair needs both
+  std::size_t next = 0;
+  for (std::size_t i = 0; i < pairs.size(); i++) {
+    if (i % std::max<std::size_t>(1, pairs.size() / 10) == 0)
+      std::cout << "progress " << i << " of " << pairs.size() << std::endl;
+    const ImageRow &row = pairs[i].front();
     const cv::Mat picture = cv::imread(row.path, cv::IMREAD_GRAYSCALE);
-    const cv::Mat second = STEREO ? cv::imread(right[other].path, cv::IMREAD_GRAYSCALE) : cv::Mat();
+    const cv::Mat second = STEREO ? cv::imread(pairs[i].back().path, cv::IMREAD_GRAYSCALE) : cv::Mat();
     if (picture.empty() || (STEREO && second.empty())) {
       std::cerr << row.path << ": not a picture" << std::endl;
       return 1;
@@ -96,7 +93,7 @@ int main(int argc, char **argv) {
       std::this_thread::sleep_for(std::chrono::microseconds(200));
   }
   out.flush();
-  std::cout << written << " poses of " << left.size() << " pictures" << std::endl;
+  std::cout << written << " poses of " << pairs.size() << " pictures" << std::endl;
   if (written == 0) {
     std::cerr << "VINS-Fusion never initialised" << std::endl;
     std::_Exit(1);
