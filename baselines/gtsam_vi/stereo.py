@@ -23,13 +23,16 @@ LEAST_SHARE = 0.1
 
 
 def second_camera(sequence: Sequence, first: str, settings: StereoSettings) -> str | None:
-    """Name of a camera beside the first that looks in the same direction; None if there is none."""
-    T_first_base = invert(sequence.cameras[first].T_base_cam)
+    """Name of a camera beside the first that looks in the same direction and has pictures of the same size; None if
+    there is none."""
+    one = sequence.cameras[first]
+    T_first_base = invert(one.T_base_cam)
     for name, camera in sequence.cameras.items():
         T_first_second = T_first_base @ camera.T_base_cam
         angle = np.degrees(np.arccos(np.clip(T_first_second[2, 2], -1, 1)))
         base = float(np.linalg.norm(T_first_second[:3, 3]))
-        if name != first and settings.min_baseline_m < base and angle < settings.max_angle_deg:
+        beside = name != first and settings.min_baseline_m < base and angle < settings.max_angle_deg
+        if beside and (camera.width, camera.height) == (one.width, one.height):
             return name
     return None
 

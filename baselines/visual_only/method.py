@@ -98,13 +98,16 @@ def poses_of_base(poses: dict[int, Array], T_base_cam: Array) -> Trajectory:
 
 
 def overlapping(sequence: Sequence, left: str, settings: VisualOnlySettings) -> str | None:
-    """Name of a camera beside `left` that sees much of what `left` sees; None if there is none."""
-    T_base_left = sequence.cameras[left].T_base_cam
+    """Name of a camera beside `left`, with pictures of the same size, that sees much of what `left` sees; None if
+    there is none."""
+    first = sequence.cameras[left]
+    T_base_left = first.T_base_cam
     for name, camera in sequence.cameras.items():
         T_left_other = invert(T_base_left) @ camera.T_base_cam
         angle = np.degrees(np.arccos(np.clip(T_left_other[2, 2], -1, 1)))
         base = float(np.linalg.norm(T_left_other[:3, 3]))
-        if name != left and 0.01 < base < settings.max_base_m and angle < settings.max_axes_angle_deg:
+        beside = name != left and 0.01 < base < settings.max_base_m and angle < settings.max_axes_angle_deg
+        if beside and (camera.width, camera.height) == (first.width, first.height):
             return name
     return None
 

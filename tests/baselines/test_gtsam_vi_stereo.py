@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -20,7 +22,7 @@ from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings, GtsamViSter
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.flow import homogeneous
 from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, FrontEnd, undistort
-from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher, pairs
+from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher, pairs, second_camera
 from tests.helpers import synthetic_dive as dive
 
 
@@ -180,3 +182,11 @@ def test_without_a_second_camera_it_says_so():
     with pytest.raises(MethodError, match=r"gtsam_vi_stereo: .*no second camera.*run gtsam_vi"):
         GtsamViStereo().run(FlatBottom(0.1).for_method())
     assert GtsamVi(stereo=True).stereo
+
+
+def test_a_camera_with_pictures_of_another_size_is_no_second_one():
+    first, second = dive.camera_calibration(), dive.right_calibration()
+    rig = SimpleNamespace(cameras={"l": first, "r": replace(second, width=second.width // 2)})
+    assert second_camera(rig, "l", GtsamViSettings().stereo) is None
+    rig.cameras["r"] = second
+    assert second_camera(rig, "l", GtsamViSettings().stereo) == "r"

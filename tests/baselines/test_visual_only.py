@@ -18,7 +18,7 @@ from oysterbench.evaluate.slam.settings import Align
 from oysterbench.sequence.types import CameraCalibration, ImuMeasurement, Sequence
 from oysterbench_baselines.visual_only import VisualOnly
 from oysterbench_baselines.visual_only.lens import Lens
-from oysterbench_baselines.visual_only.method import poses_of_base
+from oysterbench_baselines.visual_only.method import overlapping, poses_of_base
 from oysterbench_baselines.visual_only.odometry import Frame, Odometry
 from oysterbench_baselines.visual_only.settings import VisualOnlySettings
 from oysterbench_baselines.visual_only.views import point_from_views, pose_from_points, ray_angle
