@@ -18,12 +18,19 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from oysterbench.core.errors import MethodError, OysterbenchError
+from oysterbench.core.geometry import invert
 from oysterbench.methods.interfaces import interface_of
 from oysterbench.methods.systems.manifest import SystemMethod, split_reference
 from oysterbench.sequence import CameraCalibration, Sequence, open_sequence
 
 CONFIGURATION = "configuration"
+MOST_ANGLE_DEG = 45.0
+"""Between the axes of two cameras that are a stereo pair: beyond it they share little of what they see."""
+LEAST_BASELINE_M = 0.01
+"""Between two cameras that are a stereo pair: they measure no depth from closer together."""
 
 
 @dataclass(frozen=True)
@@ -54,14 +61,15 @@ class Launch:
     def cameras(self) -> dict[str, CameraCalibration]:
         """The first two cameras of the sequence if the method uses a stereo pair, else its first one, by name.
 
-        Raises MethodError where the sequence has fewer: a stereo system with one camera would be another method.
+        Raises MethodError where the sequence has fewer, as a stereo system with one camera would be another method,
+        and where two do not look at the same thing from apart.
         """
         return cameras_of(self.method, self.about, self.sequence)
 
 
 def cameras_of(method: str, about: SystemMethod, sequence: Sequence) -> dict[str, CameraCalibration]:
     """The cameras of a sequence that a method uses, by name (see `Launch.cameras`). Raises MethodError where there are
-    fewer."""
+    fewer, or where two are no stereo pair."""
     wanted = 2 if "stereo" in about.sensors else int("mono" in about.sensors)
     found = dict(list(sequence.cameras.items())[:wanted])
     if len(found) < wanted:
@@ -69,7 +77,23 @@ def cameras_of(method: str, about: SystemMethod, sequence: Sequence) -> dict[str
             f"{method}: expected a sequence with {wanted} camera{'s' if wanted > 1 else ''}, got "
             f"{sequence.name} with {', '.join(found) or 'none'}; 'oysterbench systems' lists sensors"
         )
+    if wanted > 1:
+        _check_pair(method, sequence.name, found)
     return found
+
+
+def _check_pair(method: str, sequence: str, cameras: Mapping[str, CameraCalibration]) -> None:
+    """Raise MethodError where two cameras cannot see the same thing from two places."""
+    first, second = cameras.values()
+    T_first_second = invert(first.T_base_cam) @ second.T_base_cam
+    angle = float(np.degrees(np.arccos(np.clip(T_first_second[2, 2], -1, 1))))
+    base = float(np.linalg.norm(T_first_second[:3, 3]))
+    if angle > MOST_ANGLE_DEG or base < LEAST_BASELINE_M:
+        raise MethodError(
+            f"{method}: expected a stereo pair as the first two cameras, with axes at most {MOST_ANGLE_DEG:g} deg and "
+            f"centres at least {100 * LEAST_BASELINE_M:g} cm apart, got {sequence} with {' and '.join(cameras)}, "
+            f"{angle:.0f} deg and {100 * base:.1f} cm apart; run a method for one camera"
+        )
 
 
 def launch_of(reference: str, place: Path, given: Path, folder: Path, number: int) -> tuple[Launch, list[str]]:
