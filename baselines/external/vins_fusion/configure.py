@@ -20,6 +20,8 @@ LEAST_RATE_HZ = 10.0
 
 EUROC_NOISE = {"acc_n": 2.0e-3, "acc_w": 3.0e-3, "gyr_n": 1.6968e-4, "gyr_w": 1.9393e-5}
 """Noise densities of EuRoC's inertial unit (its imu0/sensor.yaml), SI units, by the authors' keys for theirs."""
+EUROC_RATE_HZ = 200.0
+"""Rate of that unit, for which the authors' values are: they are sigmas of a sample, and not densities."""
 
 
 def command(launch: Launch) -> list[str]:
@@ -38,8 +40,15 @@ def command(launch: Launch) -> list[str]:
 def configuration(
     authors: str, sequence: Sequence, cameras: list[CameraCalibration], options: Mapping[str, Any]
 ) -> str:
-    """The authors' file for as many cameras with what depends on the sequence, and the options."""
+    """The authors' file for as many cameras with what depends on the sequence, and the options. Raises MethodError
+    where the pictures of two cameras differ in size."""
     unit = sequence.imu_calibration
+    sizes = [f"{camera.width} x {camera.height}" for camera in cameras]
+    if len(set(sizes)) > 1:
+        raise MethodError(
+            f"VINS-Fusion has one size for all pictures, got {sequence.name} with {' and '.join(sizes)}; run "
+            "vins_fusion_mono"
+        )
     values: dict[str, Any] = {
         "cam0_calib": "cam0.yaml",
         "cam1_calib": "cam1.yaml",
@@ -58,8 +67,9 @@ def configuration(
         "gyr_n": unit.gyro_noise_density,
         "gyr_w": unit.gyro_random_walk,
     }
+    per_sample = float(np.sqrt(unit.rate_hz / EUROC_RATE_HZ))
     for key, density in ours.items():
-        values[key] = number(authors, key) * density / EUROC_NOISE[key]
+        values[key] = number(authors, key) * density / EUROC_NOISE[key] * per_sample
     text = replace_values(authors, {**values, **options})
     for index, camera in enumerate(cameras):
         lines = opencv_matrix(invert(unit.T_base_imu) @ camera.T_base_cam)

@@ -13,7 +13,14 @@ from oysterbench.core.errors import MethodError
 from oysterbench.methods.systems import find_system
 from oysterbench.methods.systems.building import built
 from oysterbench.results.records import read_results
-from oysterbench_baselines.external.vins_fusion.configure import EUROC_NOISE, camera_file, command, configuration
+from oysterbench_baselines.external.vins_fusion.configure import (
+    EUROC_NOISE,
+    EUROC_RATE_HZ,
+    camera_file,
+    command,
+    configuration,
+    number,
+)
 from tests.helpers.command import run
 from tests.helpers.launches import launch_of
 from tests.helpers.paths import SHARED_DATA
@@ -89,8 +96,24 @@ def test_pictures_are_left_out_only_where_enough_are_left(sequence, rate_hz, thr
 def test_the_authors_noise_follows_the_inertial_unit_unless_it_is_given(sequence):
     unit = sequence.imu_calibration
     text = configuration(AUTHORS, sequence, list(sequence.cameras.values())[:2], {"gyr_n": 0.004})
-    assert f"acc_n: {0.1 * unit.accel_noise_density / EUROC_NOISE['acc_n']!r}" in text
+    per_sample = (unit.rate_hz / EUROC_RATE_HZ) ** 0.5
+    assert number(text, "acc_n") == pytest.approx(0.1 * unit.accel_noise_density / EUROC_NOISE["acc_n"] * per_sample)
     assert "gyr_n: 0.004 " in text
+
+
+def test_the_authors_noise_is_of_a_sample_so_a_faster_unit_has_more_of_it(sequence):
+    unit, cameras, found = sequence.imu_calibration, list(sequence.cameras.values())[:2], []
+    for rate_hz in (EUROC_RATE_HZ, 4 * EUROC_RATE_HZ):
+        sequence.imu_calibration = replace(unit, rate_hz=rate_hz)
+        text = configuration(AUTHORS, sequence, cameras, {})
+        found.append([number(text, key) for key in EUROC_NOISE])
+    np.testing.assert_allclose(found[1], 2 * np.array(found[0]))
+
+
+def test_pictures_of_two_sizes_are_refused(sequence):
+    first, second = list(sequence.cameras.values())[:2]
+    with pytest.raises(MethodError, match=r"one size for all pictures, got .* with \d+ x \d+ and \d+ x 8; run vins_f"):
+        configuration(AUTHORS, sequence, [first, replace(second, height=8)], {})
 
 
 def test_a_camera_has_the_model_of_its_distortion(sequence, tmp_path):
