@@ -56,7 +56,16 @@ class GtsamFull:
         check_output(self.name, output)
         self.output, self.camera, self.seed, self.mask = output, camera, seed, mask
         self.settings = settings or GtsamFullSettings()
-        sensors = ["mono", "imu", "dvl", "sonar", "pressure", "compass", "altimeter"]
+        used = {
+            "mono": self.settings.pictures,
+            "imu": True,
+            "dvl": self.settings.dvl,
+            "sonar": self.settings.sonar,
+            "pressure": self.settings.depth,
+            "compass": self.settings.compass,
+            "altimeter": self.settings.ranges.enabled,
+        }
+        sensors = [sensor for sensor, is_used in used.items() if is_used]
         self.about = {"sensors": sensors, "online": output == "online", "code": "baselines/gtsam_full"}
 
     @property

@@ -223,6 +223,12 @@ def test_an_unknown_camera_and_an_unknown_output_are_refused():
         GtsamFull(output="best")
 
 
+def test_sensors_that_are_left_out_are_not_stated():
+    assert GtsamFull().about["sensors"] == ["mono", "imu", "dvl", "sonar", "pressure", "compass", "altimeter"]
+    unaided = GtsamFullSettings(dvl=False, sonar=False, pictures=False)
+    assert GtsamFull(settings=unaided).about["sensors"] == ["imu", "pressure", "compass", "altimeter"]
+
+
 def test_sensors_can_be_left_out():
     sequence = dive.SensorDive(2, dive.rig(*ALL), dive.survey_path(4.0))
     assert GtsamFullSettings().sensors(sequence) == ["dvl", "pressure", "magnetometer"]

@@ -240,6 +240,7 @@ def test_every_system_has_a_container_recipe():
     for system in systems().values():
         text = containerfile(system)
         assert f"oysterbench systems build {system.name}" in text
+        assert "not on /data itself" in text  # which would hide the build
         assert all(package in text for package in system.description.packages)
         configured = import_module(f"{system.module}.configure")
         assert system.description.renders == hasattr(configured, "prepare") == ("[render," in text)

@@ -20,6 +20,7 @@ ARG OYSTERBENCH="oysterbench[{extras}]=={VERSION}"
 RUN apt-get update && apt-get install --yes --no-install-recommends {packages} && rm -rf /var/lib/apt/lists/*
 RUN python3 -m venv /opt/oysterbench && /opt/oysterbench/bin/pip install --no-cache-dir "$OYSTERBENCH"
 ENV PATH=/opt/oysterbench/bin:$PATH OYSTERBENCH_HOME=/data
+# The build is in /data/systems: mount volumes on other folders below /data (/data/splits), not on /data itself.
 RUN oysterbench systems build {system.name}
 ENTRYPOINT ["oysterbench"]
 """
