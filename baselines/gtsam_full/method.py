@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array, invert
 from oysterbench.methods import Estimate
 from oysterbench.sequence.types import CameraCalibration, Sequence
@@ -76,6 +77,11 @@ class GtsamFull:
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base with covariances at the stamps of frames, missing ones too, and at the end; and the map."""
         check_inertial(self.name, sequence)
+        if not sequence.cameras and self.camera is None:
+            raise MethodError(
+                f"{self.name}: sequence {sequence.name} has no camera, whose frame rate it needs even without images; "
+                "run dead_reckoning"
+            )
         camera = first_camera(self.name, sequence, self.camera)
         sonars = list(sequence.sonars)[:1] if self.settings.sonar else []
         sensors = [*self.settings.sensors(sequence), *sequence.altimeters, *sonars]

@@ -219,6 +219,10 @@ def test_an_unknown_camera_and_an_unknown_output_are_refused():
     sequence = dive.SensorDive(0, dive.rig("dvl"), dive.survey_path(1.0))
     with pytest.raises(MethodError, match="has no camera 'left'; cameras: none"):
         GtsamFull(camera="left").run(sequence.for_method())
+    with pytest.raises(
+        MethodError, match="has no camera, whose frame rate it needs even without images; run dead_reck"
+    ):
+        GtsamFull(settings=GtsamFullSettings(pictures=False)).run(sequence.for_method())
     with pytest.raises(MethodError, match="'smoothed' or 'online'"):
         GtsamFull(output="best")
 
