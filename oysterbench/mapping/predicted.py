@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from oysterbench.annotations import open_predictions, read_coco
 from oysterbench.annotations.coco import CocoFile, read_json
+from oysterbench.annotations.coco_item import CocoItem, live_of
 from oysterbench.annotations.forms import FORMS
 from oysterbench.annotations.masks import MaskFiles
 from oysterbench.annotations.parts import connected_parts, without_specks
@@ -161,12 +162,12 @@ def _categories(place: Path) -> list[tuple[str, CocoFile]]:
     return [(COCO_STATES[name], read_coco(place, category=name)) for name in dict.fromkeys(chosen)]
 
 
-def _state(values: Mapping[str, Any], category: str) -> str:
-    """State of an annotation: its own, from `state` or the probability `live`, else that of its category."""
-    own, live = values.get("state"), values.get("live")
-    if own is None and isinstance(live, float | int):
-        return _told(live)
-    return str(own or category) if str(own or category) in ("live", "dead") else "unknown"
+def _state(item: CocoItem, category: str) -> str:
+    """State of an annotation: its own, from `state` or the probability `live`, else that of its category. Raises
+    LabelError for another state or probability."""
+    if item.values.get("state") not in (None, ""):
+        return item.state
+    return category if item.values.get("live") is None else _told(live_of(item))
 
 
 def _annotated(
@@ -180,9 +181,9 @@ def _annotated(
         states, scores = {}, {}
         for k, (state, item) in enumerate(items, start=1):
             score = item.score(1.0)
-            if score < threshold or item.values.get("iscrowd"):
+            if score < threshold or item.crowd:
                 continue
             numbers[files[0][1].mask_of(name, item)] = k
-            states[k] = _state(item.values, state)
+            states[k] = _state(item, state)
             scores[k] = score
         yield Seen(stamp_ns, camera, numbers, states, scores)

@@ -1,0 +1,86 @@
+"""COCO annotations as other programs write them: what they mean is read, or refused, never guessed."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from oysterbench.annotations import open_labelled, read_coco
+from oysterbench.core.errors import LabelError
+from tests.helpers.labelled_folders import HEIGHT, WIDTH, picture, write_png
+
+SQUARE = [8, 8, 24, 8, 24, 20, 8, 20]
+FRACTIONS = [0.1, 0.1, 0.5, 0.1, 0.5, 0.5, 0.1, 0.5]
+
+
+def coco_file(path, *annotations):
+    """A file of one image, beside it, and of oysters in it."""
+    write_png(path.parent / f"{path.stem}.png", picture(0))
+    document = {
+        "images": [{"id": 1, "file_name": f"{path.stem}.png", "width": WIDTH, "height": HEIGHT}],
+        "categories": [{"id": 1, "name": "oyster"}],
+        "annotations": [{"id": k, "image_id": 1, "category_id": 1, **one} for k, one in enumerate(annotations)],
+    }
+    path.write_text(json.dumps(document))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("annotation", "what"),
+    [
+        ({"segmentation": [FRACTIONS], "bbox": [0.1, 0.1, 0.4, 0.4]}, "'bbox' in px"),
+        ({"segmentation": [FRACTIONS]}, "corners of polygons in px"),
+        ({"segmentation": [[0, 0, 1.0000001, 0, 1, 0.5]]}, "corners of polygons in px"),
+        ({"segmentation": [SQUARE], "bbox": [0.1, 0.1, 0.4, 0.4]}, "'bbox' in px"),
+    ],
+)
+def test_fractions_of_the_image_are_no_pixels(annotation, what, tmp_path):
+    path = coco_file(tmp_path / "a.json", annotation, annotation)
+    with pytest.raises(
+        LabelError, match=rf"a\.json: expected {what}, got fractions of width and height, \[0.*multiply"
+    ):
+        read_coco(path)
+
+
+@pytest.mark.parametrize(
+    "annotations",
+    [
+        [{"segmentation": [SQUARE], "bbox": [0, 0, 0, 0]}],
+        [{"segmentation": [[0, 0, 1, 0, 1, 1, 0, 1]], "bbox": [0, 0, 1, 1]}],
+        [{"segmentation": [SQUARE]}, {"segmentation": [FRACTIONS], "bbox": []}],
+        [],
+    ],
+)
+def test_a_pixel_in_the_corner_is_no_fraction(annotations, tmp_path):
+    assert read_coco(coco_file(tmp_path / "a.json", *annotations)).names == ("a",)
+
+
+@pytest.mark.parametrize(("value", "crowd"), [(0, False), (1, True), (False, False), (True, True), (None, False)])
+def test_crowds_are_numbers_or_true_and_false(value, crowd, tmp_path):
+    found = open_labelled(coco_file(tmp_path / "a.json", {"segmentation": [SQUARE], "iscrowd": value}))[0]
+    assert (bool(found.ignore.any()), bool(found.oysters.any())) == (crowd, not crowd)
+
+
+@pytest.mark.parametrize("value", ["0", "1", "", 2, [0]])
+def test_another_crowd_is_refused(value, tmp_path):
+    path = coco_file(tmp_path / "a.json", {"segmentation": [SQUARE], "iscrowd": value})
+    with pytest.raises(LabelError, match=r"annotations\[0\]: expected 'iscrowd', 0 or 1 as a number"):
+        open_labelled(path)[0]
+    with pytest.raises(LabelError, match=r"annotations\[0\]: expected 'iscrowd', 0 or 1 as a number"):
+        read_coco(path).instances("a", scored=False)
+
+
+@pytest.mark.parametrize(
+    ("state", "living"), [("Live", {1: True}), ("DEAD ", {1: False}), ("unknown", {}), ("", {}), (None, {})]
+)
+def test_states_are_read_in_either_case(state, living, tmp_path):
+    path = coco_file(tmp_path / "a.json", {"segmentation": [SQUARE], "state": state})
+    assert open_labelled(path)[0].living == living
+
+
+@pytest.mark.parametrize("state", ["alive", 1, False])
+def test_another_state_is_refused(state, tmp_path):
+    path = coco_file(tmp_path / "a.json", {"segmentation": [SQUARE], "state": state})
+    with pytest.raises(LabelError, match=r"annotations\[0\]: expected 'state', live, dead or unknown, got"):
+        open_labelled(path)[0]
