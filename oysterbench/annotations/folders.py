@@ -1,8 +1,8 @@
 """Data sets as folders of masks: images/NAME.png or .jpg, masks/NAME.png, and optional further files.
 
 masks/NAME.png      8 bits: 0 and one other value for oysters (1 or 255, as you like)
-instances/NAME.png  16 or 8 bits, optional: a number for each oyster; without it, each part connected by
-                    edges or corners is one, as in a mask that is scored
+instances/NAME.png  16 or 8 bits, for all images or none: a number for each oyster; without it, each part
+                    connected by edges or corners is one, as in a mask that is scored
 ignore/NAME.png     8 bits, optional: non-zero for pixels to be ignored
 manifest.csv        optional: id, clip, split
 """
@@ -32,14 +32,31 @@ LAYERS = ("images", "masks", "instances", "ignore")
 
 
 def mask_set(folder: Path) -> LabelledSet:
-    """Open the images of such a folder. An image without its mask, or a mask without its image, is refused."""
-    extra = {kind: files_of(folder / kind, ".png") for kind in ("instances", "ignore")}
+    """Open the images of such a folder. Raises LabelError for an image without its mask, or without a file in
+    instances/ where others have one, and for a file in any of the folders that belongs to no image."""
+    extra = {kind: _further(folder / kind) for kind in ("instances", "ignore")}
     entries = []
     for name, row, image, mask in images_with(folder, "masks", ".png"):
+        if extra["instances"] and name not in extra["instances"]:
+            raise LabelError(f"{folder}: image {name} has no instances/{name}.png, but others do; expected all or none")
         further = {kind: files[name] for kind, files in extra.items() if name in files}
         read = partial(_read, image, mask, further, name, row.clip)
         entries.append(Entry(name, row.clip, read, (image, mask, *further.values()), row.split))
+    for kind, files in extra.items():
+        for name in files.keys() - {entry.name for entry in entries}:
+            raise LabelError(
+                f"{files[name]}: no image {name} in images/: name {kind}/NAME.png as its image, or delete it"
+            )
     return LabelledSet(folder.resolve().name, entries)
+
+
+def _further(folder: Path) -> dict[str, Path]:
+    """Files of a folder that need not be there, by name of the image. Raises LabelError for one that is no .png."""
+    found = files_of(folder, ".png")
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if found.get(path.stem) != path and not path.name.startswith("."):
+            raise LabelError(f"{path}: expected .png files alone, named as the images: save it as one, or delete it")
+    return found
 
 
 def _read(image: Path, mask: Path, further: dict[str, Path], name: str, clip: str) -> LabelledImage:

@@ -224,8 +224,15 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
 
 def read_plane(path: Path) -> NDArray[Any]:
     """Read an image file with one channel, or three equal ones, as (H, W) uint8 or uint16. Raises LabelError naming the
-    file."""
+    file, also where its transparency is not opaque: painting programs put masks there, on a ground of any colour."""
     values = _decoded(path, cv2.IMREAD_UNCHANGED)
+    if values.ndim == 3 and values.shape[2] == 4 and values.dtype in (np.uint8, np.uint16):
+        opacity = values[..., 3]
+        if (opacity < np.iinfo(values.dtype).max).any() and ((opacity > 0) != (values[..., 0] > 0)).any():
+            raise LabelError(
+                f"{path}: expected one channel, got transparency that differs from it: put a black ground under the "
+                "mask, flatten the image, and save it as grey without an alpha channel"
+            )
     if values.ndim == 3 and (values[..., :3] == values[..., :1]).all():
         values = values[..., 0]
     if values.ndim != 2 or values.dtype not in (np.uint8, np.uint16):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,20 @@ from oysterbench.core.text import separator
 FILE = "manifest.csv"
 TRAIN, VAL, TEST = "train", "val", "test"
 """Sides on which images are put; where there is a test side, it alone is scored."""
+SIDES = {TRAIN: TRAIN, VAL: VAL, "valid": VAL, "validation": VAL, TEST: TEST}
+"""Side by what programs call it."""
 PICTURES = (".jpg", ".jpeg", ".png")
+
+
+def side_in(name: str) -> str:
+    """Side that the name of a set ends in, as a word of its own, in either case and with or without a number; empty if
+    it ends in none.
+
+    >>> side_in("reef-valid"), side_in("test2017"), side_in("contest")
+    ('val', 'test', '')
+    """
+    found = re.search(rf"(?<![^\W_])({'|'.join(SIDES)})\d*$", name.casefold())
+    return SIDES[found[1]] if found else ""
 
 
 @dataclass(frozen=True)
@@ -28,8 +42,9 @@ class ManifestRow:
 
 def read_manifest(folder: Path) -> dict[str, ManifestRow]:
     """Read the manifest of a folder, by id of an image, in the order of the file; empty if there is no manifest. The
-    columns id and clip are required, split is optional; others are ignored, and so are blanks around values. Separators
-    are commas or semicolons, as spreadsheets write them. Raises LabelError naming the line."""
+    columns id and clip are required, split is optional, each in either case; others are ignored, and so are blanks
+    around values. Separators are commas or semicolons, as spreadsheets write them. Raises LabelError naming the
+    line."""
     path = folder / FILE
     if not path.is_file():
         return {}
@@ -38,10 +53,13 @@ def read_manifest(folder: Path) -> dict[str, ManifestRow]:
         text = path.read_bytes().decode("utf-8-sig")
         lines = io.StringIO(text, newline="")
         reader = csv.DictReader(lines, delimiter=separator(text), skipinitialspace=True)
-        reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
-        missing = {"id", "clip"} - set(reader.fieldnames)
+        columns = reader.fieldnames = [name.strip().casefold() for name in reader.fieldnames or ()]
+        missing = {"id", "clip"} - set(columns)
         if missing:
             raise LabelError(f"{path}:1: expected the columns id, clip and split, missing: {', '.join(missing)}")
+        for name in ("id", "clip", "split"):
+            if columns.count(name) > 1:
+                raise LabelError(f"{path}:1: expected one column {name}, got {columns.count(name)}: delete all but one")
         for values in reader:
             name, clip, split = ((values.get(key) or "").strip() for key in ("id", "clip", "split"))
             if not any(values.values()):  # what is left of a row that was cleared in a spreadsheet
@@ -99,7 +117,15 @@ def images_with(
 
 
 def files_of(folder: Path, *suffixes: str) -> dict[str, Path]:
-    """Files with one of the suffixes by their names without it, in order; empty if there is no folder."""
+    """Files with one of the suffixes by their names without it, in order; empty if there is no folder. Raises
+    LabelError where two differ by their suffix alone."""
     if not folder.is_dir():
         return {}
-    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in suffixes}
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in suffixes and found.setdefault(path.stem, path) != path:
+            raise LabelError(
+                f"{path}: expected one file named {path.stem} here, got {found[path.stem].name}, too: rename or delete "
+                "one of them"
+            )
+    return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -10,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
-from oysterbench.annotations.manifest import images_with
+from oysterbench.annotations.manifest import images_with, side_in
 from oysterbench.core.errors import LabelError
 from oysterbench.core.polygons import rasterise
 from oysterbench.evaluate.detection.instances import OUTSIDE
 
-FILE = "data.yaml"
+FILES = ("data.yaml", "data.yml", "classes.txt")
+"""Files that may name the classes; the first that does is read. classes.txt has a name per line."""
+NAMES = re.compile(rb"^[\"']?names[\"']?\s*:", re.MULTILINE)
+"""What is in a YAML file that names classes."""
 USUAL = {0: "oyster"}
 """Names of the classes where no file gives them."""
 OYSTERS = ("oyster", "oysters")
@@ -26,8 +30,9 @@ def yolo_set(folder: Path) -> LabelledSet:
     """Open a folder with images/, labels/ and, if clips and splits are known, manifest.csv.
 
     A line of a label file is `CLASS x1 y1 x2 y2 ...` in fractions of width and height. Classes have the names that
-    data.yaml in the folder gives them, or in the one above, where train/, valid/ and test/ share it; without one, 0 is
-    oyster. An image without a label file or a number without a name is refused, by file and line; other classes are
+    data.yaml (or another of `FILES`) in the folder gives them, or in the one above, where train/, valid/ and test/
+    share it; without one, 0 is oyster. An image without a label file or a number without a name is refused, by file and
+    line, and so is a YAML file of another name that names further classes; objects of other classes than oyster are
     skipped. Polygons are clipped to the image.
     """
     names, source = _classes(folder)
@@ -39,10 +44,16 @@ def yolo_set(folder: Path) -> LabelledSet:
 
 
 def _classes(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
-    """Names of the classes by number, and the file that gives them, if they are others than without one."""
-    for path in (folder / FILE, folder.resolve().parent / FILE):
+    """Names of the classes by number, and the file that gives them, if they are others than without one. Raises
+    LabelError where that is a YAML file of another name, here or beside folders of sides."""
+    above = folder.resolve().parent
+    for path in (place / name for place in (folder, above) for name in FILES):
         if path.is_file() and (names := read_classes(path)):
             return names, () if names == USUAL else (path,)
+    for place in (folder, above) if side_in(folder.resolve().name) else (folder,):
+        for path in sorted(place.glob("*.y*ml")):
+            if path.is_file() and NAMES.search(path.read_bytes()) and read_classes(path) != USUAL:
+                raise LabelError(f"{path}: expected the names of the classes in {FILES[0]}, got them here: rename it")
     return USUAL, ()
 
 
@@ -55,8 +66,27 @@ def _read(image: Path, label: Path, classes: Mapping[int, str], name: str, clip:
 
 
 def read_classes(path: Path) -> dict[int, str]:
-    """Read the names of the classes from a data.yaml, by number; empty if it names none. Raises LabelError if it cannot
-    be read, or none of them is oyster."""
+    """Read the names of the classes from a file of `FILES`, by number; empty if it names none. Raises LabelError if it
+    cannot be read, or none of them is oyster."""
+    names = _lines(path) if path.suffix == ".txt" else _names(path)
+    if names is None:
+        return {}
+    found = {number: "oyster" if name.lower() in OYSTERS else name for number, name in names.items()}
+    if "oyster" not in found.values():
+        known = ", ".join(f"{number} = {name}" for number, name in found.items())
+        raise LabelError(f"{path}: no class is named 'oyster'; its classes: {known or 'none'}: rename the one meant")
+    return found
+
+
+def _lines(path: Path) -> dict[int, str] | None:
+    try:
+        lines = path.read_text(encoding="utf-8-sig").rstrip().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise LabelError(f"{path}: cannot be read as text: {error}") from None
+    return dict(enumerate(line.strip() for line in lines)) or None
+
+
+def _names(path: Path) -> dict[int, str] | None:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
@@ -67,15 +97,11 @@ def read_classes(path: Path) -> dict[int, str]:
         raise LabelError(f"{path}: {why}; expected the names of the classes under 'names'") from None
     names = content.get("names") if isinstance(content, Mapping) else None
     if names is None:
-        return {}
+        return None
     found = dict(enumerate(names)) if isinstance(names, list) else names
     if not isinstance(found, Mapping) or not all(type(number) is int for number in found):
         raise LabelError(f"{path}: names: expected a list, or number: name, got {str(names)[:60]!r}")
-    found = {number: "oyster" if str(name).lower() in OYSTERS else str(name) for number, name in found.items()}
-    if "oyster" not in found.values():
-        known = ", ".join(f"{number} = {name}" for number, name in found.items())
-        raise LabelError(f"{path}: no class is named 'oyster'; its classes: {known or 'none'}: rename the one meant")
-    return found
+    return {number: str(name) for number, name in found.items()}
 
 
 def read_yolo(path: Path, classes: Mapping[int, str]) -> list[NDArray[np.float64]]:

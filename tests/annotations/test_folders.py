@@ -1,0 +1,145 @@
+"""Labelled folders: each file in them is read, or refused by its name, whatever program wrote it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from oysterbench.annotations import open_labelled, open_predictions, open_truth
+from oysterbench.annotations.manifest import side_in
+from oysterbench.core.errors import LabelError
+from tests.helpers.labelled_folders import HEIGHT, WIDTH, picture, write_png, yolo_folder
+
+TRIANGLE = " 0.25 0.25 0.75 0.25 0.75 0.75\n"
+MASK = np.zeros((HEIGHT, WIDTH), np.uint8)
+MASK[4:20, 8:40] = 255
+
+
+def mask_folder(folder, *names):
+    for k, name in enumerate(names):
+        write_png(folder / "images" / f"{name}.png", picture(k))
+        write_png(folder / "masks" / f"{name}.png", MASK)
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["instances", "ignore"])
+@pytest.mark.parametrize("name", ["a.tif", "a.bmp", "a.jpg"])
+def test_numbers_and_ignored_pixels_in_another_format_are_refused(kind, name, tmp_path):
+    write_png(mask_folder(tmp_path, "a") / kind / name, MASK)
+    with pytest.raises(LabelError, match=rf"{kind}/{name}: expected \.png files alone, named as the images"):
+        open_labelled(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["instances", "ignore"])
+def test_numbers_and_ignored_pixels_of_no_image_are_refused(kind, tmp_path):
+    for name in ("a", "a_inst"):
+        write_png(mask_folder(tmp_path, "a") / kind / f"{name}.png", MASK // 255)
+    with pytest.raises(LabelError, match=rf"{kind}/a_inst\.png: no image a_inst in images/"):
+        open_labelled(tmp_path)
+
+
+def test_oysters_are_numbered_in_all_images_or_none_and_files_of_the_system_are_none(tmp_path):
+    for kind in ("instances", "ignore"):
+        write_png(mask_folder(tmp_path, "a", "b") / kind / "a.png", MASK // 255)
+        (tmp_path / kind / ".DS_Store").write_bytes(b"x")
+    with pytest.raises(LabelError, match=r"image b has no instances/b\.png, but others do; expected all or none"):
+        open_labelled(tmp_path)
+    write_png(tmp_path / "instances" / "b.png", MASK // 255)
+    assert [bool(one.ignore.any()) for one in open_labelled(tmp_path)] == [True, False]
+
+
+@pytest.mark.parametrize("mode", ["LA", "RGBA", "RGBA on black"])
+def test_a_mask_that_is_painted_in_the_transparency_is_refused(mode, tmp_path):
+    """As white paint on a transparent white ground; as black paint on a transparent black one."""
+    from PIL import Image
+
+    paint = Image.fromarray(np.full_like(MASK, 0 if "black" in mode else 255))
+    planes = [paint] * (1 if mode == "LA" else 3)
+    painted = Image.merge(mode.partition(" ")[0], (*planes, Image.fromarray(MASK)))
+    painted.save(mask_folder(tmp_path / "set", "a") / "masks" / "a.png")
+    with pytest.raises(LabelError, match=r"masks/a\.png: expected one channel, got transparency"):
+        open_labelled(tmp_path / "set")[0]
+    with pytest.raises(LabelError, match=r"a\.png: expected one channel, got transparency"):
+        open_predictions(tmp_path / "set" / "masks").get("a")
+    with pytest.raises(LabelError, match=r"a\.png: expected one channel, got transparency"):
+        list(open_truth(tmp_path / "set" / "masks")[0].images())
+
+
+@pytest.mark.parametrize("opacity", [np.full_like(MASK, 255), MASK, MASK // 2])
+def test_a_mask_whose_transparency_says_the_same_or_nothing_is_read(opacity, tmp_path):
+    cv2.imwrite(str(mask_folder(tmp_path, "a") / "masks" / "a.png"), np.dstack([MASK] * 3 + [opacity]))
+    assert np.array_equal(open_labelled(tmp_path)[0].oysters, MASK > 0)
+
+
+@pytest.mark.parametrize("twice", ["images/a.JPG", "images/a.jpeg", "labels/a.TXT"])
+def test_two_files_for_one_image_are_refused(twice, tmp_path):
+    folder = yolo_folder(tmp_path, {"a": ""})
+    (folder / twice).write_bytes(b"")
+    with pytest.raises(LabelError, match=r"a\.\w+: expected one file named a here, got a\.\w+, too"):
+        open_labelled(folder)
+
+
+@pytest.mark.parametrize("heading", ["id,clip,Split", "ID,Clip,SPLIT"])
+def test_columns_of_a_manifest_are_known_in_either_case(heading, tmp_path):
+    manifest = f"{heading}\na,one,train\nb,two,test\n"
+    folder = yolo_folder(tmp_path, {"a": "", "b": ""}, manifest)
+    assert open_labelled(folder).splits == ("train", "test")
+    assert [one.names for one in open_truth(folder)] == [("b",)]
+
+
+def test_a_manifest_with_two_columns_of_one_name_is_refused(tmp_path):
+    folder = yolo_folder(tmp_path, {"a": ""}, "id,clip,split,Split\na,one,test,train\n")
+    with pytest.raises(LabelError, match=r"manifest\.csv:1: expected one column split, got 2"):
+        open_labelled(folder)
+
+
+@pytest.mark.parametrize("place", [".", ".."])
+@pytest.mark.parametrize(
+    ("name", "text"), [("classes.txt", "barnacle\nOyster\n\n"), ("data.yml", "names: [barnacle, oyster]\n")]
+)
+def test_classes_have_the_names_of_other_files_too(name, text, place, tmp_path):
+    folder = yolo_folder(tmp_path / "set", {"a": "0" + TRIANGLE, "b": "1" + TRIANGLE})
+    before = open_labelled(folder).digest()
+    (folder / place / name).write_text(text)
+    found = open_labelled(folder)
+    assert [bool(one.oysters.any()) for one in found] == [False, True]
+    assert found.digest() != before
+
+
+def test_class_names_in_a_yaml_file_of_any_name_are_not_ignored(tmp_path):
+    folder = yolo_folder(tmp_path / "train", {"a": "0" + TRIANGLE})
+    for place in (folder, tmp_path):
+        (place / "settings.yaml").write_text("epochs: 3\n")
+        (place / "reef.yaml").write_text("nc: 1\nnames: [oyster]\n")
+        assert open_labelled(folder)[0].oysters.any()
+        (place / "reef.yaml").write_text("nc: 2\nnames: [barnacle, oyster]\n")
+        with pytest.raises(LabelError, match=r"reef\.yaml: expected the names of the classes in data\.yaml"):
+            open_labelled(folder)
+        (place / "reef.yaml").rename(place / "data.yaml")
+        assert not open_labelled(folder)[0].oysters.any()
+        (place / "data.yaml").unlink()
+
+
+def test_a_list_of_classes_without_oysters_is_refused(tmp_path):
+    folder = yolo_folder(tmp_path, {"a": ""})
+    (folder / "classes.txt").write_text("crab\nshell\n")
+    with pytest.raises(LabelError, match=r"classes\.txt: no class is named 'oyster'; its classes: 0 = crab, 1 = shell"):
+        open_labelled(folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "side"),
+    [
+        ("seg-train", "train"),
+        ("valid", "val"),
+        ("reef_Validation", "val"),
+        ("reef.v2-TEST", "test"),
+        ("instances_val2017", "val"),
+        ("contest", ""),
+        ("test-hard", ""),
+        ("rétest", ""),
+    ],
+)
+def test_a_name_says_its_side_as_a_last_word_of_its_own(name, side):
+    assert side_in(name) == side
