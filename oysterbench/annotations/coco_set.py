@@ -11,16 +11,18 @@ from numpy.typing import NDArray
 
 from oysterbench.annotations.coco import CocoFile, CocoImage, read_coco
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
+from oysterbench.annotations.manifest import side_in
 from oysterbench.core.errors import LabelError
 from oysterbench.core.places import leads_out
 
 
-def coco_set(path: Path) -> LabelledSet:
+def coco_set(path: Path, whole: bool = False) -> LabelledSet:
     """Open the images of a COCO file, found beside it, or in images/ beside it, by their file_name.
 
-    Annotations of the category "oyster" are instances; those with iscrowd = 1 become pixels to be ignored; those of
-    other categories are skipped. The keys clip and split of an image are used if present; without them, each image is
-    a clip of its own. Raises LabelError naming the item that is wrong.
+    It is named as the file; as its folder if this alone names a side (`side_in`), or if `whole`, where the folder was
+    meant. Annotations of the category "oyster" are instances; those with iscrowd = 1 become pixels to be ignored; those
+    of other categories are skipped. The keys clip and split of an image are used if present; without them, each image
+    is a clip of its own. Raises LabelError naming the item that is wrong.
     """
     coco = read_coco(path)
     entries = []
@@ -35,7 +37,10 @@ def coco_set(path: Path) -> LabelledSet:
             raise LabelError(f"{path}: image {key}: no file {image.file_name} beside it, nor in images/")
         clip = image.clip or image.name
         entries.append(Entry(image.name, clip, partial(_read, coco, image, file, clip), (file, path), image.split))
-    return LabelledSet(path.resolve().parent.name, entries)
+    folder = path.resolve().parent.name
+    # Roboflow calls each file _annotations.coco.json, in folders train/, valid/ and test/.
+    named = folder if whole or (side_in(folder) and not side_in(path.stem)) else path.stem
+    return LabelledSet(named, entries)
 
 
 def picture_file(path: Path, image: CocoImage) -> Path | None:

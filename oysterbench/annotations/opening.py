@@ -34,7 +34,9 @@ def open_labelled(path: str | Path) -> LabelledSet:
     if found[0] == "sequences":
         from oysterbench.annotations.sequences import sequence_set
 
-        return sequence_set(path.stem, [path] if path.is_file() else sorted(path.glob("*.mcap")))
+        if path.is_file():
+            return sequence_set(path.stem, [path])
+        return sequence_set(path.resolve().name, sorted(path.glob("*.mcap")))
     if found[0] == "yolo":
         from oysterbench.annotations.yolo import yolo_set
 
@@ -45,7 +47,7 @@ def open_labelled(path: str | Path) -> LabelledSet:
         return mask_set(path)
     from oysterbench.annotations.coco_set import coco_set
 
-    return coco_set(path if path.is_file() else next(iter(sorted(path.glob("*.json")))))
+    return coco_set(path) if path.is_file() else coco_set(next(iter(sorted(path.glob("*.json")))), whole=True)
 
 
 def kinds_at(path: Path) -> list[str]:

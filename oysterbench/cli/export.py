@@ -58,8 +58,8 @@ def export(what: tuple[str, ...], form: str, out: Path, truth: bool, as_json: bo
       oysterbench export seg-train --format webdataset --out oysters-tars
 
     A sequence is a file (.mcap) or a folder in EuRoC layout. Labelled images come from splits, which are rendered if
-    missing, recipes (.toml), sequence files, or folders with images and labels. A name ending in -train, -val or -test
-    says which part its images belong to.
+    missing, recipes (.toml), sequence files, or folders with images and labels. Sides that they state are parts;
+    else a name such as reef-train, reef-val (or valid), reef_test or test says which part its images belong to.
 
     The folder is written completely or not at all; an interrupted export leaves nothing and starts again.
     """

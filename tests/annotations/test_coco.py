@@ -84,3 +84,12 @@ def test_another_state_is_refused(state, tmp_path):
     path = coco_file(tmp_path / "a.json", {"segmentation": [SQUARE], "state": state})
     with pytest.raises(LabelError, match=r"annotations\[0\]: expected 'state', live, dead or unknown, got"):
         open_labelled(path)[0]
+
+
+def test_a_file_is_named_as_itself_and_by_roboflow_as_its_folder(tmp_path):
+    for name in ("site/reef-test", "site/reef-val", "valid/_annotations.coco", "site/reef"):
+        path = tmp_path / f"{name}.json"
+        path.parent.mkdir(exist_ok=True)
+        coco_file(path)
+        assert open_labelled(path).name == (path.parent.name if "coco" in name else path.stem)
+    assert open_labelled(tmp_path / "valid").name == "valid"

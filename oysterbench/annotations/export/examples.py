@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet
-from oysterbench.annotations.manifest import TEST, TRAIN, VAL
+from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, read_picture
+from oysterbench.annotations.manifest import SIDES, TEST, TRAIN, VAL, side_in
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import decode_picture
 from oysterbench.recipe import CLASSES, OYSTER
@@ -71,15 +71,16 @@ class Example:
 
 
 def parted(sets: Sequence[LabelledSet]) -> Parts:
-    """Divide the images into parts, train, val and test first; their names, from sides that may be any text, are what
-    Hugging Face allows for a split: letters, digits and `_`. Raises LabelError if two images have the same file name,
-    or two sides the same name as parts."""
+    """Divide the images into parts, train, val and test first: by the sides that sets state, else by their names
+    (`side_in`), else train. Names of parts, from sides that may be any text, are what Hugging Face allows for a split:
+    letters, digits and `_`. Raises LabelError if two images have the same file name, or two sides the same name as
+    parts."""
     found: Parts = {TRAIN: [], VAL: [], TEST: []}
     sides: dict[str, str] = {}
     for one in sets:
-        own = next((part for part in (TRAIN, VAL, TEST) if one.name.endswith(f"-{part}")), TRAIN)
+        own = side_in(one.name) or TRAIN
         for entry in one.entries:
-            side = entry.split or own
+            side = SIDES.get(entry.split, entry.split) or own
             part = re.sub(r"\W", "_", side)
             if sides.setdefault(part, side) != side:
                 raise LabelError(f"the sides {sides[part]!r} and {side!r} are both named {part} in files: rename one")
@@ -102,22 +103,36 @@ def key_of(name: str) -> str:
     >>> key_of("mini-01/cam_front/1767225600000000000")
     'mini-01_cam_front_1767225600000000000'
     """
-    return re.sub(r"[^A-Za-z0-9_-]", "-", name.replace("/", "_"))
+    return re.sub(r"(?=[\0-\x7f])[^\w-]|[\s\ud800-\udfff]", "-", name.replace("/", "_"))
 
 
-def examples(entries: Sequence[Entry]) -> Iterator[Example]:
-    """Read each image, with its image file: the stored bytes if they decode to the same pixels, else a PNG."""
+def examples(entries: Sequence[Entry], suffix: str | None = None) -> Iterator[Example]:
+    """Read each image, with its image file: the stored bytes if they decode to the same pixels, else a PNG. suffix: the
+    only one of stored bytes to be used."""
     for entry in entries:
         image = entry.read()
-        suffix, data = _stored(entry, image) or ("png", png_bytes(image.pixels))
-        yield Example(key_of(entry.name), image, suffix, data)
+        stored = _stored(entry, image.pixels)
+        if stored is None or suffix not in (None, stored[0]):
+            stored = "png", png_bytes(image.pixels)
+        yield Example(key_of(entry.name), image, *stored)
 
 
-def _stored(entry: Entry, image: LabelledImage) -> tuple[str, bytes] | None:
-    """Suffix and bytes of the image file in its set; None if it decodes to other pixels, as when EXIF asks the viewer
-    to rotate it."""
+def common_suffix(entries: Iterable[Entry]) -> str:
+    """Return the suffix with which all images can be written: jpg if each is stored as a JPEG that decodes to its
+    pixels, else png."""
+    stored = (_stored(entry, None if _in_sequence(entry) else read_picture(entry.files[0])) for entry in entries)
+    return "jpg" if all(found is not None and found[0] == "jpg" for found in stored) else "png"
+
+
+def _in_sequence(entry: Entry) -> bool:
+    return entry.files[0].suffix == ".mcap"
+
+
+def _stored(entry: Entry, expected: NDArray[np.uint8] | None) -> tuple[str, bytes] | None:
+    """Suffix and bytes of the image file in its set; None if it decodes to other pixels than expected, as when EXIF
+    asks the viewer to rotate it. expected: not needed of an image in a sequence."""
     file = entry.files[0]
-    if file.suffix == ".mcap":
+    if _in_sequence(entry):
         camera, stamp = entry.name.rsplit("/", 2)[1:]
         found = next(encoded_pictures(_opened(file), camera, int(stamp), int(stamp) + 1), None)
         return None if found is None else (SUFFIXES[found.form], found.data)
@@ -126,7 +141,8 @@ def _stored(entry: Entry, image: LabelledImage) -> tuple[str, bytes] | None:
         return None
     data = file.read_bytes()
     pixels = decode_picture(data, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
-    return (suffix, data) if pixels is not None and np.array_equal(pixels, image.pixels) else None
+    same = pixels is not None and expected is not None and np.array_equal(pixels, expected)
+    return (suffix, data) if same else None
 
 
 @lru_cache(maxsize=4)
@@ -136,4 +152,4 @@ def _opened(file: Path) -> OpenSequence:
 
 def rendered(parts: Parts) -> bool:
     """Whether all images come from sequences, and none are photographs."""
-    return all(entry.files[0].suffix == ".mcap" for entries in parts.values() for entry in entries)
+    return all(_in_sequence(entry) for entries in parts.values() for entry in entries)

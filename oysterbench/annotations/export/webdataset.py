@@ -1,6 +1,7 @@
 """WebDataset: data/PART-00000.tar and on, each image as consecutive files KEY.image.jpg, KEY.class.png, and so on.
 
-`webdataset` and `datasets` read them as streams. The tar files contain no time, owner or mode of this machine.
+`webdataset` and `datasets` read them as streams; `datasets` wants the same fields in every sample, so that all images
+are .jpg or all are .png. The tar files contain no time, owner or mode of this machine.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from oysterbench.annotations.export.card import write_card
-from oysterbench.annotations.export.examples import Example, Parts, examples
+from oysterbench.annotations.export.examples import Example, Parts, common_suffix, examples
 from oysterbench.sequence.pictures import png_bytes
 
 SHARD_BYTES = 300_000_000
@@ -25,10 +26,11 @@ def write(name: str, parts: Parts, folder: Path, step: Callable[[], None], shard
     data = folder / "data"
     data.mkdir()
     notes, objects = [], {}
+    suffix = common_suffix(entry for entries in parts.values() for entry in entries)
     for part, entries in parts.items():
         objects[part] = 0
         with _shards(data, part, shard_bytes) as add:
-            for example in examples(entries):
+            for example in examples(entries, suffix):
                 files = files_of(example)
                 objects[part] += len(json.loads(files["json"])["objects"])
                 add(example.key, files)

@@ -47,6 +47,11 @@ def write(name: str, parts: Parts, folder: Path, step: Callable[[], None]) -> li
             step()
     for task in (SEGMENT, DETECT):
         (folder / task / "data.yaml").write_text(_data(name, task, parts), encoding="utf-8")
+    if TRAIN not in parts:
+        notes.append(
+            f"no image is of a side {TRAIN}: data.yaml names images/{TRAIN} all the same, as YOLO requires, and is for "
+            "validation alone"
+        )
     counts = ", ".join(f"{len(entries)} {part}" for part, entries in parts.items())
     if ignored:
         notes.append(
@@ -132,8 +137,8 @@ def _line(values: list[float]) -> str:
 
 
 def _data(name: str, task: str, parts: Parts) -> str:
-    """Content of data.yaml, with paths relative to its folder; YOLO always requires a train and a val."""
-    only = next(iter(parts))
-    places = {part: part if part in parts else only for part in (TRAIN, VAL)} | {part: part for part in parts}
+    """Content of data.yaml, with paths relative to its folder; YOLO always requires a train and a val, of which no
+    other side is trained on."""
+    places = {TRAIN: TRAIN, VAL: VAL if VAL in parts else next(iter(parts)), **{part: part for part in parts}}
     lines = [f"{part}: images/{place}" for part, place in places.items()]
     return "\n".join([f"# oysterbench {name}, labels to {task}", *lines, "names:", "  0: oyster", ""])

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 import oysterbench
 from oysterbench.annotations import LabelledSet, open_labelled
@@ -23,7 +24,7 @@ from oysterbench.annotations.export.webdataset import write as write_webdataset
 from oysterbench.core.errors import LabelError, MissingExtraError
 from oysterbench.recipe import CLASSES
 from oysterbench.sequence.pictures import encoded_pictures
-from tests.helpers.labelled_folders import yolo_folder
+from tests.helpers.labelled_folders import picture, yolo_folder
 
 ELSEWHERE = "/"
 """Where a program starts that imports `datasets`: in the checkout that is the folder of splits."""
@@ -154,6 +155,35 @@ def test_of_anybodys_photographs_no_licence_is_claimed_and_their_files_are_passe
     for key, sample in found.items():
         (file,) = (source / "images").glob(f"{key}.*")
         assert sample[f"image.{file.suffix[1:]}"] == file.read_bytes()
+
+
+def jpeg(path: Path, orientation: int = 1) -> None:
+    pixels = Image.fromarray(picture(0))
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    pixels.save(path, exif=exif)
+
+
+@pytest.mark.parametrize("other", ["png", "turned"])
+def test_all_samples_have_the_same_fields_as_readers_want_it(other, tmp_path):
+    """Also where some cannot be passed on as they are stored."""
+    source = yolo_folder(tmp_path / "mine", {"a": "", "b": ""}, "id,clip,split\na,one,train\nb,two,test\n")
+    for name in "ab"[: 1 if other == "png" else 2]:
+        (source / "images" / f"{name}.png").unlink()
+        jpeg(source / "images" / f"{name}.jpg", 3 if name == "b" else 1)
+    mixed = open_labelled(source)
+    folder, _ = export_set([mixed], "webdataset", tmp_path / "out")
+    for sample, one in zip(samples(folder).values(), sorted(mixed, key=lambda one: one.name != "b"), strict=True):
+        assert sorted(sample) == ["class.png", "ignore.png", "image.png", "instance.png", "json"]
+        assert np.array_equal(plane(sample["image.png"])[..., ::-1], one.pixels)
+    folder, _ = export_set([mixed.of_split("train")], "webdataset", tmp_path / "alone")
+    assert samples(folder)["a"]["image.jpg"] == (source / "images" / "a.jpg").read_bytes()
+
+
+def test_names_in_any_script_are_told_apart(tmp_path):
+    source = yolo_folder(tmp_path / "mine", {"牡蛎": "", "海底": "", "क": "", "कि": ""})
+    folder, _ = export_set([open_labelled(source)], "webdataset", tmp_path / "out")
+    assert sorted(samples(folder)) == sorted(["牡蛎", "海底", "क", "कि"])
 
 
 def test_sides_of_any_name_are_parts_that_hugging_face_can_tell_apart(tmp_path):

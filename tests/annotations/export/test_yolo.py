@@ -11,11 +11,12 @@ import yaml
 
 from oysterbench.annotations import open_labelled
 from oysterbench.annotations.export import export_set
-from oysterbench.annotations.export.examples import examples, key_of
+from oysterbench.annotations.export.examples import examples, key_of, parted
 from oysterbench.annotations.export.yolo import joined_polygon, oyster_masks, with_val
 from oysterbench.annotations.image import Entry
 from oysterbench.annotations.yolo import read_yolo
 from oysterbench.core.polygons import mask_polygons, rasterise
+from tests.helpers.labelled_folders import yolo_folder
 
 OYSTER = {0: "oyster"}
 
@@ -139,5 +140,45 @@ def test_a_part_for_validation_is_taken_as_it_is():
     assert with_val(parts) == (parts, [])
 
 
+def pictures(folder: Path) -> list[str]:
+    images = folder / "segment" / "images"
+    return sorted(path.relative_to(images).as_posix() for path in images.rglob("*.png"))
+
+
+def test_folders_called_as_roboflow_calls_them_are_these_parts(tmp_path):
+    sides = ("train", "valid", "test")
+    sets = [open_labelled(yolo_folder(tmp_path / "reef" / side, {f"of-{side}": ""})) for side in sides]
+    out, notes = export_set(sets, "yolo", tmp_path / "out")
+    assert pictures(out) == ["test/of-test.png", "train/of-train.png", "val/of-valid.png"]
+    assert notes == ["1 train, 1 val, 1 test; class 0 is oyster"]
+
+
+@pytest.mark.parametrize("side", ["valid", "Validation", "val"])
+def test_the_side_for_validation_is_that_of_a_manifest_whatever_it_is_called(side, tmp_path):
+    manifest = f"id,clip,split\na,one,train\nb,two,train\nc,three,{side}\n"
+    source = yolo_folder(tmp_path / "reef", dict.fromkeys("abc", ""), manifest)
+    out, _ = export_set([open_labelled(source)], "yolo", tmp_path / "out")
+    assert pictures(out) == ["train/a.png", "train/b.png", "val/c.png"]
+
+
+@pytest.mark.parametrize("side", ["test", "spring"])
+def test_without_a_side_for_training_no_other_is_trained_on_and_that_is_said(side, tmp_path):
+    source = yolo_folder(tmp_path / "reef", {"a": ""}, f"id,clip,split\na,one,{side}\n")
+    out, notes = export_set([open_labelled(source)], "yolo", tmp_path / "out")
+    for task in ("segment", "detect"):
+        data = yaml.safe_load((out / task / "data.yaml").read_text())
+        assert (data["train"], data["val"], data[side]) == ("images/train", f"images/{side}", f"images/{side}")
+        assert [path.name for path in (out / task / "images").iterdir()] == [side]
+    assert notes[1].startswith("no image is of a side train")
+
+
+def test_the_part_of_a_folder_of_sequences_is_that_of_its_whole_name(dive_file, tmp_path):
+    folder = tmp_path / "reef.v2-test"
+    folder.mkdir()
+    (folder / dive_file.name).symlink_to(dive_file)
+    assert list(parted([open_labelled(folder)])) == ["test"]
+
+
 def test_names_become_names_of_files():
     assert key_of("set/a b/cam.left/17") == "set_a-b_cam-left_17"
+    assert key_of("牡蛎 (1)/कि\u3000é\udcff.x") == "牡蛎--1-_कि-é--x"
