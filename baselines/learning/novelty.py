@@ -2,8 +2,9 @@
 
 The Mahalanobis distance of the image's features in the network's own encoder from those of the training images (Lee et
 al. 2018), with a shrunk covariance (Ledoit & Wolf 2004), as there are no more images than features. The scale comes
-from the training data itself: each of its clips is left out in turn and measured against the others. 1 is the distance
-that one in a hundred training images exceeds in this way.
+from the training data itself: each of its clips is left out in turn and measured against the others; where clips are
+not known, parts of the images in the order of their names. 1 is the distance that one in a hundred training images
+exceeds in this way.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+
+from oysterbench.annotations import Entry, runs_of
 
 USUAL = 0.99
 """Share of the training images, each measured against the other clips, with a distance below 1."""
@@ -51,8 +54,23 @@ class Novelty:
         return cls(state["centre"].numpy().astype(float), state["white"].numpy().astype(float), float(state["limit"]))
 
 
+def clips_of(entries: Sequence[Entry]) -> list[str]:
+    """Name of what each image is left out with: its clip, or, where that is not known, a part of the images that follow
+    each other (`annotations.runs_of`), as neighbours resemble each other as those of a clip do."""
+    runs = runs_of(entries)
+    unknown = [run for run in runs if not run.known]
+    parts = max(1, (FOLDS - len(runs) + len(unknown)) // max(1, len(unknown)))
+    names: dict[str, str] = {}
+    for k, run in enumerate(runs):
+        count = 1 if run.known else min(parts, len(run.entries))
+        for place, entry in enumerate(run.entries):
+            names[entry.name] = f"{k}/{place * count // len(run.entries)}"
+    return [names[entry.name] for entry in entries]
+
+
 def learnt(alike: Array, clips: Sequence[str]) -> Novelty:
-    """Fit the novelty to the features (N, C) of the training images, N >= 2. clips: the clip of each image."""
+    """Fit the novelty to the features (N, C) of the training images, N >= 2. clips: what each image is left out with
+    (`clips_of`)."""
     folds = _folds(clips)
     distances = np.concatenate(
         [_spread(alike[folds != fold]).of(alike[folds == fold]) for fold in range(int(folds.max()) + 1)]

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations import Entry, LabelledImage, LabelledSet, ends_of
+from oysterbench.annotations import LabelledImage, LabelledSet, ends_of, runs_of
 from oysterbench_baselines.learning.masks import probability
 from oysterbench_baselines.learning.samples import Floats
 from oysterbench_baselines.unet.instances import LARGEST, Division, Instances, find_instances, means
@@ -75,20 +75,13 @@ def kept_back(labelled: LabelledSet) -> tuple[LabelledSet, LabelledSet]:
     """Split a set into the images to train on and those to measure on; the latter are none where there are too few.
     Images that several cameras took at the same instant fall on the same side, and of images whose clips are not known
     those that follow each other by name, as frames of a video."""
-    by_clip: dict[tuple[str, bool], list[Entry]] = {}
-    for entry in labelled.entries:
-        alone = entry.clip == entry.name  # as where nothing says which images are of one clip
-        clip = entry.name.rpartition("/")[0] if alone else entry.clip
-        by_clip.setdefault((clip, alone), []).append(entry)
     kept: set[str] = set()
     short = 0
-    for (_, alone), entries in by_clip.items():
-        if alone:
-            entries.sort(key=lambda entry: entry.name)
-        ends = ends_of(entries, 1 / SHARE)
+    for run in runs_of(labelled.entries):
+        ends = ends_of(run.entries, 1 / SHARE)
         if not ends:
             short += 1
-            ends = entries if short % SHARE == 0 else []
+            ends = list(run.entries) if short % SHARE == 0 else []
         kept |= {entry.name for entry in ends}
     return labelled.where(lambda entry: entry.name not in kept), labelled.where(lambda entry: entry.name in kept)
 

@@ -20,7 +20,7 @@ from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_b
 from oysterbench_baselines.learning.checkpoint import Checkpoint, in_half_precision, read_checkpoint
 from oysterbench_baselines.learning.loop import FitSettings, Progress, channels_last, fit
 from oysterbench_baselines.learning.losses import mask_loss
-from oysterbench_baselines.learning.novelty import learnt
+from oysterbench_baselines.learning.novelty import clips_of, learnt
 from oysterbench_baselines.learning.samples import LabelledDataset
 from oysterbench_baselines.unet.calibration import LEAST, Calibration, evenly, kept_back
 from oysterbench_baselines.unet.calibration import measured as calibrated
@@ -173,7 +173,7 @@ def measure(
             alike.append(model.alike(entry.read().pixels))
             progress(k, len(taken))
         if len(taken) > 1:
-            found["novelty"] = learnt(np.array(alike), [entry.clip for entry in taken]).state()
+            found["novelty"] = learnt(np.array(alike), clips_of(taken)).state()
     return found
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -75,22 +75,6 @@ class Entry:
     read: Callable[[], LabelledImage]
     files: tuple[Path, ...]
     split: str = ""
-
-    @property
-    def camera(self) -> str:
-        """What took it, as far as names say: frames of sequences are named SEQUENCE/CAMERA/STAMP, or with dashes or
-        underscores in folders. Empty where a name does not end in a number."""
-        return self._taken[0]
-
-    @property
-    def instant(self) -> str:
-        """When it was taken, as far as names say: the same for cameras that looked at the same time."""
-        return self._taken[1]
-
-    @property
-    def _taken(self) -> tuple[str, str]:
-        camera, _, instant = self.name.replace("/", "-").replace("_", "-").rpartition("-")
-        return (camera, instant) if instant.isdecimal() else ("", self.name)
 
 
 class LabelledSet:
@@ -166,30 +150,6 @@ def planes_of(
         on_top = mask & (area <= areas)
         instances[on_top], areas[on_top] = number, area
     return np.where(instances > 0, OYSTER, 0).astype(np.uint8), instances
-
-
-def ends_of(entries: Sequence[Entry], share: float) -> list[Entry]:
-    """Select the last share (rounded down) of what each camera took, of the images of one clip in order of time; an
-    image of another camera at the same instant, which shows the same ground, is selected too. Where that is less than
-    half of this share of all images, as most cameras took too few, the last share of all instants, or of all images, is
-    selected."""
-    cameras: dict[str, list[Entry]] = {}
-    for entry in entries:
-        cameras.setdefault(entry.camera, []).append(entry)
-    ends = (entry for taken in cameras.values() for entry in taken[len(taken) - int(share * len(taken)) :])
-    instants = {entry.instant for entry in ends}
-    found = [entry for entry in entries if entry.instant in instants]
-    return found if found and len(found) >= share * len(entries) / 2 else _last_of(entries, share)
-
-
-def _last_of(entries: Sequence[Entry], share: float) -> list[Entry]:
-    """Select the images of the last share of all instants, at least of one; where these are more than twice the share
-    of all images, as of many cameras at few instants, or less than half of it, as of cameras that took more images than
-    others, select the last share of the images as they stand."""
-    instants = sorted({entry.instant for entry in entries}, key=lambda instant: (len(instant), instant))
-    last = instants[-max(1, int(share * len(instants))) :]
-    found, most = [entry for entry in entries if entry.instant in last], int(share * len(entries))
-    return found if most / 2 <= len(found) <= 2 * most else list(entries[len(entries) - most :])
 
 
 def joined(sets: Iterable[LabelledSet], name: str) -> LabelledSet:

@@ -7,7 +7,8 @@ import pytest
 
 pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
-from oysterbench_baselines.learning.novelty import Novelty, learnt
+from oysterbench.annotations import Entry
+from oysterbench_baselines.learning.novelty import Novelty, clips_of, learnt
 
 SIZE = 60
 
@@ -52,6 +53,33 @@ def test_a_feature_that_never_varied_tells_when_it_does():
 def test_one_clip_alone_is_left_out_in_parts(clips, each):
     alike, names = pictures(5, clips, each)
     assert np.isfinite(learnt(alike, names).of(alike)).all()
+
+
+def entries_of(clips: list[str], known: bool) -> list[Entry]:
+    names = [f"f{k:04}" for k in range(len(clips))]
+    return [
+        Entry(name, clip if known else name, lambda: pytest.fail("it was read"), ())
+        for name, clip in zip(names, clips, strict=True)
+    ]
+
+
+def test_where_no_clips_are_known_neighbours_are_left_out_together():
+    """Or each would be measured against its neighbours, and all of another dive would be called novel."""
+    alike, clips = pictures(7, 20, 30, spread=3.0)
+    known, alone = (learnt(alike, clips_of(entries_of(clips, known))) for known in (True, False))
+    assert known.limit == learnt(alike, clips).limit
+    assert alone.limit == pytest.approx(known.limit, rel=0.1)
+    others, _ = pictures(8, 20, 30, spread=3.0)
+    assert (alone.of(others) > 1).mean() < 0.1
+
+
+def test_what_is_left_out_follows_names_and_folders_not_the_order_of_reading():
+    names = [f"a/{k:02}" for k in range(40)]
+    mixed = [Entry(name, name, lambda: pytest.fail("it was read"), ()) for name in reversed(names)]
+    parts = clips_of([*mixed, Entry("b/0", "b", lambda: pytest.fail("it was read"), ())])
+    assert len(set(parts)) == 20
+    assert parts[:40] == sorted(parts[:40], key=parts.index)
+    assert parts[0] == parts[1] != parts[-1]
 
 
 def test_it_is_kept_as_plain_tensors():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 
 import numpy as np
 import pytest
@@ -179,3 +180,27 @@ QUADRATS = [f"q{k:02}-{n:02}" for k in range(1, 31) for n in range(1, 11 if k ==
 def test_of_few_images_of_each_camera_the_last_of_all_are_kept_back(names, held):
     entries = [Entry(name, "reef", lambda: pytest.fail("it was read"), ()) for name in names]
     assert [entry.name for entry in kept_back(LabelledSet("set", entries))[1].entries] == held
+
+
+@pytest.mark.parametrize(
+    "form", ["%Y-%m-%d_%H-%M-%S", "GX01_%M-%S", "dive/%Y_%m_%d_%H_%M_%S", "reef-%Y-%m-%dT%H-%M-%S"]
+)
+@pytest.mark.parametrize("clip", ["", "dive"])
+def test_of_names_that_hold_a_time_in_parts_the_last_are_kept_back(form, clip):
+    """And not those of the last seconds of each minute, or minutes of each hour, between others."""
+    start = datetime.datetime(2026, 5, 1, 10, 0)
+    for step in (2, 7, 17):
+        names = [(start + datetime.timedelta(seconds=step * k)).strftime(form) for k in range(200)]
+        entries = [Entry(name, clip or name, lambda: pytest.fail("it was read"), ()) for name in names]
+        assert [entry.name for entry in kept_back(LabelledSet("set", entries))[1].entries] == names[-20:]
+
+
+def test_where_no_clips_are_known_numbers_of_quadrats_are_no_times():
+    """Or the last image of each would be held out, and the others of the same ground learnt from."""
+    names = [f"q{k:02}-{n:02}" for k in range(1, 31) for n in range(1, 13)]
+    entries = [Entry(name, name, lambda: pytest.fail("it was read"), ()) for name in names]
+    assert [entry.name for entry in kept_back(LabelledSet("set", entries))[1].entries] == names[-36:]
+    cameras = [f"dive{d}-{side}-{n:04}" for d in range(3) for side in ("left", "right") for n in range(100)]
+    entries = [Entry(name, name, lambda: pytest.fail("it was read"), ()) for name in cameras]
+    held = [entry.name for entry in kept_back(LabelledSet("set", entries))[1].entries]
+    assert held == [name for name in cameras if name[-4:] >= "0090"]

@@ -6,16 +6,16 @@ height. An oyster that others divide into pieces is one polygon, whose pieces ar
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.export.examples import Example, Parts, examples
-from oysterbench.annotations.image import Entry, ends_of
+from oysterbench.annotations.image import Entry
 from oysterbench.annotations.manifest import TRAIN, VAL
+from oysterbench.annotations.runs import ends_of, runs_of, taken_of
 from oysterbench.core.disk_space import link
 from oysterbench.core.geometry import Array
 from oysterbench.core.polygons import mask_polygons
@@ -63,33 +63,44 @@ def write(name: str, parts: Parts, folder: Path, step: Callable[[], None]) -> li
 
 def with_val(parts: Parts) -> tuple[Parts, list[str]]:
     """Return the parts with one for validation, and notes about it. If there is none, it takes whole clips of train; of
-    the only clip, each camera's last images; and the last images if each is a clip. Clips are drawn by their names, so
-    that the same clips give the same parts."""
+    the only clip, each camera's last images; and of images whose clips are not known, the last ones (`runs_of`). Clips
+    are drawn by their names, so that the same clips give the same parts."""
     if VAL in parts or TRAIN not in parts:
         return parts, []
     entries = parts[TRAIN]
-    clips = sorted({entry.clip for entry in entries})
-    if len(clips) == len(entries) > 1:
-        # At least neighbours by name, such as frames of a video, stay together.
-        entries = sorted(entries, key=lambda entry: entry.name)
-        held = entries[math.ceil((1 - VAL_SHARE) * len(entries)) :] or entries[-1:]
-        note = (
-            f"which images are of one clip is not known: val is the last {len(held)} by name, and may show the same "
+    runs = runs_of(entries)
+    held: list[Entry] = []
+    notes = []
+    known = {run.entries[0].clip: run.entries for run in runs if run.known}
+    if len(known) > 1:
+        clips = sorted(known)
+        order = stream(0, b"", "export", "val", *clips).permutation(len(clips))
+        chosen = sorted(clips[k] for k in order[: max(1, round(VAL_SHARE * len(clips)))])
+        held += [entry for clip in chosen for entry in known[clip]]
+        notes.append(f"val is {len(chosen)} of {len(clips)} clips of train: {', '.join(chosen[:8])}")
+    for only in known.values() if len(known) == 1 else ():
+        held += _end_of(only)
+        notes.append("val is the end of the only clip, which resembles the rest of it; another split (-val) says more")
+    if unknown := [run.entries for run in runs if not run.known]:
+        ends = [entry for run in unknown for entry in ends_of(run, VAL_SHARE)]
+        ends = ends or [max((entry for run in unknown for entry in run), key=lambda entry: entry.name)]
+        held += ends
+        notes.append(
+            f"which images are of one clip is not known: val is the last {len(ends)} by name, and may show the same "
             "ground as train; a column clip in manifest.csv keeps clips together"
         )
-    elif len(clips) > 1:
-        order = stream(0, b"", "export", "val", *clips).permutation(len(clips))
-        chosen = {clips[k] for k in order[: max(1, round(VAL_SHARE * len(clips)))]}
-        held = [entry for entry in entries if entry.clip in chosen]
-        note = f"val is {len(chosen)} of {len(clips)} clips of train: {', '.join(sorted(chosen)[:8])}"
-    else:
-        held = ends_of(entries, VAL_SHARE) or [one for one in entries if one.instant == entries[-1].instant]
-        held = held if len(held) < len(entries) else entries[-1:]
-        note = "val is the end of the only clip, which resembles the rest of it; another split (-val) says more"
     taken = {entry.name for entry in held}
-    kept: list[Entry] = [entry for entry in entries if entry.name not in taken]
-    found = {TRAIN: kept or held, VAL: held, **{part: of for part, of in parts.items() if part != TRAIN}}
-    return found, [note]
+    held = [entry for entry in entries if entry.name in taken]
+    kept = [entry for entry in entries if entry.name not in taken]
+    return {TRAIN: kept or held, VAL: held, **{part: of for part, of in parts.items() if part != TRAIN}}, notes
+
+
+def _end_of(clip: Sequence[Entry]) -> list[Entry]:
+    """Select the last images of the only clip, and leave some."""
+    instants = [instant for _, instant in taken_of(clip)]
+    last = [entry for entry, instant in zip(clip, instants, strict=True) if instant == instants[-1]]
+    held = ends_of(clip, VAL_SHARE) or last
+    return held if len(held) < len(clip) else list(clip[-1:])
 
 
 def oyster_masks(example: Example) -> Iterator[NDArray[np.bool_]]:

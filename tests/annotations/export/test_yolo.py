@@ -111,6 +111,19 @@ def test_where_clips_are_not_known_neighbours_by_name_stay_together_and_that_is_
     assert "a column clip in manifest.csv" in notes[0]
 
 
+@pytest.mark.parametrize("clips", [1, 10])
+def test_beside_clips_that_are_known_images_without_one_stay_together(clips):
+    """And none of them is drawn alone, as a clip, from between two of train."""
+    video = [entry(f"frame_{n:03}", f"frame_{n:03}") for n in range(100)]
+    dives = [entry(f"dive-{k}/{n}", f"dive-{k}") for k in range(clips) for n in range(10)]
+    parts, notes = with_val({"train": [*video, *dives]})
+    held = [one.name for one in parts["val"]]
+    assert [name for name in held if name.startswith("frame")] == [f"frame_{n:03}" for n in range(80, 100)]
+    assert len(held) == 20 + (2 if clips == 1 else 20)
+    assert len(notes) == 2
+    assert "which images are of one clip is not known: val is the last 20 by name" in notes[1]
+
+
 def test_the_only_clip_is_divided_by_time_and_that_is_said():
     parts, notes = with_val({"train": [entry(f"a/{n}", "a") for n in range(10)]})
     assert [one.name for one in parts["val"]] == ["a/8", "a/9"]
