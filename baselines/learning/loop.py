@@ -13,6 +13,7 @@ from typing import Any, Protocol, TypeVar
 import torch
 from torch.utils.data import DataLoader, Dataset
 
+from oysterbench.cli.interrupts import started_over
 from oysterbench.core.errors import MethodError
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint, versions
 
@@ -103,10 +104,15 @@ def run_training(
     """Train, or resume from the checkpoint at `path`, and return the finished checkpoint, which is also at `path`.
 
     network: its description in the checkpoint; keep: called after each checkpoint is written, every `keep_s` seconds.
-    again: start over; what is at `path` stays there until the first checkpoint of the new training replaces it. Raises
-    MethodError where `path` holds a training of another identity.
+    again: start over; what is at `path` stays there until the new training is finished, whose checkpoints are beside it
+    (`beside`) until then: if it was interrupted, a call without `again` resumes it. Raises MethodError where `path`
+    holds a training of another identity.
     """
-    known = read_checkpoint(path) if path.is_file() and not again else None
+    anew = beside(path)
+    known = read_checkpoint(anew) if anew.is_file() and not again else None
+    again = again or (known is not None and known.identity == dict(identity))
+    if not again:
+        known = read_checkpoint(path) if path.is_file() else None
     if known is not None and known.identity != dict(identity):
         raise MethodError(
             f"{path}: {_difference(known.identity, identity)}; remove it to train anew, or choose another --out"
@@ -117,6 +123,11 @@ def run_training(
     state = known or Checkpoint(dict(identity), dict(network), {}, {}, {}, 0, False, [], 0.0, versions())
     if known is not None:
         trainer.load(known)
+    elif again:
+        state.weights, state.optimiser, state.random = trainer.state()
+        state.write(anew)
+    if again:
+        started_over()
     kept, cpu, before = time.monotonic(), time.process_time(), state.seconds
     while not state.finished:
         if state.step < steps:
@@ -129,10 +140,17 @@ def run_training(
             if state.finished:  # what only resuming needs is two thirds of a file
                 state.optimiser, state.random = {}, {}
             state.seconds = before + time.process_time() - cpu
-            state.write(path)
+            state.write(anew if again and not state.finished else path)
             keep(state)
             kept = time.monotonic()
+    if again:
+        anew.unlink(missing_ok=True)
     return state
+
+
+def beside(path: Path) -> Path:
+    """Path of the checkpoints of a training that starts over, which replaces what is at `path` once it is finished."""
+    return path.with_name(f"{path.name}.again")
 
 
 @dataclass

@@ -39,7 +39,12 @@ def training_options(steps: int = 2000) -> Callable[[Callable[..., Any]], Callab
     number = click.IntRange(min=1)
     file = click.Path(path_type=Path, dir_okay=False)
     options = (
-        click.option("--again", is_flag=True, help="Start over, even where a training would resume."),
+        click.option(
+            "--again",
+            is_flag=True,
+            help="Start over, even where a training would resume. What is there is replaced at the end; without "
+            "--again, an interrupted training resumes.",
+        ),
         click.option(
             "--threads",
             type=number,

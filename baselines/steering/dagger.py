@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from oysterbench.cli.interrupts import started_over
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import LabelError, MethodError
 from oysterbench.exploration.rollout_store import steering_source
@@ -109,6 +110,7 @@ def learn_rounds(
         shutil.rmtree(folder, ignore_errors=True)
         if path.is_file():
             write_atomically(replaced, path.read_bytes())
+        started_over()
     elif path.is_file() and not (replaced.is_file() and filecmp.cmp(path, replaced, shallow=False)):
         further = (folder / f"round-{number}.pt" for number in range(1, plan.rounds + 1))
         own = [identity(settings, known, seed), *(read_checkpoint(one).identity for one in further if one.is_file())]

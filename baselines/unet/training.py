@@ -18,7 +18,7 @@ from oysterbench.core.streams import Streams
 from oysterbench_baselines.learning.augment import Augmentation
 from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_batch
 from oysterbench_baselines.learning.checkpoint import Checkpoint, in_half_precision, read_checkpoint
-from oysterbench_baselines.learning.loop import FitSettings, Progress, channels_last, fit
+from oysterbench_baselines.learning.loop import FitSettings, Progress, beside, channels_last, fit
 from oysterbench_baselines.learning.losses import mask_loss
 from oysterbench_baselines.learning.novelty import clips_of, learnt
 from oysterbench_baselines.learning.samples import LabelledDataset
@@ -121,7 +121,7 @@ def train(
     wanted = identity(
         settings, {labelled.name: labelled.digest()}, seed, device, begun, kept if settings.measured else None
     )
-    if not again and _is_whole_of_before(path):
+    if not again and not beside(path).is_file() and _is_whole_of_before(path):
         wanted.pop("held_out", None)
     mixture = Mixture([dataset], [settings.batch])
     checkpoint = fit(

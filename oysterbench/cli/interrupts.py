@@ -6,6 +6,8 @@ import shlex
 import signal
 import sys
 
+import click
+
 TERMINATED = 128 + signal.SIGTERM
 
 RESUMED = {
@@ -22,6 +24,7 @@ RESUMED = {
 
 STARTED_OVER = ("segment", "train")
 """Those of them that --again makes start over each time it is given; others go on with what it began."""
+BEGUN = "oysterbench.started_over"
 
 BEGUN_ANEW = {
     "eval": "finished frames are kept, and results of finished runs are in results.json; the same command starts again "
@@ -49,8 +52,16 @@ def _terminated(number: int, frame: object) -> None:
     raise Terminated
 
 
-def interruption(command: str, what: str = "interrupted") -> str:
-    """Message for a user who has interrupted the command of this name.
+def started_over() -> None:
+    """Note that from here on the command that runs, if any, resumes without --again what --again has begun, and takes
+    nothing of what was there before."""
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        context.meta[BEGUN] = True
+
+
+def interruption(command: str, what: str = "interrupted", begun: bool = True) -> str:
+    """Message for a user who has interrupted the command of this name. begun: whether it had `started_over`.
 
     >>> interruption("view")
     'interrupted; nothing was written'
@@ -59,6 +70,9 @@ def interruption(command: str, what: str = "interrupted") -> str:
     """
     if command in RESUMED:
         words = [word for word in sys.argv[1:] if command not in STARTED_OVER or word != "--again"]
+        if words != sys.argv[1:] and not begun:
+            typed = shlex.join(["oysterbench", *sys.argv[1:]])
+            return f"{what} before anything was started over; the same command begins: {typed}"
         typed = shlex.join(["oysterbench", *words])
         same = "the same command" if words == sys.argv[1:] else "the command without --again"
         return f"{what}; {RESUMED[command]}, and {same} resumes from there: {typed}"

@@ -19,7 +19,7 @@ from oysterbench.cli.eval import eval_command
 from oysterbench.cli.export import export
 from oysterbench.cli.extras import extra_of
 from oysterbench.cli.failures import told
-from oysterbench.cli.interrupts import TERMINATED, Terminated, interruption
+from oysterbench.cli.interrupts import BEGUN, TERMINATED, Terminated, interruption
 from oysterbench.cli.learn import Installed, experiment, train, translate
 from oysterbench.cli.map import map_command
 from oysterbench.cli.models import COMMANDS as MODEL_COMMANDS
@@ -90,7 +90,7 @@ class Commands(click.Group):
             _fail(str(error), error.exit_code)
         except KeyboardInterrupt as stop:
             what, code = ("terminated", TERMINATED) if isinstance(stop, Terminated) else ("interrupted", INTERRUPTED)
-            _fail(interruption(context.invoked_subcommand or "", what), code)
+            _fail(interruption(context.invoked_subcommand or "", what, BEGUN in context.meta), code)
         except ModuleNotFoundError as error:
             extra = extra_of(error.name or "")
             if extra is None:

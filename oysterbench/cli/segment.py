@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oysterbench.cli.echo import echo, message
+from oysterbench.cli.interrupts import started_over
 from oysterbench.cli.numbers import Number
 from oysterbench.core.errors import LabelError, MethodError
 
@@ -69,7 +70,7 @@ TOLD = 5
     "--checked", type=click.Path(path_type=Path), help="Results of `run --on` your labels, to show on the page."
 )
 @click.option("--coco", is_flag=True, help="Also write instances.json, for correction by hand.")
-@click.option("--again", is_flag=True, help="Recount what is finished.")
+@click.option("--again", is_flag=True, help="Recount what is finished; without it, an interrupted recount resumes.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 def segment_command(
     paths: tuple[Path, ...],
@@ -158,8 +159,12 @@ def segment_command(
     least = Least(min_mm, min_px)
     settings = Settings(threshold, Sampling(rate or 1.0, every), scale, least)
     identity = method_identity(method, chosen, options)
-    store = Store(out, again)
+    store = Store(out)
     check_folder(store, coco)
+    if again:
+        by_kind = [[one.name for one in found.sources if one.video is video] for video in (False, True)]
+        store.start_over(*by_kind)
+        started_over()
     with frames_bar("counting oysters", "images") as progress:
         counted = Counting(found.sources, chosen, identity, store, settings, progress).run()
     counted.failures.update(found.unreadable())

@@ -11,7 +11,7 @@ finished/VIDEO/.frames.json    which frames of a video are used, once all have b
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -45,15 +45,25 @@ class _Frames(msgspec.Struct, frozen=True):
 
 
 class Store:
-    """A folder of counts. again: treat nothing in it as finished."""
+    """A folder of counts."""
 
-    def __init__(self, folder: Path, again: bool = False) -> None:
-        self.folder, self.again = folder, again
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
 
     @property
     def begun(self) -> bool:
         """Whether a count has stored anything in it."""
         return (self.folder / "finished").is_dir()
+
+    def start_over(self, pictures: Iterable[str], videos: Iterable[str]) -> None:
+        """Take nothing of these names as finished: their records are emptied, so that if the count is interrupted, no
+        record of an earlier one is taken for one of it."""
+        records = [self._record(name) for name in pictures]
+        for video in videos:
+            records += sorted((self.folder / "finished" / video).glob("*.json"))
+        for record in records:
+            if record.is_file():
+                record.write_bytes(b"")
 
     def mask(self, name: str) -> Path:
         """Path of the numbers of an image's oysters that count."""
@@ -89,7 +99,7 @@ class Store:
 
     def finished(self, name: str, key: str) -> PictureCount | None:
         """Count of an image, if it is stored with that key, its overlay, and its mask, if it has one; else None."""
-        held = None if self.again else self._read(name)
+        held = self._read(name)
         if held is None or held.key != key or not self.overlay(name).is_file():
             return None
         return held.picture if held.picture.cover is None or self.mask(name).is_file() else None
@@ -118,8 +128,6 @@ class Store:
 
     def frames(self, video: str, key: str) -> tuple[list[tuple[int, float]], str] | None:
         """Frames of a video that has been read, and why it ended early, if it did; None if there is no such record."""
-        if self.again:
-            return None
         try:
             held = msgspec.json.decode(self._frames(video).read_bytes(), type=_Frames)
         except (OSError, msgspec.DecodeError):

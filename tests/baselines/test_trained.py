@@ -49,19 +49,26 @@ def test_a_device_that_is_not_there_costs_no_weights(labelled, tmp_path):
     assert (tmp_path / "mine.pt").read_bytes() == b"an hour of training"
 
 
-def test_weights_are_replaced_by_the_first_checkpoint_of_the_training_that_starts_over(labelled, tmp_path):
-    path = tmp_path / "mine.pt"
-    path.write_bytes(b"an hour of training")
+def test_a_training_that_starts_over_replaces_weights_at_its_end_and_resumes_without_again(labelled, tmp_path):
+    """And those of before, of the same training, are not taken for its own."""
+    path, cpu = tmp_path / "mine.pt", torch.device("cpu")
+    first = train(labelled, path, ONE, 0, cpu)
+    first.seconds = -1.0
+    first.write(path)
+    before = path.read_bytes()
 
     def stop(done, total):
         raise KeyboardInterrupt
 
-    cpu = torch.device("cpu")
-    with pytest.raises(KeyboardInterrupt):
-        train(labelled, path, ONE, 0, cpu, stop, again=True)
-    assert path.read_bytes() == b"an hour of training"
-    assert train(labelled, path, ONE, 0, cpu, again=True).finished
-    train(labelled, path, ONE, 1, cpu, again=True)
+    for again in (True, False):
+        with pytest.raises(KeyboardInterrupt):
+            train(labelled, path, ONE, 0, cpu, stop, again=again)
+        assert path.read_bytes() == before
+    assert train(labelled, path, ONE, 0, cpu).seconds >= 0
+    assert read_checkpoint(path).digest() == first.digest()
+    assert [one.name for one in tmp_path.iterdir()] == ["mine.pt"]
+    path.write_bytes(b"an hour of training")
+    assert train(labelled, path, ONE, 1, cpu, again=True).finished
     assert read_checkpoint(path).identity["seed"] == 1
 
 

@@ -7,6 +7,8 @@ import subprocess
 import sys
 
 import click
+import cv2
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -91,3 +93,24 @@ def test_what_again_starts_over_resumes_without_it(words, monkeypatch):
     assert interruption(words[0]).endswith(said)
     monkeypatch.setattr("sys.argv", ["oysterbench", "run", "--again"])
     assert interruption("run").endswith("the same command resumes from there: oysterbench run --again")
+    monkeypatch.setattr("sys.argv", ["oysterbench", *words, "--again"])
+    assert interruption(words[0], begun=False) == (
+        f"interrupted before anything was started over; the same command begins: oysterbench {' '.join(words)} --again"
+    )
+
+
+def test_what_again_starts_over_is_told_only_once_it_has_begun(tmp_path, home, monkeypatch):
+    """Before that, the command without it would return what was there."""
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((40, 40, 3), np.uint8))
+    words = ["segment", str(tmp_path / "a.png"), "--method", "colour", "--out", str(tmp_path / "out"), "--again"]
+    monkeypatch.setattr("sys.argv", ["oysterbench", *words])
+
+    def interrupt(*arguments, **options):
+        raise KeyboardInterrupt
+
+    for place, said in (
+        ("oysterbench.counting.run.Counting.run", "the command without --again resumes from there: "),
+        ("oysterbench.report.counting.check_folder", "before anything was started over; the same command begins: "),
+    ):
+        monkeypatch.setattr(place, interrupt)
+        assert said in CliRunner().invoke(main, words).stderr

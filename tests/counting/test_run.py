@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -37,7 +38,10 @@ def count(folder, out, method=None, again=False, identity=None, **settings):
     """What comes of it, and how many pictures the method was asked."""
     Discs.asked = 0
     sources = find_sources([folder]).sources
-    made = Counting(sources, method or Discs(), identity or {"method": "m"}, Store(out, again), Settings(**settings))
+    store = Store(out)
+    if again:
+        store.start_over(*([one.name for one in sources if one.video is video] for video in (False, True)))
+    made = Counting(sources, method or Discs(), identity or {"method": "m"}, store, Settings(**settings))
     return made.run(), Discs.asked
 
 
@@ -52,12 +56,32 @@ def test_each_picture_gets_mask_overlay_and_counts(folder, tmp_path):
     assert [row.box for row in rows] == [(30, 30, 21, 21), (90, 50, 21, 21)]
 
 
+class Interrupted(Discs):
+    """Ctrl-C at the second image or frame."""
+
+    def run(self, images):
+        yield from itertools.islice(super().run(images), 1)
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("taken", ["folder", "video"])
+def test_after_an_interrupted_recount_nothing_is_of_the_count_before(request, tmp_path, taken):
+    """Though the key of an image is the same, as where weights that no method declares have changed."""
+    place, out = request.getfixturevalue(taken), tmp_path / "out"
+    asked = count(place, out)[1]
+    with pytest.raises(KeyboardInterrupt):
+        count(place, out, Interrupted(), again=True)
+    assert count(place, out)[1] == asked - 1
+    assert count(place, out)[1] == 0
+
+
 def test_what_is_finished_is_not_done_again_unless_something_has_changed(folder, tmp_path):
     out = tmp_path / "out"
     first, _ = count(folder, out)
     second, asked = count(folder, out)
     assert (asked, second.made, second.pictures) == (0, 0, first.pictures)
     assert count(folder, out, again=True)[1] == 3
+    assert count(folder, out)[1] == 0
     assert count(folder, out, identity={"method": "another"})[1] == 3
     assert count(folder, out, threshold=0.6)[1] == 3
     assert count(folder, out, threshold=0.6, scale=plain(1.0))[1] == 3
