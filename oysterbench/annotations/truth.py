@@ -106,15 +106,15 @@ class LabelledSequence:
         return from_planes(truth.name, numbers, truth.ignore, truth.footprint_m2, live=truth.live)
 
     def check_annotations(self, masks: bool) -> None:
-        """Read all COCO annotations that are scored, as methods are given images without them. masks: whether each must
-        have one. Raises LabelError naming the annotation that is wrong."""
+        """Read all COCO annotations that are scored, as methods are given images without them. masks: whether masks are
+        scored, which each must then have, and not boxes. Raises LabelError naming the annotation that is wrong."""
         if self.coco is None:
             return
         for name in self.names:
-            self.coco.instances(name, scored=False)
-            for item in self.coco.items[name]:
-                if masks and not item.values.get("segmentation"):
-                    self.coco.mask_of(name, item)  # says what is missing
+            if not masks:
+                self.coco.instances(name, scored=False)
+            for item in self.coco.items[name] if masks else ():
+                self.coco.mask_of(name, item)
 
     def single(self) -> Iterator[tuple[ImageInstances, Seen | None]]:
         """Yield the single oysters of each image, with its truth and pixels; None for these if the truth has boxes

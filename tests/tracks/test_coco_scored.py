@@ -174,6 +174,13 @@ def test_annotations_that_cannot_be_scored_are_refused_before_anything_runs(trac
         TRACKS[track].run_sequences(None, {"mine": tmp_path / "all.json"}, {})
 
 
+@pytest.mark.parametrize("changes", [{"bbox": []}, {"bbox": [-3, 5, 80, 8]}, {"area": None}])
+def test_boxes_and_areas_are_not_looked_at_where_masks_alone_are_scored(tmp_path, changes):
+    write(tmp_path / "all.json", items(**changes))
+    (sequence,) = TRACKS["segmentation"].run_sequences(None, {"mine": tmp_path / "all.json"}, {})
+    assert sequence.labelled.names == ("a",)
+
+
 def test_boxes_alone_are_refused_before_anything_runs_where_masks_are_scored(tmp_path):
     write(tmp_path / "all.json", items(segmentation=[]))
     with pytest.raises(LabelError, match=r"annotations\[0\]: has no segmentation.* use `--track detection`"):
