@@ -117,13 +117,16 @@ def images_with(
 
 
 def files_of(folder: Path, *suffixes: str) -> dict[str, Path]:
-    """Files with one of the suffixes by their names without it, in order; empty if there is no folder. Raises
-    LabelError where two differ by their suffix alone."""
+    """Files with one of the suffixes by their names without it, in order; empty if there is no folder. Hidden files are
+    left out, such as the ._NAME.png that macOS writes beside each file on other file systems. Raises LabelError where
+    two differ by their suffix alone."""
     if not folder.is_dir():
         return {}
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in suffixes and found.setdefault(path.stem, path) != path:
+        if path.name.startswith(".") or path.suffix.lower() not in suffixes:
+            continue
+        if found.setdefault(path.stem, path) != path:
             raise LabelError(
                 f"{path}: expected one file named {path.stem} here, got {found[path.stem].name}, too: rename or delete "
                 "one of them"

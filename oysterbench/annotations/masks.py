@@ -178,7 +178,7 @@ def open_predictions(place: Path, form: Form = "auto") -> MaskFiles:
             f"(.json), got {'another kind of file' if place.exists() else 'nothing of that name'}"
         )
     files: dict[str, Path] = {}
-    for path in sorted(path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES):
+    for path in sorted(path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES and path.name[0] != "."):
         name = path.relative_to(place).with_suffix("").as_posix()
         if name in files:
             raise LabelError(f"{place}: two files predict {name}; expected one of {', '.join(SUFFIXES)}")

@@ -307,7 +307,7 @@ def _coco_clips(path: Path, place: Path) -> list[LabelledSequence]:
 
 
 def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[LabelledSequence]:
-    found = sorted(path for path in place.rglob("*") if path.suffix.lower() == ".png")
+    found = sorted(path for path in place.rglob("*") if path.suffix.lower() == ".png" and path.name[0] != ".")
     files = {path.relative_to(place).with_suffix("").as_posix(): path for path in found}
     if len(files) < len(found):
         twice = next(path for path in found if path not in files.values())

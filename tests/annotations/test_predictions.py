@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from oysterbench.annotations import open_predictions, open_truth, read_coco
+from oysterbench.annotations import open_labelled, open_predictions, open_truth, read_coco
 from oysterbench.annotations.masks import check_names
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.detection.instances import from_mask
@@ -29,6 +29,15 @@ def write_png(path, values):
 
 def predicted(folder, name="a", form="auto"):
     return open_predictions(folder, form).get(name)
+
+
+def test_the_files_that_macos_writes_beside_others_are_no_images(tmp_path):
+    for folder, values in (("images", np.zeros((6, 8, 3), np.uint8)), ("masks", MASK.astype(np.uint8))):
+        write_png(tmp_path / folder / "a.png", values)
+        (tmp_path / folder / "._a.png").write_bytes(bytes(4096))
+    assert [entry.name for entry in open_labelled(tmp_path).entries] == ["a"]
+    assert [clip.names for clip in open_truth(tmp_path / "masks")] == [("a",)]
+    assert list(open_predictions(tmp_path / "masks").names) == ["a"]
 
 
 @pytest.mark.parametrize("write", ["png8", "png01", "png16", "npy", "npz", "float"])
