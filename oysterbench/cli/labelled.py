@@ -99,11 +99,13 @@ def open_training_data(names: Sequence[str], side: str | None = None, name: str 
 
 def training_side(labelled: LabelledSet, side: str | None = None) -> LabelledSet:
     """Select the images of a set to learn from: those of `side`, by default train, or where there is none all but test;
-    without sides all. What is left out is said. Raises LabelError where there is no side that was asked for."""
+    without sides all. Where only some images have a side, the others are on none. What is left out is said. Raises
+    LabelError where there is no side that was asked for."""
     from oysterbench.annotations.manifest import TEST, TRAIN
     from oysterbench.cli.echo import message
 
-    if side is None and labelled.splits in ((), (TRAIN,)):
+    sides = {entry.split for entry in labelled.entries}
+    if side is None and (sides <= {""} or sides == {TRAIN}):
         return labelled
     if side is None and TRAIN not in labelled.splits:
         # What is scored is not learnt from, unless there is nothing else.

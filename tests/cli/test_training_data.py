@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+
+import numpy as np
 import pytest
 
 from oysterbench.annotations import LabelledSet, write_folder
 from oysterbench.cli.labelled import open_training_data
 from oysterbench.core.errors import LabelError
-from tests.helpers.labelled_folders import image
+from tests.helpers.labelled_folders import image, write_png
 
 
 @pytest.fixture
@@ -61,6 +64,18 @@ def test_nothing_is_said_where_nothing_is_left_out(folder, capsys):
         found = open_training_data([folder("mine", *sides)])
         assert (len(found), found.name) == (2, "mine")
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("side", [None, "train"])
+def test_of_annotations_with_a_side_on_some_images_only_those_are_used(tmp_path, capsys, side):
+    images = [{"id": k, "file_name": f"a{k}.png", "width": 30, "height": 20} for k in range(4)]
+    for one in images:
+        write_png(tmp_path / one["file_name"], np.zeros((20, 30, 3), np.uint8))
+    images[1]["split"] = "train"
+    content = {"images": images, "annotations": [], "categories": [{"id": 1, "name": "oyster"}]}
+    (tmp_path / "all.json").write_text(json.dumps(content))
+    assert names(open_training_data([str(tmp_path)], side)) == ["a1"]
+    assert "1 of 4 images are used, the side train" in capsys.readouterr().err
 
 
 def test_a_side_that_is_nowhere_is_refused_and_that_none_is_for_training_is_said(folder, capsys):
