@@ -13,7 +13,8 @@ import click
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.labelled import LABELLED
 from oysterbench.core.errors import MethodError
-from oysterbench.methods.weights import existing, usable_path, weights_path, weights_variable
+from oysterbench.methods.weights import existing, weights_path, weights_variable
+from oysterbench.methods.weights import used_path as used_by_default
 
 if TYPE_CHECKING:
     from oysterbench.annotations import LabelledSet
@@ -75,7 +76,7 @@ def checkpoint_path(name: str) -> Path:
 def used_path(name: str, checkpoint: str = "") -> Path:
     """Path of the checkpoint that a method uses: the one given, else the one that OYSTERBENCH_<NAME> names, else one
     trained or downloaded here, else the one that is part of oysterbench."""
-    return Path(checkpoint or os.environ.get(weights_variable(name)) or usable_path(name))
+    return Path(checkpoint) if checkpoint else used_by_default(name)
 
 
 def trained(name: str, checkpoint: str = "") -> Path:

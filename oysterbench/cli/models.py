@@ -57,13 +57,13 @@ def release_card(
     from oysterbench.hub.manifest import VERSION_NAME
     from oysterbench.hub.publish_model import build_model, describe_weights
     from oysterbench.hub.weights import weights_here
-    from oysterbench.methods.weights import find_weights, usable_path
+    from oysterbench.methods.weights import find_weights, used_path
     from oysterbench.results.card_figures import card_figures
 
     if version is not None and not VERSION_NAME.fullmatch(version):
         raise click.UsageError(f"--version: expected letters, digits and . _ -, such as 1.0, got {version!r}")
     known = find_weights(name)
-    path = path or usable_path(name)
+    path = path or used_path(name)
     here = weights_here(path)
     if here is not None and here.model is not None and not (version or results or summary or limits or licence):
         return path, here.model
@@ -132,9 +132,9 @@ def part_of_oysterbench(name: str, version: str) -> Here | None:
     """Weights of this version, or of any where it is empty, that are part of oysterbench; None where there are none, or
     methods run on others, trained or downloaded here."""
     from oysterbench.hub.weights import weights_here
-    from oysterbench.methods.weights import usable_path
+    from oysterbench.methods.weights import used_path
 
-    here = weights_here(usable_path(name))
+    here = weights_here(used_path(name))
     right = here is not None and here.released and here.model is not None and version in ("", here.model.version)
     return here if right else None
 
@@ -223,13 +223,13 @@ def _hub(places: tuple[str, ...], key: str | None) -> Hub:
 def _rows(hub: Hub | None) -> list[dict[str, Any]]:
     """Rows with what is known about each model, here and on a hub."""
     from oysterbench.hub.weights import weights_here
-    from oysterbench.methods.weights import find_weights, usable_path, weights_names
+    from oysterbench.methods.weights import find_weights, used_path, weights_names
 
     released = hub.index().models if hub else {}
     rows = []
     for name in sorted({*weights_names(), *released}):
         known = find_weights(name) if name in weights_names() else None
-        here = weights_here(usable_path(name))
+        here = weights_here(used_path(name))
         of_hub = released.get(name, {})
         methods = known.methods if known else list(of_hub.values())[-1].methods
         rows.append(
@@ -262,10 +262,10 @@ def _print_card(name: str, hub: Hub | None, as_json: bool) -> None:
     from oysterbench.hub.card import facts, reached
     from oysterbench.hub.publish_model import build_model, describe_weights
     from oysterbench.hub.weights import weights_here
-    from oysterbench.methods.weights import existing, find_weights, usable_path
+    from oysterbench.methods.weights import existing, find_weights, used_path
 
     name, _, version = name.partition("@")
-    path = usable_path(name)
+    path = used_path(name)
     here = weights_here(path) if hub is None else None
     if hub is not None:
         model = hub.model(name, version or None)

@@ -11,6 +11,7 @@ The entry-point group `oysterbench.weights` provides what is known about weights
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
@@ -69,6 +70,12 @@ def usable_path(name: str) -> Path:
     those that are part of oysterbench."""
     own, released = weights_path(name), released_models() / f"{name}.pt"
     return released if released.is_file() and not own.is_file() else own
+
+
+def used_path(name: str) -> Path:
+    """Path of the weights that methods use, unless a method is given others: those that OYSTERBENCH_<NAME> names, or by
+    default `usable_path`."""
+    return Path(os.environ.get(weights_variable(name)) or usable_path(name))
 
 
 def weights_variable(name: str) -> str:

@@ -276,7 +276,7 @@ def test_a_name_that_is_neither_split_nor_model_gets_the_nearest_ones(home, monk
 def part(place, tmp_path, monkeypatch):
     """The weights as part of oysterbench, and a user who has none of his own: their file, and his home."""
     folder = tmp_path / "package" / "models"
-    for module in ("methods.weights", "hub.weights", "notebook.doctor.data"):
+    for module in ("methods.weights", "hub.weights"):
         monkeypatch.setattr(f"oysterbench.{module}.released_models", lambda: folder)
     words = ("release-model", "unet_small", "--weights", place.weights, "--version", "1.0", "--out", folder)
     assert place.run(*words).stdout == f"{folder / 'unet_small.pt'}\n"
@@ -303,6 +303,23 @@ def test_methods_run_on_weights_that_are_part_of_oysterbench(place, part, tmp_pa
     assert "unet_small 1.0 (" in told.stderr
     assert "part of oysterbench" in told.stderr
     assert not (home / "models").exists()
+    hub = {"OYSTERBENCH_HUB": "https://127.0.0.1:9", "OYSTERBENCH_OFFLINE": "1"}
+    assert place.run("download", "unet_small", home=home, **hub).stdout == f"{path}\n"
+    hub.pop("OYSTERBENCH_OFFLINE")
+    assert place.run("download", "unet_small@1.0", home=home, **hub).stdout == f"{path}\n"
+
+
+def test_models_and_publishing_take_the_weights_that_a_variable_names(place, part, tmp_path):
+    """As methods do, and not those of the package under their old card."""
+    own = tmp_path / "own.pt"
+    train(place.learnt, own, SMALL, 7, torch.device("cpu"))
+    named = {"home": part[1], "OYSTERBENCH_UNET_SMALL": str(own)}
+    digest = hashlib.sha256(own.read_bytes()).hexdigest()
+    assert json.loads(place.run("models", "unet_small", "--json", **named).stdout)["file"]["sha256"] == digest
+    rows = json.loads(place.run("models", "--json", **named).stdout)["models"]
+    assert [row["file"] for row in rows if row["model"] == "unet_small"] == [str(own)]
+    words = ("publish-model", "unet_small", tmp_path / "tree", "--key", place.folder / "key.pem", "--json")
+    assert json.loads(place.run(*words, **named).stdout)["file"]["sha256"] == digest
 
 
 def test_weights_trained_or_downloaded_here_go_before_those_of_oysterbench(place, published, part, tmp_path):
