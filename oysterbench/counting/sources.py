@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -120,7 +120,8 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
     readable = {path.with_suffix("") for path in kinds["pictures"]}
     copies = tuple(path for path in kinds["convert"] if path.with_suffix("") in readable)
     to_convert = tuple(path for path in kinds["convert"] if path not in copies)
-    sources = [*_pictures(kinds["pictures"], root), *(Source(_name(p, root), p, True) for p in kinds["videos"])]
+    videos = [Source(_name(path, root), path, True) for path in kinds["videos"]]
+    sources = [*_pictures(kinds["pictures"], root, [video.name for video in videos]), *videos]
     sources.sort(key=lambda source: source.name)
     return Found(
         root,
@@ -183,12 +184,12 @@ def _name(path: Path, root: Path) -> str:
     return path.relative_to(root).as_posix()
 
 
-def _pictures(files: Sequence[Path], root: Path) -> list[Source]:
+def _pictures(files: Sequence[Path], root: Path, videos: Iterable[str]) -> list[Source]:
     whole = {path: _name(path, root) for path in files}
     bare = {path: _name(path.with_suffix(""), root) for path in files}
     apart = Counter(bare.values())
-    # A name without suffix may equal another file's name with suffix: a.jpg.tif beside a.jpg and a.png.
-    kept = {whole[path] for path in files if apart[bare[path]] > 1}
+    # A name without suffix may equal another file's name with suffix: a.jpg.tif beside a.jpg and a.png, a.mp4.jpg.
+    kept = {whole[path] for path in files if apart[bare[path]] > 1} | {*videos}
     named = ((path, whole[path] if apart[bare[path]] > 1 or bare[path] in kept else bare[path]) for path in files)
     return [Source(name, path, False) for path, name in named]
 

@@ -128,6 +128,12 @@ def test_a_folder_that_may_not_be_looked_into_is_told_of_and_the_rest_is_counted
     assert why == f"{tmp_path / 'locked'}: a folder that you may not look into: change its permissions"
 
 
+def test_an_image_of_the_name_of_a_video_keeps_its_suffix(tmp_path):
+    touch(tmp_path, "GX01.MP4", "GX01.MP4.jpg", "GX02.jpg")
+    found = find_sources([tmp_path]).sources
+    assert [(one.name, one.video) for one in found] == [("GX01.MP4", True), ("GX01.MP4.jpg", False), ("GX02", False)]
+
+
 @pytest.mark.parametrize("name", ["clip.TS", "clip.m2ts", "clip.3gp"])
 def test_transport_streams_and_films_of_phones_are_videos(tmp_path, name):
     touch(tmp_path, name)
