@@ -18,7 +18,8 @@ UNLIKE = 1.0
 """Novelty above which an image is unlike a method's training data (`methods.images.Segmentation`)."""
 
 CUT_WEIGHT = 0.5
-"""Weight, in a density, of an oyster cut by the image's edge: half of those have their centre inside."""
+"""Weight, in a density without a quadrat, of an oyster cut by the image's edge: half of those have their centre
+inside."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class PictureCount:
     novelty:     see `Segmentation`
     small:       how many more there would be if none were too small
     parts:       whether they are connected parts of a mask (`oysters.Oysters`)
+    quadrat:     whether the counted region is a quadrat: of an oyster with its centre in it, no half lies elsewhere
     """
 
     name: str
@@ -77,6 +79,7 @@ class PictureCount:
     time_s: float | None = None
     small: int = 0
     parts: bool = False
+    quadrat: bool = False
 
     @property
     def said(self) -> str:
@@ -91,8 +94,8 @@ class PictureCount:
 
     @property
     def weighed(self) -> float:
-        """Number of oysters, with those cut by the edge weighted by a half."""
-        return self.oysters - (1 - CUT_WEIGHT) * self.cut
+        """Number of oysters, with those cut by the edge weighted by a half, if they are not those of a quadrat."""
+        return self.oysters if self.quadrat else self.oysters - (1 - CUT_WEIGHT) * self.cut
 
     @property
     def per_m2(self) -> float | None:
@@ -131,6 +134,7 @@ def measure(
         length_mm=math.fsum(lengths) / len(lengths) if lengths else None,
         small=len(small),
         parts=found.parts,
+        quadrat=isinstance(scale, QuadratScale),
     )
     return picture, rows
 

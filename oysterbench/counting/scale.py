@@ -168,8 +168,8 @@ class QuadratScale:
         return np.asarray(cv2.warpPerspective(plane, matrix, (FLAT, FLAT), flags=cv2.INTER_NEAREST), dtype=np.uint8)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return kind, size and corners."""
-        return {"kind": "quadrat", "size_m": self.size_m, "corners_px": self.corners.tolist()}
+        """Return kind, size and corners, and how an oyster that the edge of the image cuts counts."""
+        return {"kind": "quadrat", "size_m": self.size_m, "corners_px": self.corners.tolist(), "cut": "whole"}
 
 
 def check_quadrat(size_m: float) -> None:

@@ -117,6 +117,14 @@ def test_in_a_quadrat_counts_what_has_its_middle_inside(squares):
     assert rows[1].length_mm is None
 
 
+def test_in_a_quadrat_an_oyster_that_the_edge_of_the_image_cuts_counts_whole_where_its_middle_is_inside(squares):
+    corners = np.array([[2, 2], [118, 2], [118, 98], [2, 98.0]])
+    result = found(Detections("a", np.ones(2), numbers=squares))
+    picture, _ = measure(result, "a", "a.jpg", SHAPE, QuadratScale(0.5, corners))
+    assert (picture.oysters, picture.cut) == (2, 1)
+    assert picture.per_m2 == pytest.approx(2 / 0.25)
+
+
 def test_without_a_scale_there_is_no_density(squares):
     picture, rows = measure(found(Detections("a", np.ones(2), numbers=squares)), "a", "a.jpg", SHAPE, None)
     assert (picture.oysters, picture.area_m2, picture.per_m2, rows[0].length_mm) == (2, None, None, None)
