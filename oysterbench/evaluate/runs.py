@@ -4,6 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TypeVar
+
+T = TypeVar("T")
+
+
+def times_of(runs: Sequence[int] | None, sequences: int) -> tuple[int, ...]:
+    """How many times what is joined of all runs on each sequence counts, (C,), so that each sequence counts as often as
+    any other. runs: (C,) numbers of runs, None for one; of equal numbers, each counts once.
+
+    >>> times_of([3, 2], 2), times_of([3, 3], 2), times_of(None, 2)
+    ((2, 3), (1, 1), (1, 1))
+    """
+    runs = runs or (1,) * sequences
+    common = math.lcm(*runs)
+    return tuple(common // count for count in runs)
+
+
+def repeated(parts: Sequence[T], times: Sequence[int]) -> list[T]:
+    """Repeat each of the parts (C,) so many times (C,)."""
+    return [part for part, count in zip(parts, times, strict=True) for _ in range(count)]
 
 
 def sum_as_of_one_run(totals: Sequence[float], runs: Sequence[int] | None) -> float:
@@ -14,10 +34,10 @@ def sum_as_of_one_run(totals: Sequence[float], runs: Sequence[int] | None) -> fl
     >>> sum_as_of_one_run([30.0, 20.0], [3, 2])
     20.0
     """
-    runs = runs or (1,) * len(totals)
     # By the least common multiple, since totals are whole numbers: of equal numbers of runs, the sum is divided once.
-    common = math.lcm(*runs)
-    return sum(total * (common // count) for total, count in zip(totals, runs, strict=True)) / common
+    common = math.lcm(*(runs or ()))
+    times = times_of(runs, len(totals))
+    return sum(total * count for total, count in zip(totals, times, strict=True)) / common
 
 
 def span_of_runs(runs: Sequence[int]) -> str:

@@ -186,6 +186,10 @@ def test_several_runs_on_a_sequence_are_resampled_with_it_and_its_images_counted
     assert whole.score.metrics == pytest.approx(once.score.metrics)
     for key, interval in once.intervals.items():
         assert (whole.intervals[key].low, whole.intervals[key].high) == pytest.approx((interval.low, interval.high))
+    lost = [record for record in records if (record.sequence, record.run) not in {("0", 1), ("3", 2), ("3", 0)}]
+    uneven = whole_of([PictureRun(record, *parts[int(record.sequence)]) for record in lost])["m"]
+    assert uneven.score.metrics == pytest.approx(once.score.metrics), "each sequence counts as often as any other"
+    assert uneven.intervals["skill"].low == pytest.approx(once.intervals["skill"].low)
     few = whole_of([PictureRun(record, *parts[0]) for record in records[:6]])["m"]
     assert "2 sequences: no" in few.intervals["skill"].reason
     note = pictures_table({"m": few}, None, TASK).notes[0]

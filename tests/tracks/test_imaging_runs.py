@@ -67,6 +67,20 @@ def test_runs_make_no_interval_of_too_few_sequences_and_the_note_says_what_total
     )
 
 
+def test_a_sequence_of_fewer_runs_counts_as_often_as_any_other():
+    """A run that the machine lost has no result."""
+    counts = [result("detection", found) for found in (9, 1)]
+    whole = TRACKS["detection"].over_dataset("m", [[counts[0]] * 3, [counts[1]] * 2])
+    even = TRACKS["detection"].over_dataset("m", [[counts[0]], [counts[1]]])
+    assert whole.metrics == pytest.approx(even.metrics, nan_ok=True)
+    assert whole.runs == [3, 2]
+    several = [[result("detection", found)] * runs for found, runs in ((9, 3), (1, 2), (4, 2), (6, 3), (8, 1), (3, 1))]
+    uneven, once = (TRACKS["detection"].over_dataset("m", made) for made in (several, [one[:1] for one in several]))
+    for key, interval in once.intervals.items():
+        found = uneven.intervals[key]
+        assert (found.low, found.high) == pytest.approx((interval.low, interval.high), nan_ok=True)
+
+
 def test_over_runs_that_differ_ratios_are_of_all_and_totals_their_means():
     row = row_of("segmentation", (2, 5), (0, 1, 2))
     assert row.metrics["iou"] == pytest.approx((2 + 3 + 4 + 5 + 6 + 7) / 60)

@@ -18,7 +18,7 @@ from oysterbench.evaluate.detection.precision import PrecisionCurve, average_pre
 from oysterbench.evaluate.detection.precision import join as join_matches
 from oysterbench.evaluate.detection.settings import DetectionSettings
 from oysterbench.evaluate.detection.states import STATE_METRICS, StateCounts, state_metrics, states_of
-from oysterbench.evaluate.runs import sum_as_of_one_run
+from oysterbench.evaluate.runs import repeated, sum_as_of_one_run, times_of
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
 
 NO_TRUTH = "the ground truth has no such oyster"
@@ -171,39 +171,47 @@ def over_clips(
     clips: Sequence[DetectionClip], runs: Sequence[int] | None = None
 ) -> tuple[DetectionClip, dict[str, Interval]]:
     """Compute the result over all clips, and intervals of AP, panoptic quality and counts by resampling clips, each
-    with all its images. runs: (C,) number of runs joined in each clip, None for one; totals over images are as of one
-    run."""
+    with all its images. runs: (C,) number of runs joined in each clip, None for one: each clip counts as often as
+    any other, and totals over images are as of one run."""
+    times = times_of(runs, len(clips))
     whole = join(clips)
+    if set(times) != {1}:
+        even = join(repeated(clips, times))
+        whole = replace(whole, metrics=even.metrics, reasons=even.reasons, curve=even.curve)
     totals = {key: sum_as_of_one_run([clip.metrics[key] for clip in clips], runs) for key in TOTALS}
     whole = replace(whole, metrics={**whole.metrics, **totals})
     kinds = whole.matches
     parts = [clip.panoptic for clip in clips if clip.panoptic is not None]
-    intervals = {f"ap_{kind}": _interval([clip.matches[kind]["all"] for clip in clips]) for kind in kinds}
-    return whole, {**intervals, **_count_intervals([clip.counts for clip in clips]), **_quality_interval(parts, clips)}
+    often = np.array(times)
+    intervals = {f"ap_{kind}": _interval([clip.matches[kind]["all"] for clip in clips], often) for kind in kinds}
+    counts = _count_intervals([clip.counts for clip in clips], often)
+    return whole, {**intervals, **counts, **_quality_interval(parts, clips, often)}
 
 
-def _interval(clips: Sequence[Matches]) -> Interval:
+def _interval(clips: Sequence[Matches], often: Array) -> Interval:
     drawn = resample_counts(len(clips))
     if drawn is None:
         return Interval(math.nan, math.nan, too_few(len(clips)))
     curve = PrecisionCurve(clips)
-    values = np.array([average_precision(curve.at(times)[0]) for times in drawn[:RESAMPLES]])
+    values = np.array([average_precision(curve.at(times * often)[0]) for times in drawn[:RESAMPLES]])
     return resampled_interval(values, len(clips))
 
 
-def _count_intervals(clips: Sequence[tuple[ImageCount, ...]]) -> dict[str, Interval]:
+def _count_intervals(clips: Sequence[tuple[ImageCount, ...]], often: Array) -> dict[str, Interval]:
     """Intervals of the mean over images of the error in the number of oysters, and of its absolute value."""
     errors = [np.array([one.error for one in counts], dtype=float) for counts in clips]
-    sums = np.array([[len(of), of.sum(), np.abs(of).sum()] for of in errors])
+    sums = np.array([[len(of), of.sum(), np.abs(of).sum()] for of in errors]) * often[:, None]
     return {key: _ratio_interval(sums[:, column], sums[:, 0]) for key, column in (("count_bias", 1), ("count_mae", 2))}
 
 
-def _quality_interval(parts: Sequence[PanopticCounts], clips: Sequence[DetectionClip]) -> dict[str, Interval]:
+def _quality_interval(
+    parts: Sequence[PanopticCounts], clips: Sequence[DetectionClip], often: Array
+) -> dict[str, Interval]:
     if len(parts) < len(clips):
         return {}
     overlap = np.array([part.overlap for part in parts])
     whole = np.array([part.matched + 0.5 * (part.extra + part.missed) for part in parts])
-    return {"pq": _ratio_interval(overlap, whole)}
+    return {"pq": _ratio_interval(often * overlap, often * whole)}
 
 
 def _ratio_interval(over: Array, under: Array) -> Interval:

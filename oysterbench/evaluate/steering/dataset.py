@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oysterbench.core.geometry import Array
-from oysterbench.evaluate.runs import sum_as_of_one_run
+from oysterbench.evaluate.runs import repeated, sum_as_of_one_run, times_of
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
 from oysterbench.evaluate.steering import labels
 from oysterbench.evaluate.steering.pictures import (
@@ -70,17 +70,19 @@ def _constant(truth: Labels, pair: Sequence[int]) -> Commands:
 
 def over_sequences(parts: Sequence[tuple[Labels, Commands]], runs: Sequence[int] | None = None) -> Whole:
     """Score the commands for the images of one or more sequences together; all are of the same task. runs: (C,) number
-    of runs that each part holds (`together`), None for one."""
+    of runs that each part holds (`together`), None for one: each sequence counts as often as any other."""
     score, scores = score_pictures(*together(parts)), [score_pictures(*part) for part in parts]
     pictures = sum_as_of_one_run([one.metrics["pictures"] for one in scores], runs)
-    score = replace(score, metrics={**score.metrics, "pictures": pictures})
     n = len(parts)
+    times = times_of(runs, n)
+    even = score if set(times) == {1} else score_pictures(*together(repeated(parts, times)))
+    score = replace(score, metrics={**even.metrics, "pictures": pictures})
     runs = runs or (1,) * n
     counts = resample_counts(n)
     if counts is None:
         unknown = Interval(math.nan, math.nan, too_few(n))
         return Whole(score, dict.fromkeys((*_sums(parts, scores), *_F1), unknown), n, runs)
-    intervals = {}
+    counts, intervals = counts * np.array(times), {}
     with np.errstate(divide="ignore", invalid="ignore"):
         for key, (tops, bottoms) in _sums(parts, scores).items():
             ratios = (counts @ tops) / (counts @ bottoms)
