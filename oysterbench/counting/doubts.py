@@ -38,7 +38,7 @@ def doubts(
     if pictures and rendered:
         yield (
             f"{method} has learnt from rendered reefs alone: it may count several times as many oysters as there are "
-            "in real images; train it further on labelled images of your own (docs/paths/biology.md says how)"
+            "in real images; train it further on labelled images of your own (`oysterbench train unet --help` says how)"
         )
     if copies:
         listed = ", ".join(f"{name} is {first}" for name, first in copies[:3]) + ", ..." * (len(copies) > 3)

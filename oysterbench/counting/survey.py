@@ -166,7 +166,7 @@ def survey(
 ) -> Survey:
     """Summarise counts of images, in the order of their names, and frames, in that of their times. scale: its kind,
     empty for none; least: minimum size that was used; copies, quadrat_m2, rendered: see `doubts`, to which the last
-    goes only where there is no `accuracy`."""
+    goes unless `accuracy` tells of such images."""
     labels = block_labels(pictures, neighbours)
     noun = "image" if len(labels) == len(np.unique(labels)) else "block"
 
@@ -227,7 +227,7 @@ def survey(
     known = tuple(one for one in measures if not math.isnan(one.ratio.value))
     alike = likeness([one.oysters for one in pictures], labels)
     length_mm = next((one.ratio.value for one in known if one.key == "length_mm"), math.nan)
-    unchecked = rendered and accuracy is None
+    unchecked = rendered and not (accuracy is not None and accuracy.tells)
     warnings = list(doubts(method, pictures, length_mm, scale, copies, quadrat_m2, unchecked))
     if accuracy is not None and scale == "quadrat":
         warnings.append(WHOLE_IMAGES)

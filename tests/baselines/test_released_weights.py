@@ -61,5 +61,8 @@ def test_the_weights_of_unet_are_known_to_have_seen_rendered_reefs_alone(tmp_pat
     from oysterbench.counting.accuracy import saw_rendered_reefs_alone
 
     assert saw_rendered_reefs_alone({"unet": released_models() / "unet.pt"})
+    alone = tmp_path / "alone.pt"
+    alone.write_bytes((released_models() / "unet.pt").read_bytes())
+    assert saw_rendered_reefs_alone({"unet": alone}), "what the checkpoint says, where there is no card"
     (tmp_path / "unet.pt").write_bytes(b"trained by somebody")
     assert not saw_rendered_reefs_alone({"unet": tmp_path / "unet.pt"})

@@ -42,6 +42,20 @@ def test_results_with_other_weights_are_told_apart(tmp_path):
     assert not read_accuracy(tmp_path, "m", {"net": "aa"}).other_weights
 
 
+@pytest.mark.parametrize(
+    ("further", "tells"),
+    [
+        ({}, True),
+        ({"split": "seg-val"}, False),
+        ({"truth": 0.0}, False),
+        ({"method_settings": {"weights": {"n": "b"}}}, False),
+    ],
+)
+def test_results_on_rendered_reefs_of_other_weights_or_without_oysters_tell_nothing_of_counts(tmp_path, further, tells):
+    write_results(tmp_path / "results.json", [record(**further)])
+    assert read_accuracy(tmp_path, "m", {"n": "a"}).tells is tells
+
+
 def test_results_of_other_methods_or_tracks_are_refused(tmp_path):
     write_results(tmp_path / "results.json", [record("other"), record(track="segmentation")])
     with pytest.raises(
