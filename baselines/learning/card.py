@@ -26,9 +26,9 @@ def describe(name: str, path: Path) -> Training:
 
     Raises MethodError where the file is not a checkpoint, or is one of another or an unfinished training.
     """
-    checkpoint = read_finished(path)
-    if (found := kind_of(checkpoint)) != name:
-        raise MethodError(f"{path}: expected weights of {name}, got those of {found or 'a training that is not known'}")
+    checkpoint = read_weights(name, path)
+    if not kind_of(checkpoint):
+        raise MethodError(f"{path}: expected weights of {name}, got those of a training that is not known")
     identity = checkpoint.identity
     return Training(
         data=all_data_of(identity),
@@ -42,6 +42,15 @@ def describe(name: str, path: Path) -> Training:
         versions=dict(checkpoint.versions),
         begun=origin_of(identity, str(checkpoint.network.get("encoder") or "")),
     )
+
+
+def read_weights(name: str, path: Path) -> Checkpoint:
+    """Read the checkpoint of a finished training. Raises MethodError where there is none, or it is known to be of other
+    weights than `name`."""
+    checkpoint = read_finished(path)
+    if (found := kind_of(checkpoint)) not in ("", name):
+        raise MethodError(f"{path}: expected weights of {name}, got those of {found}")
+    return checkpoint
 
 
 def kind_of(checkpoint: Checkpoint) -> str:

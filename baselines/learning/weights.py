@@ -15,14 +15,14 @@ def _describe(name: str, path: Path) -> Training:
     return describe(name, path)
 
 
-def _check(path: Path) -> None:
-    from oysterbench_baselines.learning.checkpoint import read_finished
+def _check(name: str, path: Path) -> None:
+    from oysterbench_baselines.learning.card import read_weights
 
-    read_finished(path)
+    read_weights(name, path)
 
 
 def _weights(name: str, **known: object) -> Weights:
-    return Weights(name=name, describe=partial(_describe, name), **{"check": _check, **known})  # type: ignore[arg-type]
+    return Weights(name=name, describe=partial(_describe, name), **{"check": partial(_check, name), **known})  # type: ignore[arg-type]
 
 
 LIMITS = (

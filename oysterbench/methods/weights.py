@@ -137,10 +137,14 @@ def no_weights(name: str, path: Path) -> MethodError:
 
 def check_usable(name: str, path: Path) -> None:
     """Raise MethodError where methods refuse the file of known weights, such as one of an interrupted training. Files
-    with a card, which were released, are not read, and none are where what reads them is not installed."""
-    from oysterbench.hub.verify import kept_card
+    of which a card beside them is, which were released, are not read, and none are where what reads them is not
+    installed."""
+    from oysterbench.hub.weights import weights_here
 
-    if name in weights_names() and kept_card(path) is None:
+    if name not in weights_names():
+        return
+    here = weights_here(path)
+    if here is None or here.model is None:
         with suppress(ModuleNotFoundError):
             find_weights(name).check(path)
 

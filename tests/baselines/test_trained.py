@@ -24,6 +24,7 @@ from oysterbench_baselines.steering.model import SteeringModel  # noqa: E402
 from oysterbench_baselines.unet.model import described, read_unet  # noqa: E402
 from oysterbench_baselines.unet.training import begun_settings, identity, train  # noqa: E402
 from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
+from tests.helpers.weights_made import card_of, write_weights  # noqa: E402
 
 ONE = dataclasses.replace(SMALL, fit=dataclasses.replace(SMALL.fit, steps=1))
 
@@ -112,6 +113,24 @@ def test_weights_that_methods_refuse_are_refused_before_a_run_and_told_of(name, 
     listed = json.loads(CliRunner().invoke(main, ["models", "--json"]).stdout)
     (row,) = (row for row in listed["models"] if row["model"] == name)
     assert row["here"].startswith("trained here (unfinished or damaged), ")
+
+
+def test_a_damaged_file_beside_a_card_and_weights_of_another_kind_are_refused_before_a_run(labelled, home, monkeypatch):
+    """A card tells only of the very file that it names."""
+    for name in ("unet", "unet_small"):
+        monkeypatch.delenv(f"OYSTERBENCH_{name.upper()}", raising=False)
+    path = write_weights(weights_path("unet"))
+    path.with_suffix(".json").write_bytes(card_of(path).data)
+    have_weights({"unet": path})
+    path.write_bytes(path.read_bytes()[:10_000])
+    with pytest.raises(MethodError, match="not a checkpoint of this version"):
+        have_weights({"unet": path})
+    doctor = {finding.name: finding for finding in look_at_data()}["weights unet"]
+    assert (doctor.state, doctor.advice) == ("broken", "oysterbench download unet --again")
+    train(labelled, weights_path("unet_small"), ONE, 0, torch.device("cpu"))
+    have_weights({"unet_small": weights_path("unet_small")})
+    with pytest.raises(MethodError, match="expected weights of unet, got those of unet_small"):
+        have_weights({"unet": weights_path("unet_small")})
 
 
 def test_an_unfinished_training_that_its_command_takes_is_not_refused(home, monkeypatch):

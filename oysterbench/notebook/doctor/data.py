@@ -10,7 +10,7 @@ from pathlib import Path
 from oysterbench.core.disk_space import free_bytes
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.core.names import counted, did_you_mean, nearest
-from oysterbench.core.places import MODELS, home, home_problem, models, released_models
+from oysterbench.core.places import MODELS, home, home_problem, models
 from oysterbench.notebook.doctor.finding import Finding, broken_by, in_bytes
 
 HOME, HUB, HUB_KEY, EXPORTS = "OYSTERBENCH_HOME", "OYSTERBENCH_HUB", "OYSTERBENCH_HUB_KEY", "OYSTERBENCH_EXPORTS_GB"
@@ -93,7 +93,7 @@ def _split(name: str, known: bool) -> Iterator[Finding]:
 
 def _weights() -> Iterator[Finding]:
     from oysterbench.hub.settings import hub_places
-    from oysterbench.hub.verify import kept_card
+    from oysterbench.hub.weights import weights_here
     from oysterbench.methods.weights import check_usable, find_weights, usable_path, weights_names, weights_variable
 
     folder = models()
@@ -104,7 +104,8 @@ def _weights() -> Iterator[Finding]:
         variable = weights_variable(name)
         named = os.environ.get(variable)
         path = Path(named) if named else usable_path(name)
-        if not path.is_file():
+        here = weights_here(path)
+        if here is None:
             if named:
                 yield Finding(
                     "data", f"weights {name}", "broken", f"{variable} = {named}: no such file", f"unset {variable}"
@@ -115,19 +116,19 @@ def _weights() -> Iterator[Finding]:
                 advice = f"oysterbench download {name}" if hub_places() else f"oysterbench train {known.train}"
                 yield Finding("data", f"weights {name}", "missing", detail, advice)
             continue
-        card = None if named else kept_card(path)
-        if not named and card is None and path.with_suffix(".json").is_file():
+        if not named and here.card is None and path.with_suffix(".json").is_file():
             detail = f"{path.with_suffix('.json')}: not a card that can be read"
             yield Finding("data", f"weights {name}", "broken", detail, f"oysterbench download {name} --again")
             continue
         try:
             check_usable(name, path)
         except OysterbenchError as error:
-            advice = f"unset {variable}" if named else f"oysterbench train {find_weights(name).train}"
+            anew = f"download {name} --again" if here.card else f"train {find_weights(name).train}"
+            advice = f"unset {variable}" if named else f"oysterbench {anew}"
             yield broken_by("data", f"weights {name}", error, advice)
             continue
-        of = "part of oysterbench" if path.parent == released_models() else "of a hub"
-        origin = named or (f"version {card.version}, {of}" if card else "trained here")
+        of = "part of oysterbench" if here.released else "of a hub"
+        origin = named or (f"version {here.model.version}, {of}" if here.model else here.brief)
         yield Finding("data", f"weights {name}", "ok", f"{in_bytes(path.stat().st_size)}, {origin}")
 
 
