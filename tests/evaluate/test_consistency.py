@@ -225,8 +225,20 @@ def test_an_exact_first_pose_costs_no_consistency_where_the_truth_is_faster(alig
     assert not any("NEES" in note for note in result.notes)
     assert len(result.nees["pose"].values) == result.metrics["matched"] - step // 2 - 1
     assert np.isfinite(result.metrics["nees_pose"])
-    never = score(truth, replace(estimate, covariances=0 * covariances), SlamSettings(align=align))
-    assert never.reasons["nees_pose"] == "the covariance of matched pose 2 is not positive definite"
+    for exact in (2, n // 2, n):
+        covariances[:exact] = 0
+        claimed = score(truth, replace(estimate, covariances=covariances), SlamSettings(align=align))
+        why = f"the covariance of matched pose {step // 2 + 2} is not positive definite"
+        assert claimed.reasons["nees_pose"] == why
+
+
+@pytest.mark.parametrize("align", ["posyaw", "origin"])
+def test_an_estimate_that_calls_itself_exact_for_long_is_not_excused_for_it(align):
+    truth, estimate = drifting(stream(14, b"", "drift"))
+    covariances = estimate.covariances.copy()
+    covariances[: int(0.8 * len(truth))] = 0
+    result = score(truth, replace(estimate, covariances=covariances), SlamSettings(align=align))
+    assert result.reasons["nees_pose"] == "the covariance of matched pose 2 is not positive definite"
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds, too_wide
+from oysterbench.core.trajectory.poses import nearest_stamps
 from oysterbench.evaluate.slam.pairs import Index, run_of
 from oysterbench.evaluate.slam.settings import MIN_MATCHED, SlamSettings
 
@@ -34,6 +35,7 @@ class Association:
     truth:      (N,) poses of the truth at these stamps
     estimate:   (N,) poses of the estimate matched to them, with the truth's stamps
     positions:  (C, 3) m, positions of the estimate at the C covered stamps, before alignment
+    by_first:   how many of the matched poses, from the first on, have the covariance of the same pose of the estimate
     """
 
     covered: NDArray[np.bool_]
@@ -41,6 +43,7 @@ class Association:
     truth: Trajectory
     estimate: Trajectory
     positions: Array
+    by_first: int = 1
 
 
 def associate(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -> Association:
@@ -53,7 +56,8 @@ def associate(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -
         same = len(associated) == len(estimate) and np.array_equal(truth.stamps_ns[associated], estimate.stamps_ns)
         matched = estimate if same else _interpolated(estimate, truth.stamps_ns[associated])
         every = truth if len(associated) == len(truth) else truth.select(run_of(associated))
-        return Association(covered, associated, every, matched, matched.positions)
+        by_first = 1 if same else _number_at_first(estimate.stamps_ns, truth.stamps_ns[associated])
+        return Association(covered, associated, every, matched, matched.positions, by_first)
     associated, taken = nearest_pairs(truth.stamps_ns, estimate.stamps_ns, settings.max_difference_s)
     _check_matched(len(associated), truth, estimate, settings)
     covered[associated] = True
@@ -71,6 +75,12 @@ def _interpolated(estimate: Trajectory, stamps_ns: Stamps) -> Trajectory:
     """Interpolate poses at covered stamps (N,); just beyond an end, take the pose at that end."""
     within_ns = np.clip(stamps_ns, estimate.stamps_ns[0], estimate.stamps_ns[-1])
     return replace(estimate.at(within_ns), stamps_ns=stamps_ns)
+
+
+def _number_at_first(estimate_ns: Stamps, stamps_ns: Stamps) -> int:
+    """How many of the increasing stamps (N,) are nearest to the same pose of the estimate (K,) as the first of them."""
+    taken = nearest_stamps(estimate_ns, stamps_ns)
+    return int(np.count_nonzero(taken == taken[0]))
 
 
 def _positions_at(estimate: Trajectory, stamps_ns: Stamps) -> Array:

@@ -250,7 +250,8 @@ def measure_consistency(matched: Matched, settings: SlamSettings, measures: Meas
         return {}
     parts = ("position", "rotation", "pose")
     try:
-        found = nees(matched.met.truth, matched.met.estimate, settings.align, matched.fit.similarity)
+        met = matched.met
+        found = nees(met.truth, met.estimate, settings.align, matched.fit.similarity, met.by_first)
     except ValueError as error:
         measures.notes.append(f"NEES is not computed: {error}")
         for part in parts:

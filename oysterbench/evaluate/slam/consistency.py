@@ -63,27 +63,28 @@ def _chi2_quantile(probability: float | Array, freedom: int) -> Any:
     return 2.0 * scipy.special.gammaincinv(freedom / 2.0, probability)
 
 
-def nees(truth: Trajectory, estimate: Trajectory, align: Align, fit: Similarity) -> dict[str, Nees]:
+def nees(truth: Trajectory, estimate: Trajectory, align: Align, fit: Similarity, by_first: int = 1) -> dict[str, Nees]:
     """NEES of position, rotation and pose, from matched poses (N,) of the truth and of the unaligned estimate.
 
     align, fit: the evaluator's alignment, whose freedom and scale are adopted. The estimate's covariances (N, 6, 6) are
     in the axes of its world frame, and rotate and scale with it. If the first pose is used for alignment, it is not a
-    sample, and may be exact: (N - 1,), or fewer where matched poses next to an exact one have its covariance. Raises
-    ValueError where another covariance is not positive definite, or one is not finite.
+    sample, and may be exact: (N - 1,), or (N - by_first,) if it is exact. by_first: how many matched poses, from the
+    first on, have the covariance of the same pose of the estimate, to which a faster truth is matched several times.
+    Raises ValueError where another covariance is not positive definite, or one is not finite.
     """
     covariances = estimate.covariances
     if covariances is None:
         raise ValueError("the estimate has no covariances")
-    by_first = align not in ("none", "scale")
-    begin = _first_sample(covariances) if by_first else 0
+    at_first = align not in ("none", "scale")
+    begin = (by_first if _is_singular(covariances[0]) else 1) if at_first else 0
     _check(covariances, begin)
-    change = _by_first(truth, estimate, align, fit.scale) if by_first else fit
+    change = _by_first(truth, estimate, align, fit.scale) if at_first else fit
     aligned = Trajectory(truth.stamps_ns, change.apply(estimate.positions), change.rotate(estimate.quaternions))
     turn = scipy.spatial.transform.Rotation.from_quat(absolute_errors(truth, aligned).turn).as_rotvec()
     # In the estimate's axes, with its covariances unchanged, NEES is the same number and costs less.
     error = np.column_stack([(aligned.positions - truth.positions) / change.scale, turn])
     error = np.einsum("nkj,ji->nki", error.reshape(-1, 2, 3), change.rotation).reshape(-1, 6)
-    if by_first:
+    if at_first:
         covariances = covariances + _of_first(estimate, covariances[0], align)
         covariances, error = covariances[begin:], error[begin:]
     return {
@@ -121,15 +122,9 @@ def _of_first(estimate: Trajectory, covariance: Array, align: Align) -> Array:
     return np.asarray(change @ covariance @ np.swapaxes(change, 1, 2))
 
 
-def _first_sample(covariances: Array) -> int:
-    """Number of matched poses, with covariances (N, 6, 6), before the first sample of an estimate aligned by its first
-    pose: that pose, and if its covariance is singular, those next to it with the same. A truth faster than the estimate
-    is matched to poses between two of it, each with the covariance of the nearer one."""
-    first = covariances[0]
-    if not np.isfinite(first).all() or np.linalg.eigvalsh(first)[0] > 0:
-        return 1
-    others = np.flatnonzero((covariances != first).any(axis=(1, 2)))
-    return int(others[0]) if len(others) else 1
+def _is_singular(covariance: Array) -> bool:
+    """Whether a finite covariance (6, 6) is not positive definite, as that of an exact pose is not."""
+    return bool(np.isfinite(covariance).all() and np.linalg.eigvalsh(covariance)[0] <= 0)
 
 
 def _check(covariances: Array, begin: int) -> None:
