@@ -32,12 +32,16 @@ LOWER, UPPER = "random", "expert"
 
 
 def whole_of(runs: Sequence[PictureRun]) -> dict[str, Whole]:
-    """Score each method over all images together, if it failed on no sequence."""
+    """Score each method over all images together, if it failed on no sequence, and lacks none that others ran on: where
+    it was killed, there is no record."""
     groups: dict[str, dict[str, list[PictureRun]]] = {}
     for run in runs:
         groups.setdefault(run.record.method, {}).setdefault(run.record.sequence, []).append(run)
+    every = {run.record.sequence for run in runs}
     found = {}
     for method, sequences in groups.items():
+        if sequences.keys() != every:
+            continue
         parts = [
             [(run.labels, run.commands) for run in group if run.labels is not None and run.commands is not None]
             for group in sequences.values()

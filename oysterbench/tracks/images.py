@@ -138,14 +138,16 @@ class ImageTrack(Track):
         """The result of a method over all sequences, from those of its runs on each."""
 
     def dataset_rows(self, runs: Sequence[ImageRun]) -> list[DatasetRow]:
-        """Result over all sequences for each method that could be scored on all of them."""
+        """Result over all sequences for each method that could be scored on all of them: one that lacks runs on a
+        sequence that others ran on, as it was killed there, is left out, as that may be a hard one."""
         groups: dict[str, dict[str, list[Any]]] = {}
         for run in runs:
             groups.setdefault(run.record.method, {}).setdefault(run.record.sequence, []).append(run.result)
+        every = {run.record.sequence for run in runs}
         return [
-            self.over_dataset(method, list(sequences.values()))
-            for method, sequences in groups.items()
-            if all(result is not None for results in sequences.values() for result in results)
+            self.over_dataset(method, list(found.values()))
+            for method, found in groups.items()
+            if found.keys() == every and all(result is not None for results in found.values() for result in results)
         ]
 
     def failed_metrics(self, labelled: LabelledSequence, settings: Any) -> Mapping[str, float]:

@@ -160,7 +160,8 @@ class SteeringTrack(Track):
         figures = picture_figures(views, runs, wholes, out) if out is not None else []
         first = []
         if wholes:
-            constant = best_constant([one.labels for one in views])
+            ran = {run.record.sequence for run in runs}
+            constant = best_constant([one.labels for one in views if one.name in ran])
             first.append(pictures_table(wholes, constant, views[0].task))
         return Evaluation(runs, first=first, printed=shown_tables([run.record for run in runs], first), figures=figures)
 

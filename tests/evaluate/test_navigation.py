@@ -199,6 +199,8 @@ def test_several_runs_on_a_sequence_are_resampled_with_it_and_its_images_counted
     assert (
         "16 images of 2 sequences together, in 2 to 3 runs on each" in pictures_table({"m": lost}, None, TASK).notes[0]
     )
+    killed = replace(records[0], method="killed")
+    assert list(whole_of([PictureRun(record, *parts[0]) for record in [*records[:6], killed]])) == ["m"]
 
 
 def _ratio(parts, counts, top, bottom) -> float:

@@ -103,3 +103,16 @@ def test_totals_are_as_of_one_run_where_a_sequence_lacks_a_run(track):
     whole = row_of(track, (4, 4), (0,))
     assert row.metrics == pytest.approx(whole.metrics, nan_ok=True)
     assert "2 sequences together, in 2 to 3 runs on each; totals" in dataset_tables([row])[0].notes[0]
+
+
+@pytest.mark.parametrize("track", SCORERS)
+def test_a_method_that_lacks_a_sequence_is_in_no_table_over_the_data_set_of_those_that_ran_on_all(track):
+    """The machine killed it there, as may be on a large and hard one, so that it has no record."""
+    made = [
+        SimpleNamespace(record=SimpleNamespace(method=method, sequence=name), result=result(track, found))
+        for method, name, found in (("full", "easy", 9), ("full", "hard", 2), ("killed", "easy", 9))
+    ]
+    (row,) = TRACKS[track].dataset_rows(made)
+    assert (row.method, row.clips) == ("full", 2)
+    (alone,) = TRACKS[track].dataset_rows(made[2:])
+    assert (alone.method, alone.clips) == ("killed", 1)
