@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.detection import Instance
-from oysterbench.evaluate.detection.instances import OUTSIDE, Runs, mask_tools, numpy_2
+from oysterbench.evaluate.detection.instances import OUTSIDE, Runs, mask_tools, numpy_2, part_boxes
 
 PACKED = re.compile(rb"([P-o]{0,6}[0-O])+")
 """Compressed run lengths: each number is characters of 5 bits from '0' on, all but its last with a sixth bit set. Seven
@@ -94,14 +94,16 @@ def instance_of(item: CocoItem, height: int, width: int, scored: bool) -> Instan
     """Instance that an item of an image describes; scored: as an estimate. Raises LabelError if it is wrong."""
     values, tools = item.values, mask_tools()
     runs = run_lengths(item, height, width) if values.get("segmentation") else None
+    crowd = not scored and item.crowd
     with numpy_2():
         given = values["bbox"] if "bbox" in values else tools.toBbox(runs).tolist()
         box = _box(item.where, given, height, width)
         area = float(tools.area(runs)) if runs is not None else box[2] * box[3]
+        parts = part_boxes(tools.decode(runs)) if crowd and runs is not None else ()
     live = live_of(item)
     if scored:
         return Instance(box, runs, area, item.score(), live=live)
-    return Instance(box, runs, item.number("area", area), crowd=item.crowd, live=live)
+    return Instance(box, runs, item.number("area", area), crowd=crowd, live=live, parts=parts)
 
 
 def live_of(item: CocoItem) -> float:

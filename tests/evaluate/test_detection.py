@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from oysterbench.annotations import read_coco
 from oysterbench.core.errors import LabelError
 from oysterbench.core.streams import stream
 from oysterbench.evaluate.detection import DetectionScorer, DetectionSettings, ImageInstances, Instance
@@ -334,9 +337,9 @@ def test_counts_and_panoptic_quality_have_intervals_over_clips():
     assert not over_clips(clips[:3])[1]["count_bias"].known
 
 
-def test_ignored_oysters_excuse_no_boxes_between_them():
+def test_ignored_oysters_excuse_no_boxes_between_them(tmp_path):
     """All of them are one crowd region, whose bounding box is the whole image: false boxes were neither right nor wrong
-    wherever they were."""
+    wherever they were. So it is of a COCO file."""
     numbers, ignore = np.zeros((SIDE, SIDE), np.int32), np.zeros((SIDE, SIDE), bool)
     numbers[50:70, 50:70] = 1
     ignore[:12, :12] = ignore[-12:, -12:] = True
@@ -349,3 +352,19 @@ def test_ignored_oysters_excuse_no_boxes_between_them():
     counted = scored((truth, image(*boxes)))
     assert counted.metrics["ap50_box"] == found.metrics["ap50_box"]
     assert counted.metrics["count_estimate"] == found.metrics["count_estimate"] == 1 + len(false)
+    regions = [(numbers == 1, 0), (ignore, 1)]
+    annotations = [annotation(k, mask, iscrowd) for k, (mask, iscrowd) in enumerate(regions)]
+    content = {"images": [{"id": 1, "file_name": "a.png", "width": SIDE, "height": SIDE}], "annotations": annotations}
+    (tmp_path / "a.json").write_text(json.dumps({**content, "categories": [{"id": 1, "name": "oyster"}]}))
+    read = read_coco(tmp_path / "a.json").instances("a", scored=False)
+    assert scored((read, image(right, *false, on_ignored))).metrics == pytest.approx(found.metrics, nan_ok=True)
+    assert scored((read, image(*boxes))).metrics == pytest.approx(counted.metrics, nan_ok=True)
+
+
+def annotation(number: int, mask: np.ndarray, iscrowd: int) -> dict[str, Any]:
+    """A COCO annotation, with a mask of run lengths and the box around it."""
+    one = from_mask(mask)
+    assert one.mask is not None
+    runs = {**one.mask, "counts": one.mask["counts"].decode()}
+    about = {"id": number, "image_id": 1, "category_id": 1, "iscrowd": iscrowd}
+    return {**about, "segmentation": runs, "bbox": list(one.box), "area": one.area}

@@ -14,7 +14,8 @@ only summed here (`precision`), so that clips can be resampled. Values defined w
 
 A crowd region (iscrowd) is a region to be ignored: an estimate that overlaps it by more than the overlap threshold (AP)
 or by more than half of its own area (counts, panoptic quality) is neither right nor wrong. All oysters of an image that
-are ignored are one region; boxes are compared with those of its connected parts.
+are ignored are one region; in a COCO file, each crowd annotation is one. Boxes are compared with those of the connected
+parts of its mask, not with one box around all of them as in pycocotools; with `bbox` only where it has no mask.
 
 At most `max_detections` of an image count, the most confident ones. COCO's 100 would leave out oysters of a dense reef,
 of which an image of seg-val shows up to 205: 150 perfect detections reach an AP of 0.663 at 100. Equal scores keep the

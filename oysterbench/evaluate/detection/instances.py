@@ -142,17 +142,19 @@ def from_planes(
         alive = (live or {}).get(number, math.nan)
         found.append(from_mask(whole, math.nan if scores is None else scores[number], live=alive))
     if ignore is not None and ignore.any():
-        found.append(replace(from_mask(ignore, crowd=True), parts=tuple(_parts(ignore))))
+        found.append(replace(from_mask(ignore, crowd=True), parts=part_boxes(ignore)))
     return ImageInstances(name, height, width, tuple(found), footprint_m2)
 
 
-def _parts(mask: NDArray[np.bool_]) -> Iterator[Box]:
-    """Boxes of the connected parts of a mask (H, W)."""
+def part_boxes(mask: NDArray[np.bool_] | NDArray[np.uint8]) -> tuple[Box, ...]:
+    """Boxes of the parts of a mask (H, W) that are connected by edges or corners."""
     from scipy.ndimage import find_objects, label
 
-    for rows, columns in find_objects(label(mask, structure=np.ones((3, 3)))[0]):
-        height, width = rows.stop - rows.start, columns.stop - columns.start
-        yield float(columns.start), float(rows.start), float(width), float(height)
+    found = find_objects(label(mask, structure=np.ones((3, 3)))[0])
+    return tuple(
+        (float(columns.start), float(rows.start), float(columns.stop - columns.start), float(rows.stop - rows.start))
+        for rows, columns in found
+    )
 
 
 def pieces(numbers: NDArray[np.integer]) -> dict[int, tuple[int, int, NDArray[np.bool_]]]:
