@@ -9,7 +9,7 @@ import numpy as np
 
 from oysterbench.annotations import CocoFile, LabelledSequence
 from oysterbench.evaluate.segmentation import EVALUATOR, ClipResult, ClipScorer, EstimateImage, SegmentationSettings
-from oysterbench.evaluate.segmentation.clip import mean_of_runs
+from oysterbench.evaluate.segmentation.clip import means_of_runs
 from oysterbench.evaluate.segmentation.dataset import over_dataset
 from oysterbench.methods.interfaces.images import Prediction
 from oysterbench.report.images import DatasetRow, Sample
@@ -90,7 +90,7 @@ class SegmentationTrack(ImageTrack):
 
     def over_dataset(self, method: str, results: Sequence[Sequence[ClipResult]]) -> DatasetRow:
         """Result over all images together."""
-        found = over_dataset([mean_of_runs(list(runs)) for runs in results])
+        found = over_dataset(means_of_runs(results))
         whole, runs = found.whole, [len(one) for one in results]
         return DatasetRow(self.name, method, whole.metrics, whole.reasons, found.intervals, found.clips, whole, runs)
 

@@ -116,3 +116,19 @@ def test_a_method_that_lacks_a_sequence_is_in_no_table_over_the_data_set_of_thos
     assert (row.method, row.clips) == ("full", 2)
     (alone,) = TRACKS[track].dataset_rows(made[2:])
     assert (alone.method, alone.clips) == ("killed", 1)
+
+
+def test_each_sequence_counts_once_in_the_curve_of_thresholds_whatever_its_number_of_runs():
+    true = np.arange(100).reshape(10, 10) < 50
+    clips = []
+    for oyster, ground in ((0.9, 0.3), (0.35, 0.6)):
+        scorer = ClipScorer()
+        found = np.where(true, oyster, ground).astype(np.float32)
+        scorer.add(truth_of(true), EstimateImage("a", probability=found))
+        clips.append(scorer.result())
+    rows = [
+        TRACKS["segmentation"].over_dataset("m", [clips[:1] * a, clips[1:] * b]) for a, b in ((1, 1), (3, 1), (2, 3))
+    ]
+    for row in rows[1:]:
+        assert row.metrics == pytest.approx(rows[0].metrics, nan_ok=True)
+        np.testing.assert_array_equal(row.whole.curve.iou, rows[0].whole.curve.iou)

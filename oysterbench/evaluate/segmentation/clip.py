@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,10 +110,19 @@ def join(results: list[ClipResult]) -> ClipResult:
     return finish(add([result.tally for result in results]), counts, images, results[0].settings)
 
 
-def mean_of_runs(runs: list[ClipResult]) -> ClipResult:
-    """Compute the result on a clip over several runs: ratios of the counts of all of them, and counts as of one run."""
-    if len(runs) == 1:
+def means_of_runs(clips: Sequence[Sequence[ClipResult]]) -> list[ClipResult]:
+    """Compute the result on each clip over its runs: ratios of the counts of all of them, and counts as of one run.
+
+    Clips may differ in their number of runs. Histograms, which are whole numbers, are all as of as many runs as the
+    least common multiple, so that each clip has the same weight in their sum, too."""
+    common = math.lcm(*map(len, clips))
+    return [_mean_of_runs(list(runs), common) for runs in clips]
+
+
+def _mean_of_runs(runs: list[ClipResult], common: int) -> ClipResult:
+    if len(runs) == common == 1:
         return runs[0]
     whole = join(runs)
     tally = {key: count / len(runs) for key, count in whole.tally.items()}
-    return finish(tally, whole.histogram, whole.images, whole.settings)
+    counts = None if whole.histogram is None else whole.histogram * (common // len(runs))
+    return finish(tally, counts, whole.images, whole.settings)
