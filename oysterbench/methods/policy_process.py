@@ -25,7 +25,15 @@ from oysterbench.core.locks import scratch
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.interfaces.steering import task_of
 from oysterbench.methods.policy import commands
-from oysterbench.methods.processes import STDERR, ended_of, environment, report_of, secrets, supervised_command
+from oysterbench.methods.processes import (
+    STDERR,
+    ended_of,
+    environment,
+    report_of,
+    secrets,
+    supervised_command,
+    threads,
+)
 from oysterbench.methods.steering import Steering, SteeringMethod, VehicleState, View, Views
 
 LIMIT_S = 4 * 3600.0
@@ -37,9 +45,10 @@ class PolicyProcess:
 
     track = "steering"
 
-    def __init__(self, reference: str, limit_s: float = LIMIT_S) -> None:
-        """limit_s: time after which the process is ended. Raises MethodError where the method cannot be found."""
-        self.reference, self.limit_s = reference, limit_s
+    def __init__(self, reference: str, limit_s: float = LIMIT_S, cores: int | None = None) -> None:
+        """limit_s: time after which the process is ended; cores: number of cores for it, where several policies share a
+        machine. Raises MethodError where the method cannot be found."""
+        self.reference, self.limit_s, self.cores = reference, limit_s, cores
         self.name = find_method(reference).name
         self.cpu_s = 0.0  # of the last run, once that has ended
 
@@ -57,7 +66,7 @@ class PolicyProcess:
                     stderr=err,
                     start_new_session=True,
                     pass_fds=[report.fileno()],
-                    env=environment() | {"TMPDIR": str(folder)},
+                    env=environment() | threads(self.cores) | {"TMPDIR": str(folder)},
                 )
             try:
                 assert process.stdin is not None

@@ -73,15 +73,9 @@ class Stopped(Exception):
 
 
 class Processes:
-    """Starts commands from any number of threads, and ends all of them at once.
+    """Starts commands from any number of threads, and ends all of them at once."""
 
-    cores: number of cores for each command, where several share a machine: libraries that compute in parallel start as
-    many threads each, unless the user has set OMP_NUM_THREADS. Threads of theirs that outnumber the cores wait for each
-    other and take several times as long.
-    """
-
-    def __init__(self, cores: int | None = None) -> None:
-        self._threads = {} if cores is None or THREADS in os.environ else {THREADS: str(cores)}
+    def __init__(self) -> None:
         self._running: set[subprocess.Popen[bytes]] = set()
         self._lock = threading.Lock()
         self._stopped = False
@@ -94,20 +88,22 @@ class Processes:
         hidden: Iterable[Path] = (),
         visible: Iterable[Path] = (),
         fixed: Iterable[Path] = (),
+        cores: int | None = None,
     ) -> Ended:
         """Run a command to its end; its output goes to stdout.txt and stderr.txt in a folder.
 
         hidden: paths that it cannot open, if the kernel can hide them (`sandbox`); its environment does not reveal them
         either, and its temporary folder is one inside the folder, which is deleted afterwards. visible: paths inside
-        hidden ones that it can read. fixed: paths that it cannot write to; see `supervised_command` for others.
+        hidden ones that it can read. fixed: paths that it cannot write to; see `supervised_command` for others. cores:
+        number of cores for it, where several commands share a machine (`threads`); None for all.
         Raises MachineError where it was killed from outside, by the kernel for lack of memory or by a person, and
         Stopped once `stop` was called.
         """
         hidden, temporary = tuple(hidden), folder / TEMPORARY
-        env = dict(os.environ) | self._threads
+        env = dict(os.environ) | threads(cores)
         if hidden:
             temporary.mkdir(exist_ok=True)
-            env = environment() | self._threads | {"TMPDIR": str(temporary)}
+            env = environment() | threads(cores) | {"TMPDIR": str(temporary)}
         with (
             tempfile.TemporaryFile() as report,
             open(folder / STDOUT, "wb") as out,
@@ -236,6 +232,13 @@ def environment() -> dict[str, str]:
         if not key.startswith("OYSTERBENCH_") or key in named or value.endswith(WEIGHTS)
     }
     return kept | {MODELS: str(models())}
+
+
+def threads(cores: int | None) -> dict[str, str]:
+    """Environment of a command with so many cores for itself, where several share a machine; None for all of them:
+    libraries that compute in parallel start as many threads, unless the user has set OMP_NUM_THREADS. Threads that
+    outnumber the cores wait for each other and take several times as long."""
+    return {} if cores is None or THREADS in os.environ else {THREADS: str(cores)}
 
 
 def _ended(report: dict[str, Any], limit_s: float, folder: Path) -> Ended:

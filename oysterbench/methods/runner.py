@@ -27,22 +27,14 @@ from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, differing, read_
 from oysterbench.methods.processes import FULL, Processes, raise_if_full, secrets
 from oysterbench.methods.run_output import OnOutput, read_output
 from oysterbench.methods.sandbox import can_hide
+from oysterbench.methods.sharing import Sharing, default_workers, known_peaks
 
 AGAIN = "again"
 """File in the folder of the results while their runs are being repeated."""
 REPETITION_S = 24 * 3600.0
 """Time after its last run until which an interrupted repetition is gone on with, s."""
-ASSUMED_BYTES = 2 * 2**30
-"""Memory that a method is assumed to need until one of its runs has been measured."""
 LOOK_S = 1.0
 """Interval at which the output of running jobs is read, s."""
-MARGIN = 1.2
-"""Memory reserved for a method's next run, as a multiple of its highest peak so far."""
-
-
-def default_workers() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run_jobs(
@@ -192,31 +184,30 @@ def _run(
     announce: Announce,
     on_output: OnOutput | None,
 ) -> Iterator[tuple[Job, Outcome]]:
-    processes = Processes(max(1, default_workers() // min(workers, len(jobs))))
+    processes = Processes()
     held = ExitStack()
     # The path of a temporary folder does not reveal where the ground truth is.
     inputs = Inputs(held.enter_context(scratch()), jobs, processes, exports, announce)
-    peaks = _known_peaks(jobs, root)
-    budget = available_bytes()
+    sharing = Sharing(workers, known_peaks(jobs, root))
     waiting, running = list(jobs), dict[Future[Outcome], Job]()
     folders: dict[str, Path] = {}
     pool = ThreadPoolExecutor(workers)
     try:
         while waiting or running:
-            while waiting and len(running) < workers and _fits(waiting[0], running.values(), peaks, budget):
+            while waiting and sharing.fits(waiting[0], running.values()):
                 job = waiting.pop(0)
+                cores = sharing.cores(job, running.values(), waiting)
                 started = len(jobs) - len(waiting)
                 announce(f"running {job.title} ({started} of {len(jobs)})")
                 begun = partial(folders.__setitem__, job.title)
-                running[pool.submit(run_job, job, root, inputs, processes, hardware, begun)] = job
+                running[pool.submit(run_job, job, root, inputs, processes, hardware, begun, cores)] = job
             ended = wait(running, None if on_output is None else LOOK_S, FIRST_COMPLETED).done
             if on_output is not None:
                 titles = [job.title for future, job in running.items() if future not in ended]
                 on_output({title: read_output(folders[title]) for title in titles if title in folders})
             for future in ended:
                 job, outcome = running.pop(future), future.result()
-                if peak := int(outcome.process["peak_bytes"]):  # 0 where it never started
-                    peaks[job.adapter.name] = max(peaks.get(job.adapter.name, 0), peak)
+                sharing.learn(job, outcome)
                 yield job, outcome
     finally:
         # Also if the caller stops iterating or is interrupted: no process is left running unattended.
@@ -233,9 +224,10 @@ def run_job(
     processes: Processes,
     hardware: Mapping[str, Any] | None = None,
     begun: Callable[[Path], None] = lambda folder: None,
+    cores: int | None = None,
 ) -> Outcome:
     """Run one job and write its outcome, unless it was the machine that failed. begun: called with the folder that the
-    job's output goes to while it runs."""
+    job's output goes to while it runs. cores: number of cores for it, where jobs share a machine."""
     kept = job.folder(root)
     shutil.rmtree(kept, ignore_errors=True)
     kept.mkdir(parents=True)
@@ -263,7 +255,8 @@ def run_job(
     try:
         job.adapter.check(job.sequence)
         given = inputs.of(job)
-        run = partial(processes.run, limit_s=job.limit_s, folder=folder, hidden=hidden, visible=[given], fixed=[root])
+        places = partial(processes.run, folder=folder, hidden=hidden, visible=[given], fixed=[root])
+        run = partial(places, limit_s=job.limit_s, cores=cores)
         preparation = job.adapter.preparation(given, folder, job.number)
         prepared = run(preparation) if preparation else None
         if prepared is not None and prepared.failure is not None:
@@ -335,45 +328,6 @@ def _with_predictions(outcome: Outcome, job: Job, found: Predicted) -> Outcome:
         notes=notes,
         prediction=dict(found.prediction),
     )
-
-
-def available_bytes() -> int:
-    """Memory that processes may still use, bytes: what the system has available, within the control group's limit."""
-    found = []
-    try:
-        rows = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
-        found.append(int(rows["MemAvailable"].split()[0]) * 1024)
-        limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
-        if limit != "max":
-            found.append(int(limit) - int(Path("/sys/fs/cgroup/memory.current").read_text()))
-    except (OSError, KeyError, ValueError):
-        pass  # not Linux, or no control group v2
-    return min(found, default=2**62)
-
-
-def _fits(job: Job, running: Any, peaks: Mapping[str, int], budget: int) -> bool:
-    """Whether one more job fits into memory. The first always does: it may as well try."""
-    others = list(running)
-    return not others or sum(_need(each, peaks) for each in [job, *others]) <= budget
-
-
-def _need(job: Job, peaks: Mapping[str, int]) -> float:
-    peak = peaks.get(job.adapter.name)
-    return ASSUMED_BYTES if peak is None else MARGIN * peak
-
-
-def _known_peaks(jobs: Sequence[Job], root: Path) -> dict[str, int]:
-    """Peak memory of the methods' earlier runs in this folder, bytes, by method name."""
-    peaks: dict[str, int] = {}
-    for name in {job.adapter.name for job in jobs}:
-        for path in (root / "runs" / name).glob(f"*/*/{OUTCOME}"):
-            try:
-                outcome = read_outcome(path.parent)
-            except MethodError:
-                continue
-            if outcome is not None and outcome.process["peak_bytes"]:
-                peaks[name] = max(peaks.get(name, 0), int(outcome.process["peak_bytes"]))
-    return peaks
 
 
 def _now() -> str:

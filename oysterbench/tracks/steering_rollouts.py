@@ -29,6 +29,7 @@ from oysterbench.exploration.rollout_store import (
 )
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.policy_process import LIMIT_S, PolicyProcess
+from oysterbench.methods.sharing import default_workers
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report import results_table
 from oysterbench.report.exploring import places, places_table, policies_table
@@ -148,10 +149,10 @@ def run_rollouts(
 
 
 def _results(plan: RolloutPlan, jobs: Sequence[RolloutJob], workers: int) -> Results[RolloutJob, bytes]:
-    task = partial(make_rollout, plan)
     if workers > 1 and len(jobs) > 1:
-        return run_in_processes(task, jobs, workers, partial(_warm_up, plan))
-    return run_here(task, jobs)
+        cores = max(1, default_workers() // min(workers, len(jobs)))
+        return run_in_processes(partial(make_rollout, plan, cores=cores), jobs, workers, partial(_warm_up, plan))
+    return run_here(partial(make_rollout, plan), jobs)
 
 
 def _warm_up(plan: RolloutPlan) -> None:
@@ -162,11 +163,12 @@ def _warm_up(plan: RolloutPlan) -> None:
         warm_up("cpu")
 
 
-def make_rollout(plan: RolloutPlan, job: RolloutJob) -> bytes:
-    """Make a rollout and return the contents of its file or, after FAILED, why the policy failed."""
+def make_rollout(plan: RolloutPlan, job: RolloutJob, cores: int | None = None) -> bytes:
+    """Make a rollout and return the contents of its file or, after FAILED, why the policy failed. cores: number of
+    cores for the policy, where rollouts share a machine."""
     explore = plan.explore or _explore()
     try:
-        policy = job.policy if job.policy in REFERENCES else PolicyProcess(job.policy, plan.limit_s)
+        policy = job.policy if job.policy in REFERENCES else PolicyProcess(job.policy, plan.limit_s, cores)
         log, _ = explore(plan.split, job.reef, policy, salt=plan.salt, seconds=plan.seconds, start=plan.start)
         if len(log.commands) < plan.steps:
             raise MethodError(

@@ -36,6 +36,15 @@ class Unsure(Reader):
             )
 
 
+class Threads:
+    """Fails with the number of threads that it is to start."""
+
+    name, track = "threads", "steering"
+
+    def run(self, views):
+        raise RuntimeError(f"threads: {os.environ.get('OMP_NUM_THREADS')}")
+
+
 class Ahead:
     """Takes all views before it commands."""
 

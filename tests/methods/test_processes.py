@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from oysterbench.core.errors import MachineError
-from oysterbench.methods import processes
+from oysterbench.methods import processes, sharing
 from oysterbench.methods.processes import Ended, Processes, secrets
 from oysterbench.methods.sandbox import can_hide
+from oysterbench.methods.sharing import Sharing
 
 hides = pytest.mark.skipif(not can_hide(), reason="needs Landlock: Linux 5.13 or later")
 
@@ -52,15 +55,46 @@ def test_commands_that_share_a_machine_have_a_share_of_its_cores_unless_the_user
     prints = [sys.executable, "-I", "-S", "-c", "import os; print(os.environ.get('OMP_NUM_THREADS'))"]
     hides = {"hidden": [tmp_path / "truth"]} if hidden else {}
 
-    def printed(started: Processes) -> str:
-        started.run(prints, 30.0, tmp_path, **hides)
+    def printed(cores: int | None) -> str:
+        Processes().run(prints, 30.0, tmp_path, cores=cores, **hides)
         return (tmp_path / "stdout.txt").read_text().strip()
 
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    assert printed(Processes(3)) == "3"
-    assert printed(Processes()) == "None"
+    assert printed(3) == "3"
+    assert printed(None) == "None"
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    assert printed(Processes(3)) == "7"
+    assert printed(3) == "7"
+
+
+def job(method: str) -> Any:
+    return SimpleNamespace(adapter=SimpleNamespace(name=method))
+
+
+@pytest.mark.parametrize(
+    ("workers", "waiting", "cores"),
+    [(16, 15, 8), (16, 0, None), (1, 15, None), (2, 15, 8)],
+)
+def test_cores_are_shared_by_the_runs_that_fit_into_memory_not_by_all_that_wait(monkeypatch, workers, waiting, cores):
+    """Two of these networks fit at a time: each has half of the cores; and where one is alone, it has all."""
+    monkeypatch.setattr(sharing, "default_workers", lambda: 16)
+    shared = Sharing(workers, {"net": 7 * 2**30}, 17 * 2**30)
+    first, *others = [job("net") for _ in range(waiting + 1)]
+    assert shared.fits(first, [])
+    assert shared.cores(first, [], others) == cores
+    if others:
+        assert shared.fits(others[0], [first]) == (workers > 1)
+        assert not shared.fits(others[0], [first, others[1]])
+
+
+def test_the_last_of_many_runs_shares_cores_with_those_that_still_run(monkeypatch):
+    monkeypatch.setattr(sharing, "default_workers", lambda: 16)
+    shared = Sharing(8, {}, 2**40)
+    jobs = [job("light") for _ in range(20)]
+    assert shared.cores(jobs[0], [], jobs[1:]) == 2
+    assert shared.cores(jobs[19], jobs[16:19], []) == 4
+    assert shared.cores(jobs[19], [], []) is None
+    shared.learn(jobs[0], SimpleNamespace(process={"peak_bytes": 2**40}))
+    assert shared.cores(jobs[0], [], jobs[1:]) is None
 
 
 def test_a_report_is_not_forged_by_the_command(tmp_path):

@@ -15,7 +15,8 @@ from oysterbench.methods.policy import classes_of
 from oysterbench.methods.steering import Steering
 from oysterbench.results.comparison import boards
 from oysterbench.results.records import ResultRecord
-from oysterbench.tracks import Request
+from oysterbench.simulation.scheduling import run_here
+from oysterbench.tracks import Request, steering_rollouts
 from oysterbench.tracks.steering import TRACK
 from oysterbench.tracks.steering_rollouts import RolloutJob, make_rollout, plan_rollouts, run_rollouts
 from tests.helpers.exploring_made import made_explore, made_split
@@ -67,6 +68,16 @@ def test_the_time_limit_that_is_asked_for_is_that_of_each_rollout(tmp_path, monk
     for limit_s in (6.0, None):
         TRACK.evaluate(Request(tmp_path, SPLIT, options={"closed_loop": True}, limit_s=limit_s))
     assert asked == [6.0, 4 * 3600.0]
+
+
+def test_policies_of_rollouts_side_by_side_share_the_cores(tmp_path, monkeypatch):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    monkeypatch.setattr(steering_rollouts, "default_workers", lambda: 6)
+    monkeypatch.setattr(steering_rollouts, "run_in_processes", lambda task, jobs, *others: run_here(task, jobs))
+    plan = plan_rollouts(SPLIT, 2, explore=made_explore)
+    for workers, threads in ((4, 3), (1, None)):
+        runs = run_rollouts(plan, ["one", "two"], [f"{POLICIES}:Threads"], tmp_path, workers)
+        assert all(f"threads: {threads}" in run.record.failure for run in runs)
 
 
 def test_a_policy_has_one_name_however_it_is_referred_to(tmp_path):

@@ -14,9 +14,10 @@ from oysterbench.core.errors import MethodError, SequenceError
 from oysterbench.core.trajectory import Trajectory, read_trajectory, write_tum
 from oysterbench.core.trajectory.frames import poses_of_body, scaled
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
-from oysterbench.methods import runner
+from oysterbench.methods import runner, sharing
 from oysterbench.methods.adapters import ExternalCommand
 from oysterbench.methods.interfaces.slam import FORMS, frame_pose, write_input
+from oysterbench.methods.sharing import ASSUMED_BYTES, Sharing
 from oysterbench.sequence.export.parts import sensor_poses
 from oysterbench.sequence.truth import TRUTH_TYPES
 from oysterbench.tracks import Request
@@ -166,16 +167,19 @@ def test_what_a_program_is_given_holds_no_truth(form, dive_file, tmp_path, truth
 
 
 def test_an_input_is_made_once_for_all_runs(run_apart, answer, tmp_path, monkeypatch):
+    """And commands side by side have their share of the cores; the one that makes it has all."""
     made = []
+    monkeypatch.setattr(sharing, "default_workers", lambda: 6)
     original = runner.Processes.run
 
     def spy(self, words, *rest, **options):
-        made.append("oysterbench.methods.interfaces.slam" in words)
+        made.append(("oysterbench.methods.interfaces.slam" in words, options.get("cores")))
         return original(self, words, *rest, **options)
 
     monkeypatch.setattr(runner.Processes, "run", spy)
     run_apart(ExternalCommand(command(tmp_path, "copies", answer), "copies"), runs=3, jobs=2)
-    assert (made.count(True), made.count(False)) == (1, 3)
+    own, commands = ([cores for is_own, cores in made if is_own is asked] for asked in (True, False))
+    assert (own, len(commands), commands[:2]) == ([None], 3, [3, 3])
 
 
 def test_an_euroc_folder_is_run_on_like_a_file(dive_file, answer, tmp_path):
@@ -334,7 +338,7 @@ def test_two_jobs_run_at_a_time(run, answer, tmp_path):
 
 
 def test_jobs_wait_for_memory(run, answer, tmp_path, monkeypatch):
-    monkeypatch.setattr(runner, "available_bytes", lambda: runner.ASSUMED_BYTES)
+    monkeypatch.setattr(runner, "Sharing", lambda *known: Sharing(*known, budget=ASSUMED_BYTES))
     program = ExternalCommand(command(tmp_path, "meets", answer, "mcap", "2"), "meets")
     first, second = run(program, runs=2, jobs=2, limit_s=2.0)
     assert "time limit" in first.failure  # it was alone
