@@ -51,16 +51,19 @@ def named_results(names: Iterable[str], find: Finder | None = None) -> list[Resu
 
 def _labelled(name: str, find: Finder | None) -> tuple[str, str]:
     """Label and name of NAME or LABEL=NAME, where NAME is a path or known to `find`: both may contain "=", as names of
-    methods with options do. The first reading is meant in which there is such a NAME; if there is none, the first whose
-    label does not end within the brackets of options."""
+    methods with options do. The first reading is meant in which there is such a path or, without any, in which such a
+    NAME is known; if there is none, the first whose label does not end within the brackets of options."""
     if Path(name).exists():
         return "", name
     parts = name.split("=")
     splits = [("=".join(parts[:k]), "=".join(parts[k:])) for k in range(1, len(parts)) if any(parts[:k])]
     readings = [("", name), *splits]
     likely = [one for one in splits if one[0].count("[") == one[0].count("]")]
-    meant = (one for one in readings if Path(one[1]).exists() or (splits and _knows(find, one[1])))
-    return next(meant, (likely or readings)[0])
+    # Files first: what `find` looks names up in may take a while, or not be there, and is often not meant.
+    file = next((one for one in readings if Path(one[1]).exists()), None)
+    if file is not None or not splits:
+        return file or readings[0]
+    return next((one for one in readings if _knows(find, one[1])), (likely or readings)[0])
 
 
 def _knows(find: Finder | None, name: str) -> bool:

@@ -235,6 +235,19 @@ def test_labels_and_paths_may_contain_the_sign_between_them(tmp_path, monkeypatc
         named_results(["base=k=3"])
 
 
+def test_labelled_files_are_not_looked_up_on_a_board_that_may_not_work(tmp_path):
+    for name in ("one", "two"):
+        write_results(tmp_path / name, runs("mine", [0.5]))
+
+    def find(name):
+        raise FileExistsError(name)
+
+    assert [each.method for each in named_results([f"{name}={tmp_path / name}" for name in ("one", "two")], find)] == [
+        "one",
+        "two",
+    ]
+
+
 def test_a_method_with_options_is_named_as_on_the_board():
     known = {name: runs(name, [0.5]) for name in ("mono", "mono[mask=fish]", "mono[mask=fish,k=2]")}
 
