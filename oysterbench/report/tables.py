@@ -58,10 +58,9 @@ def results_table(records: Sequence[ResultRecord]) -> Table:
     competing = [column for column in columns if not (several_machines and column.key in TIMES)]
     failed = [sum(record.failure is not None for record in group) for group in groups.values()]
     # What a failed run spent, it spent on nothing: it is shown, but is no record.
-    unspent = dict.fromkeys((column.key for column in costs), math.nan)
     entered = [
-        {**of, **(unspent if failures == len(group) else {})}
-        for of, failures, group in zip(means, failed, groups.values(), strict=True)
+        {**of, **{column.key: _mean_of_successes(group, column.key) for column in costs}}
+        for of, group in zip(means, groups.values(), strict=True)
     ]
     best = _best([group[0].sequence for group in groups.values()], entered, competing)
     rows = []
@@ -90,6 +89,12 @@ def _mean(records: Sequence[ResultRecord], key: str) -> float:
     has."""
     means = weighed_means(samples(records, key), mean_weights(records, key))
     return means.get(records[0].sequence, math.nan)
+
+
+def _mean_of_successes(records: Sequence[ResultRecord], key: str) -> float:
+    """Mean of a metric over those of the runs of a method on a sequence that did not fail; NaN if there is none."""
+    done = [record for record in records if record.failure is None]
+    return _mean(done, key) if done else math.nan
 
 
 def _best(

@@ -100,3 +100,19 @@ def test_what_a_failed_run_spent_is_shown_but_is_no_record():
     other = ResultRecord(method="slow", metrics={**good, "cpu_s": 40.0}, **about)
     best = [cell.value for row in results_table([*records, other]).rows for cell in row.cells if cell.kind == "best"]
     assert best == [0.8, 30.0, 0.8]
+
+
+def test_what_some_of_the_runs_spent_in_failing_makes_a_method_no_better():
+    about = {"track": "slam", "split": "s", "sequence": "a", "hardware": BIG}
+    spent = {"score": 0.5, "coverage": 0.7, "cpu_s": 30.0, "peak_memory_mb": 900.0}
+    flaky = {**spent, "score": 0.6, "coverage": 1.0, "peak_memory_mb": 910.0}
+    records = [ResultRecord(method="whole", run=run, metrics=spent, **about) for run in range(3)]
+    records += [ResultRecord(method="flaky", run=run, metrics=flaky, **about) for run in range(2)]
+    crashed = {"cpu_s": 0.4, "peak_memory_mb": 60.0}
+    records.append(ResultRecord(method="flaky", run=2, metrics=crashed, failure="ImportError", **about))
+    cells = [
+        {cell.value: cell.kind for cell in row.cells if hasattr(cell, "kind")} for row in results_table(records).rows
+    ]
+    shown = pytest.approx((910.0 * 2 + 60.0) / 3)
+    assert [kind for value, kind in cells[1].items() if value == shown] == [""]
+    assert cells[0][900.0] == "best"
