@@ -14,12 +14,12 @@ def main() -> None:
     early = signal.getsignal(signal.SIGINT) == signal.default_int_handler
     if early:
         signal.signal(signal.SIGINT, _leave)
-    from oysterbench.cli.interrupts import heed_sigterm
+    from oysterbench.cli.interrupts import heed_termination
     from oysterbench.cli.main import main as command
 
     if early:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    heed_sigterm()
+    heed_termination()
     command()
 
 

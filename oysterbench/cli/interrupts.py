@@ -22,9 +22,15 @@ RESUMED = {
 }
 """Command that can be resumed -> what is kept of it."""
 
-STARTED_OVER = ("segment", "train")
+STARTED_OVER = ("release", "segment", "train")
 """Those of them that --again makes start over each time it is given; others go on with what it began."""
+
+TOLD = ("segment", "train")
+"""Those of them that say when they have started over (`started_over`)."""
 BEGUN = "oysterbench.started_over"
+
+CLOSED_LOOP = "--closed-loop"
+"""Option with which `run` and `eval` drive policies: finished rollouts are kept, and --again makes all of them anew."""
 
 BEGUN_ANEW = {
     "eval": "finished frames are kept, and results of finished runs are in results.json; the same command starts again "
@@ -38,13 +44,15 @@ BEGUN_ANEW = {
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM was received, as from a scheduler or service manager; work in progress is cleaned up as after Ctrl-C."""
+    """SIGTERM was received, as from a scheduler or service manager, or SIGHUP, as the terminal was closed; work in
+    progress is cleaned up as after Ctrl-C."""
 
 
-def heed_sigterm() -> None:
-    """Make SIGTERM raise Terminated, unless another handler is installed."""
-    if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, _terminated)
+def heed_termination() -> None:
+    """Make SIGTERM and SIGHUP raise Terminated, unless another handler is installed or, as by nohup, one is ignored."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, _terminated)
 
 
 def _terminated(number: int, frame: object) -> None:
@@ -61,19 +69,22 @@ def started_over() -> None:
 
 
 def interruption(command: str, what: str = "interrupted", begun: bool = True) -> str:
-    """Message for a user who has interrupted the command of this name. begun: whether it had `started_over`.
+    """Message for a user who has interrupted the command of this name. begun: whether it had `started_over`, of
+    those that say so.
 
     >>> interruption("view")
     'interrupted; nothing was written'
     >>> interruption("map", "terminated")
     'terminated; nothing was written'
     """
-    if command in RESUMED:
-        words = [word for word in sys.argv[1:] if command not in STARTED_OVER or word != "--again"]
-        if words != sys.argv[1:] and not begun:
+    if command in RESUMED or (command == "eval" and CLOSED_LOOP in sys.argv):
+        kept = "finished rollouts are kept" if CLOSED_LOOP in sys.argv else RESUMED[command]
+        over = command in STARTED_OVER or CLOSED_LOOP in sys.argv
+        words = [word for word in sys.argv[1:] if not over or word != "--again"]
+        if command in TOLD and words != sys.argv[1:] and not begun:
             typed = shlex.join(["oysterbench", *sys.argv[1:]])
             return f"{what} before anything was started over; the same command begins: {typed}"
         typed = shlex.join(["oysterbench", *words])
         same = "the same command" if words == sys.argv[1:] else "the command without --again"
-        return f"{what}; {RESUMED[command]}, and {same} resumes from there: {typed}"
+        return f"{what}; {kept}, and {same} resumes from there: {typed}"
     return f"{what}; {BEGUN_ANEW.get(command, 'nothing was written')}"

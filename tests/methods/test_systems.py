@@ -248,24 +248,24 @@ def test_every_system_has_a_container_recipe():
 
 BUILDS = """
 import sys
-from oysterbench.cli.interrupts import heed_sigterm
+from oysterbench.cli.interrupts import heed_termination
 from oysterbench.methods.systems import building, find_system
 
-heed_sigterm()
+heed_termination()
 step = f"sleep 600 & echo $$ $! ready > {sys.argv[1]}; wait"
 with open("/dev/null", "wb") as log:
     building._call(find_system("dso"), ["sh", "-c", step], log)
 """
 
 
-@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_build_that_is_interrupted_ends_its_step_at_once_with_all_that_it_started(sign, tmp_path):
     began = tmp_path / "began"
     with subprocess.Popen([sys.executable, "-c", BUILDS, began], stderr=subprocess.PIPE, text=True) as build:
         wait_for(lambda: began.is_file() and "ready" in began.read_text())
         build.send_signal(sign)
         said = build.communicate(timeout=30)[1]
-    assert ("Terminated" if sign == signal.SIGTERM else "KeyboardInterrupt") in said
+    assert ("KeyboardInterrupt" if sign == signal.SIGINT else "Terminated") in said
     for number in began.read_text().split()[:2]:
         wait_for(lambda number=number: not Path("/proc", number).exists())
 
