@@ -89,7 +89,9 @@ def run_jobs(
             yield from run_remotely(todo, root, scheduler, workers, hardware)
         elif todo:
             yield from _run(todo, root, workers or default_workers(), exports, hardware(), announce, on_output)
-        (root / AGAIN).unlink(missing_ok=True)
+        # A run that the machine ended has none: the same command then repeats that alone.
+        if all(_written_ns(job.folder(root) / OUTCOME) for job in jobs):
+            (root / AGAIN).unlink(missing_ok=True)
 
 
 def _begun_again(jobs: Sequence[Job], root: Path) -> int:

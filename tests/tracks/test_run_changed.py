@@ -253,6 +253,25 @@ def test_runs_that_were_to_be_repeated_go_on_after_an_interruption(dive_file, tm
     assert log.read_text() == "0\n1\n2\n" * 3
 
 
+def test_what_the_machine_ended_in_a_repetition_is_all_that_the_same_command_runs_again(dive_file, tmp_path):
+    answers = [tmp_path / "work" / f"{name}.tum" for name in ("fine", "lost")]
+    answers[0].parent.mkdir()
+    for answer in answers:
+        write_tum(answer, oysterbench.open(dive_file).truth())
+    fine = ExternalCommand(command(tmp_path, "counts", answers[0], "mcap", "{seed}"), "fine")
+    lost = ExternalCommand(command(tmp_path, "killed", answers[1]), "lost")
+    logs = [Path(f"{answer}.log") for answer in answers]
+    again = Request(tmp_path / "out", jobs=1, again=True)
+
+    def repeated() -> list[int]:
+        list(TRACK.run([SlamSequence("hand-made", dive_file)], [fine, lost], SlamSettings(), again))
+        return [len(log.read_text().splitlines()) for log in logs]
+
+    assert repeated() == [1, 1]
+    assert repeated() == [1, 2]
+    assert repeated() == [2, 3]
+
+
 def test_a_repetition_that_was_interrupted_is_gone_on_with_for_a_day_and_says_so(folder, tmp_path):
     work, out, said = tmp_path / "work", tmp_path / "out", list[str]()
     work.mkdir()
