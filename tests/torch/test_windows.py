@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
@@ -88,6 +89,7 @@ def test_sequences_that_keep_their_truth_back_have_windows_without_poses(dive_fi
 def test_windows_over_a_gap_are_left_out_where_that_is_asked_for(dive_file):
     assert len(WindowDataset(dive_file, length=2, max_gap_s=0.11)) == 19
     assert len(WindowDataset(dive_file, length=2, max_gap_s=0.1 - 5e-7)) == 19, "a gap as large but for rounding"
+    assert len(WindowDataset(dive_file, length=2, max_gap_s=math.inf)) == 19
     with pytest.raises(SequenceError, match="no window of 2 frames"):
         WindowDataset(dive_file, length=2, max_gap_s=0.05)
 

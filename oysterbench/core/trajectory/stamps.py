@@ -34,8 +34,9 @@ def ns_to_seconds(stamp_ns: int) -> str:
 
 
 def too_wide(gaps_ns: NDArray[np.int64], max_gap_s: float) -> NDArray[np.bool_]:
-    """Which gaps (N,), ns, between two stamps are larger than max_gap_s, by more than the rounding of the stamps."""
-    return np.asarray(gaps_ns > round(max_gap_s * 1e9) + ROUNDING_NS)
+    """Which gaps (N,), ns, between two stamps exceed max_gap_s, which may be infinite, by more than the rounding of the
+    stamps."""
+    return np.asarray(gaps_ns > np.rint(max_gap_s * 1e9) + ROUNDING_NS)
 
 
 def scaled_integer(text: str, shift: int) -> int:
