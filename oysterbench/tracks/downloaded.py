@@ -19,10 +19,18 @@ if TYPE_CHECKING:
 def files_of_split(
     split: SplitRecipe, sequences: Sequence[str], topics: Sequence[str], announce: Announce
 ) -> dict[str, Path]:
-    """Files of a hidden split, by sequence name. Raises RecipeError, with what to type, where they are not there."""
+    """Files of a hidden split, by sequence name. Raises RecipeError, with what to type, where they are not there, or
+    belong to the released recipe of that name and `split` is another one."""
     from oysterbench.hub.download import find_here
+    from oysterbench.recipe import load_split, split_names
+    from oysterbench.simulation.generate import digest
     from oysterbench.simulation.salt import SALT_FILE, how_to_take_part
 
+    if split.name in split_names() and digest(split) != digest(load_split(split.name)):
+        raise RecipeError(
+            f"{split.name} is a hidden split: it comes from a hub, without its ground truth, and its recipe is not the "
+            f"released one; rendering it needs its salt ({SALT_FILE}), and --split {split.name} is the released one"
+        )
     found = find_here(split.name, split.version, sequences)
     if found is None:
         raise RecipeError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import pytest
 from click.testing import CliRunner
@@ -107,3 +108,14 @@ def test_one_that_is_here_in_several_releases_or_in_part_is_not_chosen_from(run_
     assert "fake-val: its recipe is not known here, and only a part of it was downloaded; `oysterbench downl" in told
     shutil.rmtree(downloaded)
     assert "unknown split 'fake-val'" in run_by_name()[0]
+
+
+def test_a_recipe_that_is_not_the_released_one_is_not_run_on_what_was_released(
+    split, downloaded, tmp_path, monkeypatch
+):
+    edited = replace(split, seed=split.seed + 1)
+    monkeypatch.setattr("oysterbench.recipe.split_names", lambda: [split.name])
+    monkeypatch.setattr("oysterbench.recipe.load_split", lambda name: split)
+    assert TRACK.rendered(Request(tmp_path, split))
+    with pytest.raises(RecipeError, match=f"its recipe is not the released one; .* --split {split.name} is the"):
+        TRACK.rendered(Request(tmp_path, edited))
