@@ -24,7 +24,7 @@ from oysterbench.core.places import MODELS, home, models
 from oysterbench.methods.sandbox import Sandbox, can_hide
 from oysterbench.methods.supervise import KILLING_S
 from oysterbench.methods.weights import weights_names, weights_variable
-from oysterbench.simulation.salt import SALT_FILE
+from oysterbench.simulation.salt import SALT, SALT_FILE
 
 SUPERVISOR = Path(__file__).with_name("supervise.py")
 PACKAGE = str(Path(__file__).parent.parent)
@@ -40,6 +40,12 @@ KILLED_STATUS = 128 + signal.SIGKILL
 """Exit status by which a shell reports that its command was killed by SIGKILL."""
 THREADS = "OMP_NUM_THREADS"
 """Number of threads that libraries start to compute in parallel, such as PyTorch and those of linear algebra."""
+WITHHELD = {
+    *("OYSTERBENCH_HOME", "OYSTERBENCH_HUB", "OYSTERBENCH_HUB_KEY", "OYSTERBENCH_OFFLINE", "OYSTERBENCH_EXPORTS_GB"),
+    *("OYSTERBENCH_BOARD", "OYSTERBENCH_BOARD_URL", "OYSTERBENCH_INDEX", "OYSTERBENCH_SUBMISSIONS"),
+    *(SALT, SALT_FILE, "OYSTERBENCH_TOKEN"),
+}
+"""Variables of oysterbench that no method is told: where data is kept, secrets, and what else commands read."""
 WEIGHTS = ".pt"
 """File suffix of trained weights: those of a user's own method may be named by any variable."""
 CACHES = ("huggingface", "matplotlib", "numba", "torch", "torch_extensions")
@@ -224,12 +230,13 @@ def _is_in(path: str, places: Iterable[str]) -> bool:
 
 def environment() -> dict[str, str]:
     """Environment of a method's process: this one's, without the variables that say where data is kept, and the salts.
-    Trained weights remain known: OYSTERBENCH_MODELS is their folder, and other variables name files of weights."""
-    named = {weights_variable(name) for name in weights_names()}
+    Trained weights remain known: OYSTERBENCH_MODELS is their folder, and other variables name files of weights; those
+    that mean something to oysterbench do not, whatever weights are called."""
+    named = {weights_variable(name) for name in weights_names()} - WITHHELD
     kept = {
         key: value
         for key, value in os.environ.items()
-        if not key.startswith("OYSTERBENCH_") or key in named or value.endswith(WEIGHTS)
+        if not key.startswith("OYSTERBENCH_") or key in named or (value.endswith(WEIGHTS) and key not in WITHHELD)
     }
     return kept | {MODELS: str(models())}
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from oysterbench.methods import processes
 from oysterbench.methods.processes import environment
 from oysterbench.methods.sandbox import SINCE_OUTSIDE, Sandbox, can_hide, landlock_version
 
@@ -134,3 +135,8 @@ def test_a_method_is_told_where_trained_weights_are_and_neither_where_data_is_no
     assert told == {"OYSTERBENCH_MODELS": str(tmp_path / "models"), **of_weights}
     monkeypatch.setenv("OYSTERBENCH_MODELS", str(tmp_path / "elsewhere"))
     assert environment()["OYSTERBENCH_MODELS"] == str(tmp_path / "elsewhere")
+    monkeypatch.setattr(processes, "weights_names", lambda: ["salt", "token", "home", "theirs"])
+    for name in ("TOKEN", "SALT_FILE", "THEIRS"):
+        monkeypatch.setenv(f"OYSTERBENCH_{name}", "secret.pt" if name == "SALT_FILE" else "secret")
+    named = {key for key in environment() if key.startswith("OYSTERBENCH_")}
+    assert named == {"OYSTERBENCH_MODELS", "OYSTERBENCH_THEIRS", "OYSTERBENCH_MINE"}
