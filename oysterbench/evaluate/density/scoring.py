@@ -15,7 +15,7 @@ from oysterbench.evaluate.values import Measures, Score
 __all__ = ["EVALUATOR", "METRICS", "Cell", "MapCount", "TrueCount", "score_density"]
 
 EVALUATOR = "density 3"
-"""Name and version of this evaluator; the version rises whenever a number may change."""
+"""Name and version of this evaluator; the version rises whenever a published number may change (docs/versions.md)."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.settings import EvaluatorSettings, is_number, setting, whole
 
 EVALUATOR = "detection 2"
-"""Name and version of this evaluator; the version rises whenever a number may change."""
+"""Name and version of this evaluator; the version rises whenever a published number may change (docs/versions.md)."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.settings import EvaluatorSettings, edges, share
 
 EVALUATOR = "segmentation 1"
-"""Name and version of this evaluator; the version rises whenever a number may change."""
+"""Name and version of this evaluator; the version rises whenever a published number may change (docs/versions.md)."""
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 __all__ = ["EVALUATOR", "METRICS", "SlamResult", "SlamSettings", "score"]
 
 EVALUATOR = "slam 3"
-"""Name and version of this evaluator; the version rises whenever a number may change."""
+"""Name and version of this evaluator; the version rises whenever a published number may change (docs/versions.md)."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -5,7 +5,7 @@ from oysterbench.evaluate.steering.pictures import Commands, Labels, PictureScor
 from oysterbench.evaluate.steering.rollouts import NormalisedScore, normalised_score, score_rollout
 
 EVALUATOR = "navigation 1"
-"""Name and version of this evaluator; the version rises whenever a number may change."""
+"""Name and version of this evaluator; the version rises whenever a published number may change (docs/versions.md)."""
 
 __all__ = [
     "EVALUATOR",
