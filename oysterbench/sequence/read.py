@@ -281,9 +281,9 @@ class McapSequence(Sequence):
         return self._table_of(FAULTS, COLUMNS)
 
     def taken(self) -> pd.DataFrame:
-        """How each frame was truly taken by cameras that adapt or repeat frames, one row each, lost
-        frames included: camera, stamp_ns; shown_ns, the stamp of the frame whose image it shows; exposure_ms, gain, and the white balance red, green,
-        blue. No rows where no camera does."""
+        """How each frame was truly taken by cameras that adapt or repeat frames, one row each, lost frames included:
+        camera, stamp_ns; shown_ns, the stamp of the frame whose image it shows; exposure_ms, gain, and the white
+        balance red, green, blue. No rows where no camera does."""
         return self._table_of(FRAMES, ("camera", "stamp_ns", "shown_ns"))
 
     def steering(self) -> pd.DataFrame:
