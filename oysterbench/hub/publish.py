@@ -6,8 +6,9 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -21,6 +22,8 @@ from oysterbench.hub.croissant import croissant
 from oysterbench.hub.index import Index, Release, read_own_index
 from oysterbench.hub.manifest import Manifest, build_manifest, read_manifest, released_manifest
 from oysterbench.hub.pages import index_page, pictures_of
+from oysterbench.hub.pieces import hashed
+from oysterbench.hub.relisted import hidden_manifests, kept_manifest_of, listed_manifest
 from oysterbench.hub.sign import public_hex
 from oysterbench.hub.verify import MANIFEST
 from oysterbench.sequence.cut import cut_public, cut_truth, is_scorable
@@ -53,34 +56,22 @@ def publish(
     """
     keys = (key, *old_keys)
     with writing(tree, *keys) as index, tempfile.TemporaryDirectory(dir=tree, prefix=TEMPORARY) as scratch:
+        known = index.splits.get(facts["split"], {}).get(facts["version"])
         package = None if truth is None else _package(tree, truth, facts)
-        facts = {**facts, **_said_before(tree, index, package, facts)}
         if truth is None or package is None:
             announce(f"hashing {len(files)} sequences")
-            manifest = _as_released(build_manifest(facts, files, recipe_digest))
+            listed = listed_manifest(tree, known, facts, files) if known else None
+            manifest = _as_released(listed or build_manifest(facts, files, recipe_digest))
             _check_unchanged(tree, index, manifest)
         else:
             with tempfile.TemporaryDirectory(dir=truth, prefix=TEMPORARY) as draft:
-                files, secret = _without_truth(facts, files, Path(scratch), Path(draft), announce)
+                files, kept = _without_truth(files, Path(scratch), Path(draft), announce)
                 announce(f"hashing {len(files)} sequences")
-                manifest = build_manifest(facts, files, commitment=secret.sha256)
+                manifest, secret = hidden_manifests(tree, known, package / MANIFEST, facts, files, kept)
                 _check_unchanged(tree, index, manifest)
-                _keep_truth(Path(draft), secret, package)
+                _keep_truth(Path(draft), secret, package, known is not None)
         _release(tree, keys, index, manifest, files, url, announce)
     return manifest
-
-
-def _said_before(tree: Path, index: Index, package: Path | None, facts: Mapping[str, str]) -> dict[str, str]:
-    """Version of oysterbench, and once it is published the summary, by the manifest of this version of the split that
-    is in the tree or in its truth package: a later oysterbench or another summary make no other release of its files"""
-    known = index.splits.get(facts["split"], {}).get(facts["version"])
-    paths = [tree / "manifests" / f"{known.manifest}.json"] if known else []
-    paths += [package / MANIFEST] if package else []
-    for path in paths:
-        with suppress(FileNotFoundError, IntegrityError):  # a damaged one is written again
-            earlier = read_manifest(path.read_bytes(), str(path))
-            return {"oysterbench": earlier.oysterbench} | ({"summary": earlier.summary} if known else {})
-    return {}
 
 
 def _as_released(manifest: Manifest) -> Manifest:
@@ -109,12 +100,13 @@ def _package(tree: Path, truth: Path, facts: Mapping[str, str]) -> Path:
 
 
 def _without_truth(
-    facts: Mapping[str, str], files: Mapping[str, Path], scratch: Path, draft: Path, announce: Announce
-) -> tuple[dict[str, Path], Manifest]:
-    """Split off the ground truth: public files of a hidden split, in `scratch`, and the manifest of its truth package.
+    files: Mapping[str, Path], scratch: Path, draft: Path, announce: Announce
+) -> tuple[dict[str, Path], dict[str, Path]]:
+    """Split off the ground truth: public files of a hidden split, in `scratch`, and those of its truth package, in
+    `draft`, with what was withheld of each.
 
-    In `draft`, the package holds a sequence file each with what was withheld. The SHA-256 of its manifest is the
-    commitment in the public manifest. So nobody can replace the truth later.
+    The SHA-256 of the package's manifest is the commitment in the public manifest. So nobody can replace the truth
+    later.
     """
     shown, kept = {}, {}
     for name, path in files.items():
@@ -124,14 +116,15 @@ def _without_truth(
             cut_public(path, file)
         with appearing(kept[name], TEMPORARY) as hidden:
             cut_truth(path, hidden)
-    return shown, build_manifest(facts, kept)
+    return shown, kept
 
 
-def _keep_truth(draft: Path, secret: Manifest, package: Path) -> None:
+def _keep_truth(draft: Path, secret: Manifest, package: Path, released: bool) -> None:
     """Move a truth package to its place, its `manifest.json` last. Raises HubError where another one is there, which a
-    released split may be committed to."""
+    released split may be committed to. released: whether it is to this one, so that a damaged one is written again"""
     known = package / MANIFEST
-    if known.is_file() and (there := sha256(known.read_bytes())) != secret.sha256:
+    there = sha256(known.read_bytes()) if known.is_file() else secret.sha256
+    if there != secret.sha256 and not (released and _is_damaged(package, secret)):
         raise HubError(
             f"{known}: the truth of another render of {secret.split} {secret.version} is there (SHA-256 {there[:12]}…, "
             f"now {secret.sha256[:12]}…); it was left unchanged and nothing was published: raise the version in the "
@@ -141,6 +134,16 @@ def _keep_truth(draft: Path, secret: Manifest, package: Path) -> None:
     for entry in secret.files:
         os.replace(draft / entry.name, package / entry.name)
     write_atomically(known, secret.data)
+
+
+def _is_damaged(package: Path, secret: Manifest) -> bool:
+    """Whether the manifest of a truth package cannot be read, or lies beside the very files of the right one."""
+    try:
+        read_manifest((package / MANIFEST).read_bytes(), str(package))
+    except IntegrityError:
+        return True
+    paths = [(package / entry.name, entry) for entry in secret.files]
+    return all(path.is_file() and hashed(path)[1] == entry.sha256 for path, entry in paths)
 
 
 def check_made_by(
@@ -221,12 +224,19 @@ def _check_unchanged(tree: Path, index: Index, manifest: Manifest) -> None:
     if manifest.split in index.models:
         raise HubError(f"{manifest.split}: a model in {tree} has this name, and `download` finds both by name")
     known = index.splits.get(manifest.split, {}).get(manifest.version)
-    if known is not None and known.manifest != manifest.sha256:
+    if known is None or known.manifest == manifest.sha256:
+        return
+    if kept_manifest_of(tree, known) is None:
         raise HubError(
-            f"{manifest.split} {manifest.version} was released with other bytes (manifest {known.manifest[:12]}…, now "
-            f"{manifest.sha256[:12]}…) and a release never changes; the tree was left unchanged: raise the version in "
-            "the split's recipe"
+            f"{tree / 'manifests' / known.manifest}.json: damaged or absent, and cannot be made again from these files "
+            "(others than were released, or described otherwise by this version of oysterbench); the tree was left "
+            "unchanged: copy it from a mirror of the tree"
         )
+    raise HubError(
+        f"{manifest.split} {manifest.version} was released with other bytes (manifest {known.manifest[:12]}…, now "
+        f"{manifest.sha256[:12]}…) and a release never changes; the tree was left unchanged: raise the version in "
+        "the split's recipe"
+    )
 
 
 def _release(
@@ -238,18 +248,24 @@ def _release(
     url: str,
     announce: Announce,
 ) -> None:
-    """Put everything that is not there yet into the tree, and list it in the index."""
-    known = index.splits.get(manifest.split, {}).get(manifest.version)
+    """Put everything that is not there yet into the tree, and list it in the index. What was lost of an earlier
+    release is made again where that gives the same bytes."""
     for entry in manifest.files:
         new = put_blob(tree, files[entry.sequence], entry.sha256)
         announce(f"{entry.name}, {entry.size / 1e6:.1f} MB: {'published' if new else 'already there'}")
     put(tree / "manifests" / f"{manifest.sha256}.json", manifest.data)
-    if known is None:
-        published = datetime.now(UTC).date().isoformat()
-        described = croissant(manifest, published, url)
+    known = index.splits.get(manifest.split, {}).get(manifest.version)
+    published = known.published if known else datetime.now(UTC).date().isoformat()
+    described = croissant(manifest, published, url)
+    if known is not None:
+        put_again(tree / "croissant" / f"{known.croissant}.json", lambda: [described], announce)
+        pictures = lru_cache(lambda: pictures_of(list(files.values())))
+        for digest in known.pictures:
+            put_again(tree / "pictures" / f"{digest}.jpg", pictures, announce)
+    else:
         put(tree / "croissant" / f"{sha256(described)}.json", described)
-        pictures = pictures_of(list(files.values()))
-        for picture in pictures:
+        drawn = pictures_of(list(files.values()))
+        for picture in drawn:
             put(tree / "pictures" / f"{sha256(picture)}.jpg", picture)
         release = Release(
             split=manifest.split,
@@ -263,7 +279,7 @@ def _release(
             hidden=manifest.hidden,
             published=published,
             croissant=sha256(described),
-            pictures=tuple(sha256(picture) for picture in pictures),
+            pictures=tuple(sha256(picture) for picture in drawn),
         )
         index = index.with_release(release)
     put_index(tree, index, keys)
@@ -297,3 +313,19 @@ def put(path: Path, data: bytes) -> None:
     """Write a file unless it already has this content."""
     if not path.is_file() or path.read_bytes() != data:
         write_atomically(path, data)
+
+
+def put_again(path: Path, candidates: Callable[[], Sequence[bytes]], announce: Announce) -> None:
+    """Write a file that the index names by its SHA-256 again, where it is damaged or absent and one of the candidates
+    has that hash. Otherwise announce that only a copy helps."""
+    if path.is_file() and sha256(path.read_bytes()) == path.stem:
+        return
+    found = next((data for data in candidates() if sha256(data) == path.stem), None)
+    if found is not None:
+        put(path, found)
+        announce(f"{path}: written again")
+    else:
+        announce(
+            f"{path}: damaged or absent, and made otherwise by this version of oysterbench or with this --url: copy it "
+            "from a mirror of the tree"
+        )

@@ -17,7 +17,8 @@ from oysterbench.hub.card import card_page
 from oysterbench.hub.index import ModelRelease
 from oysterbench.hub.model import Figure, Model, Training, WeightsFile, read_model
 from oysterbench.hub.pieces import PIECE, hashed
-from oysterbench.hub.publish import Announce, put, put_blob, put_index, writing
+from oysterbench.hub.publish import Announce, put, put_again, put_blob, put_index, writing
+from oysterbench.hub.relisted import listed_card
 from oysterbench.hub.verify import kept_card
 from oysterbench.version import VERSION
 
@@ -73,8 +74,14 @@ def publish_model(
             raise HubError(f"{model.name}: a split in {tree} has this name, and `download` finds both by name")
         known = index.models.get(model.name, {}).get(model.version)
         if known is not None:
-            model = _as_before(tree / "models" / f"{known.card}.json", model)
+            model = listed_card(tree, known, model)
         if known is not None and known.card != model.sha256:
+            card = tree / "models" / f"{known.card}.json"
+            if not card.is_file() or sha256(card.read_bytes()) != known.card:
+                raise HubError(
+                    f"{card}: damaged or absent, and not what would be published now; the tree was left unchanged: "
+                    "copy it from a mirror of the tree, or publish the same weights with the same words and results"
+                )
             raise HubError(
                 f"{model.name} {model.version} was released with other weights or another card ({known.card[:12]}…, "
                 f"now {model.sha256[:12]}…) and a release never changes; the tree was left unchanged: give another "
@@ -83,8 +90,10 @@ def publish_model(
         new = put_blob(tree, weights, model.file.sha256)
         announce(f"{model.file.name}, {model.file.size / 1e6:.1f} MB: {'published' if new else 'already there'}")
         put(tree / "models" / f"{model.sha256}.json", model.data)
-        if known is None:
-            page = card_page(model).encode()
+        page = card_page(model).encode()
+        if known is not None:
+            put_again(tree / "cards" / f"{known.page}.html", lambda: [page], announce)
+        else:
             put(tree / "cards" / f"{sha256(page)}.html", page)
             release = ModelRelease(
                 model=model.name,

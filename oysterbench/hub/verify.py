@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from oysterbench.core.errors import HubError, IntegrityError, SequenceError
 from oysterbench.core.mcap import MAGIC
-from oysterbench.core.places import home, models
+from oysterbench.core.places import home, models, released_models
 from oysterbench.hub.canonical import decode, sha256
 from oysterbench.hub.index import IndexBody, SignedIndex
 from oysterbench.hub.manifest import NAME, VERSION_NAME, FileEntry, Manifest, read_manifest, released_manifest
@@ -29,8 +29,14 @@ MANIFEST = "manifest.json"
 SMALLER_FILES = "topics-*/*.mcap"
 """Pattern of smaller files in the folder of a split (`sequence.cut.topics_folder`)."""
 
+ASIDE = ".{}.damaged"
+"""Name under which a damaged file is set aside, by its own, while another is rendered in its place."""
+
 FOLDERS = ("blobs", "cards", "croissant", "manifests", "models", "pictures")
 """Folders of a tree whose files are named by their hash."""
+
+AGAIN = "publish its split or model again, or copy it from a mirror"
+"""What repairs a file of a tree."""
 
 RIGHT, REPACKED, SMALLER = "right", "same content, other bytes", "right, with some of the topics"
 ALIKE, OTHER = "alike", "other content"
@@ -165,6 +171,15 @@ def claims(path: Path, split: str, version: str, digest: str | None) -> bool:
     return found == [path.stem, split, version, digest]
 
 
+def _is_foreign(path: Path) -> bool:
+    """Whether a file, which may be damaged or broken off later, says at its beginning that another program wrote it,
+    and not that it is a sequence."""
+    from oysterbench.sequence.file import LIBRARY, first_library, first_metadata
+    from oysterbench.sequence.read import METADATA
+
+    return first_library(path) not in ("", LIBRARY) and not first_metadata(path, METADATA)
+
+
 def check_unknown(path: Path) -> Check:
     """Check a file without a manifest, using its own checksums."""
     from oysterbench.hub.content import content_of
@@ -217,7 +232,10 @@ def check_weights(path: Path) -> Check:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     if digest == card.file.sha256:
         return Check(path, RIGHT)
-    again = f"`oysterbench download {card.name} --again` downloads it again"
+    if path.parent == released_models():
+        again = "it is part of oysterbench: install that again"
+    else:
+        again = f"`oysterbench download {card.name} --again` downloads it again"
     return Check(path, DAMAGED, f"expected {card.name} {card.version}, SHA-256 {card.file.sha256[:12]}…; {again}")
 
 
@@ -258,7 +276,9 @@ def checks(name: str = "") -> Iterator[Check]:
         raise HubError(f"{name}: expected a split, a sequence file or a folder, got none of them")
     folders = sorted((home() / "splits").glob(f"{split or '*'}/{version}-*" if version else f"{split or '*'}/*"))
     here = (check for folder in folders if folder.is_dir() for check in _check_folder(folder))
-    weights = (check_weights(path) for path in sorted(models().glob(f"{split or '*'}.pt")))
+    own = sorted(models().glob(f"{split or '*'}.pt"))
+    shipped = [] if own or not split else sorted(released_models().glob(f"{split}.pt"))
+    weights = (check_weights(path) for path in (*own, *shipped))
     found = False
     for check in chain(here, weights):
         found = True
@@ -299,15 +319,18 @@ def check_tree(tree: Path) -> Iterator[Check]:
     found = {path for folder in FOLDERS for path in (tree / folder).glob("*")}
     for path in sorted(named | found):
         if not path.is_file():
-            yield Check(path, ABSENT, "the index names it: publish its split or model again")
+            yield Check(path, ABSENT, f"the index names it: {AGAIN}")
             continue
         with open(path, "rb") as file:
             right = hashlib.file_digest(file, "sha256").hexdigest() == path.stem
-        yield Check(path, RIGHT) if right else Check(path, DAMAGED, "delete it and publish its split or model again")
+        yield Check(path, RIGHT) if right else Check(path, DAMAGED, f"delete it; {AGAIN}")
 
 
 def _check_folder(folder: Path) -> Iterator[Check]:
-    """Check the files in a split's folder, also those not in its manifest, and report those that are absent."""
+    """Check the files in a split's folder, also those not in its manifest, and report those that are absent, or that a
+    killed `download --verify` left aside."""
+    for path in sorted(folder.glob(ASIDE.format("*.mcap"))):
+        yield Check(path, DAMAGED, "set aside by a repair that was interrupted: delete it")
     manifest = kept_manifest(folder)
     if manifest is not None:
         yield from (_check_beside(folder / entry.name, entry, manifest) for entry in manifest.files)
@@ -354,4 +377,6 @@ def check_alone(path: Path) -> Check:
         manifest = released_manifest(known.get("split", ""), known.get("split_version", ""))
         return check_released(path, manifest) if manifest else check_unknown(path)
     except SequenceError as error:
+        if _is_foreign(path):
+            return Check(path, FOREIGN, "an MCAP file of another program, without an index or damaged")
         return Check(path, DAMAGED, str(error))

@@ -13,7 +13,7 @@ from typing import IO
 
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Metadata
+from mcap.records import Header, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 from zstandard import ZstdError
@@ -36,6 +36,9 @@ DAMAGE = (
     AttributeError,
 )
 """Exceptions that the underlying libraries raise on damaged bytes."""
+
+LIBRARY = "oysterbench"
+"""Name of the program in the header of a file. Without a version: a release of code must not change the bytes."""
 
 CHECKSUM = "crc32"
 
@@ -110,6 +113,15 @@ def first_metadata(path: Path, name: str) -> dict[str, str]:
             if isinstance(record, Metadata) and record.name == name:
                 return _checked(record)
     return {}
+
+
+def first_library(path: Path) -> str:
+    """Name of the program that wrote an MCAP file, by its header; empty where it names none or is damaged there."""
+    with open(path, "rb") as file, contextlib.suppress(*DAMAGE):
+        start = io.BytesIO(file.read(START))
+        header = next(iter(StreamReader(start, emit_chunks=True).records))
+        return header.library if isinstance(header, Header) else ""
+    return ""
 
 
 def _checked(record: Metadata) -> dict[str, str]:

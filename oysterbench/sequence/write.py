@@ -9,7 +9,7 @@ from typing import IO, Any
 from mcap.writer import CompressionType, Writer
 
 from oysterbench.core.ros import EPOCH_NS, Message, channel_metadata, schema
-from oysterbench.sequence.file import CHECKSUM, checksum
+from oysterbench.sequence.file import CHECKSUM, LIBRARY, checksum
 from oysterbench.version import VERSION
 
 CHUNK_BYTES = 4_000_000
@@ -26,8 +26,7 @@ class SequenceWriter:
         """types: topic -> message type, in the order in which the channels are registered."""
         compression = CompressionType.ZSTD if compress else CompressionType.NONE
         self._writer: Any = Writer(output, chunk_size=CHUNK_BYTES, compression=compression, enable_data_crcs=True)
-        # Without a version: patch releases of the library must not change the bytes.
-        self._writer.start(profile="ros2", library="oysterbench")
+        self._writer.start(profile="ros2", library=LIBRARY)
         schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._counts = dict.fromkeys(types, 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 
 import pytest
 
@@ -62,6 +63,27 @@ def test_a_tree_that_a_web_server_of_another_user_cannot_read_is_told_of(place, 
     assert {path.stat().st_mode & 0o777 for path in files} == {0o666 & ~mask}
     line = f"{tmp_path}/hub: other users cannot read all of it (umask 077), a web server of another user neither: "
     assert (line in done.stderr) == (mask == 0o077)
+
+
+@pytest.mark.parametrize("changed", ["comment", "summary", "rig", "generation"])
+def test_the_files_of_a_release_are_signed_again_whatever_their_recipe_says_now(place, tmp_path, monkeypatch, changed):
+    """Of another version it is still asked whether the recipe made them."""
+    shutil.copytree(place.tree, tmp_path / "hub")
+    recipe, rig = place.recipe.read_text(), (place.folder / "rig.toml").read_text()
+    (tmp_path / "rig.toml").write_text(("# a comment\n" if changed == "rig" else "") + rig)
+    summary = recipe.replace("a very small reef", "a very small reef, better said")
+    texts = {"comment": "# a comment\n" + recipe, "summary": summary}
+    (tmp_path / "tiny.toml").write_text(texts.get(changed, recipe))
+    if changed == "generation":
+        monkeypatch.setattr("oysterbench.simulation.generate.GENERATION", 99)
+    new = place.run("keygen", tmp_path / "new.pem").stdout.strip()
+    before = {path.name: path.read_bytes() for path in (tmp_path / "hub").glob("*/*")}
+    words = ("publish", tmp_path / "tiny.toml", tmp_path / "hub", "--data", place.data, "--key", tmp_path / "new.pem")
+    place.run(*words, "--old-key", place.folder / "key.pem")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "hub").glob("*/*")} == before
+    assert f"signed with {new[:16]}…" in place.run("verify", tmp_path / "hub").stdout
+    elsewhere = [tmp_path / "other" if word == tmp_path / "hub" else word for word in words]
+    assert "nothing was published" in place.run(*elsewhere, code=1).stderr
 
 
 @pytest.mark.parametrize("hidden", [False, True])

@@ -94,6 +94,20 @@ def test_a_later_oysterbench_publishes_the_same_card_again(tmp_path, monkeypatch
         publish_model(tmp_path / "tree", card_of(path, summary="Others"), path, key)
 
 
+@pytest.mark.parametrize("kind", ["models", "cards"])
+def test_a_lost_card_or_its_page_is_made_again(tmp_path, monkeypatch, kind):
+    path, (key, _) = write_weights(tmp_path / "unet.pt"), a_key(tmp_path)
+    release(tmp_path / "tree", path, key)
+    before = tree_bytes(tmp_path / "tree")
+    (lost,) = (tmp_path / "tree" / kind).iterdir()
+    lost.write_bytes(lost.read_bytes()[:-2])
+    monkeypatch.setattr("oysterbench.hub.publish_model.VERSION", "99.0")
+    with pytest.raises(HubError, match=r"a release never changes|copy it from a mirror of the tree"):
+        publish_model(tmp_path / "tree", card_of(path, summary="Others"), path, key)
+    release(tmp_path / "tree", path, key)
+    assert tree_bytes(tmp_path / "tree") == before
+
+
 def test_a_file_that_changes_while_it_is_published_is_not_released(released, tmp_path):
     card = card_of(released.files["1.0"])
     with pytest.raises(HubError, match="changed while it was published"):
@@ -361,3 +375,15 @@ def test_verify_tells_fetched_weights_that_are_damaged_from_ones_own(released, h
     (check,) = checks("unet")
     assert (check.state, check.good) == (DAMAGED, False)
     assert "download unet --again" in check.detail
+
+
+def test_verify_knows_the_weights_that_are_part_of_oysterbench(released, home, tmp_path, monkeypatch):
+    write_released(released.cards["1.0"], released.files["1.0"], tmp_path)
+    monkeypatch.setattr("oysterbench.hub.verify.released_models", lambda: tmp_path)
+    path = tmp_path / "unet.pt"
+    assert [(check.path, check.state) for check in checks("unet")] == [(path, RIGHT)]
+    path.write_bytes(path.read_bytes()[:-1])
+    (check,) = checks("unet")
+    assert (check.state, check.detail.endswith("it is part of oysterbench: install that again")) == (DAMAGED, True)
+    write_weights(home / "models" / "unet.pt")  # which methods run on instead
+    assert [check.path for check in checks("unet")] == [home / "models" / "unet.pt"]

@@ -130,6 +130,37 @@ def test_a_later_oysterbench_signs_the_same_files_again(tmp_path, files, key_and
         publish_split(tree, {**files, "dive-02": files["dive-01"]}, new)
 
 
+@pytest.mark.parametrize("damage", ["absent", "damaged"])
+@pytest.mark.parametrize("kind", ["manifests", "croissant", "pictures"])
+def test_what_was_lost_of_a_tree_is_made_again_also_by_a_later_oysterbench(tmp_path, files, key, kind, damage):
+    """Here by one that is told of by the Croissant file, or by what is left of the manifest."""
+    facts = {"oysterbench": "0.9.1"}
+    manifest = publish_split(tmp_path, files, key, **facts)
+    before = tree_bytes(tmp_path)
+    for path in (tmp_path / kind).iterdir():
+        path.unlink() if damage == "absent" else path.write_bytes(path.read_bytes()[:-2])
+    assert {check.state for check in checks(str(tmp_path))} == {RIGHT, ABSENT if damage == "absent" else DAMAGED}
+    assert publishing.publish(tmp_path, {**FACTS, "summary": "Better said"}, files, key, DIGEST) == manifest
+    assert tree_bytes(tmp_path) == before
+
+
+def test_what_cannot_be_made_again_is_to_be_copied_from_a_mirror(tmp_path, files, key):
+    manifest = publish_split(tmp_path, files, key, oysterbench="0.9.1")
+    (croissant,) = (tmp_path / "croissant").iterdir()
+    croissant.unlink()
+    told = []
+    publishing.publish(tmp_path, FACTS, files, key, DIGEST, "https://hub.example.org", told.append)
+    assert f"{croissant}: damaged or absent, and made otherwise by this version of oysterbench or with" in told[-1]
+    assert told[-1].endswith("copy it from a mirror of the tree")
+    path = tmp_path / "manifests" / f"{manifest.sha256}.json"
+    path.unlink()  # and nothing tells of the version that made it
+    with pytest.raises(HubError, match=rf"^{path}: damaged or absent.* copy it from a mirror of the tree$"):
+        publish_split(tmp_path, files, key)
+    done = run("verify", tmp_path)
+    assert "absent (the index names it: publish its split or model again, or copy it from a mirror)" in done.stdout
+    assert done.stderr.endswith("2 of 7 files are damaged or absent; each line above says what mends it\n")
+
+
 @pytest.mark.parametrize("step", range(6))
 def test_an_interrupted_publish_leaves_what_was_there(tmp_path, files, key_and_public, step, monkeypatch):
     """Whatever write is the last: the index that was there is whole and names only what is there."""

@@ -171,6 +171,24 @@ def test_a_refused_publication_leaves_the_truth_that_was_released(hidden, key, t
     assert after.keys() - before.keys() == {"dive-01.mcap", "new/.lock"}
 
 
+@pytest.mark.parametrize("lost", ["tree", "truth", "both"])
+@pytest.mark.parametrize("damage", ["cut", "changed"])
+def test_lost_manifests_of_a_hidden_split_are_made_again(
+    hidden, secret_files, key, tmp_path, monkeypatch, lost, damage
+):
+    """Also by a later oysterbench, which the Croissant file tells of the one that made them."""
+    shutil.copytree(hidden[0], tmp_path / "tree")
+    shutil.copytree(hidden[1], tmp_path / "truth" / "fake-val-1.0")
+    before = tree_bytes(tmp_path)
+    of_tree, of_truth = next((tmp_path / "tree" / "manifests").iterdir()), next(tmp_path.glob("truth/*/manifest.json"))
+    for path in {"tree": [of_tree], "truth": [of_truth], "both": [of_tree, of_truth]}[lost]:
+        data = path.read_bytes()
+        path.write_bytes(data[:-2] if damage == "cut" else data.replace(b'"track":"slam"', b'"track":"slum"'))
+    monkeypatch.setattr("oysterbench.hub.manifest.VERSION", "99.0")
+    assert publish_secret(tmp_path / "tree", tmp_path / "truth", secret_files, key) == hidden[2]
+    assert tree_bytes(tmp_path) == before
+
+
 @pytest.mark.parametrize("place", ["tree", "tree/truth", "tree/blobs"])
 def test_the_truth_never_goes_into_the_tree(tmp_path, secret_files, key, place):
     with pytest.raises(HubError, match="outside the tree"):

@@ -208,6 +208,17 @@ def test_files_of_other_programs_are_said_to_be_that_and_bad_only_where_they_are
         list(checks(str(tmp_path)))
 
 
+def test_recordings_of_other_programs_without_an_index_are_not_called_damaged(file, tmp_path):
+    """A legal file needs none, and one that was broken off has none."""
+    bag = write_bag(tmp_path / "bag.mcap")
+    bag.write_bytes(bag.read_bytes()[:-60])
+    (check,) = checks(str(bag))
+    assert (check.state, check.good, "delete" in check.detail) == (FOREIGN, False, False)
+    for data in (file.read_bytes()[:-60], file.read_bytes()[:12] + b"?" + file.read_bytes()[13:-60]):
+        (tmp_path / "dive-01.mcap").write_bytes(data)  # of ours, whose header may be damaged too
+        assert [one.state for one in checks(str(tmp_path))] == [FOREIGN, DAMAGED]
+
+
 def test_a_sound_file_that_this_version_cannot_open_is_not_damaged(tmp_path, monkeypatch):
     """Such as one whose calibration is of a later version."""
     known = trees.calibration()
