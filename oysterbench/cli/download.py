@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -235,41 +235,45 @@ def _render_instead(
     folders = {out or (topics_folder(whole, topics) if topics else whole)}
     folders |= {whole} if topics else set()  # from whose files smaller ones are cut
     paths = [folder / f"{each}.mcap" for folder in folders for each in names]
-    with _aside(split, paths) if check else nullcontext():
+    with _aside(split, paths, [whole] if topics else [], check):
         context.invoke(
             group.commands["render"], split_name=name, names=tuple(names), topics=topics, out=out, as_json=as_json
         )
 
 
 @contextmanager
-def _aside(split: SplitRecipe, paths: Sequence[Path]) -> Iterator[None]:
-    """Set damaged files of a split aside, under hidden names, while others are made in their place: each is deleted
-    once there is another, and put back otherwise.
+def _aside(split: SplitRecipe, paths: Sequence[Path], kept: Sequence[Path], check: bool) -> Iterator[None]:
+    """Where `check` is set, set damaged files of a split aside, under hidden names, while others are made in their
+    place: each is deleted once there is another, as is one that a killed process left aside, and put back otherwise.
 
-    Raises HubError, and leaves all unchanged, where one does not say that it is this sequence: it may be somebody's own
+    kept: folders in which nothing is made now, from whose files smaller ones are cut. Raises HubError, and leaves all
+    unchanged, where a file does not say that it is this sequence: it may be somebody's own
     """
-    from oysterbench.hub.verify import DAMAGED, FOREIGN, check_alone, claims
+    from oysterbench.hub.verify import ASIDE, DAMAGED, FOREIGN, check_alone, claims
     from oysterbench.simulation.generate import digest
 
     made_by = digest(split)
-    damaged = [found for found in map(check_alone, paths) if found.state in (DAMAGED, FOREIGN)]
+    damaged = [found for found in map(check_alone, paths) if found.state in (DAMAGED, FOREIGN)] if check else []
     for found in damaged:
         if not claims(found.path, split.name, split.version, made_by):
             raise HubError(
                 f"{found.path}: expected {found.path.stem} of {split.name} {split.version}, as its recipe makes it, "
                 "got a file that does not say so; it was left unchanged: delete it or choose another folder with --out"
             )
-    aside = {path: path.with_name(f".{path.name}.damaged") for path in paths}
+    aside = {path: path.with_name(ASIDE.format(path.name)) for path in paths}
     try:
         for found in damaged:
-            message(f"{found.path}: damaged ({found.detail}); it is deleted once it has been rendered again")
+            then = "it is deleted once it has been rendered again"
+            if found.path.parent in kept:
+                then = "it is not used now, and stays: --verify without --topics renders it again"
+            message(f"{found.path}: damaged ({found.detail}); {then}")
             os.replace(found.path, aside[found.path])
         yield
     finally:
         for path, hidden in aside.items():
             if path.exists():
                 hidden.unlink(missing_ok=True)
-            elif hidden.exists():
+            elif check and hidden.exists():
                 os.replace(hidden, path)
 
 
@@ -305,6 +309,8 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
     if not found:
         message("there is no local data; `oysterbench splits` lists the splits")
     bad = sum(not check.good for check in found)
+    if bad and what and all((Path(name) / "index.json").is_file() for name in what):
+        raise IntegrityError(f"{bad} of {len(found)} files are damaged or absent; each line above says what mends it")
     if bad:
         raise IntegrityError(
             f"{bad} of {len(found)} files are damaged, absent, of other programs or different from the release; "

@@ -217,7 +217,12 @@ def test_a_damaged_file_is_gone_only_once_another_is_complete(place, tmp_path, m
     monkeypatch.setattr(
         "oysterbench.cli.render.render_files", lambda *given, **more: [path.write_bytes(whole), {"tiny-01": path}][1]
     )
+    line = place.run("verify", tmp_path, code=3).stdout
+    assert line == f"{aside}: damaged (set aside by a repair that was interrupted: delete it)\n"
     place.run(*words, home=tmp_path / "home")
+    assert (path.read_bytes(), aside.exists()) == (whole, False)
+    aside.write_bytes(whole[:-100])  # and if its file was rendered by another command
+    place.run("download", place.recipe, "--out", tmp_path, home=tmp_path / "home")
     assert (path.read_bytes(), aside.exists()) == (whole, False)
 
 
@@ -231,6 +236,7 @@ def test_without_a_hub_verify_cuts_no_topics_from_a_damaged_file(place, tmp_path
     monkeypatch.setattr("oysterbench.cli.render.render_files", lambda *given, **more: there.append(path.exists()) or {})
     line = place.run("download", place.recipe, "--verify", "--topics", "/imu", home=tmp_path).stderr
     assert f"{path}: damaged (" in line
+    assert "); it is not used now, and stays: --verify without --topics renders it again" in line
     assert there == [False]
     assert path.read_bytes() == damaged  # until somebody asks for it
 
