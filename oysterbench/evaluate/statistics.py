@@ -38,6 +38,9 @@ RESAMPLES = 10_000
 TIE = 1e-9
 """Relative difference below which two values are equal: they differ by rounding errors."""
 
+ZERO = 1e-12
+"""Mean of differences, relative to the largest value, below which it is zero: exact ties add up to rounding errors."""
+
 LEAST_SEQUENCES = 6
 """Minimum number of sequences for an interval. The mean of a symmetric population lies within the range of n values
 with probability 1 - 2^(1 - n): 6 is the first n for which this exceeds 95 %. With fewer, no resampling of the values
@@ -188,14 +191,21 @@ def bootstrap_interval(values: Array, weights: Array | None = None) -> Interval:
     n = len(values)
     if n < LEAST_SEQUENCES:
         return Interval(math.nan, math.nan, too_few(n))
-    return _interval_of(tuple(values.tolist()), None if weights is None else tuple(weights.tolist()))
+    return _interval_of(tuple(values.tolist()), None if weights is None else tuple(weights.tolist()), 0.0)
 
 
 @lru_cache(maxsize=8192)
-def _interval_of(values: tuple[float, ...], weights: tuple[float, ...] | None) -> Interval:
-    """`bootstrap_interval` with a cache: every page of a site that compares a method asks for its intervals again."""
+def _interval_of(values: tuple[float, ...], weights: tuple[float, ...] | None, scale: float) -> Interval:
+    """`bootstrap_interval` with a cache: every page of a site that compares a method asks for its intervals again.
+    scale: for differences, as in `_off_rounding`"""
     means = _resampled_means(np.array(values), None if weights is None else np.array(weights))
-    return resampled_interval(means, len(values))
+    return resampled_interval(_off_rounding(means, scale), len(values))
+
+
+def _off_rounding(means: Array, scale: float | Array) -> Array:
+    """Resampled means of differences, with those set to 0 that are rounding errors. scale: the largest magnitude of
+    the values compared; one for each row, or for all."""
+    return np.where(np.abs(means) <= ZERO * scale, 0.0, means)
 
 
 def _resampled_means(values: Array, weights: Array | None) -> Array:
@@ -277,7 +287,10 @@ def compare(
         return Comparison(
             0, math.nan, Interval(math.nan, math.nan, "no common sequence"), 0, 0, 0, "not significantly different"
         )
-    difference, interval = mean_of(differences), bootstrap_interval(differences)
+    scale = max(abs(means[name]) for means in (means_a, means_b) for name in shared)
+    difference, interval = mean_of(differences), Interval(math.nan, math.nan, too_few(len(shared)))
+    if weights is None and len(shared) >= LEAST_SEQUENCES:
+        interval = _interval_of(tuple(differences.tolist()), None, scale)
     if weights is not None:
         difference, interval = _weighed_difference(
             *(np.array([m[name] for name in shared]) for m in (means_a, means_b)),
@@ -295,7 +308,8 @@ def _weighed_difference(a: Array, b: Array, weights_a: Array, weights_b: Array) 
     difference = _difference(mean_of(a, weights_a), mean_of(b, weights_b))
     if len(a) < LEAST_SEQUENCES:
         return difference, Interval(math.nan, math.nan, too_few(len(a)))
-    return difference, resampled_interval(_resampled_means(a, weights_a) - _resampled_means(b, weights_b), len(a))
+    resampled = _resampled_means(a, weights_a) - _resampled_means(b, weights_b)
+    return difference, resampled_interval(_off_rounding(resampled, max(np.abs(a).max(), np.abs(b).max())), len(a))
 
 
 def bootstrap_intervals(values: Array, weights: Array | None = None) -> Array:
@@ -322,11 +336,12 @@ def significant_signs(
             # Where all differences have the same sign, so have all resamples: nothing to compute.
             unclear = (differences <= 0).any(axis=1) & (differences >= 0).any(axis=1)
             signs[rows] = np.sign(differences.sum(axis=1))
-            rows, resampled = rows[unclear], differences[unclear] @ drawn.T
+            rows, b, resampled = rows[unclear], b[unclear], differences[unclear] @ drawn.T
         else:
             resampled = _resampled_rows(a[None], weights[known][None], drawn)
             resampled = resampled - _resampled_rows(b, weights_of_others[rows][:, known], drawn)
-        signs[rows] = _signs_off_zero(resampled, int(known.sum()))
+        scale = np.maximum(np.abs(a).max(), np.abs(b).max(axis=1))[:, None]
+        signs[rows] = _signs_off_zero(_off_rounding(resampled, scale), int(known.sum()))
     return signs
 
 

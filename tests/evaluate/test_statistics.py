@@ -14,6 +14,7 @@ from oysterbench.evaluate.statistics import (
     bootstrap_interval,
     compare,
     sequence_means,
+    significant_signs,
     summarise,
 )
 
@@ -124,6 +125,26 @@ def test_rounding_is_no_victory():
     a = sample(np.arange(8) + 1.0)
     against = compare(a, {name: [values[0] * (1 + 1e-12)] for name, values in a.items()}, "higher")
     assert (against.wins, against.ties, against.losses, against.verdict) == (0, 8, 0, "not significantly different")
+
+
+def test_an_interval_that_ends_at_zero_exactly_tells_nobody_apart_whoever_else_is_compared():
+    """Scores in steps of 0.01, as of a hidden split: in whole hundredths the interval of the last pair begins at 0."""
+    rows = [
+        [0.39, 0.42, 0.45, 0.42, 0.46, 0.47, 0.5, 0.3, 0.42],
+        [0.64, 0.62, 0.51, 0.48, 0.45, 0.97, 0.59, 0.8, 0.49],
+        [0.7, 0.66, 0.76, 0.51, 0.46, 0.9, 0.73, 0.74, 0.47],
+        [0.52, 0.66, 0.46, 0.64, 0.65, 0.52, 0.83, 0.33, 0.59],
+        [0.52, 0.63, 0.88, 0.8, 0.5, 0.54, 0.55, 0.75, 0.67],
+        [0.3, 0.29, 0.11, 0.39, 0.36, 0.42, 0.26, 0.23, 0.39],
+    ]
+    mine, others = np.array([0.48, 0.32, 0.3, 0.28, 0.33, 0.4, 0.41, 0.64, 0.69]), np.array(rows)
+    weights, equal = np.ones(len(mine)), np.ones(others.shape)
+    for many in (others, others[[0, -1]], others[-1:]):
+        assert significant_signs(mine, many)[-1] == 0
+        assert significant_signs(mine, many, weights, equal[: len(many)])[-1] == 0
+    for whole in (None, (sample(weights), sample(weights))):
+        found = compare(sample(mine), sample(rows[-1]), "higher", whole)
+        assert (found.interval.low, found.verdict) == (0.0, "not significantly different")
 
 
 def test_only_shared_sequences_are_compared():
