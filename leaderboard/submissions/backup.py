@@ -38,6 +38,8 @@ PRIVATE = (FILE, "key", "scored/*/*.json")
 PUBLIC = ("records/*.json", "changes/*.json", "curves/*.json")
 """Files of the board's folder that are backed up; PRIVATE are those of the private folder."""
 
+RECORDS = "board/records/"
+
 HASH = "[0-9a-f]{64}"
 KNOWN = re.compile(
     rf"rows/\w+\.jsonl|private/(key|settings\.toml|estimates/{HASH}|scored/\w+/{HASH}\.json)|board/\w+/{HASH}\.json"
@@ -48,17 +50,24 @@ BATCH = 1000
 
 @dataclass(frozen=True)
 class Backup:
-    """Contents of a backup: the number of rows of each table, and the number of files."""
+    """Contents of a backup: the number of rows of each table, of files, and of the board's records among them."""
 
     rows: dict[str, int]
     files: int
+    records: int
 
 
 def backup(settings: SubmissionSettings, file: Path, board: Path | None = None) -> Backup:
-    """Write a whole server into a file that only its owner can read. board: folder of records to include."""
+    """Write a whole server into a file that only its owner can read. board: folder of records to include. Raises
+    ResultError where that is no board's, before anything is written."""
+    if board is not None and not (board / "records").is_dir():
+        raise ResultError(
+            f"--board {board}: expected the folder of a board, got {'one' if board.is_dir() else 'none'} without "
+            "records; nothing was written: name that of `oysterbench leaderboard serve`"
+        )
     database = SubmissionDatabase(settings)
     rows: Counter[str] = Counter()
-    files = 0
+    files = records = 0
     try:
         with appearing(file, mode=0o600) as output, tarfile.open(fileobj=output, mode="w") as archive:
             with database.reading() as connection:
@@ -76,10 +85,11 @@ def backup(settings: SubmissionSettings, file: Path, board: Path | None = None) 
             for name, path in _files(settings, board):
                 archive.add(path, name)
                 files += 1
+                records += name.startswith(RECORDS)
             _add(archive, END, json.dumps({"members": len(archive.getmembers()) + 1}).encode())
     finally:
         database.close()
-    return Backup(dict(rows), files)
+    return Backup(dict(rows), files, records)
 
 
 def _add(archive: tarfile.TarFile, name: str, data: bytes) -> None:
@@ -130,7 +140,7 @@ def _restore(archive: tarfile.TarFile, folder: Path, board: Path | None) -> Back
     if entries[-1].name != END or json.loads(_read(archive, END))["members"] != len(entries):
         raise tarfile.ReadError("it was cut off")
     tables = {}
-    files = 0
+    files = records = 0
     folder.mkdir(parents=True, exist_ok=True)
     folder.chmod(0o700)
     for entry in entries[1:-1]:
@@ -144,6 +154,7 @@ def _restore(archive: tarfile.TarFile, folder: Path, board: Path | None) -> Back
         if place is None or (name == FILE and (folder / FILE).exists()):
             continue
         files += 1
+        records += entry.name.startswith(RECORDS)
         kind, _, digest = name.partition("/")
         if root == "private" and kind == "estimates":  # where the settings, which come before them, want them
             _extract(archive, entry, folder / digest, secret=True)
@@ -160,7 +171,7 @@ def _restore(archive: tarfile.TarFile, folder: Path, board: Path | None) -> Back
             upgrade(connection)
     finally:
         engine.dispose()
-    return Backup({name: len(lines) for name, lines in tables.items()}, files)
+    return Backup({name: len(lines) for name, lines in tables.items()}, files, records)
 
 
 def _insert(connection: Connection, tables: dict[str, list[bytes]]) -> None:

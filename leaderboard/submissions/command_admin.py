@@ -216,7 +216,8 @@ def backup_command(context: click.Context, file: Path, folder: Path, as_json: bo
     from oysterbench_leaderboard.submissions.settings import load_settings
 
     _check_server(folder)
-    _show_backup(file, backup(load_settings(folder), file, find_place(context).folder), as_json)
+    board = find_place(context).folder
+    _show_backup(file, backup(load_settings(folder), file, board), as_json, board is not None)
 
 
 @submissions.command("restore", short_help="Restore a server from a backup, into an empty folder.")
@@ -236,12 +237,14 @@ def restore_command(context: click.Context, file: Path, folder: Path, as_json: b
     """
     from oysterbench_leaderboard.submissions.backup import restore
 
-    _show_backup(file, restore(file, folder, find_place(context).folder), as_json)
+    board = find_place(context).folder
+    _show_backup(file, restore(file, folder, board), as_json, board is not None)
 
 
-def _show_backup(file: Path, made: Any, as_json: bool) -> None:
+def _show_backup(file: Path, made: Any, as_json: bool, board: bool) -> None:
     rows = ", ".join(counted(count, name.removesuffix("s")) for name, count in made.rows.items())
-    echo(json.dumps(asdict(made)) if as_json else f"{file}: {rows}; {counted(made.files, 'file')}")
+    records = f", with {counted(made.records, 'record')} of the board" if board else ""
+    echo(json.dumps(asdict(made)) if as_json else f"{file}: {rows}; {counted(made.files, 'file')}{records}")
 
 
 def _database(folder: Path, must_exist: bool = False) -> Any:
@@ -254,11 +257,13 @@ def _database(folder: Path, must_exist: bool = False) -> Any:
 
 
 def _check_server(folder: Path) -> None:
-    """Raise ResultError where a folder is no server's: to open it would make it one, and keep all others out of it."""
-    from oysterbench_leaderboard.submissions.settings import is_server
+    """Raise ResultError where a folder is no server's, or has no database yet: to open it would make one."""
+    from oysterbench_leaderboard.submissions.settings import has_database
 
     if not folder.is_dir():
         raise ResultError(f"--submissions {folder}: no such folder; `oysterbench leaderboard team add` makes it")
-    if not is_server(folder):
-        expected = "expected the private folder of a server, got one without submissions.sqlite and settings.toml"
-        raise ResultError(f"--submissions {folder}: {expected}; `oysterbench leaderboard team add` makes one")
+    if not has_database(folder):
+        raise ResultError(
+            f"--submissions {folder}: expected the private folder of a server, got one without submissions.sqlite, or "
+            "a settings.toml that names a database; `oysterbench leaderboard team add` makes one in an empty folder"
+        )

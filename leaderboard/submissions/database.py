@@ -43,7 +43,7 @@ from oysterbench.core.text import in_one_line, printable
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.boards.database import open_engine
 from oysterbench_leaderboard.submissions.migrations import upgrade
-from oysterbench_leaderboard.submissions.settings import SubmissionSettings
+from oysterbench_leaderboard.submissions.settings import SubmissionSettings, check_own
 
 LOCK = 0x6469_7370_6174
 """Key of the PostgreSQL advisory lock that the one dispatcher holds."""
@@ -147,6 +147,7 @@ class SubmissionDatabase:
     """The database, upgraded when it is opened. `writing` and `reading` give a connection in a transaction."""
 
     def __init__(self, settings: SubmissionSettings) -> None:
+        check_own(settings)
         settings.folder.mkdir(parents=True, exist_ok=True)
         os.chmod(settings.folder, 0o700)
         pragmas = ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON")

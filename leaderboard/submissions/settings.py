@@ -10,10 +10,16 @@ from typing import Annotated, Any
 import msgspec
 
 from oysterbench.core.errors import ResultError
+from oysterbench.core.names import listed
 from oysterbench_leaderboard.submissions.reading.archive import Limits
 
 FILE = "settings.toml"
 """File in the private folder, with any of the keys below except `folder`."""
+
+OWN = re.compile(
+    r"submissions\.sqlite.*|settings\.toml|key|estimates|scored|incoming|catalogue|private\.log.*|\..*|lost\+found"
+)
+"""Names in the private folder of a server, or of no matter."""
 
 MB = 1_000_000
 
@@ -36,7 +42,8 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
                         .npz files are limited by `unpacked_bytes` alone
     lines:              of a text file: 120 000 are poses of 10 min at 200 Hz
     annotations:        of one image, in COCO annotations
-    reads_per_day:      uploads of a team that are received in 24 hours, including those refused or too slow
+    reads_per_day:      uploads of a team that are received in 24 hours, including those refused or too slow; by one
+                        server since its start
     per_day, per_split: submissions accepted from a team in 24 hours, and from a team on one split in all
     uploads_at_once, checks_at_once: from all clients; uploads_of_team, uploads_of_address: from one
     upload_safe_s:      a team's time in places for uploads (`places`) after which, when all places are taken, it gives
@@ -116,8 +123,34 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
 
 def is_server(folder: Path) -> bool:
-    """Whether a folder is the private one of a server."""
+    """Whether a folder holds anything that only the private one of a server does."""
     return any((folder / name).exists() for name in ("submissions.sqlite", "key", FILE))
+
+
+def has_database(folder: Path) -> bool:
+    """Whether a folder is the private one of a server whose database is there already: in it, or named by its
+    settings.toml. One that cannot be read counts, so that `load_settings` says what is wrong with it."""
+    if (folder / "submissions.sqlite").is_file():
+        return True
+    try:
+        return bool(tomllib.loads((folder / FILE).read_text(encoding="utf-8")).get("database"))
+    except FileNotFoundError:
+        return False
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return True
+
+
+def check_own(settings: SubmissionSettings) -> None:
+    """Raise ResultError where the private folder is somebody's else: it would be closed to all others."""
+    folder = settings.folder
+    if settings.database or not folder.is_dir() or has_database(folder):
+        return
+    others = sorted(path.name for path in folder.iterdir() if not OWN.fullmatch(path.name))
+    if others:
+        raise ResultError(
+            f"{folder}: expected a new or empty folder, or that of a server, got one with {listed(others[:5])}; it was "
+            "left unchanged: name a folder for the server alone"
+        )
 
 
 def load_settings(folder: Path, **changes: Any) -> SubmissionSettings:

@@ -89,6 +89,7 @@ def open_service(
     """
     _check_private(folder, store.folder)
     settings = load_settings(folder)
+    (store.folder / "records").mkdir(parents=True, exist_ok=True)  # a board without any can be backed up as well
     service = Service(settings, served_splits(truths, folder / "catalogue"), store, changed)
     service.self_test()
     return service

@@ -92,6 +92,19 @@ def test_it_goes_from_sqlite_to_postgresql(saved, tmp_path, postgres):
         restore(folder / "all.tar", private)
 
 
+@pytest.mark.parametrize("made", [True, False])
+def test_a_folder_that_is_no_boards_is_not_backed_up_as_one(saved, tmp_path, made):
+    """Its backup would have none of the records, withdrawals and baselines, and say nothing."""
+    folder, *_ = saved
+    board, private = tmp_path / "nowhere", ("--submissions", folder / "private")
+    board.mkdir() if made else None
+    done = run("leaderboard", "--board", board, "submissions", "backup", tmp_path / "b.tar", *private)
+    assert_one_line(done, f"--board {board}: expected the folder of a board", code=ResultError.exit_code)
+    assert not (tmp_path / "b.tar").exists()
+    done = run("leaderboard", "--board", folder / "board", "submissions", "backup", tmp_path / "b.tar", *private)
+    assert done.stdout.endswith(" files, with 1 record of the board\n")
+
+
 def test_nothing_that_is_there_is_written_over(saved, tmp_path):
     folder, *_ = saved
     for full in ("private", "board"):

@@ -72,5 +72,30 @@ def test_a_folder_that_is_no_server_is_left_alone(tmp_path, monkeypatch, args):
     assert folder.stat().st_mode == before.st_mode
 
 
+@pytest.mark.parametrize("name", ["key", "settings.toml"])
+def test_a_folder_without_a_database_is_backed_up_by_nobody(tmp_path, name):
+    """It would be made, and the backup of it would hold nothing."""
+    (tmp_path / "k").mkdir()
+    (tmp_path / "k" / name).write_text("lines = 10\n")
+    words = ["leaderboard", "submissions", "backup", str(tmp_path / "k.tar"), "--submissions", str(tmp_path / "k")]
+    asked = CliRunner().invoke(main, words)
+    assert (asked.exit_code, "expected the private folder of a server" in asked.stderr) == (1, True)
+    assert [path.name for path in tmp_path.rglob("*")] == ["k", name]
+
+
+def test_a_team_is_added_to_no_folder_of_somebody_else(tmp_path):
+    www, new = tmp_path / "www", tmp_path / "new"
+    (www / "html").mkdir(parents=True)
+    www.chmod(0o755)
+    add = ["leaderboard", "team", "add", "reef lab", "--submissions"]
+    asked = CliRunner().invoke(main, [*add, str(www)])
+    expected = f"{www}: expected a new or empty folder, or that of a server, got one with html; it was left unchanged"
+    assert (asked.exit_code, asked.stdout, expected in asked.stderr) == (1, "", True)
+    assert (www.stat().st_mode & 0o777, [path.name for path in www.iterdir()]) == (0o755, ["html"])
+    new.mkdir()
+    (new / "settings.toml").write_text("per_day = 3\n")  # as it is written before the first start
+    assert CliRunner().invoke(main, [*add, str(new)]).exit_code == 0
+
+
 def test_the_states_that_can_be_asked_for_are_those_of_the_database():
     assert get_args(State) == STATES
