@@ -144,7 +144,7 @@ class RecordStore:
     def _keep(self, kind: str, data: bytes) -> str:
         digest = sha256(data)
         path = self._path(kind, digest)
-        if not path.exists():
+        if not path.is_dir() and not _holds(path, data):  # also one that was damaged since
             write_atomically(path, data)
         return digest
 
@@ -161,6 +161,25 @@ class RecordStore:
         if sha256(data) != digest:
             raise ResultError(f"{path}: its bytes do not match its name: it was changed, and was not used")
         return data
+
+
+def _holds(path: Path, data: bytes) -> bool:
+    try:
+        return path.read_bytes() == data
+    except OSError:
+        return False
+
+
+def copied_curves(source: RecordStore, target: RecordStore, digest: str) -> str:
+    """Store curves of one store in another. Return why the other one has none that can be used; empty where it has."""
+    try:
+        target.add_curves(source.curves(digest))
+    except OysterbenchError as error:
+        try:
+            target.curves(digest)
+        except OysterbenchError:
+            return str(error)
+    return ""
 
 
 def usable(stores: Sequence[RecordStore], *digests: str) -> Record | None:

@@ -21,7 +21,7 @@ from oysterbench.hub.canonical import parse
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.publishing.publish import ranked_instead
 from oysterbench_leaderboard.storage.record import Record
-from oysterbench_leaderboard.storage.store import RecordStore, StatusChange, usable
+from oysterbench_leaderboard.storage.store import RecordStore, StatusChange, copied_curves, usable
 from oysterbench_leaderboard.submissions.accounts.rates import DAY_S, DailyReads, Sampler, hours_and_minutes
 from oysterbench_leaderboard.submissions.catalogue import Catalogue, Wanted
 from oysterbench_leaderboard.submissions.database import (
@@ -338,8 +338,8 @@ class Service:
 
     def _show(self, record: Record) -> None:
         """Put a record and its curves on the board; idempotent."""
-        if record.curves:
-            self.store.add_curves(self.scored.curves(record.curves))
+        if record.curves and (why := copied_curves(self.scored, self.store, record.curves)):
+            self.log.error("record %s is on the board without its drawing: %s", record.digest, why)
         self.store.add(record)
 
     def _announce(self, gone: Sequence[Submission]) -> None:

@@ -29,6 +29,16 @@ def test_records_are_kept_once_and_listed_in_order(tmp_path):
     assert verify(store).problems == {}
 
 
+def test_a_file_that_was_damaged_is_written_again_where_its_bytes_are_given(tmp_path):
+    store = RecordStore(tmp_path)
+    digest = store.add(record_made())
+    (path,) = (tmp_path / "records").iterdir()
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1])
+    assert store.add(record_made()) == digest
+    assert path.read_bytes() == whole
+
+
 def test_a_changed_or_absent_file_is_refused(tmp_path):
     store = RecordStore(tmp_path)
     digest = store.add(record_made())

@@ -11,6 +11,7 @@ from dataclasses import replace
 import pytest
 from sqlalchemy import text
 
+from oysterbench.hub.canonical import parse
 from oysterbench.results.records import ResultRecord, write_results
 from oysterbench_leaderboard.boards.ranking import withdrawn
 from oysterbench_leaderboard.storage.store import StatusChange
@@ -288,3 +289,21 @@ def test_a_damaged_scored_record_is_read_from_the_board_and_keeps_no_later_one_f
     for folder in (service.scored.folder, service.store.folder):
         (folder / "records" / f"{new}.json").write_text("{}")
     assert service.publish("reef lab", third).published in service.store.digests()
+
+
+@pytest.mark.parametrize("on_board", [True, False])
+def test_damaged_curves_keep_no_record_off_the_board(service, tmp_path, on_board):
+    """The board's own serve as well; without any, the record is there and nothing is drawn."""
+    id = done(service, tmp_path, split="pool-val")
+    curves = service.record(service.get("reef lab", id)).curves
+    whole = (service.scored.folder / "curves" / f"{curves}.json").read_bytes()
+    (service.scored.folder / "curves" / f"{curves}.json").write_bytes(whole[:-1])
+    if on_board:
+        service.store.add_curves(parse(whole, "curves"))
+    found = service.publish("reef lab", id).published
+    assert found in service.store.digests()
+    assert service.store.names("curves") == ([curves] if on_board else [])
+    assert ("without its drawing" in (tmp_path / "private" / "private.log").read_text()) != on_board
+    later = done(service, tmp_path, split="pool-val", method="pike")
+    assert service.record(service.get("reef lab", later)).curves == curves, "the same, which are written again"
+    assert (service.scored.folder / "curves" / f"{curves}.json").read_bytes() == whole
