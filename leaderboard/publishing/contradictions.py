@@ -33,6 +33,9 @@ HALF_STEP = STEP / 2
 RELATIVE = {name: 0.5 * 10.0 ** (1 - digits) for name, digits in DIGITS.items()}
 """Greatest distance of other published values of a hidden split from the exact ones, as a share of them."""
 
+PUBLISHED = {"method", "metrics", "means"}
+"""What is published of the whole of a hidden split."""
+
 LEAST_POINTS, SAME_SCORE = 100, 0.05
 """Number of points from which a curve gives the score of its run, and to which difference: one point in many is drawn,
 which changes the score by less than 0.01 in all that we have published."""
@@ -188,6 +191,8 @@ def _check_hidden(record: Record) -> None:
         if odd := [key for key in expected if has[key] != expected[key]]:
             where = f"run {result.run + 1} on {result.sequence}: key {odd[0]!r}"
             raise ResultError(f"{where}: expected only what is published of a hidden split, got more")
+    if odd := sorted(set(record.data_set or ()) - PUBLISHED):
+        raise ResultError(f"key 'data_set.{odd[0]:.60}': expected only what is published of a hidden split, got more")
     for part in ("metrics", "means"):
         for key, value in _part(record, part).items():
             if value is not None and value != (rounded := over_split(key, record.track, value)):

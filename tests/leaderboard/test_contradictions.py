@@ -87,6 +87,17 @@ def test_of_a_hidden_split(tmp_path, forge, said):
     assert said in found if said else not found
 
 
+@pytest.mark.parametrize("track", ["slam", "segmentation", "steering"])
+@pytest.mark.parametrize("key", ["intervals", "per_image", "truth_px"])
+def test_more_of_a_hidden_split_as_a_whole_than_is_published(tmp_path, track, key):
+    def add(values: dict[str, Any]) -> None:
+        values["data_set"][key] = {"score": {"low": 0.123456789, "high": 0.2}}
+
+    made = hidden_made(track=track)
+    assert said_of(tmp_path, made, lambda values: None) == ""
+    assert f"key 'data_set.{key}': expected only what is published of a hidden" in said_of(tmp_path, made, add)
+
+
 @pytest.mark.parametrize("tier", ["scored", "baseline"])
 def test_a_failure_on_a_hidden_split_that_tells_folders(tmp_path, tier):
     assert said_of(tmp_path, hidden_made(tier=tier, failed=("val-02",)), lambda values: None) == ""
