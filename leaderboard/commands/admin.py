@@ -270,6 +270,7 @@ def rescore_command(
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.publishing.rescoring import is_outdated, score_again
     from oysterbench_leaderboard.submissions.scoring import evaluator
+    from oysterbench_leaderboard.submissions.settings import is_server
 
     if truth is not None and split is None:
         raise click.UsageError("--truth: expected --split with it: the truth is of one split")
@@ -278,10 +279,14 @@ def rescore_command(
         from oysterbench.recipe import load_split
 
         recipe, split = split, load_split(split).name
+    if server is not None and not is_server(server):
+        raise ResultError(f"--submissions {server}: expected the private folder of a server, got one of something else")
     index = find_place(context).index()
     wanted = [index.row(digest) for digest in digests] or [
         row for board in index.boards() for row in _current(index, board.id) if split in (None, board.split)
     ]
+    if server is None and any(row.tier == "scored" for row in wanted) and not is_server(estimates.absolute().parent):
+        message(f"{estimates} is in no server's folder: uploads are read within the default limits; see --submissions")
     changes, skipped, damaged = [], False, False
     for before in wanted:
         try:

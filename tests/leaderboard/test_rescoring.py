@@ -135,6 +135,20 @@ def test_the_folder_of_a_server_elsewhere_is_named(tmp_path, monkeypatch):
         assert "ended without an answer (10)" in asked.stderr
 
 
+def test_a_folder_that_is_no_servers_is_not_taken_for_one(tmp_path, monkeypatch):
+    monkeypatch.setenv("OYSTERBENCH_BOARD", str(tmp_path / "board"))
+    recipe, truth = lay_split(tmp_path / "splits")
+    RecordStore(tmp_path / "board").add(uploaded(tmp_path / "data", recipe))
+    (tmp_path / "empty").mkdir()
+    words = ["leaderboard", "rescore", "--estimates", str(tmp_path / "data" / "estimates"), "--dry-run"]
+    words += ["--split", str(recipe), "--truth", str(truth)]
+    asked = CliRunner().invoke(main, [*words, "--submissions", str(tmp_path / "empty")])
+    assert (asked.exit_code, "empty: expected the private folder of a server" in asked.stderr) == (1, True)
+    monkeypatch.setattr(sandbox, "run", lambda job, allowance: sandbox.Ended(None, "crash", ""))
+    asked = CliRunner().invoke(main, words)
+    assert "is in no server's folder: uploads are read within the default limits" in asked.stderr
+
+
 def test_uploads_on_a_hidden_split_are_scored_again_and_what_changed_is_said(tmp_path, monkeypatch):
     monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("OYSTERBENCH_BOARD", str(tmp_path / "board"))
