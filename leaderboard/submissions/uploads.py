@@ -111,7 +111,7 @@ def announced_kind(request: Request) -> str:
         if kind != b"multipart/form-data" or not 0 < len(options.get(b"boundary", b"")) <= 200:
             raise Refusal("type", f"expected multipart/form-data with a boundary, got {content_type!r:.80}")
         # Names any codec of Python to the parser, also those that fail or make text that no page can show.
-        if options.get(b"charset", b"utf-8").lower() not in (b"utf-8", b"us-ascii"):
+        if _codec(options.get(b"charset", b"utf-8")) not in ("utf-8", "ascii"):
             raise Refusal("type", f"expected a form in UTF-8, got {content_type!r:.80}")
         return FORM
     if name not in KINDS:
@@ -120,6 +120,14 @@ def announced_kind(request: Request) -> str:
             f"expected multipart/form-data or one of {', '.join(KINDS)}, got the content type {content_type!r:.80}",
         )
     return KINDS[name]
+
+
+def _codec(name: bytes) -> str:
+    """Python's name of a codec, by any of its names; empty where there is none."""
+    try:
+        return codecs.lookup(name.decode("latin-1")).name
+    except (LookupError, ValueError):
+        return ""
 
 
 async def receive_file(request: Request, file: IO[bytes], settings: SubmissionSettings) -> None:
@@ -163,9 +171,25 @@ def kind_of(first: bytes) -> str:
 
 
 class _Parser(MultiPartParser):
-    """Parser that notes whether the form was complete (`ended`)."""
+    """Parser that notes whether the form was complete (`ended`), and reads no text in another encoding than the form's:
+    its parent reads bytes that are none as Latin-1."""
 
     ended = False
+
+    def on_headers_finished(self) -> None:
+        self._check_text(self._current_part.content_disposition or b"")
+        super().on_headers_finished()
+
+    def on_part_end(self) -> None:
+        if self._current_part.file is None:
+            self._check_text(self._current_part.data)
+        super().on_part_end()
+
+    def _check_text(self, data: bytes | bytearray) -> None:
+        try:
+            data.decode(self._charset)
+        except UnicodeDecodeError:
+            raise MultiPartException(f"expected text in {self._charset.upper()}, got other bytes") from None
 
     def on_end(self) -> None:
         self.ended = True

@@ -64,8 +64,19 @@ def test_a_body_whose_reading_fails_is_counted(service, monkeypatch):
 def test_a_form_in_another_encoding_is_not_read(service, charset):
     answer = upload(service, form_body(**{"method-": "\\ud800"}), f"{FORM_KIND}; charset={charset}")
     assert (answer.status_code, json.loads(answer.body)["reason"].split(",")[0]) == (415, "expected a form in UTF-8")
-    for same in ("UTF-8", "us-ascii"):
+    for same in ("UTF-8", "us-ascii", "utf8", '"UTF_8"'):
         assert upload(service, form_body(method=""), f"{FORM_KIND}; charset={same}").status_code == 422
+
+
+@pytest.mark.parametrize(
+    ("charset", "name", "method"),
+    [("utf-8", b"method", b"\xff\xfe"), ("us-ascii", b"method", "\u00e9".encode()), ("utf-8", b"m\xff", b"cod")],
+)
+def test_a_form_with_bytes_that_are_no_text_of_its_encoding_is_not_read(service, charset, name, method):
+    body = form_body(method="METHOD").replace(b'"method"', b'"' + name + b'"').replace(b"METHOD", method)
+    answer = upload(service, body, f"{FORM_KIND}; charset={charset}")
+    assert answer.status_code == 400
+    assert "the form cannot be read: expected text in " in json.loads(answer.body)["reason"]
 
 
 def test_what_is_received_is_counted_once_and_what_is_not_received_is_not(service, tmp_path):
