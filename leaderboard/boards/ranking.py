@@ -135,8 +135,10 @@ def rank(board: BoardInfo, found: Sequence[Ranked]) -> tuple[BoardInfo, list[dic
     where `key` is the digest.
 
     The board's sequences are those of the ranked records; without any, those of the current ones; without any, those of
-    all: withdrawn records take no part. Self-reported records are not ranked: anybody can write a number down. Like
-    records that are not current, they have only a score, and follow in order of score.
+    all: withdrawn records take no part there. A lacking score that has no floor, as on the track steering, is filled in
+    with the lowest of the ranked records; without any, of all, withdrawn ones too. Self-reported records are not
+    ranked: anybody can write a number down. Like records that are not current, they have only a score, and follow in
+    order of score.
 
     Of a team that sends estimates (tier "scored"), only the best method counts in the ranks of others: one result under
     many names must lower nobody's. Places count all. Every baseline counts: they are methods of many authors, and

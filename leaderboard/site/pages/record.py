@@ -69,9 +69,15 @@ def record_page(site: Site, digest: str) -> Page:
     if others:
         note = f"Not counted, as no ranked record of the board has them: {', '.join(sorted(others))}."
         by_sequence = replace(by_sequence, notes=(*by_sequence.notes, note))
+    shown = metrics_table(results, f"{name}, over {numbers.count(len(info.sequences), 'sequence')}", record.data_set)
+    if others and record.data_set:
+        note = (
+            f"Values that the record has over its data set are over all {len(answered)} sequences, also those that do "
+        )
+        shown = replace(shown, notes=(*shown.notes, f"{note}not count here: {', '.join(sorted(others))}."))
     tables = (
         by_sequence,
-        metrics_table(results, f"{name}, over {numbers.count(len(info.sequences), 'sequence')}", record.data_set),
+        shown,
         *([strata] if (strata := strata_table(results, f"{name}, by conditions")).rows else []),
     )
     notes = _notes(site, row)
