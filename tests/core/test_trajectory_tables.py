@@ -56,6 +56,75 @@ def test_a_header_gives_the_unit_of_the_positions(tmp_path):
         read_trajectory(written(tmp_path, ("t,x [ft],y [ft],z [ft],qx,qy,qz,qw" + rows).encode()))
 
 
+@pytest.mark.parametrize("unit", ["x_cm,y_cm,z_cm", "x [ft],y [ft],z [ft]", "x_m,y_m,z_km", "x_mm,y_mm,z_m"])
+@pytest.mark.parametrize("comment", ["", "# "])
+def test_a_header_or_comment_with_another_unit_of_the_positions_is_refused(tmp_path, unit, comment):
+    path = written(tmp_path, f"{comment}t,{unit},qw,qx,qy,qz\n1.5,1,2,3,1,0,0,0\n".encode())
+    with pytest.raises(
+        TrajectoryError, match=r"expected a header that names x, y, z in m or mm, got '.*\(--unit m or mm"
+    ):
+        read_trajectory(path)
+    read = read_trajectory(path, unit="mm")
+    np.testing.assert_array_equal(read.positions, [[0.001, 0.002, 0.003]])
+    np.testing.assert_array_equal(read.quaternions, [[0, 0, 0, 1]])
+
+
+def pose(position, orientation, sign="_"):
+    """Names of seven columns, with what stands before their axes."""
+    return ",".join(
+        [*(f"{position}{sign}{axis}" for axis in "xyz"), *(f"{orientation}{sign}{axis}" for axis in "xyzw")]
+    )
+
+
+def plotted(topic):
+    """Names of a topic's poses, as PlotJuggler writes them."""
+    return pose(f"/{topic}/pose/position", f"/{topic}/pose/orientation", "/")
+
+
+def echoed(k):
+    """Names of a path's poses, as `rostopic echo -p` writes them."""
+    return pose(f"field.poses{k}.pose.position", f"field.poses{k}.pose.orientation", ".")
+
+
+@pytest.mark.parametrize(
+    ("header", "one", "other"),
+    [
+        (f"__time,{plotted('gt')},{plotted('vio')}", "/gt/pose/position/x", "/vio/pose/position/x"),
+        (f"%time,{echoed(0)},{echoed(1)}", "field.poses0.pose.position.x", "field.poses1.pose.position.x"),
+        ("t,gt_px,gt_py,gt_pz,px,py,pz,qx,qy,qz,qw", "gt_px", "px"),
+        ("t,px,py,pz,qx,qy,qz,qw,gt_px,gt_py,gt_pz", "px", "gt_px"),
+        (f"t,p_gt_x,p_gt_y,p_gt_z,{pose('p_est', 'q_est')}", "p_gt_x", "p_est_x"),
+        (f"t,target_pos_x,target_pos_y,target_pos_z,{pose('pos', 'q')}", "target_pos_x", "pos_x"),
+        ("t,x,y,z,pos_x,pos_y,pos_z,qx,qy,qz,qw", "x", "pos_x"),
+        ("t,x_mm,y_mm,z_mm,x_m,y_m,z_m,qx,qy,qz,qw", "x_mm", "x_m"),
+        ("t,px,py,pz,gt_qx,gt_qy,gt_qz,gt_qw,vio_qx,vio_qy,vio_qz,vio_qw", "gt_qx", "vio_qx"),
+        (f"t,{pose('gt_p', 'vio_q')},vio_p_x,vio_p_y", "gt_p_x", "vio_q_x"),
+        (f"header.stamp,stamp,{pose('p', 'q')}", "header.stamp", "stamp"),
+        (f"t,timestamp,{pose('p', 'q')}", "t", "timestamp"),
+    ],
+)
+@pytest.mark.parametrize("comment", ["", "# "])
+def test_a_table_of_two_poses_is_refused_with_a_column_of_each(tmp_path, header, one, other, comment):
+    line = ",".join(["0.5"] * len(header.split(",")))
+    path = written(tmp_path, f"{comment}{header}\n{line}\n".encode())
+    with pytest.raises(TrajectoryError, match=f"expected the columns of one pose, got '{one}' and '{other}', which"):
+        read_trajectory(path)
+
+
+@pytest.mark.parametrize(
+    ("header", "line"),
+    [
+        (f"t,imu_qx,imu_qy,imu_qz,imu_qw,{pose('odom_p', 'odom_q')},target_p_z", "1.5,0,1,0,0,1,2,3,0,0,0,1,9"),
+        (f"t,{pose('p_RS_R', 'q_RS')}", "1.5,1,2,3,0,0,0,1"),
+        (f"time,stamp,{pose('p', 'q')}", "9,1.5,1,2,3,0,0,0,1"),
+    ],
+)
+def test_columns_that_belong_to_no_second_pose_are_left_aside(tmp_path, header, line):
+    read = read_trajectory(written(tmp_path, f"{header}\n{line}\n".encode()))
+    assert read.stamps_ns.tolist() == [1_500_000_000]
+    np.testing.assert_array_equal(np.hstack([read.positions, read.quaternions]), [[1, 2, 3, 0, 0, 0, 1]])
+
+
 def test_a_part_of_a_covariance_is_left_out_and_said(tmp_path):
     path = written(tmp_path, b"t,x,y,z,qx,qy,qz,qw,cov_x_x,cov_y_y\n1.5,1,2,3,0,0,0,1,4,5\n")
     trajectory = read_trajectory(path)

@@ -24,10 +24,19 @@ LENGTH_WORDS = {
     **dict.fromkeys(("", "m", "meter", "meters", "metre", "metres"), "m"),
     **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
 }
+OTHER_LENGTHS = {"um", "cm", "dm", "km", "ft", "inch"} | {
+    word
+    for one in ("centimeter", "centimetre", "decimeter", "decimetre", "kilometer", "kilometre")
+    for word in (one, f"{one}s")
+}
+"""Words of units that positions are not read in, so that a name that ends in one is known to be that of a position."""
 COVARIANCE_WORDS = {"cov", "covariance", "covariances"}
 COVARIANCE_AXES = {name: k // 2 for k, name in enumerate(("x", "px", "y", "py", "z", "pz"))} | {
     f"{prefix}{axis}": 3 + k for prefix in ("r", "rot") for k, axis in enumerate("xyz")
 }
+
+Prefix = tuple[str, ...]
+"""Words of a column's name that say whose it is: those of `vio_pos_x` and `vio.orientation.w` are the same."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +50,11 @@ class Columns:
     covariance: (row, column) of the 6 x 6 matrix -> column of the file
     beyond:     column of the nanoseconds beyond the whole seconds of the stamp, where they are in two columns
     time_unit:  unit of the stamps, where the layout fixes it
-    unit:       unit of the positions: m or mm
+    unit:       unit of the positions: m, mm, or what a header says in place of them
     exact:      how many columns a line must have; None: as many as the first line
     named:      whether a header named the columns
     euroc:      whether it is EuRoC's own layout, in which whole stamps are ns
+    rivals:     names of two columns of which a header does not say which one is meant; empty where there are none
     """
 
     kind: str
@@ -58,6 +68,7 @@ class Columns:
     exact: int | None = None
     named: bool = False
     euroc: bool = False
+    rivals: tuple[str, ...] = ()
 
     @property
     def numbers(self) -> list[int]:
@@ -88,39 +99,81 @@ KITTI_MATRIX = (0, 1, 2, 4, 5, 6, 8, 9, 10)
 def named_columns(names: list[str], two_parts: bool = True) -> Columns | None:
     """Columns that a header names, or None where it does not name a stamp, a position and a quaternion. two_parts:
     whether a stamp may be in two columns."""
-    found: dict[str, int] = {}
+    found: dict[Prefix, dict[str, list[int]]] = {}
     covariance: dict[tuple[int, int], int] = {}
-    stamp: tuple[int, str | None] | None = None
-    units: set[str | None] = set()
+    stamps: list[tuple[list[str], int]] = []
+    units: dict[int, str] = {}
     parts: dict[tuple[str, ...], dict[str, int]] = {}
     for k, name in enumerate(names):
-        words, unit = _words(name)
+        words, units[k] = _words(name)
         if cell := _covariance_cell(words):
             covariance.setdefault(cell, k)
         elif role := _role(words):
-            found.setdefault(role, k)
-            units |= {LENGTH_WORDS.get(unit)} if role.startswith("p") else set()
-        elif _is_time(words) and (stamp is None or "stamp" in words):
-            spelled = next((UNIT_WORDS[word] for word in words if word in UNIT_WORDS), None)
-            stamp = (k, UNIT_WORDS.get(unit, spelled))
+            found.setdefault(role[0], {}).setdefault(role[1], []).append(k)
+        elif _is_time(words):
+            stamps.append((words, k))
         if words and words[-1] in PARTS and (len(words) == 1 or _is_time(words)):
             parts.setdefault(tuple(words[:-1]), {}).setdefault(PARTS[words[-1]], k)
     beyond = None
     if two_parts and (whole := next((found for found in parts.values() if {"s", "ns"} <= found.keys()), None)):
-        stamp, beyond = (whole["s"], "s"), whole["ns"]
-    if stamp is None or not {"px", "py", "pz", "qx", "qy", "qz", "qw"} <= found.keys() or units not in ({"m"}, {"mm"}):
+        stamps, beyond = [(["s"], whole["s"])], whole["ns"]
+    pose = _pose(found)
+    if pose is None or not stamps:
         return None
+    position, quaternion, of_pose = pose
+    chosen, of_stamps = _stamp(stamps)
+    words, unit = stamps[chosen][0], units[stamps[chosen][1]]
+    spelled = next((UNIT_WORDS[word] for word in words if word in UNIT_WORDS), None)
+    lengths = dict.fromkeys(LENGTH_WORDS.get(units[k], units[k]) for k in position)
     return Columns(
         ",".join(names)[:80],
-        stamp[0],
-        tuple(found[f"p{axis}"] for axis in "xyz"),
-        tuple(found[f"q{axis}"] for axis in "xyzw"),
+        stamps[chosen][1],
+        tuple(position),
+        tuple(quaternion),
         covariance,
         beyond,
-        stamp[1],
-        "mm" if "mm" in units else "m",
+        UNIT_WORDS.get(unit, spelled),
+        " and ".join(lengths),
         named=True,
+        rivals=tuple(names[k] for k in of_pose or of_stamps),
     )
+
+
+def _pose(found: dict[Prefix, dict[str, list[int]]]) -> tuple[list[int], list[int], list[int]] | None:
+    """Columns of the position, of the quaternion, and of two that may be of several poses, from the columns of each
+    prefix and role; None where there is no whole pose."""
+    positions = [one for one in found if {"px", "py", "pz"} <= found[one].keys()]
+    attitudes = [one for one in found if {"qx", "qy", "qz", "qw"} <= found[one].keys()]
+    if not positions or not attitudes:
+        return None
+    first = positions[0]
+    # Of EuRoC's names, those of a position, p_RS_R, have one frame more than those of an attitude, q_RS.
+    attitude = first if first in attitudes else next((one for one in attitudes if _nested(one, first)), attitudes[0])
+    position = [found[first][f"p{axis}"] for axis in "xyz"]
+    quaternion = [found[attitude][f"q{axis}"] for axis in "xyzw"]
+    rivals = next((same[:2] for same in (*position, *quaternion) if len(same) > 1), [])
+    if len(positions) > 1:
+        rivals = [position[0][0], found[positions[1]]["px"][0]]
+    elif attitude != first and len(attitudes) > 1:
+        rivals = [found[one]["qx"][0] for one in attitudes[:2]]
+    elif not _nested(attitude, first):
+        rivals = [position[0][0], quaternion[0][0]]
+    return [k for k, *_ in position], [k for k, *_ in quaternion], rivals
+
+
+def _stamp(stamps: list[tuple[list[str], int]]) -> tuple[int, list[int]]:
+    """Which of several columns of times is the stamp, as its place in the list: one called so, or else the first; and
+    two columns that may be it, where their names differ in more than the unit."""
+    called = [i for i, (words, _) in enumerate(stamps) if "stamp" in words] or list(range(len(stamps)))
+    bare = [[word for word in stamps[i][0] if word not in UNIT_WORDS] for i in called]
+    other = next((i for i, words in zip(called, bare, strict=True) if words != bare[0]), None)
+    return called[0], [] if other is None else [stamps[called[0]][1], stamps[other][1]]
+
+
+def _nested(one: Prefix, other: Prefix) -> bool:
+    """Whether one of two prefixes begins with the other."""
+    least = min(len(one), len(other))
+    return one[:least] == other[:least]
 
 
 def _words(name: str) -> tuple[list[str], str]:
@@ -129,11 +182,12 @@ def _words(name: str) -> tuple[list[str], str]:
     words = re.findall(r"[a-z]+|[0-9]+", (name[: bracket.start()] if bracket else name).lower())
     if bracket:
         return words, bracket.group(1).lower()
-    return (words[:-1], words[-1]) if len(words) > 1 and words[-1] in LENGTH_WORDS else (words, "")
+    length = len(words) > 1 and (words[-1] in LENGTH_WORDS or words[-1] in OTHER_LENGTHS)
+    return (words[:-1], words[-1]) if length else (words, "")
 
 
-def _role(words: list[str]) -> str | None:
-    """Role that a column's words name: `px` to `pz`, `qx` to `qw`, or None."""
+def _role(words: list[str]) -> tuple[Prefix, str] | None:
+    """Whose number a column's words name, and its role: `px` to `pz`, `qx` to `qw`; or None."""
     if not words:
         return None
     *before, last = words
@@ -142,10 +196,10 @@ def _role(words: list[str]) -> str | None:
     if last not in set("xyzw"):
         return None
     if QUATERNION_WORDS & set(before):
-        return f"q{last}"
+        return tuple(word for word in before if word not in QUATERNION_WORDS), f"q{last}"
     if last != "w" and (not before or POSITION_WORDS & set(before)):
-        return f"p{last}"
-    return "qw" if last == "w" and not before else None
+        return tuple(word for word in before if word not in POSITION_WORDS), f"p{last}"
+    return ((), "qw") if last == "w" and not before else None
 
 
 def _is_time(words: list[str]) -> bool:

@@ -185,6 +185,16 @@ def _layout(head: _Head, path: Path, options: ReadOptions, parts: bool) -> Colum
         return TUM
     if options.format == "euroc":
         return replace(EUROC, time_unit="ns")
+    if named and named.rivals:
+        raise TrajectoryError(
+            f"{path}: expected the columns of one pose, got {named.rivals[0]!r} and {named.rivals[1]!r}, which may be "
+            "of several; delete those that are not meant, or rename them"
+        )
+    if named and named.unit not in METRES and options.unit is None:
+        raise TrajectoryError(
+            f"{path}: expected a header that names x, y, z in m or mm, got {named.unit!r}; convert them, or say which "
+            "they are (--unit m or mm)"
+        )
     if named:
         return replace(named, euroc=head.commas and named.stands_as_euroc)
     if options.format == "csv" or head.certain:
