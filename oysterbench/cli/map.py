@@ -151,7 +151,7 @@ def map_command(
     from oysterbench.tracks.slam_options import read_options
 
     assert isinstance(map_command, MapCommand)
-    options = read_options(given_options(map_command.reading, given), sequence)[1]
+    options = read_options(given_options(map_command.reading, given), sequence, trajectory)[1]
     apart, what = (MAP_OPTIONS, "a map: give --masks") if masks is None else (CLOUD_OPTIONS, "a cloud")
     if names := [option for key, option in apart.items() if given[key] is not None]:
         raise click.UsageError(

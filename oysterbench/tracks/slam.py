@@ -37,7 +37,7 @@ from oysterbench.sequence import Sequence as SensorSequence
 from oysterbench.sequence import open_sequence
 from oysterbench.sequence.truth import rig_topics
 from oysterbench.simulation.generate import digest
-from oysterbench.tracks.slam_options import OPTIONS, read_options
+from oysterbench.tracks.slam_options import OPTIONS, check_not_read, read_options
 from oysterbench.tracks.track import (
     Evaluation,
     Finished,
@@ -230,7 +230,7 @@ class SlamTrack(Track):
 
     def score_files(self, truth: Path, estimate: Path, options: Mapping[str, Any]) -> Evaluation:
         """Score one trajectory file against another; the options say what the files leave open."""
-        run = score_files(truth, estimate, self.settings(options), *read_options(options, truth))
+        run = score_files(truth, estimate, self.settings(options), *read_options(options, truth, estimate))
         return self.show([run], (), None)
 
     def show(self, runs: Sequence[SlamRun], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:
@@ -342,10 +342,14 @@ def score_files(
 
 
 def _true_poses(place: Path, options: ReadOptions | None) -> Path | Trajectory:
-    """Ground truth of an oysterbench sequence, if the file is one and no topic is requested; else the file itself."""
+    """Ground truth of an oysterbench sequence, if the file is one and no topic is requested; else the file itself.
+    Raises OptionError where options say how to read a file in place of the sequence."""
     if (place.suffix == ".mcap" or place.is_dir()) and (options is None or options.topic is None):
         with suppress(SequenceError):
-            return open_sequence(place).truth()
+            truth = open_sequence(place).truth()
+            if options is not None:
+                check_not_read(options)
+            return truth
     return place
 
 

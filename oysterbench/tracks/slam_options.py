@@ -101,9 +101,10 @@ READING = (
 OPTIONS = (*SETTINGS, *READING)
 
 
-def read_options(given: Mapping[str, Any], truth_file: Path) -> tuple[ReadOptions, ReadOptions]:
+def read_options(given: Mapping[str, Any], truth_file: Path, estimate_file: Path) -> tuple[ReadOptions, ReadOptions]:
     """Options for reading the ground truth, and those for reading the estimate. truth_file: the ground truth, which
-    has to be a sequence if the frame of the estimated poses is given by its name."""
+    has to be a sequence if the frame of the estimated poses is given by its name; estimate_file: the estimated poses,
+    which are of the rectified camera where they are KITTI's."""
     from oysterbench.core.trajectory import ReadOptions, read_times
 
     times = read_times(given["times"], given.get("time-unit")) if "times" in given else None
@@ -116,19 +117,32 @@ def read_options(given: Mapping[str, Any], truth_file: Path) -> tuple[ReadOption
             times=times,
             direction=given.get("direction"),
             frame=given.get("frame"),
-            T_body_estimate=_place(given, truth_file),
+            T_body_estimate=_place(given, truth_file, estimate_file),
             sort=given.get("sort", False),
         ),
     )
 
 
-def _place(given: Mapping[str, Any], truth_file: Path) -> Any:
+def check_not_read(options: ReadOptions) -> None:
+    """Raise OptionError where options say how the file of the ground truth is read, and it is a sequence: they would
+    have no effect. The times of KITTI's poses are those of the estimate, too."""
+    default = type(options)()
+    names = [name for name in OF_BOTH if getattr(options, key := name.replace("-", "_")) != getattr(default, key)]
+    if names:
+        raise OptionError(
+            f"{', '.join(f'--truth-{name}' for name in names)}: it says how a file is read, and the ground truth is a "
+            "sequence, which says what its poses are: leave it out"
+        )
+
+
+def _place(given: Mapping[str, Any], truth_file: Path, estimate_file: Path) -> Any:
     """Transform (4, 4) that takes points of the estimate's frame into the body; None for the body's own frame."""
     if "poses_of" not in given:
         return _matrix(given["T_body_estimate"]) if "T_body_estimate" in given else None
     for key, name in (("T_body_estimate", "--T-body-estimate"), ("frame", "--frame")):
         if key in given:
             raise OptionError(f"--poses-of, {name}: both set the frame of the poses: expected only one")
+    from oysterbench.core.trajectory import holds_kitti
     from oysterbench.methods.interfaces.slam import frame_pose
     from oysterbench.sequence import open_sequence
 
@@ -139,7 +153,8 @@ def _place(given: Mapping[str, Any], truth_file: Path) -> Any:
             f"--poses-of {given['poses_of']}: expected a sequence with that frame (.mcap or a folder in EuRoC layout), "
             f"got {truth_file}; give that, or --T-body-estimate ({error})"
         ) from None
-    return frame_pose(sequence, given["poses_of"], given.get("format") or "tum")
+    form = given.get("format") or ("kitti" if holds_kitti(estimate_file) else "tum")
+    return frame_pose(sequence, given["poses_of"], form)
 
 
 def _matrix(text: str) -> Any:

@@ -16,6 +16,7 @@ from oysterbench.core.trajectory import write_tum
 from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL, poses_of_body, poses_of_frame
 from oysterbench.core.trajectory.options import EXPECTED
 from oysterbench.sequence import open_sequence
+from oysterbench.sequence.export import export_sequence
 from tests.helpers.trajectory_files import dive, kitti, mcap, seconds, tum
 from tests.helpers.trees import write_sequence
 
@@ -157,6 +158,38 @@ def test_the_frame_of_the_poses_is_named_as_in_the_sequence(tmp_path):
     assert "sequence dive has no such frame; expected base, imu, camera or one of its cameras: cam_left" in told
     assert "--poses-of, --frame: both set the frame of the poses" in call(dive, "imu", "--frame", "optical")[2]
     assert "--poses-of imu: expected a sequence with that frame" in call(tmp_path / "mine.tum", "imu")[2]
+
+
+def test_poses_of_the_camera_are_the_rectified_left_ones_where_the_file_is_kittis(tmp_path):
+    """The layout puts the left camera of a pair first, which here is the second of the sequence."""
+    dive, folder, written = write_sequence(tmp_path / "dive.mcap", "dive"), tmp_path / "euroc", tmp_path / "kitti"
+    export_sequence(open_sequence(dive), "euroc", folder)
+    root = folder / "mav0"
+    for old, new in (("cam0", "left"), ("cam1", "cam0"), ("left", "cam1")):
+        (root / old).rename(root / new)
+    opened = open_sequence(folder)
+    export_sequence(opened, "kitti", written)
+    (tmp_path / "times.txt").write_text("\n".join(str(image.stamp_ns) for image in opened.images("cam1")))
+    words = ["eval", "slam", "--truth", str(folder), "--estimate", str(written / "poses" / "00.txt"), "--json"]
+    words += ["--times", str(tmp_path / "times.txt"), "--poses-of", "camera", "--align", "se3"]
+    for more in ([], ["--format", "kitti"]):
+        done = CliRunner().invoke(main, [*words, *more])
+        assert scored((done.exit_code, done.stdout, done.stderr))[0] < 1e-3
+
+
+@pytest.mark.parametrize("folder", [False, True])
+def test_how_the_file_of_the_truth_is_read_is_refused_where_it_is_a_sequence(tmp_path, folder):
+    truth, mine = write_sequence(tmp_path / "dive.mcap", "dive"), tmp_path / "mine.tum"
+    write_tum(mine, open_sequence(truth).truth())
+    if folder:
+        truth = export_sequence(open_sequence(truth), "euroc", tmp_path / "euroc")[0]
+    words = ["eval", "slam", "--truth", str(truth), "--estimate", str(mine)]
+    for option, value in (("unit", "mm"), ("time-unit", "s"), ("quaternion", "wxyz"), ("duplicates", "last")):
+        done = CliRunner().invoke(main, [*words, f"--truth-{option}", value])
+        assert done.exit_code == 2
+        assert f"--truth-{option}: it says how a file is read, and the ground truth is a sequence" in done.stderr
+    (tmp_path / "times.txt").write_text("0\n1\n")
+    assert CliRunner().invoke(main, [*words, "--times", str(tmp_path / "times.txt")]).exit_code == 0
 
 
 def test_a_file_that_is_no_trajectory_is_called_what_it_is(run):

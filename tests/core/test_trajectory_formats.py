@@ -194,7 +194,7 @@ def test_times_are_in_the_unit_that_is_named_and_all_in_one(tmp_path):
     path = written(tmp_path, b"0\n100\n200\n", "times.txt")
     assert read_times(path, "ms").tolist() == [0, 10**8, 2 * 10**8]
     given = {"times": path, "time-unit": "ms", "truth-time-unit": "ms"}
-    assert read_options(given, path)[1].times.tolist() == [0, 10**8, 2 * 10**8]
+    assert read_options(given, path, path)[1].times.tolist() == [0, 10**8, 2 * 10**8]
     mixed = written(tmp_path, b"0\n1\n100000000000000000\n", "mixed.txt")
     with pytest.raises(TrajectoryError, match=r"mixed.txt:3: expected a time in seconds, or nanoseconds .*--time-unit"):
         read_times(mixed)

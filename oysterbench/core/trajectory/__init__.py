@@ -2,7 +2,7 @@
 
 from oysterbench.core.trajectory.options import ReadOptions
 from oysterbench.core.trajectory.poses import Trajectory
-from oysterbench.core.trajectory.read import read_trajectory
+from oysterbench.core.trajectory.read import holds_kitti, read_trajectory
 from oysterbench.core.trajectory.stamps import ns_to_seconds, seconds_to_ns, too_wide
 from oysterbench.core.trajectory.text import read_times
 from oysterbench.core.trajectory.write import write_npz, write_tum
@@ -10,6 +10,7 @@ from oysterbench.core.trajectory.write import write_npz, write_tum
 __all__ = [
     "ReadOptions",
     "Trajectory",
+    "holds_kitti",
     "ns_to_seconds",
     "read_times",
     "read_trajectory",

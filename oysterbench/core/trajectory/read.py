@@ -12,7 +12,7 @@ from oysterbench.core.trajectory.bags import BAG_MAGIC, MCAP_MAGIC, SQLITE_MAGIC
 from oysterbench.core.trajectory.frames import METRES, T_BODY_OPTICAL, inverted, poses_of_body, scaled
 from oysterbench.core.trajectory.options import EXPECTED, Format, ReadOptions
 from oysterbench.core.trajectory.poses import Trajectory
-from oysterbench.core.trajectory.text import read_text
+from oysterbench.core.trajectory.text import is_kitti, read_text
 
 ZIP_MAGIC = b"PK\x03\x04"
 MAGIC = 16
@@ -65,6 +65,15 @@ def file_format(path: Path, magic: bytes) -> Format | None:
     if magic.startswith((BAG_MAGIC, SQLITE_MAGIC)):
         return "bag"
     return "npz" if magic.startswith(ZIP_MAGIC) else None
+
+
+def holds_kitti(path: Path) -> bool:
+    """Whether `read_trajectory` takes what is at a path for KITTI's poses by its content; not where it cannot be read,
+    which reading says. What can be read only once, a pipe, is left unread and taken for another format."""
+    try:
+        return path.is_file() and file_format(path, _begin(path)) is None and is_kitti(path, path.read_bytes())
+    except (OSError, TrajectoryError):
+        return False
 
 
 def _read(path: Path, options: ReadOptions) -> Trajectory:

@@ -65,6 +65,12 @@ def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
     return trajectory
 
 
+def is_kitti(path: Path, data: bytes) -> bool:
+    """Whether `read_text` takes a file's bytes for KITTI's poses. Raises TrajectoryError where it cannot read them."""
+    head = _Head.of(decoded(path, data))
+    return head is not None and _layout(head, path, ReadOptions(), parts=True) is KITTI
+
+
 def read_times(path: Path, unit: str | None = None) -> NDArray[np.int64]:
     """Read stamps (N,) int64 ns from a file with one number per line, by default in seconds unless they can only be
     ns. Raises TrajectoryError where lines are of different units, or can be neither."""
