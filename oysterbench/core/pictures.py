@@ -39,9 +39,13 @@ def upper_bits(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """
     import numpy as np
 
-    bits = int(pixels.max(initial=0)).bit_length()
-    used = max(8, bits + bits % 2)
-    return (pixels >> (used - 8)).astype(np.uint8)
+    return (pixels >> (used_bits(int(pixels.max(initial=0))) - 8)).astype(np.uint8)
+
+
+def used_bits(most: int) -> int:
+    """Bits of a camera whose brightest value is `most`: 8, 10, 12, 14 or 16."""
+    bits = most.bit_length()
+    return max(8, bits + bits % 2)
 
 
 def jpeg_end(data: bytes) -> int:

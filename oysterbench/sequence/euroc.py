@@ -5,21 +5,25 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from oysterbench.core.errors import NoTruthError, SequenceError
 from oysterbench.core.geometry import Array, is_rigid
 from oysterbench.core.measurements import Image, ImuMeasurement
-from oysterbench.core.pictures import decode_picture
+from oysterbench.core.pictures import decode_picture, used_bits
 from oysterbench.core.places import leads_out
 from oysterbench.core.text import as_unicode
 from oysterbench.core.trajectory import Trajectory, read_trajectory
+from oysterbench.core.trajectory.frames import poses_of_body
 from oysterbench.sensors.camera import KIND as CAMERA
 from oysterbench.sensors.imu import KIND as IMU
+from oysterbench.sequence.inertial_header import check_inertial_header
 from oysterbench.sequence.state import sensor_folders
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
@@ -58,10 +62,12 @@ class EurocSequence(Sequence):
         self.folder = Path(folder)
         root = self.folder / "mav0"
         self._root, self._states = root, root / "state_groundtruth_estimate0" / "data.csv"
+        self._bits: dict[str, int] = {}
         self.name = as_unicode(self.folder.resolve().name)
         self.metadata = {"sequence": self.name, "format": "euroc"}
         if not (root / "imu0" / "data.csv").is_file():
             raise SequenceError(f"{self.folder}: expected an EuRoC folder with mav0/imu0/data.csv, found none")
+        check_inertial_header(root / "imu0" / "data.csv", _header(root / "imu0" / "data.csv"))
         self.cameras = {
             path.name: _read_sensor(path / "sensor.yaml", _camera) for path in sensor_folders(self.folder)[1:]
         }
@@ -71,25 +77,41 @@ class EurocSequence(Sequence):
         if camera not in self.cameras:
             raise SequenceError(f"{self.folder}: no camera {camera!r}; cameras: {', '.join(self.cameras)}")
         calibration = self.cameras[camera]
-        for stamp, fields, where in _rows(self._root / camera / "data.csv"):
+        for stamp, path, where in self._pictures(camera):
             if not _within(stamp, start_ns, end_ns):
                 continue
-            if not fields or leads_out(fields[0]):
-                raise SequenceError(f"{where}: expected a stamp, and the name of a file in data/, got {fields!s:.80}")
-            path = self._root / camera / "data" / fields[0]
-            pixels = decode_picture(path.read_bytes() if path.is_file() else b"", cv2.IMREAD_COLOR_RGB)
+            pixels = _decoded(path)
             if pixels is None:
                 raise SequenceError(
                     f"{path}: expected an image, could not read one: {_fault_of(path)}; restore it, or delete "
                     f"{where.rpartition(', ')[2]} of {camera}/data.csv"
                 )
+            if pixels.dtype not in (np.uint8, np.uint16):
+                raise SequenceError(f"{path}: expected an image of 8 or 16 bits, got {pixels.dtype}; save it as one")
             height, width = pixels.shape[:2]
             if (width, height) != (calibration.width, calibration.height):
                 raise SequenceError(
                     f"{path}: expected {calibration.width} x {calibration.height} px, as sensor.yaml says, got {width} "
                     f"x {height}; correct `resolution` and `intrinsics` there"
                 )
+            if pixels.dtype == np.uint16:
+                pixels = (pixels >> (self._bits_of(camera) - 8)).astype(np.uint8)
             yield Image(stamp, camera, pixels)
+
+    def _pictures(self, camera: str) -> Iterator[tuple[int, Path, str]]:
+        """Yield the stamp of each image of a camera, ns, its file, and where it is listed."""
+        for stamp, fields, where in _rows(self._root / camera / "data.csv"):
+            if not fields or leads_out(fields[0]):
+                raise SequenceError(f"{where}: expected a stamp, and the name of a file in data/, got {fields!s:.80}")
+            yield stamp, self._root / camera / "data" / fields[0], where
+
+    def _bits_of(self, camera: str) -> int:
+        """Bits of a camera whose images are stored in 16: by all of them, since a dark one by itself may use fewer."""
+        if camera not in self._bits:
+            stored = (_decoded(path) for _, path, _ in self._pictures(camera))
+            most = max(int(pixels.max()) for pixels in stored if pixels is not None and pixels.dtype == np.uint16)
+            self._bits[camera] = used_bits(most)
+        return self._bits[camera]
 
     def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
         columns = 0
@@ -134,11 +156,24 @@ class EurocSequence(Sequence):
     def truth(self) -> Trajectory:
         if not self.has_truth:
             raise NoTruthError(f"{self.folder} has no ground truth: {self._states} is absent")
-        return read_trajectory(self._states)
+        states = read_trajectory(self._states)
+        sensor = self._states.with_name("sensor.yaml")
+        T_body_sensor = _read_sensor(sensor, _pose_if_given) if sensor.is_file() else np.eye(4)
+        if np.array_equal(T_body_sensor, np.eye(4)):
+            return states
+        # The poses are those of the sensor that measured them, such as a marker: p_RS_R, q_RS.
+        return replace(poses_of_body(states, T_body_sensor), T_body_estimate=None)
 
 
 def _within(stamp_ns: int, start_ns: int | None, end_ns: int | None) -> bool:
     return (start_ns is None or stamp_ns >= start_ns) and (end_ns is None or stamp_ns < end_ns)
+
+
+def _decoded(path: Path) -> NDArray[Any] | None:
+    """Decode an image file to (H, W, 3) RGB of the depth that it is stored in; None where it cannot be read."""
+    # Not directly as RGB: for a 16-bit TIFF, OpenCV 5.0 then returns uninitialised memory.
+    pixels = decode_picture(path.read_bytes() if path.is_file() else b"", cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    return None if pixels is None else np.ascontiguousarray(pixels[..., ::-1])
 
 
 def _fault_of(picture: Path) -> str:
@@ -190,6 +225,18 @@ def _fields(path: Path) -> Iterator[tuple[int, list[str]]]:
             continue
         separator = separator or next((mark for mark in SEPARATORS if mark in line), ",")
         yield number, [field.strip() for field in line.split(separator)]
+
+
+def _header(path: Path) -> list[str]:
+    """Names of the columns of a data.csv of the IMU, from a line before its rows; empty where there is none."""
+    for number, line in enumerate(_lines(path)):
+        text = line.strip()
+        if text and not text.startswith("#") and not (number == 0 and text[0].isalpha()):
+            break
+        fields = text.lstrip("# ").split(next((mark for mark in SEPARATORS if mark in text), ","))
+        if len(fields) > 6:
+            return [field.strip() for field in fields]
+    return []
 
 
 def _read_sensor(path: Path, read: Callable[[Mapping[str, str]], C]) -> C:
@@ -267,6 +314,10 @@ def _pose(settings: Mapping[str, str]) -> Array:
     raise ValueError(f"T_BS: expected a rigid transform (4, 4), from the sensor to the body, got {found}")
 
 
+def _pose_if_given(settings: Mapping[str, str]) -> Array:
+    return _pose(settings) if "T_BS" in settings else np.eye(4)
+
+
 def _coefficients(settings: Mapping[str, str], lens: str) -> list[float]:
     """Distortion coefficients of a camera: zeros where it has no distortion and lists none."""
     key = "distortion_coefficients"
@@ -293,7 +344,7 @@ def _imu(settings: Mapping[str, str]) -> ImuCalibration:
             "gyro_turn_on": 0.1,
             "accel_turn_on": 0.1,
             "gravity": gravity,
-            "T_base_imu": _pose(settings) if "T_BS" in settings else np.eye(4),
+            "T_base_imu": _pose_if_given(settings),
         }
     )
 

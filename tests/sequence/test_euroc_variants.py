@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ import oysterbench
 from oysterbench.core.errors import SequenceError
 from oysterbench.methods.interfaces.slam import write_input
 from oysterbench.sequence import describe
+from oysterbench.sequence.export.euroc import IMU_HEADER
 from oysterbench.sequence.state import file_digests
 from tests.helpers.command import run
 from tests.helpers.euroc import FRAMES, SAMPLES, Folder
@@ -150,6 +152,95 @@ def test_an_image_that_cannot_be_read_is_told_from_one_that_is_absent_or_empty(f
     wanted = f"{picture}: expected an image, could not read one: {why}; restore it, or delete line 3 of cam0/data.csv"
     with pytest.raises(SequenceError, match=re.escape(wanted)):
         folder.read()
+
+
+@pytest.mark.parametrize(
+    ("names", "what"),
+    [
+        ("timestamp,ax,ay,az,gx,gy,gz", "column 2 the x of the angular rate in rad/s, .*, got 'ax'"),
+        ("#timestamp [ns],a_RS_S_x,a_RS_S_y,a_RS_S_z,w_RS_S_x,w_RS_S_y,w_RS_S_z", "column 2 .*, got 'a_RS_S_x'"),
+        (
+            "#timestamp [ns],w_x [deg s^-1],w_y [deg s^-1],w_z [deg s^-1],a_x,a_y,a_z",
+            "column 2 .* in rad/s, .*, got 'w_x ",
+        ),
+        ("#timestamp [ns],w_x,w_y,w_z,a_x [g],a_y [g],a_z [g]", "column 5 the x of the specific force in m/s.2, "),
+        ("t,gyro_x_deg_s,gyro_y_deg_s,gyro_z_deg_s,acc_x,acc_y,acc_z", "column 2 .*, got 'gyro_x_deg_s'"),
+        ("t,gyro_z,gyro_y,gyro_x,accX,accY,accZ", "column 2 the x of the angular rate in rad/s, .*, got 'gyro_z'"),
+        ("t,temperature,wx,wy,wz,ax,ay,az", "column 3 the y of the angular rate in rad/s, .*, got 'wx'"),
+        ("#timestamp [us],w_x,w_y,w_z,a_x,a_y,a_z", r"stamps in ns, got us, by the name 'timestamp \[us\]'"),
+    ],
+)
+def test_inertial_columns_that_are_not_the_layouts_by_their_names_are_refused(folder, names, what):
+    folder.change("imu0/data.csv", "#timestamp [ns],w_x,w_y,w_z,a_x,a_y,a_z", names)
+    with pytest.raises(SequenceError, match=f"imu0/data.csv: expected (in )?{what}"):
+        oysterbench.open(folder.path)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        IMU_HEADER,
+        "timestamp,omega_x,omega_y,omega_z,alpha_x,alpha_y,alpha_z",
+        "t;gx (rad/s);gy (rad/s);gz (rad/s);accX (m/s\u00b2);accY (m/s\u00b2);accZ (m/s\u00b2);temperature [C]",
+        "%time,field.angular_velocity.x,field.angular_velocity.y,field.angular_velocity.z,"
+        "field.linear_acceleration.x,field.linear_acceleration.y,field.linear_acceleration.z",
+        "# of a diver, in the bay",
+    ],
+)
+def test_inertial_columns_may_be_spelled_in_many_ways(folder, names):
+    folder.change("imu0/data.csv", "#timestamp [ns],w_x,w_y,w_z,a_x,a_y,a_z", f"# {names}")
+    assert folder.read() == sorted(SAMPLES + FRAMES)
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_the_bits_of_images_stored_in_16_are_those_of_the_camera(folder, suffix):
+    """A dark image stays as dark beside the others as it is, and the brightest value is almost 255."""
+    values = [np.full((24, 32), value, np.uint16) for value in (3200, 100, 0)]
+    for stamp, pixels in zip(FRAMES, values, strict=True):
+        (folder.root / "cam0" / "data" / f"{stamp}.png").unlink()
+        cv2.imwrite(str(folder.root / "cam0" / "data" / f"{stamp}.{suffix}"), pixels)
+    folder.change("cam0/data.csv", ".png", f".{suffix}")
+    sequence = oysterbench.open(folder.path)
+    for _ in range(2):
+        assert [int(image.pixels.max()) for image in sequence.images("cam0")] == [200, 6, 0]
+    (dark,) = oysterbench.open(folder.path).images("cam0", FRAMES[1], FRAMES[2])
+    assert (dark.pixels == 6).all()
+
+
+def test_colours_of_8_and_of_16_bits_are_red_green_blue(folder):
+    colour = np.zeros((24, 32, 3), np.uint8)
+    colour[...] = (30, 20, 250)  # blue, green, red, as OpenCV has them
+    for stamp, pixels in zip(FRAMES, (colour, colour.astype(np.uint16) * 257, colour), strict=True):
+        cv2.imwrite(str(folder.root / "cam0" / "data" / f"{stamp}.png"), pixels)
+    for image in oysterbench.open(folder.path).images("cam0"):
+        assert (image.pixels == (250, 20, 30)).all()
+
+
+# Ground truth
+
+
+@pytest.mark.parametrize("pose", [None, "T_BS: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]"])
+def test_true_poses_are_those_of_the_body_where_nothing_else_is_said(folder, pose):
+    folder.write("state_groundtruth_estimate0/data.csv", f"{SAMPLES[0]},1,2,3,1,0,0,0\n{SAMPLES[1]},2,2,3,1,0,0,0\n")
+    if pose is not None:
+        folder.write("state_groundtruth_estimate0/sensor.yaml", pose)
+    np.testing.assert_array_equal(oysterbench.open(folder.path).truth().positions, [[1, 2, 3], [2, 2, 3]])
+
+
+def test_true_poses_of_a_sensor_apart_from_the_body_become_those_of_the_body(folder):
+    """A marker 1 m ahead of the body, which looks along the world's y axis."""
+    half = np.sqrt(0.5)
+    rows = "".join(f"{stamp},1,2,3,{half},0,0,{half}\n" for stamp in SAMPLES[:2])
+    folder.write("state_groundtruth_estimate0/data.csv", rows)
+    pose = "T_BS:\n  cols: 4\n  rows: 4\n  data: [1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\n"
+    folder.write("state_groundtruth_estimate0/sensor.yaml", pose)
+    truth = oysterbench.open(folder.path).truth()
+    np.testing.assert_allclose(truth.positions, [[1, 1, 3]] * 2, atol=1e-12)
+    np.testing.assert_allclose(truth.quaternions, [[0, 0, half, half]] * 2, atol=1e-12)
+    assert truth.T_body_estimate is None
+    folder.write("state_groundtruth_estimate0/sensor.yaml", "T_BS: [1, 0]")
+    with pytest.raises(SequenceError, match=r"state_groundtruth_estimate0/sensor\.yaml: T_BS, data: expected 16"):
+        oysterbench.open(folder.path).truth()
 
 
 # Cameras

@@ -1,0 +1,56 @@
+"""The header of a table of inertial samples in EuRoC layout: whether its columns are those of the layout."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.trajectory.columns import UNIT_WORDS
+
+RATE, FORCE = "angular rate in rad/s", "specific force in m/s^2"
+WORDS = {
+    RATE: {"w", "g", "gyr", "gyro", "gyroscope", "omega", "angular"},
+    FORCE: {"a", "acc", "accel", "acceleration", "accelerometer", "linear"},
+}
+"""Words in the names of columns, by what they hold."""
+
+UNITS = {
+    RATE: {"", "rad/s", "rad/sec", "rads-1", "radians/s", "1/s", "s-1"},
+    FORCE: {"", "m/s2", "m/sec2", "ms-2", "m/s/s"},
+}
+"""Units of each, without blanks and signs of powers and products."""
+
+OTHER_UNITS = {"deg", "degs", "degrees", "dps", "mdps", "g", "mg"}
+"""Units that stand after the axis in the names of some tables, as in `gyro_x_deg_s`."""
+
+PLAIN = str.maketrans({"\u207b": "-", "\u00b2": "2", "\u00b9": "1", **dict.fromkeys(" ^*\u00b7")})
+
+
+def check_inertial_header(path: Path, names: list[str]) -> None:
+    """Check the names of the columns, the stamp's first, as far as they say what the columns hold; those that say
+    nothing are taken for the layout's. Raises SequenceError for another order or unit."""
+    layout = [(kind, axis) for kind in (RATE, FORCE) for axis in "xyz"]
+    words, unit = _parts(names[0]) if names else ([], "")
+    if (unit := UNIT_WORDS.get(unit or "".join(words[-1:]), "ns")) != "ns":
+        raise SequenceError(f"{path}: expected stamps in ns, got {unit}, by the name {names[0]!r}; convert them")
+    for column, (name, (kind, axis)) in enumerate(zip(names[1:], layout, strict=False), start=2):
+        words, unit = _parts(name)
+        held = [one for one, known in WORDS.items() if known & set(words)]
+        axes = [word for word in words if word in ("x", "y", "z")]
+        after = "".join(words[words.index(axes[-1]) + 1 :]) if axes else ""
+        other = held and (kind not in held or axes[-1:] not in ([], [axis]))
+        if other or unit not in UNITS[kind] or after in OTHER_UNITS:
+            raise SequenceError(
+                f"{path}: expected in column {column} the {axis} of the {kind}, as in the layout, which has the rate "
+                f"before the force, got {name!r:.60}; reorder or convert the columns, and correct their names"
+            )
+
+
+def _parts(name: str) -> tuple[list[str], str]:
+    """Lower-case words of a column's name, `gx` and `accx` as two, and its unit in brackets."""
+    bracket = re.search(r"[\[(]([^\])]*)[\])]\s*$", name)
+    words = re.findall(r"[a-z]+|[0-9]+", (name[: bracket.start()] if bracket else name).lower())
+    known = "|".join(sorted(WORDS[RATE] | WORDS[FORCE], key=len, reverse=True))
+    split = [word for one in words for word in re.sub(rf"^({known})([xyz])$", r"\1 \2", one).split()]
+    return split, bracket.group(1).lower().translate(PLAIN) if bracket else ""
