@@ -73,6 +73,8 @@ def view(
     paths = _estimates(opened, estimates, align)
     for path in paths:
         message(f"{path.label} ({align or 'posyaw'})")
+        for note in path.poses.notes:
+            message(note)
     if in_rerun:
         _show(opened, paths, begin_s, seconds, out)
     else:

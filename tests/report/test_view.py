@@ -12,9 +12,11 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
 import oysterbench
+from oysterbench.cli.main import main
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.ros import EPOCH_NS
 from oysterbench.core.trajectory import Trajectory, write_tum
@@ -23,7 +25,7 @@ from oysterbench.recipe import CLASSES
 from oysterbench.recipe.rig import LAYERS
 from oysterbench.report.viewer.estimates import estimated_paths
 from oysterbench.report.viewer.faults import SHORTEST, fault_plot
-from oysterbench.report.viewer.page import BYTES, STEPS, moments, pictures, view_page
+from oysterbench.report.viewer.page import BYTES, STEPS, moments, pictures, span_of, view_page
 from oysterbench.report.viewer.path import path_plot
 from oysterbench.sensors.camera_panels import LAYER_PICTURES, layer_picture
 from oysterbench.sensors.panels import BACKGROUND, WIDTH, Fan, Panel, latest
@@ -91,6 +93,18 @@ def test_each_moment_has_a_picture_of_each_panel(data):
     assert data["seconds"] == sorted(data["seconds"])
     assert len(data["path"]) == n
     assert [len(panel["frames"]) for panel in data["panels"]] == [n] * 8  # two cameras, four layers, two sonars
+
+
+@pytest.mark.parametrize("seconds", [1e300, 1e10, 1.99])
+def test_a_part_may_be_said_to_last_longer_than_the_sequence(sequence, seconds):
+    assert span_of(sequence, 0.0, seconds) == span_of(sequence, 0.0, None)
+
+
+@pytest.mark.parametrize(("begin_s", "seconds"), [(0.0, 1e-12), (0.0, 0.0), (1e300, None), (-1e300, None), (1.99, 1.0)])
+def test_a_part_without_a_nanosecond_of_the_sequence_is_refused(sequence, begin_s, seconds):
+    got = f"{'all' if seconds is None else f'{seconds:g} s'} from {begin_s:g} s on"
+    with pytest.raises(SequenceError, match=re.escape(f"lasts 2.0 s: expected a part of it, got {got}")):
+        span_of(sequence, begin_s, seconds)
 
 
 def test_a_cameras_panel_shows_the_frame_of_its_moment(data):
@@ -171,6 +185,17 @@ def test_estimates_are_drawn_beside_the_truth_to_which_they_were_brought(sequenc
     assert drawn == true
     assert "mine, ATE" in page
     assert "estimate" not in re.sub(r"<style>.*?</style>", "", view_page(sequence), flags=re.S)
+
+
+def test_what_was_decided_in_reading_an_estimate_is_told(sequence, dive_file, tmp_path):
+    truth, mine = sequence.truth(), tmp_path / "mine.tum"
+    poses = np.hstack([truth.positions, truth.quaternions]).tolist()
+    rows = [" ".join(map(str, [stamp, *pose])) for stamp, pose in zip(truth.stamps_ns, poses, strict=True)]
+    mine.write_text("\n".join(rows))
+    words = ["view", str(dive_file), "--seconds", "0.2", "--estimate", str(mine), "--out", str(tmp_path / "page.html")]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.stderr
+    assert "mine.tum: the timestamps can only be nanoseconds and are read as such" in done.stderr
 
 
 def test_two_files_of_one_name_are_told_apart(sequence, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -11,10 +12,12 @@ from oysterbench.core.atomic import write_atomically
 from oysterbench.core.trajectory.poses import Trajectory
 from oysterbench.core.trajectory.stamps import ns_to_seconds
 
+HEADER = ("# timestamp_s x_m y_m z_m qx qy qz qw",)
 
-def write_tum(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
-    """Write `t x y z qx qy qz qw`, seconds with nine decimals, atomically."""
-    rows = ["# timestamp_s x_m y_m z_m qx qy qz qw"]
+
+def write_tum(path: str | os.PathLike[str], trajectory: Trajectory, header: Iterable[str] = HEADER) -> None:
+    """Write `t x y z qx qy qz qw`, seconds with nine decimals, atomically, after the lines of a header, each with #."""
+    rows = [*header]
     poses = np.column_stack([trajectory.positions, trajectory.quaternions]).tolist()
     for stamp, pose in zip(trajectory.stamps_ns.tolist(), poses, strict=True):
         rows.append(" ".join([ns_to_seconds(stamp), *(f"{value:.12g}" for value in pose)]))

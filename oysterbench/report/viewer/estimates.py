@@ -18,7 +18,8 @@ from oysterbench.sequence.types import Sequence
 
 @dataclass(frozen=True)
 class EstimatedPath:
-    """Estimated poses of base_link, aligned with the ground truth. rmse_m: RMSE of the matched positions."""
+    """Estimated poses of base_link, aligned with the ground truth, with the notes on reading them. rmse_m: RMSE of the
+    matched positions."""
 
     name: str
     poses: Trajectory
@@ -48,7 +49,9 @@ def estimated_paths(sequence: Sequence, files: Iterable[Path], settings: SlamSet
         true, poses = open_pair(truth, path, settings)
         met, fit = meet(true, poses, settings)
         by = fit.similarity
-        aligned = Trajectory(poses.stamps_ns, by.apply(poses.positions), by.rotate(poses.quaternions))
+        aligned = Trajectory(
+            poses.stamps_ns, by.apply(poses.positions), by.rotate(poses.quaternions), notes=poses.notes
+        )
         off = met.truth.positions - by.apply(met.estimate.positions)
         rmse = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
         taken = {one.name for one in found} | {"truth"}

@@ -146,13 +146,15 @@ def span_of(sequence: Sequence, begin_s: float, seconds: float | None) -> tuple[
     last = first.stamp_ns + max(round(sequence.duration_s * 1e9), 1)
     if last >= 2**63:
         raise SequenceError(f"{sequence.name} lasts {sequence.duration_s:.3g} s: expected stamps below 2^63 ns")
-    start = first.stamp_ns + round(begin_s * 1e9)
-    if not first.stamp_ns <= start < last or (seconds is not None and not seconds > 0):
+    beyond_s = (last - first.stamp_ns) * 1e-9 + 1.0  # longer times may have no whole number of ns
+    start = first.stamp_ns + round(min(max(begin_s, -1.0), beyond_s) * 1e9)
+    end = last if seconds is None else min(last, start + round(min(max(seconds, 0.0), beyond_s) * 1e9))
+    if not first.stamp_ns <= start < end:
         raise SequenceError(
             f"{sequence.name} lasts {sequence.duration_s:.1f} s: expected a part of it, got "
             f"{'all' if seconds is None else f'{seconds:g} s'} from {begin_s:g} s on"
         )
-    return start, last if seconds is None else min(last, start + round(seconds * 1e9))
+    return start, end
 
 
 def _facts(sequence: Sequence, begin_s: float, duration_s: float) -> str:

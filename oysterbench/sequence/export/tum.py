@@ -34,7 +34,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     with_depth = truth and name in depth_of
     steps.expect(frames(sequence, [name]) + (frames(sequence, [name], "depth") if with_depth else 0))
     (folder / "rgb").mkdir()
-    rows = [f"# color images of {name}", "# timestamp filename"]
+    rows = _header(sequence, f"color images of {name}", "timestamp filename")
     for image in steps.counted(sequence.images(name)):
         file = f"rgb/{ns_to_seconds(image.stamp_ns)}.png"
         write_png(folder / file, image.pixels)
@@ -44,9 +44,8 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
         " ".join([ns_to_seconds(sample.stamp_ns), *(repr(float(value)) for value in sample.accel)])
         for sample in inertial_samples(sequence)
     )
-    write_lines(
-        folder / "accelerometer.txt", ["# accelerometer, in the frame of the IMU", "# timestamp ax ay az", *samples]
-    )
+    header = _header(sequence, "accelerometer data, in the frame of the IMU", "timestamp ax ay az")
+    write_lines(folder / "accelerometer.txt", [*header, *samples])
     write_lines(folder / "calibration.txt", _calibration(sequence.cameras[name]))
     own = [*OWN, *(_behind_port(sequence, name) if with_depth else ()), truth_line(truth, PLACE)]
     write_readme(sequence, folder, "TUM RGB-D", {"rgb": name}, truth, own)
@@ -60,14 +59,20 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     path = sequence.truth()
     poses = sensor_poses(path, sequence.truly_calibrated().cameras[name].T_base_cam)
     quaternions = scipy.spatial.transform.Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
-    write_tum(folder / "groundtruth.txt", Trajectory(path.stamps_ns, poses[:, :3, 3], quaternions))
+    header = _header(sequence, f"ground truth trajectory of {name}", "timestamp tx ty tz qx qy qz qw")
+    write_tum(folder / "groundtruth.txt", Trajectory(path.stamps_ns, poses[:, :3, 3], quaternions), header)
     return notes
+
+
+def _header(sequence: Sequence, what: str, columns: str) -> list[str]:
+    """First lines of a list, three as in the data set: ORB-SLAM skips as many, whatever they hold."""
+    return [f"# {what}", f"# file: {sequence.name!r}", f"# {columns}"]
 
 
 def _write_depth(sequence: Sequence, name: str, folder: Path, steps: Steps) -> int:
     """Write depth images, 0 = none. Returns how many pixels are too far for the format."""
     (folder / "depth").mkdir()
-    rows, far = [f"# depth maps of {name}, {DEPTH_STEPS:g} to the metre", "# timestamp filename"], 0
+    rows, far = _header(sequence, f"depth maps of {name}, {DEPTH_STEPS:g} to the metre", "timestamp filename"), 0
     for image in steps.counted(sequence.layer(name, "depth")):
         file = f"depth/{ns_to_seconds(image.stamp_ns)}.png"
         levels = np.rint(image.pixels * DEPTH_STEPS)

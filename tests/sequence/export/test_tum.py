@@ -66,6 +66,14 @@ def test_tum_accelerometer_is_the_imus(sequence, folders):
     assert np.array_equal(np.array([row[1:] for row in table], dtype=float), accel)
 
 
+def test_the_lists_have_three_lines_before_the_first_row(folders):
+    """ORB-SLAM2 and ORB-SLAM3 skip three of rgb.txt, so that with fewer they would never see the first image."""
+    for name in ("rgb", "depth", "accelerometer", "groundtruth"):
+        lines = (folders["tum"] / f"{name}.txt").read_text().splitlines()
+        assert [line.startswith("# ") for line in lines[:5]] == [True, True, True, False, False]
+        assert lines[2].startswith("# timestamp ")
+
+
 def test_tum_without_truth_has_neither_poses_nor_depth(sequence, tmp_path):
     folder, notes = export_sequence(sequence, "tum", tmp_path / "blind", truth=False)
     assert sorted(path.name for path in folder.iterdir()) == [
