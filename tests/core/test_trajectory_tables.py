@@ -107,7 +107,9 @@ def echoed(k):
 def test_a_table_of_two_poses_is_refused_with_a_column_of_each(tmp_path, header, one, other, comment):
     line = ",".join(["0.5"] * len(header.split(",")))
     path = written(tmp_path, f"{comment}{header}\n{line}\n".encode())
-    with pytest.raises(TrajectoryError, match=f"expected the columns of one pose, got '{one}' and '{other}', which"):
+    with pytest.raises(
+        TrajectoryError, match=f"expected the columns of one stamp and one pose, got '{one}' and '{other}', which"
+    ):
         read_trajectory(path)
 
 

@@ -193,8 +193,8 @@ def _layout(head: _Head, path: Path, options: ReadOptions, parts: bool) -> Colum
         return replace(EUROC, time_unit="ns")
     if named and named.rivals:
         raise TrajectoryError(
-            f"{path}: expected the columns of one pose, got {named.rivals[0]!r} and {named.rivals[1]!r}, which may be "
-            "of several; delete those that are not meant, or rename them"
+            f"{path}: expected the columns of one stamp and one pose, got {named.rivals[0]!r} and {named.rivals[1]!r}, "
+            "which may be of several; delete those that are not meant, or rename them"
         )
     if named and named.unit not in METRES and options.unit is None:
         raise TrajectoryError(
