@@ -51,7 +51,9 @@ def average_precision(
     Raises
     ------
     oysterbench.core.errors.LabelError
-        Truth and estimate differ in size or number of images, or pycocotools is not installed.
+        Truth and estimate differ in size or number of images.
+    oysterbench.core.errors.MissingExtraError
+        pycocotools is not installed.
 
     Examples
     --------

@@ -13,6 +13,7 @@ from oysterbench.annotations.forms import FORMS
 from oysterbench.core.errors import MachineError, MethodError, TrajectoryError
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.evaluate.density.scoring import EVALUATOR
+from oysterbench.evaluate.detection.instances import mask_tools
 from oysterbench.methods.adapters import PythonMethod, check_distinct
 from oysterbench.methods.checks import check_shape
 from oysterbench.methods.images import Detections
@@ -113,6 +114,8 @@ class DensityTrack(Track):
             raise MethodError("density: maps need Python methods, each run once, or --poses and --masks")
         methods, kept = self._named(request)
         images = [method for method in methods if method.track in IMAGES]
+        if any(method.track == "detection" for method in images):
+            mask_tools()  # by which their oysters are read, after all runs
         if "masks" in options and images:
             raise MethodError(f"--masks and {images[0].name}: expected masks from one of them")
         self.have_weights(methods, request)

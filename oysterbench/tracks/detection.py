@@ -9,12 +9,13 @@ from typing import Any
 from oysterbench.annotations import CocoFile, LabelledSequence
 from oysterbench.evaluate.detection import EVALUATOR, DetectionClip, DetectionScorer, DetectionSettings, ImageInstances
 from oysterbench.evaluate.detection.clip import join, over_clips
+from oysterbench.evaluate.detection.instances import mask_tools
 from oysterbench.evaluate.detection.panoptic import paint
 from oysterbench.methods.interfaces.images import Prediction
 from oysterbench.report.images import DatasetRow, Sample
 from oysterbench.report.overlay import overlay, sampled
 from oysterbench.tracks.images import KIND, SAMPLES, THRESHOLD, ImageTrack, Predictor, instances_of
-from oysterbench.tracks.track import Option
+from oysterbench.tracks.track import Option, Request
 
 
 class DetectionTrack(ImageTrack):
@@ -33,6 +34,11 @@ class DetectionTrack(ImageTrack):
     examples = """
       oysterbench eval detection --method my_net:MyNet --split seg-val
       oysterbench eval detection --truth instances.json --estimate results.json"""
+
+    def check(self, request: Request) -> None:
+        """Also refuse to begin without the package that matches oysters: it would be missed after all runs."""
+        super().check(request)
+        mask_tools()
 
     def settings(self, options: Mapping[str, Any]) -> DetectionSettings:
         """Settings of the evaluator."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from oysterbench.core.errors import LabelError, MachineError, OysterbenchError
+from oysterbench.core.errors import LabelError, MachineError, MissingExtraError, OysterbenchError
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.core.trajectory.frames import with_scale
@@ -182,7 +182,7 @@ def evaluate_maps(
                 owners: dict[tuple[int, int], int] = {}
                 labelled = _owned(sequence, camera, seen, owners)
                 found = build_map(sequence, path_poses, labelled, camera, depth, settings)
-            except MachineError:
+            except (MachineError, MissingExtraError):
                 raise  # no failure of the method: it is not counted, here as elsewhere
             except OysterbenchError as error:
                 yield DensityRun(ResultRecord(**about, method=method, failure=str(error)))

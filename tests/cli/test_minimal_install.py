@@ -35,6 +35,8 @@ WORKS = (
 LACK = (
     (("serve", "tree"), "oysterbench[serve]"),
     (("train", "unet_small", "--data", "masks"), "oysterbench[learn]"),
+    (("eval", "detection", "--split", "seg-mini", "--method", "colour"), "oysterbench[score]"),
+    (("run", "colour", "--track", "detection", "--on", "pictures", "--out", "check"), "oysterbench[score]"),
     (("leaderboard", "build", "site"), "oysterbench[board]"),
     (("leaderboard", "serve"), "oysterbench[board]"),
     (("leaderboard", "--board", "board", "add", "results.json", "--team", "mine"), "oysterbench[board]"),
@@ -96,3 +98,8 @@ def test_a_command_says_what_to_install(words, extra, answers):
 
 def test_a_command_that_lacks_an_extra_leaves_the_board_as_it_was(answers, folder):
     assert not (folder / "board").exists()
+
+
+def test_no_method_is_run_whose_oysters_could_not_be_matched(answers, folder):
+    """They would be missed after all runs, and a result of the method would say that it failed."""
+    assert not (folder / "check").exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from click.testing import CliRunner
 
 from oysterbench.annotations import LabelledSequence, open_predictions
 from oysterbench.cli.main import main
-from oysterbench.core.errors import LabelError, MethodError
+from oysterbench.core.errors import LabelError, MethodError, MissingExtraError
 from oysterbench.core.streams import stream
 from oysterbench.evaluate.segmentation import TruthImage
 from oysterbench.methods.exports import key_of
@@ -20,7 +21,7 @@ from oysterbench.methods.images import Detections, Segmentation
 from oysterbench.recipe import OYSTER
 from oysterbench.report import dataset_tables, html_report, images_csv
 from oysterbench.results.records import ResultRecord
-from oysterbench.tracks import TRACKS
+from oysterbench.tracks import TRACKS, Request
 from oysterbench.tracks.images import PictureSequence, instances_of
 from tests.helpers.labelled_folders import write_png
 from tests.helpers.track_runs import runs_of
@@ -113,6 +114,15 @@ def test_what_hangs_together_is_one_oyster_and_detections_are_taken_as_they_are(
     assert by_name["boxed"]["ap_box"] == pytest.approx(1.0)
     assert by_name["boxed"]["ap_mask"] == 0.0
     assert by_name["none"]["density_error_per_m2"] == pytest.approx(-6 / 10)
+
+
+def test_what_the_machine_lacks_for_matching_oysters_is_no_failure_of_a_method(clips, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pycocotools", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'oysterbench\[score\]'"):
+        evaluate("detection", clips[:1], ["none"], tmp_path)
+    request = Request(tmp_path / "map", places=[tmp_path / "no.mcap"], methods=[f"{METHODS}:Numbered"])
+    with pytest.raises(MissingExtraError, match=r"pip install 'oysterbench\[score\]'"):
+        TRACKS["density"].evaluate(request)
 
 
 ONE = np.zeros((48, 64), np.uint8)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.core.errors import LabelError
+from oysterbench.core.errors import LabelError, MissingExtraError
 from oysterbench.core.masks import as_mask
 
 OUTSIDE = 1.0
@@ -26,13 +26,15 @@ Runs = Mapping[str, Any]
 
 
 def mask_tools() -> Any:
-    """Return pycocotools' mask module. Raises LabelError if it is not installed."""
+    """Return pycocotools' mask module. Raises MissingExtraError if it is not installed: the machine's fault, which no
+    result of a method may hold."""
     try:
         from pycocotools import mask
     except ImportError:
-        raise LabelError(
-            "reading COCO masks and matching oysters need pycocotools, which is not installed: pip install "
-            "'oysterbench[score]'"
+        raise MissingExtraError(
+            "reading COCO masks and matching oysters need pycocotools, which is not installed; type: pip install "
+            "'oysterbench[score]'",
+            name="pycocotools",
         ) from None
     return mask
 
