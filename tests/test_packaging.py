@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 from fnmatch import fnmatch
@@ -18,6 +19,7 @@ from tests.helpers.paths import ROOT
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 SETUPTOOLS = PYPROJECT["tool"]["setuptools"]
 ADVISORIES = tomllib.loads((ROOT / ".ci" / "advisories.toml").read_text())["advisory"]
+LICENCES = PYPROJECT["project"]["license"].split(" AND ")
 READ_IN_THE_CHECKOUT_ONLY = ("datasets/pictures/*",)
 
 
@@ -64,7 +66,22 @@ def test_no_version_with_a_known_hole_may_be_installed(advisory):
 def test_the_citation_the_changelog_and_the_package_are_of_one_version():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert citation["version"] == VERSION
-    assert citation["license"] == PYPROJECT["project"]["license"]
+    assert citation["license"] == LICENCES[0] == "MIT"  # that of the software
     first = re.search(r"^## \[([\d.]+)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     assert first is not None
     assert first[1] == VERSION
+
+
+def test_the_licences_of_the_weights_and_of_what_they_began_with_go_with_the_package():
+    card = json.loads((ROOT / "datasets" / "models" / "unet.json").read_text())
+    assert card["licence"] == "https://creativecommons.org/licenses/by/4.0/"
+    assert card["training"]["begun"]["licence"].startswith("Apache License 2.0")
+    assert LICENCES == ["MIT", "CC-BY-4.0", "Apache-2.0"]
+    with_it = {str(path.relative_to(ROOT)) for text in PYPROJECT["project"]["license-files"] for path in ROOT.glob(text)}
+    assert with_it == {"LICENSE", "LICENSES/Apache-2.0.txt", "LICENSES/NOTICE.txt"}
+    assert card["training"]["begun"]["source"] in (ROOT / "LICENSES" / "NOTICE.txt").read_text()
+
+
+def test_the_page_on_the_package_index_has_no_links_that_lead_nowhere_there():
+    text = (ROOT / PYPROJECT["project"]["readme"]).read_text()
+    assert all(target.startswith("https://") for target in re.findall(r"\]\(([^)]*)\)", text))

@@ -16,7 +16,7 @@ from oysterbench.version import VERSION
 from tests.helpers.paths import ROOT
 
 EXTRAS = "render,slam,learn"
-PARTS = ("datasets", "baselines", "leaderboard", "oysterbench", "pyproject.toml", "README.md", "LICENSE")
+PARTS = ("datasets", "baselines", "leaderboard", "oysterbench", ".ci", "pyproject.toml", "LICENSE", "LICENSES")
 """Of the checkout, that a wheel is made of."""
 
 
