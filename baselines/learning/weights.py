@@ -52,7 +52,7 @@ STEERING = _weights(
     "steering",
     methods=("steering",),
     train="steering --data steer-train",
-    takes="about 4 minutes on one core once steer-train is rendered; with rollouts, --dagger 1, some hours",
+    takes="about 4 minutes on one core once steer-train is rendered; with rollouts, --dagger 1, about half an hour",
     option="steering[checkpoint=PATH]",
     summary="Steers a vehicle over a reef as an expert would who sees where oysters are",
     limits="Driving a real vehicle without a guard that keeps it off the ground: it was never tried outside of "
