@@ -66,7 +66,7 @@ def recoloured(
     without models.
     """
     if not len(models):
-        raise LabelError(f"{models.name}: expected at least one picture to take colours from, got none")
+        raise LabelError(f"{models.name}: expected at least one image to take colours from, got none")
     clips = {clip: [k for k, entry in enumerate(models.entries) if entry.clip == clip] for clip in models.clips}
     streams = Streams(seed).at("recolour")
     for image in images:

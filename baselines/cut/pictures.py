@@ -26,7 +26,7 @@ def read_pictures(labelled: LabelledSet, crop: int, scale: float) -> list[Pictur
     """
     if len(labelled) < LEAST_PICTURES:
         raise LabelError(
-            f"{labelled.name}: expected at least {LEAST_PICTURES} pictures to learn a translation from, got "
+            f"{labelled.name}: expected at least {LEAST_PICTURES} images to learn a translation from, got "
             f"{len(labelled)}; for fewer, `oysterbench translate reinhard` needs no training"
         )
     found = []
@@ -39,7 +39,7 @@ def read_pictures(labelled: LabelledSet, crop: int, scale: float) -> list[Pictur
                 f"crops of {crop} px at scale {scale:g}, got {width} x {height}"
             )
         if pixels.min() == pixels.max():
-            raise LabelError(f"{labelled.name}: {image.name}: every pixel is {int(pixels.min())}: the picture is empty")
+            raise LabelError(f"{labelled.name}: {image.name}: every pixel is {int(pixels.min())}: the image is empty")
         found.append(pixels)
     return found
 

@@ -26,9 +26,8 @@ def _weights(name: str, **known: object) -> Weights:
 
 
 LIMITS = (
-    "Counting oysters for decisions without a check against pictures of the same site that a person has "
-    "labelled. Pictures above water, aquaria, other kinds of shells, and cameras unlike those that it has learnt from "
-    "were not looked at."
+    "Counting oysters for decisions without a check against images of the same site that a person has labelled. Images "
+    "above water, aquaria, other kinds of shells, and cameras unlike those of the training data were not looked at."
 )
 UNET = _weights(
     "unet",
@@ -36,7 +35,7 @@ UNET = _weights(
     train="unet --data seg-train",
     takes="about an hour on two cores once seg-train is rendered",
     option="unet[checkpoint=PATH]",
-    summary="Where oysters are in pictures from below water, and which",
+    summary="Segments oysters in underwater images, as pixels and as instances",
     limits=LIMITS,
 )
 UNET_SMALL = _weights(
@@ -45,7 +44,7 @@ UNET_SMALL = _weights(
     train="unet_small --data seg-train",
     takes="about 20 to 30 minutes on one core once seg-train is rendered",
     option="unet_small[checkpoint=PATH]",
-    summary="Where oysters are, as a small network learns it that begins with random weights",
+    summary="Segments oysters in underwater images: a small network without pretraining",
     limits=LIMITS,
 )
 STEERING = _weights(
@@ -54,7 +53,7 @@ STEERING = _weights(
     train="steering --data steer-train",
     takes="about 4 minutes on one core once steer-train is rendered; with rollouts, --dagger 1, about half an hour",
     option="steering[checkpoint=PATH]",
-    summary="Steers a vehicle over a reef as an expert would who sees where oysters are",
+    summary="Steers a vehicle over a reef from its front camera, trained on an expert that knows where oysters are",
     limits="Driving a real vehicle without a guard that keeps it off the ground: it was never tried outside of "
     "rendered reefs.",
 )
@@ -64,8 +63,8 @@ GTSAM_VI_LEARNED = _weights(
     train="gtsam_vi_learned --data slam-train",
     takes="about 5 minutes on one core once slam-train is rendered",
     option="gtsam_vi_learned[checkpoint=PATH]",
-    summary="Where in a picture a corner will be tracked, for visual-inertial odometry",
-    limits="Pictures from above water: it has learnt from rendered dives alone.",
+    summary="Predicts tracking errors over the image, for visual-inertial odometry",
+    limits="Images above water: it was trained on rendered dives alone.",
 )
 MOVING = _weights(
     "moving",
@@ -73,7 +72,7 @@ MOVING = _weights(
     train="moving --data slam-train --steps 1500",
     takes="about 6 minutes on one core once slam-train is rendered",
     option="mask=PATH",
-    summary="What moves in a picture from below water: fish, crabs, plants, a tether",
+    summary="Segments what moves in underwater images: fish, crabs, plants, a tether",
     limits="Finding animals: it is made to leave out too much rather than too little, and knows no kinds.",
 )
 CUT = _weights(
@@ -82,8 +81,8 @@ CUT = _weights(
     train="cut --source seg-closeup --target PATH --out cut",
     takes="about 10 minutes on one core, at the size small",
     option="oysterbench translate cut CHECKPOINT",
-    summary="Makes rendered pictures of oysters look like real ones",
-    limits="Pictures that are shown as real ones. Labels may drift by some pixels: `oysterbench translate` says by how "
+    summary="Translates rendered images of oysters to look like real ones",
+    limits="Images that are shown as real ones. Labels may drift by some pixels: `oysterbench translate` says by how "
     "many.",
     check=lambda path: None,  # those of an unfinished training translate, too
 )

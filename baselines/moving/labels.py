@@ -30,7 +30,7 @@ def moving_set(labelled: LabelledSet) -> LabelledSet:
     entries = [entry for entry in labelled.entries if np.mean(np.isin(entry.read().classes, _NUMBERS)) >= LEAST]
     if not entries:
         raise LabelError(
-            f"{labelled.name}: of {len(labelled)} pictures, expected some with {', '.join(MOVING)}, got none; take "
+            f"{labelled.name}: of {len(labelled)} images, expected some with {', '.join(MOVING)}, got none; take "
             "sequences of slam-train, such as train-05"
         )
     return LabelledSet(SET + labelled.name, [_relabelled(entry) for entry in entries])

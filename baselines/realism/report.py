@@ -65,9 +65,9 @@ def table_of(lines: Sequence[dict[str, Any]]) -> Table:
         rows.append(TableRow((name, kind, own[0]["pictures"], *cells)))
     notes = (
         "Squared kernel distance of the features of an EfficientNet-Lite0, without bias; 95 % intervals over blocks of "
-        "neighbouring pictures. A real set and itself: its first half and its last.",
+        "neighbouring images. A real set and itself: its first half and its last.",
     )
-    return Table("How far pictures are from real ones", tuple(columns), tuple(rows), notes)
+    return Table("How far images are from real ones", tuple(columns), tuple(rows), notes)
 
 
 def neighbours(synthetic: Sequence[FeatureSet], real: Sequence[FeatureSet]) -> Picture:

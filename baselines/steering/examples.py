@@ -134,7 +134,7 @@ def read_examples(path: Path, settings: SteeringNetworkSettings) -> TrainingExam
         looked.append(memory.observe(state, image.stamp_ns * 1e-9))
         kept.append(row)
     if not kept:
-        raise LabelError(f"{path}: expected pictures with labels of steering, got none")
+        raise LabelError(f"{path}: expected images with labels of steering, got none")
     action_values = action_values_of(table, task, str(path))
     return TrainingExamples(
         task, np.stack(pixels), np.stack(senses), np.stack(looked), action_values[kept], np.zeros(len(kept), dtype=bool)

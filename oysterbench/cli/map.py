@@ -143,7 +143,7 @@ def map_command(
     The folder gets map.html and map.png for viewing, grid.csv, oysters.csv, summary.json, and the rasters mosaic.png
     and density.png with world files, in the trajectory's frame.
 
-    A cloud from pictures gets its depths from two overlapping cameras or, with one camera, from its frames along the
+    A cloud from images gets its depths from two overlapping cameras or, with one camera, from its frames along the
     path. A cloud from echoes uses DVL, altimeters and imaging sonars, coloured from the images; a sonar fan gives no
     elevation, so its first echo is placed on its lower edge. No cloud uses the ground truth: `export --format ply` does
     that.

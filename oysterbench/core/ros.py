@@ -193,7 +193,7 @@ def read_echo_image(data: bytes, sensor: str, shape: tuple[int, int]) -> tuple[i
     W) that follows from the sonar's calibration."""
     message = decode(data, IMAGE)
     if message.encoding != "mono16":
-        raise ValueError(f"expected a sonar's picture as mono16, got {message.encoding!r}")
+        raise ValueError(f"expected a sonar's image as mono16, got {message.encoding!r}")
     if (message.height, message.width) != shape:
         raise ValueError(
             f"{sensor}: expected {shape[1]} x {shape[0]} amplitudes, as its calibration says, got {message.width} x "

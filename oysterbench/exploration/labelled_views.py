@@ -46,12 +46,12 @@ class LabelledViews:
         for k, image in enumerate(self.sequence.images(self.camera)):
             if k >= len(stamps) or image.stamp_ns != stamps[k]:
                 raise LabelError(
-                    f"{self.name}: picture {k + 1} of {self.camera}, stamp {image.stamp_ns}: expected a label of that "
+                    f"{self.name}: image {k + 1} of {self.camera}, stamp {image.stamp_ns}: expected a label of that "
                     f"stamp, got {stamps[k] if k < len(stamps) else 'none'}"
                 )
             yield View(self.name_of(k), image.pixels, VehicleState(*states[k].tolist()), float(times[k]))
         if k + 1 < len(stamps):
-            raise LabelError(f"{self.name}: {len(stamps)} labels, and only {k + 1} pictures of {self.camera}")
+            raise LabelError(f"{self.name}: {len(stamps)} labels, and only {k + 1} images of {self.camera}")
 
     def name_of(self, k: int) -> str:
         """Name of view k."""

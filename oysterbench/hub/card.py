@@ -18,8 +18,8 @@ def facts(model: Model) -> dict[str, str]:
         "What it is": f"{model.summary}.",
         "Runs in": ", ".join(model.methods) or "no method of its own",
         "Not for": model.limits,
-        "Learnt from": ", ".join(data),
-        "Begun from": "random weights"
+        "Trained on": ", ".join(data),
+        "Initialised from": "random weights"
         if training.begun is None
         else f"{training.begun.what}; {training.begun.licence}; {training.begun.source}",
         "Training": f"{training.steps} steps, seed {training.seed}, {duration(training.cpu_s)} of a {processor}, loss "

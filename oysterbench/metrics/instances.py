@@ -187,7 +187,7 @@ def _pictures(planes: Planes) -> list[Any]:
 
 
 def _instances(number: int, plane: Any, scored: bool, scores: Mapping[int, float] | None) -> ImageInstances:
-    where = f"picture {number}"
+    where = f"image {number}"
     if isinstance(plane, ImageInstances):
         return plane
     numbers = instance_numbers(np.asarray(plane), where)

@@ -133,9 +133,9 @@ def _metric(key: str, truth: Masks, estimate: Masks, ignore: Masks | None, thres
     scorer = ClipScorer(SegmentationSettings(threshold=threshold, **settings))
     ignored = _pictures(ignore) if ignore is not None else None
     for number, (true, said) in enumerate(zip_longest(_pictures(truth), _pictures(estimate))):
-        where = f"picture {number}"
+        where = f"image {number}"
         if true is None or said is None:
-            raise LabelError(f"expected as many estimated pictures as true ones, got none of one of them for {where}")
+            raise LabelError(f"expected as many estimated images as true ones, got none of one of them for {where}")
         left_out = next(ignored, None) if ignored is not None else None
         if ignored is not None and (left_out is None or left_out.shape != true.shape):
             raise LabelError(f"{where}: ignore: expected an array of shape {true.shape}, as truth has")

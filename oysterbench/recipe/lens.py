@@ -36,7 +36,7 @@ def bent(theta: NDArray[np.float64], distortion: tuple[float, ...]) -> NDArray[n
 
 
 def unfolded(distortion: tuple[float, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Angles, rad, and their radii in the image, from the axis up to where a fisheye folds its picture over, at most
+    """Angles, rad, and their radii in the image, from the axis up to where a fisheye folds its image over, at most
     WIDEST_DEG: there the radii increase."""
     theta = np.linspace(0.0, math.radians(WIDEST_DEG), STEPS)
     radius = bent(theta, distortion)
@@ -97,7 +97,7 @@ def undistort(images: NDArray[np.float64], camera: CameraRecipe) -> NDArray[np.f
     miss = np.abs(distort(points, camera) - images).max(axis=1)
     if not np.all((miss < RESIDUAL) & (determinant > 0)):
         raise RecipeError(
-            f"camera {camera.name}: key 'camera.distortion': the lens folds its picture over before the edge of "
+            f"camera {camera.name}: key 'camera.distortion': the lens folds its image over before the edge of "
             f"{camera.width} x {camera.height} px; expected a weaker distortion or a smaller 'hfov_deg', "
             f"got {list(camera.distortion)}"
         )
@@ -139,7 +139,7 @@ def _border(width: int, height: int) -> NDArray[np.float64]:
 
 
 def check_fisheye(camera: CameraRecipe, where: str) -> None:
-    """Raise RecipeError, which starts with `where`, if a fisheye folds its picture over before the corner, or the
+    """Raise RecipeError, which starts with `where`, if a fisheye folds its image over before the corner, or the
     corner looks further to the side than rays can."""
     index = 1.0 if camera.port_mm is None else PORT_INDEX
     sine = index * math.sin(math.radians(camera.hfov_deg) / 2)
@@ -155,6 +155,6 @@ def check_fisheye(camera: CameraRecipe, where: str) -> None:
     if len(theta) == STEPS:
         why = f"the corners would look {WIDEST_DEG:g} degrees or more from the axis, which no ray can; {wanted}"
     else:
-        folds = f"distortion = {list(camera.distortion)} folds the picture over {math.degrees(theta[-1]):.0f} degrees"
+        folds = f"distortion = {list(camera.distortion)} folds the image over {math.degrees(theta[-1]):.0f} degrees"
         why = f"{folds} from the axis, before its corners; {wanted}, or a weaker distortion"
     raise RecipeError(f"{where}: camera {camera.name}: key 'camera.hfov_deg': {why}, got {camera.hfov_deg:g}")

@@ -119,7 +119,7 @@ def _jpeg(found: re.Match[str]) -> str:
     data = np.frombuffer(base64.b64decode(found[1]), dtype=np.uint8)
     done, made = cv2.imencode(".jpg", np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), [cv2.IMWRITE_JPEG_QUALITY, 90])
     if not done:
-        raise OysterbenchError("a picture of a figure could not be encoded")
+        raise OysterbenchError("an image of a figure could not be encoded")
     return f"data:image/jpeg;base64,{base64.b64encode(made.tobytes()).decode()}"
 
 
@@ -128,7 +128,7 @@ def encoded(pixels: NDArray[np.uint8]) -> bytes:
     code = cv2.COLOR_RGBA2BGRA if pixels.shape[2] == 4 else cv2.COLOR_RGB2BGR
     done, data = cv2.imencode(".png", cv2.cvtColor(pixels, code))
     if not done:
-        raise OysterbenchError("a picture of the map could not be encoded")
+        raise OysterbenchError("an image of the map could not be encoded")
     return data.tobytes()
 
 

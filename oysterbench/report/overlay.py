@@ -36,7 +36,7 @@ def jpeg(pixels: NDArray[np.uint8]) -> bytes:
     small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
     done, data = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 82])
     if not done:
-        raise OysterbenchError("a picture of the report could not be encoded")
+        raise OysterbenchError("an image of the report could not be encoded")
     return data.tobytes()
 
 

@@ -33,7 +33,7 @@ def camera_matrix(recipe: CameraRecipe) -> Array:
         extent = half * (1.0 + float(np.dot(recipe.distortion, powers)))
         if extent <= 0:
             raise RecipeError(
-                f"camera {recipe.name}: key 'camera.distortion': expected coefficients that keep the picture's edge "
+                f"camera {recipe.name}: key 'camera.distortion': expected coefficients that keep the image's edge "
                 f"outside its centre, got {list(recipe.distortion)}"
             )
     focal = np.round(recipe.width / 2 / extent, 9)

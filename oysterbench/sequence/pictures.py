@@ -50,7 +50,7 @@ def encoded_pictures(
             raise SequenceError(damaged(sequence.path, str(error))) from None
         if picture.format not in MEDIA:
             raise SequenceError(
-                damaged(sequence.path, f"expected a picture of {' or '.join(MEDIA)}, got {picture.format!s:.20}")
+                damaged(sequence.path, f"expected an image of {' or '.join(MEDIA)}, got {picture.format!s:.20}")
             )
         yield EncodedPicture(message.stamp_ns, picture.format, bytes(np.asarray(picture.data)))
 
@@ -61,5 +61,5 @@ def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     ordered = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
     done, data = cv2.imencode(".png", ordered, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
     if not done:
-        raise ValueError(f"expected a picture, got {pixels.dtype} of shape {pixels.shape}")
+        raise ValueError(f"expected an image, got {pixels.dtype} of shape {pixels.shape}")
     return data.tobytes()

@@ -231,7 +231,7 @@ def test_recolouring_leaves_labels_alone_and_depends_on_the_name_only(name):
 
 
 def test_recolouring_without_a_model_is_refused():
-    with pytest.raises(LabelError, match="at least one picture to take colours from"):
+    with pytest.raises(LabelError, match="at least one image to take colours from"):
         list(recoloured(labelled(2), labelled(0, "none"), match_reinhard))
 
 
@@ -292,7 +292,7 @@ def test_the_learning_rate_falls_in_the_second_half():
 
 
 def test_too_few_pictures_are_refused_with_their_number():
-    with pytest.raises(LabelError, match=r"few: expected at least 20 pictures.*got 19"):
+    with pytest.raises(LabelError, match=r"few: expected at least 20 images.*got 19"):
         read_pictures(labelled(19, "few"), 32, 1.0)
 
 

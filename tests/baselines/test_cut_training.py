@@ -275,7 +275,7 @@ def test_translating_without_a_checkpoint_takes_the_weights_that_a_download_leav
 
 
 def test_too_few_pictures_are_refused_before_anything_is_written(tmp_path):
-    with pytest.raises(LabelError, match="at least 20 pictures"):
+    with pytest.raises(LabelError, match="at least 20 images"):
         train(labelled(5), TARGET, SETTINGS["cut"], tmp_path / "a.pt")
     assert not list(tmp_path.iterdir())
 

@@ -1,4 +1,4 @@
-"""What methods make of inertial data with faults: wrong units and clocks, wild samples, gaps, or no motion to start."""
+"""What methods make of inertial data with faults: wrong units and clocks, outliers, gaps, or no motion to start."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def test_what_moves_takes_the_place_of_oysters():
 
 
 def test_a_set_in_which_nothing_moves_is_refused_in_one_line():
-    with pytest.raises(LabelError, match="of 2 pictures, expected some with plant, fish, crab, tether, got none"):
+    with pytest.raises(LabelError, match="of 2 images, expected some with plant, fish, crab, tether, got none"):
         moving_set(pictures("stone", "sponge"))
 
 

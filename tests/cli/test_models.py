@@ -181,7 +181,7 @@ def test_models_tells_what_is_here_what_the_hub_has_and_what_training_takes(plac
     assert (row["here"][:12], row["sha256"]) == ("trained here", place.digest)
     assert [version[:3] for version in row["hub"]] == ["0.9", "1.0"]
     card = place.run("models", "unet_small", *hub, home=tmp_path).stdout
-    assert "Learnt from: shells (SHA-256" in card
+    assert "Trained on: shells (SHA-256" in card
     assert "unet_small on own data: IoU 0." in card
     assert "unet_small trained here" in place.run("models", "unet_small").stdout
     assert "gtsam_vi[mask=moving]" in place.run("models").stdout

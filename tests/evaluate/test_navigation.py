@@ -151,7 +151,7 @@ def test_a_miss_by_six_costs_six_times_a_miss_by_one():
         ([[7, 0]], np.zeros((1, 7, 7)), "from 0 to 6"),
         ([[0, -1]], np.zeros((1, 7, 7)), "from 0 to 6"),
         ([[0, 0]], np.zeros((1, 7, 6)), "7 x 7"),
-        ([[0, 0]], np.full((1, 7, 7), np.nan), "picture 1"),
+        ([[0, 0]], np.full((1, 7, 7), np.nan), "image 1"),
     ],
 )
 def test_labels_that_do_not_fit_the_task_are_refused(classes, action_values, message):

@@ -35,10 +35,10 @@ def test_of_equal_probabilities_the_one_nearest_to_straight_is_commanded():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (f"{HEAD}\n10,1,0", "commands.csv: 1 of 2 pictures have no command, the first being 20"),
+        (f"{HEAD}\n10,1,0", "commands.csv: 1 of 2 images have no command, the first being 20"),
         (f"{HEAD}\n10,1,0\n20,1,99", "commands.csv:3: pitch: expected a class"),
-        (f"{HEAD}\n10,1,0\n30,1,0", "commands.csv:3: no picture has the stamp 30; the first is 10"),
-        (f"{HEAD}\n10,1,0\n10,1,0", "commands.csv:3: the picture 10 has two commands"),
+        (f"{HEAD}\n10,1,0\n30,1,0", "commands.csv:3: no image has the stamp 30; the first is 10"),
+        (f"{HEAD}\n10,1,0\n10,1,0", "commands.csv:3: the image 10 has two commands"),
         (f"{HEAD}\n10,1", "commands.csv:2: expected 3 values, got 2"),
         ("time,yaw\n10,1", "commands.csv:1: expected the columns stamp_ns,yaw,pitch or"),
     ],

@@ -109,9 +109,9 @@ def test_a_picture_has_one_vote_where_it_is_asked_for(masks):
 @pytest.mark.parametrize(
     ("ask", "pattern"),
     [
-        (lambda: metrics.iou(np.ones((2, 4, 4), bool), np.ones((1, 4, 4), bool)), "as many estimated pictures"),
+        (lambda: metrics.iou(np.ones((2, 4, 4), bool), np.ones((1, 4, 4), bool)), "as many estimated images"),
         (lambda: metrics.iou(np.ones((4, 4), bool), np.ones((4, 5), bool)), "expected an estimate of the truth's size"),
-        (lambda: metrics.iou(np.full((4, 4), 7), np.ones((4, 4), bool)), "picture 0: truth: expected a mask of bool"),
+        (lambda: metrics.iou(np.full((4, 4), 7), np.ones((4, 4), bool)), "image 0: truth: expected a mask of bool"),
         (lambda: metrics.iou(np.ones((4, 4), bool), np.full((4, 4), 3.0)), "probabilities from 0 to 1, got 3 to 3"),
         (lambda: metrics.iou(np.ones(4, bool), np.ones(4, bool)), r"expected masks \(H, W\)"),
         (lambda: metrics.iou(np.ones((4, 4)) > 0, np.ones((4, 4)) > 0, np.ones((3, 3)) > 0), "ignore: expected"),

@@ -15,7 +15,7 @@ FOLDED = 'hfov_deg = 60\nlens = "brown-conrady"\ndistortion = [-5.0, 0, 0, 0]'
     ("keys", "told"),
     [
         ("hfov_deg = 97\nport_mm = 10", "'camera.hfov_deg': expected at most 96 behind a flat port.*got 97$"),
-        (FOLDED, "'camera.distortion': the lens folds its picture over before the edge of 64 x 48 px"),
+        (FOLDED, "'camera.distortion': the lens folds its image over before the edge of 64 x 48 px"),
     ],
 )
 def test_a_lens_without_a_ray_for_every_pixel_is_refused_with_the_recipe(keys, told):

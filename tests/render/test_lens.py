@@ -105,8 +105,8 @@ def test_a_lens_that_folds_its_picture_is_refused():
 @pytest.mark.parametrize(
     ("hfov_deg", "distortion", "message"),
     [
-        (150.0, [-0.5, 0.0, 0.0, 0.0], r"'camera\.hfov_deg': distortion = \[-0\.5.*\] folds the picture over 47 deg"),
-        (150.0, [-0.3, 0.0, 0.0, 0.0], r"folds the picture over 60 degrees from the axis.*, got 150$"),
+        (150.0, [-0.5, 0.0, 0.0, 0.0], r"'camera\.hfov_deg': distortion = \[-0\.5.*\] folds the image over 47 deg"),
+        (150.0, [-0.3, 0.0, 0.0, 0.0], r"folds the image over 60 degrees from the axis.*, got 150$"),
         (
             145.0,
             [0.0] * 4,

@@ -142,7 +142,7 @@ def test_a_sequence_without_labels_is_refused_by_name(tmp_path):
 def test_labels_and_pictures_that_do_not_belong_together_are_refused(tmp_path):
     table = label_table(6, 3)
     fewer = write_labelled(tmp_path / "fewer.mcap", "fewer", table, pictures=4)
-    with pytest.raises(LabelError, match="6 labels, and only 4 pictures"):
+    with pytest.raises(LabelError, match="6 labels, and only 4 images"):
         list(labelled_views(fewer, SPLIT.steering).views())
     shifted = table.assign(stamp_ns=table["stamp_ns"] + 1)
     moved = write_labelled(tmp_path / "moved.mcap", "moved", table)

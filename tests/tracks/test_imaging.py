@@ -100,7 +100,7 @@ def test_methods_that_fail_have_a_record_that_finds_nothing_and_the_others_go_on
 
 def test_an_answer_too_few_is_a_failure(clips, tmp_path):
     runs, _ = evaluate("segmentation", clips[:1], ["Lazy"], tmp_path)
-    assert "expected 3 predictions, one for each picture, got 1" in runs[0].record.failure
+    assert "expected 3 predictions, one for each image, got 1" in runs[0].record.failure
 
 
 def test_what_hangs_together_is_one_oyster_and_detections_are_taken_as_they_are(clips, tmp_path):

@@ -34,7 +34,7 @@ class Labels:
         n, sizes = len(self.classes), (len(self.task.yaw_deg), len(self.task.pitch_deg))
         if self.action_values.shape != (n, *sizes):
             raise LabelError(
-                f"{self.where}: expected the action values of {n} pictures for {sizes[0]} x {sizes[1]} classes, got "
+                f"{self.where}: expected the action values of {n} images for {sizes[0]} x {sizes[1]} classes, got "
                 f"the shape {self.action_values.shape}"
             )
         if ((self.classes < 0) | (self.classes >= sizes)).any():
@@ -44,7 +44,7 @@ class Labels:
             )
         if not np.isfinite(self.action_values).all():
             k = int(np.flatnonzero(~np.isfinite(self.action_values).all(axis=(1, 2)))[0])
-            raise LabelError(f"{self.where}: picture {k + 1}: expected finite action values, got another")
+            raise LabelError(f"{self.where}: image {k + 1}: expected finite action values, got another")
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ Prediction = Segmentation | Detections
 class ImagesInterface(Interface):
     """Images in, a `Segmentation` or `Detections` for each out."""
 
-    forms: ClassVar = {FORM: "a folder of pictures, NAME.png, and images.txt with their names in order"}
+    forms: ClassVar = {FORM: "a folder of images, NAME.png, and images.txt with their names in order"}
     own_form = FORM
     lasting = (FORM,)
     out = PREDICTIONS
@@ -69,11 +69,11 @@ def write_pictures(pictures: Iterable[Picture], folder: Path) -> None:
         path = folder / f"{picture.name}.png"
         inside = folder in Path(os.path.normpath(path)).parents
         if not inside or not picture.name.isprintable():
-            raise SequenceError(f"name of a picture: expected one that can be a file's, got {picture.name!r}")
+            raise SequenceError(f"name of an image: expected one that can be a file's, got {picture.name!r}")
         path.parent.mkdir(parents=True, exist_ok=True)
         bgr = cv2.cvtColor(picture.pixels, cv2.COLOR_RGB2BGR)
         if not cv2.imwrite(str(path), bgr, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
-            raise SequenceError(f"{path}: the picture could not be written")
+            raise SequenceError(f"{path}: the image could not be written")
         names.append(picture.name)
     (folder / LIST).write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
 
@@ -87,7 +87,7 @@ def read_picture(folder: Path, name: str) -> NDArray[np.uint8]:
     """Read an image of a folder, (H, W, 3) uint8 RGB."""
     pixels = cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_COLOR)
     if pixels is None:
-        raise SequenceError(f"{folder / name}.png: cannot be read as a picture")
+        raise SequenceError(f"{folder / name}.png: cannot be read as an image")
     return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
@@ -124,7 +124,7 @@ def predictions(
         done += 1
         yield prediction
     if done < count:
-        raise MethodError(f"{who}: expected {count} predictions, one for each picture, got {done}")
+        raise MethodError(f"{who}: expected {count} predictions, one for each image, got {done}")
 
 
 def _write(path: Path, prediction: Prediction) -> None:

@@ -40,7 +40,7 @@ COLUMNS = (STAMP, "time_s", "heading_rad", "pitch_rad", "depth_m", "altitude_m",
 class SteeringInterface(Interface):
     """Views in, a `Steering` for each out."""
 
-    forms: ClassVar = {FORM: "a folder of pictures, STAMP.png, with views.csv and task.json"}
+    forms: ClassVar = {FORM: "a folder of images, STAMP.png, with views.csv and task.json"}
     own_form = FORM
     lasting = (FORM,)
     out = "commands.csv"
@@ -128,9 +128,9 @@ def parse_commands(data: bytes, label: str, task: SteeringRecipe, stamps: Sequen
             raise MethodError(f"{where}: expected {len(head)} values, got {len(fields)}")
         stamp = _whole(fields[0], where, STAMP)
         if wanted and stamp not in wanted:
-            raise MethodError(f"{where}: no picture has the stamp {stamp}; the first is {stamps[0]}")
+            raise MethodError(f"{where}: no image has the stamp {stamp}; the first is {stamps[0]}")
         if stamp in found:
-            raise MethodError(f"{where}: the picture {stamp} has two commands")
+            raise MethodError(f"{where}: the image {stamp} has two commands")
         if head == allowed[0]:
             command = Steering(fields[0], _whole(fields[1], where, "yaw"), _whole(fields[2], where, "pitch"))
         else:
@@ -141,7 +141,7 @@ def parse_commands(data: bytes, label: str, task: SteeringRecipe, stamps: Sequen
         found[stamp] = command
     if missing := [stamp for stamp in stamps if stamp not in found]:
         raise MethodError(
-            f"{label}: {len(missing)} of {len(stamps)} pictures have no command, the first being {missing[0]}"
+            f"{label}: {len(missing)} of {len(stamps)} images have no command, the first being {missing[0]}"
         )
     return [found[stamp] for stamp in stamps or sorted(found)]
 
