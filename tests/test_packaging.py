@@ -77,7 +77,9 @@ def test_the_licences_of_the_weights_and_of_what_they_began_with_go_with_the_pac
     assert card["licence"] == "https://creativecommons.org/licenses/by/4.0/"
     assert card["training"]["begun"]["licence"].startswith("Apache License 2.0")
     assert LICENCES == ["MIT", "CC-BY-4.0", "Apache-2.0"]
-    with_it = {str(path.relative_to(ROOT)) for text in PYPROJECT["project"]["license-files"] for path in ROOT.glob(text)}
+    with_it = {
+        str(path.relative_to(ROOT)) for text in PYPROJECT["project"]["license-files"] for path in ROOT.glob(text)
+    }
     assert with_it == {"LICENSE", "LICENSES/Apache-2.0.txt", "LICENSES/NOTICE.txt"}
     assert card["training"]["begun"]["source"] in (ROOT / "LICENSES" / "NOTICE.txt").read_text()
 

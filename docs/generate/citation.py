@@ -13,9 +13,9 @@ Cite the software with its version, and name the split and evaluator with their 
 {bibtex}
 Machine-readable: [CITATION.cff](../CITATION.cff).
 
-Rendered data and trained weights are under CC BY 4.0: name oysterbench, and the split or the weights. Those of `unet` began
-with EfficientNet-Lite0, under the Apache License 2.0. The code is under the MIT licence. Cite published systems that you
-run as their authors ask: [each page](../baselines/external/README.md) names the paper.
+Rendered data and trained weights are under CC BY 4.0: name oysterbench, and the split or the weights. Those of `unet`
+began with EfficientNet-Lite0, under the Apache License 2.0. The code is under the MIT licence. Cite published systems
+that you run as their authors ask: [each page](../baselines/external/README.md) names the paper.
 
 Who publishes results may send them to [the leaderboard](../leaderboard/README.md), or attach `results.json`: it holds
 versions, settings, machine and every metric.
