@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -211,9 +212,27 @@ class Cover:
         return found
 
 
-def covered_m2(cover: Cover, settings: MapSettings) -> Array:
-    """Area seen of each grid cell, (rows, columns) m^2. The raster's outer edges are those of cells."""
-    raster = cover.raster
+def covered_m2(raster: Raster, seen: NDArray[np.bool_], settings: MapSettings) -> Array:
+    """Area of each grid cell, (rows, columns) m^2, of the raster's squares seen. Its outer edges are those of cells."""
     per_cell = round(settings.cell_m / raster.edge_m)
-    seen = cover.closed().reshape(raster.rows // per_cell, per_cell, raster.columns // per_cell, per_cell)
-    return np.asarray(seen.sum(axis=(1, 3)) * raster.edge_m**2)
+    cells = seen.reshape(raster.rows // per_cell, per_cell, raster.columns // per_cell, per_cell)
+    return np.asarray(cells.sum(axis=(1, 3)) * raster.edge_m**2)
+
+
+def units_of(raster: Raster, edge_m: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Row of each of the raster's rows, and column of each of its columns, in squares of another edge."""
+    rows, columns = (
+        np.floor((np.arange(n) + 0.5) * raster.edge_m / edge_m).astype(np.int64) for n in (raster.rows, raster.columns)
+    )
+    return rows, columns
+
+
+def units_m2(raster: Raster, seen: NDArray[np.bool_], edge_m: float) -> Array:
+    """Area (rows, columns) m^2 of the raster's squares seen, in squares of another edge."""
+    sums: NDArray[Any] = seen
+    for index in units_of(raster, edge_m):
+        starts = np.flatnonzero(np.diff(index, prepend=-1))
+        filled = np.zeros((int(index[-1]) + 1, sums.shape[1]))
+        filled[index[starts]] = np.add.reduceat(sums, starts, axis=0, dtype=float)
+        sums = filled.T
+    return np.asarray(sums * raster.edge_m**2)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
 from oysterbench.evaluate.density.restoration import RESTORATION_CLASSES, restoration_class
-from oysterbench.evaluate.exact import count_interval
-from oysterbench.mapping.cover import Cover, covered_m2
-from oysterbench.mapping.intervals import clumping, doubt_variance
+from oysterbench.evaluate.exact import count_interval, share_interval
+from oysterbench.mapping.cover import Cover, covered_m2, units_m2, units_of
+from oysterbench.mapping.intervals import UNIT_M, Sampling, clumping, doubt_variance, sampling
 from oysterbench.mapping.settings import MapSettings
 
 STATES = ("live", "dead", "unknown")
@@ -44,6 +44,8 @@ class Grid:
     live:             live oysters, with `live_share` of those of unknown state
     low, high:        95 % confidence interval of live oysters per m^2; NaN if the cell has no value
     known:            whether enough of the cell was seen for it to have a value
+    live_range:       95 % confidence interval of `live_share`
+    sampling:         how much the live oysters scatter between parts of the reef, whatever the cells are
     """
 
     west_m: float
@@ -56,6 +58,8 @@ class Grid:
     high: Array
     known: NDArray[np.bool_]
     live_share: float
+    live_range: tuple[float, float]
+    sampling: Sampling
 
     @property
     def density(self) -> Array:
@@ -91,8 +95,9 @@ class Total:
     """Totals of the area seen: oysters counted, and live ones per m^2, each with a 95 % confidence interval.
 
     The interval of the count covers the uncertainty of edges, association and scores; that of the mean density also
-    that the area seen is a sample of a reef with clumped oysters (clumping_k: k of the negative binomial, NaN with too
-    few cells).
+    the share of live ones among those of unknown state and, if `of_reef`, that the area seen is a sample of a reef with
+    clumps and patches. clumping_k: k of the negative binomial of the cells, NaN with too few of them; block_m: see
+    `intervals.Sampling`.
     """
 
     count: float
@@ -106,6 +111,13 @@ class Total:
     low_per_m2: float
     high_per_m2: float
     clumping_k: float
+    block_m: float
+
+    @property
+    def of_reef(self) -> bool:
+        """Whether the interval of the mean density is that of the sampled reef; if not, too little was seen to tell how
+        much that scatters, and it is of the seen ground alone."""
+        return not math.isnan(self.block_m)
 
     @property
     def told(self) -> bool:
@@ -117,8 +129,8 @@ def make_grid(
     oysters: list[Oyster], cover: Cover, settings: MapSettings, depth_sigma: float, unassociated: float | None = None
 ) -> Grid:
     """Make the grid; cell edges are at multiples of `cell_m` in the world frame. unassociated: as for `total`."""
-    raster = cover.raster
-    area = covered_m2(cover, settings)
+    raster, seen = cover.raster, cover.closed()
+    area = covered_m2(raster, seen, settings)
     known = area >= settings.least_cover * settings.cell_m**2
     counts = {state: np.zeros(area.shape) for state in STATES}
     spread = np.zeros(area.shape)
@@ -128,23 +140,47 @@ def make_grid(
         oyster, at = oysters[k], (rows[k] // per_cell, columns[k] // per_cell)
         counts[oyster.state][at] += oyster.weight
         spread[at] += _doubt([oyster])
-    share = live_share(oysters)
-    live = counts["live"] + share * counts["unknown"]
+    share, shares = live_share(oysters), live_range(oysters)
+    live, fewest, most_live = (counts["live"] + of_unknown * counts["unknown"] for of_unknown in (share, *shares))
     low, high = (np.full(area.shape, math.nan) for _ in range(2))
     sigma, (least, most) = area_sigma(depth_sigma, 1), association_range(oysters, unassociated)
     for at in zip(*np.nonzero(known), strict=True):
-        n = float(live[at])
-        variance = n + float(spread[at]) + (n * sigma) ** 2
-        ends = count_interval(n, variance)
-        low[at], high[at] = least * ends[0] / area[at], most * ends[1] / area[at]
-    return Grid(raster.west_m, raster.north_m, settings.cell_m, area, counts, live, low, high, known, share)
+        ends = [
+            count_interval(n, n + float(spread[at]) + (n * sigma) ** 2)
+            for n in (float(fewest[at]), float(most_live[at]))
+        ]
+        low[at], high[at] = least * ends[0][0] / area[at], most * ends[1][1] / area[at]
+    units = units_m2(raster, seen, UNIT_M)
+    counted, (to_row, to_column) = np.zeros(units.shape), units_of(raster, UNIT_M)
+    of_state = {"live": 1.0, "dead": 0.0, "unknown": share}
+    for k in np.flatnonzero(inside):
+        counted[to_row[rows[k]], to_column[columns[k]]] += of_state[oysters[k].state] * oysters[k].weight
+    return Grid(
+        raster.west_m, raster.north_m, settings.cell_m, area, counts, live, low, high, known, share, shares,
+        sampling(counted, units),
+    )  # fmt: skip
+
+
+def known_states(oysters: list[Oyster]) -> tuple[float, float]:
+    """Number of oysters known to be live, and of those known to be dead."""
+    live, dead = (sum(one.weight for one in oysters if one.state == state) for state in ("live", "dead"))
+    return live, dead
 
 
 def live_share(oysters: list[Oyster]) -> float:
-    """Share of live oysters among those whose state is known; 1 if none is (`Total.told`)."""
-    live = sum(one.weight for one in oysters if one.state == "live")
-    dead = sum(one.weight for one in oysters if one.state == "dead")
-    return live / (live + dead) if live + dead > 0 else 1.0
+    """Share of live oysters among those whose state is known; 1 if none is (`Total.told`), or if masks tell one state
+    alone, as where only empty shells are labelled: this says nothing of the others."""
+    live, dead = known_states(oysters)
+    return live / (live + dead) if live > 0 and dead > 0 else 1.0
+
+
+def live_range(oysters: list[Oyster]) -> tuple[float, float]:
+    """Ends of the 95 % confidence interval of `live_share`: from 0 to 1 if masks tell one state alone. If none is
+    known, all oysters are counted, and none of them as live or dead: 1 and 1."""
+    live, dead = known_states(oysters)
+    if live > 0 and dead > 0:
+        return share_interval(live, live + dead)
+    return (0.0, 1.0) if live + dead > 0 else (1.0, 1.0)
 
 
 def area_sigma(depth_sigma: float, pictures: int) -> float:
@@ -164,9 +200,12 @@ def total(
     half = 1.96 * math.sqrt(doubt)
     live = by_state["live"] + grid.live_share * by_state["unknown"]
     excess = clumping(grid.live[grid.known], grid.area_m2[grid.known])
-    means = live / area * grid.area_m2 if area > 0 else np.zeros(0)
-    scatter = float((means + (0.0 if math.isnan(excess) else excess) * means**2).sum())
-    low, high = count_interval(live, scatter + doubt + (live * area_sigma(depth_sigma, pictures)) ** 2)
+    sigma, variance = area_sigma(depth_sigma, pictures), grid.sampling.variance
+    times = 0.0 if math.isnan(variance) or live == 0 else variance / live
+    low, high = (
+        count_interval(n, times * n + doubt + (n * sigma) ** 2)[end]
+        for end, n in enumerate(by_state["live"] + share * by_state["unknown"] for share in grid.live_range)
+    )
     return Total(
         count,
         max(0.0, least * count - half),
@@ -179,6 +218,7 @@ def total(
         least * low / area if area > 0 else math.nan,
         most * high / area if area > 0 else math.nan,
         math.nan if math.isnan(excess) else (1.0 / excess if excess > 0 else math.inf),
+        grid.sampling.block_m,
     )
 
 

@@ -1,12 +1,61 @@
-"""What adds to the variance of a count of oysters: clumping, and doubtful oysters."""
+"""What adds to the variance of a count of oysters: that they lie in clumps and patches, and doubtful oysters."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from oysterbench.core.geometry import Array
+from oysterbench.evaluate.exact import TAIL
+
+UNIT_M = 0.5  # edge of the squares that blocks are made of, whatever the cells of a map are
+LEAST_BLOCK_M = 2.0  # edge of the smallest blocks: smaller ones share clumps and patches with those beside them
+MANY, ENOUGH = 8.0, 5.0  # blocks are as large as leaves the one, and the smallest must be the other: with fewer, an
+# interval would be several times as wide as the scatter that it stands for
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How much a count scatters between parts of a reef like the one seen. variance: of the count; block_m: edge of the
+    blocks that show it. Both are NaN where too little was seen to tell."""
+
+    variance: float
+    block_m: float
+
+
+def sampling(counts: Array, areas_m2: Array) -> Sampling:
+    """Find the variance of a count from counts and seen areas (rows, columns) in squares of UNIT_M.
+
+    Oysters that lie near one another are not independent, so the variance is that between blocks that hold whole
+    patches: the squared deviation of each block's count from what the mean density gives for its area, averaged over
+    all positions of the blocks (a Bartlett kernel: Conley 1999, J. Econometrics 92, eq. 3.13), but at least Poisson's.
+    Blocks are as large as leaves MANY of them, since the size of patches is unknown; few blocks tell a variance
+    inaccurately, so it is scaled to give a normal interval the width of Student's t.
+    """
+    total, area = counts.sum(), areas_m2.sum()
+    found = Sampling(math.nan, math.nan)
+    residuals = counts - total / area * areas_m2 if area > 0 else counts
+    block_m = LEAST_BLOCK_M
+    while area > 0:
+        side = round(block_m / UNIT_M)
+        blocks = float((side * area) ** 2 / (_blocks(areas_m2, side) ** 2).sum())
+        if blocks < (ENOUGH if block_m == LEAST_BLOCK_M else MANY):
+            break
+        # The mean density takes one degree of freedom.
+        squares = float((_blocks(residuals, side) ** 2).sum()) / side**2 * blocks / (blocks - 1.0)
+        wider = scipy.special.stdtrit(blocks - 1.0, TAIL) / scipy.special.ndtri(TAIL)
+        found = Sampling(max(float(total), squares) * float(wider) ** 2, block_m)
+        block_m += 1.0
+    return found
+
+
+def _blocks(values: Array, side: int) -> Array:
+    """Sums over all squares of `side` x `side` values that hold any of the values (rows, columns)."""
+    sums = np.pad(np.pad(values, side).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+    return np.asarray(sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side])
 
 
 def clumping(counts: Array, areas_m2: Array) -> float:

@@ -17,7 +17,7 @@ from oysterbench.mapping.association import OysterTracks
 from oysterbench.mapping.contradictions import contradictions
 from oysterbench.mapping.cover import Cover, Raster, raster_around, tile_of
 from oysterbench.mapping.depth import SIGMA, depth_source
-from oysterbench.mapping.grid import Grid, Oyster, Total, make_grid, total
+from oysterbench.mapping.grid import Grid, Oyster, Total, known_states, live_range, live_share, make_grid, total
 from oysterbench.mapping.north import magnetic_north
 from oysterbench.mapping.pose_graph import Progress, laid
 from oysterbench.mapping.projection import Lens, Patch, Seen, patches, usable
@@ -100,7 +100,7 @@ class OysterMap:
             (
                 "live per m²" if found.told else "live or dead, per m²",
                 f"{found.live_per_m2:.1f}",
-                f"{found.low_per_m2:.1f} to {found.high_per_m2:.1f}",
+                f"{found.low_per_m2:.1f} to {found.high_per_m2:.1f}" + ("" if found.of_reef else ", seen ground alone"),
             ),
         ]
         lead = f"{self._outline}; depths: {self.depth}"
@@ -186,8 +186,10 @@ def build_map(
         tracks.add(found)
         progress("images counted", k, len(pictures))
     joined = tracks.joined()
+    oysters = [_oyster(track) for track in joined]
+    notes += _note_on_states(oysters)
     return OysterMap(
-        sequence.name, camera, depth, [_oyster(track) for track in joined], joined, cover, path[:, :2], settings,
+        sequence.name, camera, depth, oysters, joined, cover, path[:, :2], settings,
         **counts,
         notes=tuple(notes),
         unassociated=None if exact else unassociated.count,
@@ -282,6 +284,22 @@ def _notes(
     if counts["without_depth"]:
         notes.append(f"{counts['without_depth']} of {given} images have no depth and are left out")
     return notes
+
+
+def _note_on_states(oysters: list[Oyster]) -> list[str]:
+    """What readers should know of the states of oysters, where some are known and others are not."""
+    unknown = sum(one.state == "unknown" for one in oysters)
+    live, dead = known_states(oysters)
+    if unknown == 0 or live + dead == 0:
+        return []
+    low, high = live_range(oysters)
+    why = "as of the known ones"
+    if live == 0 or dead == 0:
+        why = f"as all the known ones are {'dead' if live == 0 else 'live'}, which says nothing of the others"
+    return [
+        f"{unknown} of {len(oysters)} oysters are of unknown state and count as {100 * live_share(oysters):.0f} % live "
+        f"(95 %: {100 * low:.0f} to {100 * high:.0f} %), {why}"
+    ]
 
 
 def _unmasked(sequence: Sequence, camera: str, given: int) -> str:

@@ -245,8 +245,9 @@ def numbers(total: Total, shares: dict[str, float]) -> list[str]:
     lines = [counted(total)]
     if not math.isnan(total.live_per_m2):
         what = "live oysters" if total.told else "oysters, live or dead unknown,"
+        of = "sampled reef" if total.of_reef else "seen ground alone, as too little was seen to tell of the reef"
         lines.append(
-            f"{total.live_per_m2:.1f} {what} per m{SQUARED} (95 % for the sampled reef: "
+            f"{total.live_per_m2:.1f} {what} per m{SQUARED} (95 % for the {of}: "
             f"{total.low_per_m2:.1f} to {total.high_per_m2:.1f})"
         )
     if not any(math.isnan(share) for share in shares.values()):

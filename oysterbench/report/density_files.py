@@ -167,6 +167,8 @@ def summary(found: OysterMap) -> dict[str, Any]:
                 "mean": total.live_per_m2,
                 "low": total.low_per_m2,
                 "high": total.high_per_m2,
+                "interval_of": "reef" if total.of_reef else "seen ground",
+                "block_m": total.block_m,
                 "clumping_k": total.clumping_k,
             },
             "level": LEVEL,
@@ -194,6 +196,7 @@ def map_page(found: OysterMap, command: str, files: Sequence[str] = ()) -> str:
         "numbers": numbers(found.total, found.grid.shares()),
         "notes": notes(found),
         "open": found.unassociated is not None,
+        "of_reef": found.total.of_reef,
         "files": [(name, FILES[name]) for name in FILES if name in files],
         "command": command,
     }
@@ -205,7 +208,8 @@ def facts(found: OysterMap) -> list[tuple[str, str, str]]:
     total = found.total
     rows = [("Oysters", f"{total.count:,.0f}", f"95 %: {total.count_low:,.0f} to {total.count_high:,.0f}")]
     if not math.isnan(total.live_per_m2):
-        between = f"95 %: {total.low_per_m2:.1f} to {total.high_per_m2:.1f}"
+        of = "reef" if total.of_reef else "seen ground alone"
+        between = f"95 % for the {of}: {total.low_per_m2:.1f} to {total.high_per_m2:.1f}"
         what = "Live per" if total.told else "Live or dead, per"
         rows.append((f"{what} m\N{SUPERSCRIPT TWO}", f"{total.live_per_m2:.1f}", between))
     rows.append(("Seen ground", f"{total.area_m2:.1f} m\N{SUPERSCRIPT TWO}", f"in {len(found.path)} images"))

@@ -119,13 +119,13 @@ def oyster_centres(table: Any) -> Array:
     )
 
 
-def cells_of(grid: Grid) -> dict[tuple[int, int], Cell]:
-    """Cells that were seen enough, by column and row of a grid fixed to the world."""
+def cells_of(grid: Grid, share: float = 1.0) -> dict[tuple[int, int], Cell]:
+    """Cells that were seen enough, by column and row of a grid fixed to the world. share: of live ones among oysters of
+    unknown state."""
+    live = grid.counts["live"] + share * grid.counts["unknown"]
     west, north = round(grid.west_m / grid.cell_m), round(grid.north_m / grid.cell_m)
     return {
-        (west + int(column), north - 1 - int(row)): Cell(
-            float(grid.area_m2[row, column]), float(grid.live[row, column])
-        )
+        (west + int(column), north - 1 - int(row)): Cell(float(grid.area_m2[row, column]), float(live[row, column]))
         for row, column in zip(*np.nonzero(grid.known), strict=True)
     }
 
@@ -210,8 +210,11 @@ def map_count(found: OysterMap, owners: Mapping[tuple[int, int], int]) -> MapCou
         owners.get((patch.frame, patch.number), 0) for track in found.tracks for patch in track.patches
     ) - {0}
     total = found.total
-    live = total.live + found.grid.live_share * total.unknown
-    return MapCount(cells_of(found.grid), total.count, live, total.count_low, total.count_high, behind, seen)
+    known = total.live + total.dead
+    # What this evaluator has always taken, also where only dead ones are known: there `grid.live_share` is another.
+    share = total.live / known if known > 0 else 1.0
+    live = total.live + share * total.unknown
+    return MapCount(cells_of(found.grid, share), total.count, live, total.count_low, total.count_high, behind, seen)
 
 
 def _owned(sequence: Sequence, camera: str, seen: SeenOf, owners: dict[tuple[int, int], int]) -> SeenOf:

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import TrajectoryError
-from oysterbench.mapping.cover import Cover, Raster, raster_around, tile_of
+from oysterbench.mapping.cover import Cover, Raster, raster_around, tile_of, units_m2
 
 RASTER = Raster(-2.0, 2.0, 0.01, 400, 400)
 STAYS = np.eye(4)
@@ -148,3 +148,14 @@ def test_cells_that_are_too_large_are_named_where_a_move_of_a_picture_adds_one()
     assert around.holding([(tile.raster, moved_by(-1.0))], 60.0) == around
     with pytest.raises(TrajectoryError, match=r"120 x 60 m: .* are cells of 60 m too large \(--cell\)\?$"):
         around.holding([(tile.raster, moved_by(-5.0))], 60.0)
+
+
+@pytest.mark.parametrize("edge_m", [0.01, 0.03, 0.2])
+def test_the_area_seen_is_the_same_in_squares_of_another_edge(edge_m):
+    raster = Raster(-2.0, 2.0, edge_m, 130, 170)
+    seen = np.random.default_rng(0).random((130, 170)) < 0.5
+    units = units_m2(raster, seen, 0.5)
+    assert units.shape == (int(np.ceil(130 * edge_m / 0.5)), int(np.ceil(170 * edge_m / 0.5)))
+    assert units.sum() == pytest.approx(seen.sum() * edge_m**2)
+    middle = (np.arange(130) + 0.5) * edge_m < 0.5, (np.arange(170) + 0.5) * edge_m < 0.5
+    assert units[0, 0] == pytest.approx(seen[np.ix_(*middle)].sum() * edge_m**2)

@@ -48,8 +48,9 @@ def test_masks_of_unlabelled_images_take_no_oyster_from_those_that_are_labelled(
 def test_an_oyster_is_behind_an_entry_by_the_images_that_are_labelled():
     patches = [SimpleNamespace(frame=k, number=1, pixels=100 if k else 60) for k in range(3)]
     entries = [SimpleNamespace(patches=patches), SimpleNamespace(patches=patches[1:])]
-    grid = SimpleNamespace(known=np.zeros((1, 1), bool), west_m=0.0, north_m=0.0, cell_m=1.0, live_share=1.0)
-    total = SimpleNamespace(live=2, unknown=0, count=2, count_low=1, count_high=3)
+    counts = dict.fromkeys(("live", "unknown"), np.zeros((1, 1)))
+    grid = SimpleNamespace(known=np.zeros((1, 1), bool), west_m=0.0, north_m=0.0, cell_m=1.0, counts=counts)
+    total = SimpleNamespace(live=2, dead=0, unknown=0, count=2, count_low=1, count_high=3)
     scored = map_count(SimpleNamespace(tracks=entries, grid=grid, total=total), {(0, 1): 7})
     assert (list(scored.owners), set(scored.found)) == ([7, 0], {7})
 
