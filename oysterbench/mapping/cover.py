@@ -20,7 +20,7 @@ from oysterbench.mapping.settings import MapSettings
 
 CLOSED_M = 0.05  # smaller gaps in the cover lie between pixels, or behind single shells
 MOST = 60_000_000  # squares of a raster: 0.7 GB
-DIVERGED = "has the trajectory diverged?"
+DIVERGED = "has the trajectory diverged? If it is right, cut it into parts, and map each"
 
 Squares = tuple[NDArray[np.int64], NDArray[np.int64]]
 """Rows and columns of a raster."""
@@ -102,11 +102,16 @@ def raster_around(places: Array, margin_m: float, edge_m: float, whole_m: float)
     Raises TrajectoryError where the places are so far apart, or `whole_m` is so large, that it would not fit into
     memory.
     """
+    spans_m = np.ptp(places, axis=0) + 2 * margin_m
+    return _fitting(lattice_around(places, margin_m, edge_m, whole_m), spans_m, whole_m)
+
+
+def lattice_around(places: Array, margin_m: float, edge_m: float, whole_m: float) -> Raster:
+    """Raster as of `raster_around`, of any size: tiles are parts of it, but nothing as large as it fits into memory."""
     low = np.floor((places.min(axis=0) - margin_m) / whole_m) * whole_m
     high = np.ceil((places.max(axis=0) + margin_m) / whole_m) * whole_m
     columns, rows = (int(n) for n in np.rint((high - low) / edge_m))
-    spans_m = np.ptp(places, axis=0) + 2 * margin_m
-    return _fitting(Raster(float(low[0]), float(high[1]), edge_m, rows, columns), spans_m, whole_m)
+    return Raster(float(low[0]), float(high[1]), edge_m, rows, columns)
 
 
 def _fitting(raster: Raster, spans_m: Array, whole_m: float) -> Raster:

@@ -15,7 +15,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.mapping.association import OysterTracks
 from oysterbench.mapping.contradictions import contradictions
-from oysterbench.mapping.cover import Cover, Raster, raster_around, tile_of
+from oysterbench.mapping.cover import Cover, Raster, lattice_around, raster_around, tile_of
 from oysterbench.mapping.depth import SIGMA, depth_source
 from oysterbench.mapping.grid import Grid, Oyster, Total, known_states, live_range, live_share, make_grid, total
 from oysterbench.mapping.north import magnetic_north
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 EXACT_PATH_M = 0.001  # by which a file of the true path may differ from the truth
 UNSURE_M = 0.05  # 1 sigma of a path without covariances, between two passes
+COARSEST_M = 0.1  # edge of the squares that measure cover, where smaller ones would not fit into memory
 CUT_WEIGHT = 0.5  # of the oysters cut by the edge of the area seen, half have their centre inside
 
 
@@ -120,13 +121,16 @@ def build_map(
     depth: str,
     settings: MapSettings | None = None,
     progress: Progress = lambda what, done, total: None,
+    any_length: bool = True,
 ) -> OysterMap:
     """Build the map. trajectory: poses of base_link at any stamps; seen: returns the oysters of images, in time order.
 
     depth: one of `depth.DEPTHS`; only "layer" uses ground truth, for depths and for the camera's calibration.
-    progress: called with the progress once all images have been read. What may be wrong without being an error is in
-    the map's notes. Raises TrajectoryError where the trajectory does not overlap with the sequence in time, LabelError
-    where the oysters are not of images of this camera, SequenceError where there is no depth.
+    progress: called with the progress once all images have been read. any_length: where what is seen along the whole
+    trajectory does not fit into memory, map around the images alone, in larger squares than `raster_m` if need be;
+    otherwise refuse it. What may be wrong without being an error is in the map's notes. Raises TrajectoryError where
+    the trajectory does not overlap with the sequence in time, LabelError where the oysters are not of images of this
+    camera, SequenceError where there is no depth.
     """
     settings = settings or MapSettings()
     if camera not in sequence.cameras:
@@ -138,7 +142,9 @@ def build_map(
     check_time(sequence, trajectory)
     depth_of = depth_source(depth, source, camera, lens, poses, settings)
     exact = _exact(sequence, trajectory, depth, settings)
-    raster = raster_of(trajectory, settings)
+    if not any_length:
+        raster_of(trajectory, settings)
+    lattice = lattice_around(*_around(trajectory.positions, settings))
     pictures = list[list[Patch]]()
     places, counts = [], {"pictures": 0, "without_pose": 0, "without_depth": 0}
     any_oyster, in_gaps = False, 0
@@ -170,16 +176,23 @@ def build_map(
             points = lens.points(depth_m, T_world_cam)
             depth_m = np.where(np.isfinite(points[..., 0]), depth_m, np.nan)
             near = usable(depth_m, settings)
-            tiles.add(tile_of(raster, points[near], depth_m[near], image.pixels[near]))
+            tiles.add(tile_of(lattice, points[near], depth_m[near], image.pixels[near]))
             eye = (T @ calibration.T_base_cam)[:3, 3]
             sigma = _pose_sigma(trajectory, picture.stamp_ns, settings, exact), sigma_of(depth, settings)
             pictures.append(patches(k, picture, points, depth_m, eye, lens.pixel_sr, *sigma, settings))
             places.append(T[:3, 3])
+            _check_extent(places, settings)
         _check(sequence, camera, depth, counts, len(places), _reasons(counts, in_gaps, settings))
         path = np.array(places)
         pictures, moves = laid(pictures, path, settings, progress)
-        cover, unassociated = _ground(raster, tiles, moves, pictures, settings)
+        raster = _raster(trajectory, path if any_length else None, tiles.rasters, moves, settings)
+        cover, unassociated = _ground(raster, tiles, moves, pictures)
     notes = _notes(sequence, camera, depth, counts, _reasons(counts, in_gaps, settings), any_oyster)
+    if cover.raster.edge_m > 1.5 * lattice.edge_m:
+        notes.append(
+            f"the ground is measured in squares of {100 * cover.raster.edge_m:.2g} cm instead of "
+            f"{100 * lattice.edge_m:.2g} cm, as the images lie far apart"
+        )
     notes += contradictions(source, trajectory)
     tracks = OysterTracks(settings)
     for k, found in enumerate(pictures, start=1):
@@ -198,11 +211,29 @@ def build_map(
     )  # fmt: skip
 
 
+def _raster(
+    trajectory: Trajectory, path: Array | None, tiles: list[Raster], moves: Array, settings: MapSettings
+) -> Raster:
+    """Raster that holds tiles after their moves (N, 4, 4): along the whole trajectory or, where that does not fit into
+    memory, around the images' positions (N, 3) alone, if given, in larger squares if need be. Raises TrajectoryError
+    where these do not fit either."""
+    choices = [(trajectory.positions, settings.raster_m)]
+    if path is not None:
+        choices += [(path, edge_m) for edge_m in _edges(settings)]
+    for places, edge_m in choices:
+        try:
+            around = raster_around(*_around(places, settings, edge_m))
+            return around.holding(zip(tiles, moves, strict=True), settings.cell_m)
+        except TrajectoryError as error:
+            refused = error
+    raise refused
+
+
 def _ground(
-    raster: Raster, tiles: Tiles, moves: Array, pictures: Iterable[list[Patch]], settings: MapSettings
+    raster: Raster, tiles: Tiles, moves: Array, pictures: Iterable[list[Patch]]
 ) -> tuple[Cover, UnassociatedCount]:
-    """Cover of the ground, and count without association, after the images' moves (N, 4, 4), on a raster that fits."""
-    cover = Cover(raster.holding(zip(tiles.rasters, moves, strict=True), settings.cell_m))
+    """Cover of the ground, and count without association, after the images' moves (N, 4, 4)."""
+    cover = Cover(raster)
     unassociated = UnassociatedCount(cover.raster)
     for tile, move, found in zip(tiles, moves, pictures, strict=True):
         unassociated.add(cover.lay(tile, move), found)
@@ -217,6 +248,8 @@ def _exact(sequence: Sequence, trajectory: Trajectory, depth: str, settings: Map
     depths are measured, the ground truth is not consulted.
     """
     if depth != "layer" or sigma_of(depth, settings) * settings.far_m >= settings.shell_m:
+        return False
+    if not sequence.has_truth:
         return False
     truth = sequence.truth()
     stamps = np.union1d(trajectory.stamps_ns, truth.stamps_ns)
@@ -239,10 +272,29 @@ def _oyster(track: OysterTrack) -> Oyster:
 
 
 def raster_of(trajectory: Trajectory, settings: MapSettings) -> Raster:
-    """Raster of what can be seen along a trajectory."""
-    edge = settings.cell_m / round(settings.cell_m / settings.raster_m)  # a cell's edge is a whole number of squares
+    """Raster of what can be seen along a trajectory. Raises TrajectoryError like `raster_around`."""
+    return raster_around(*_around(trajectory.positions, settings))
+
+
+def _around(places: Array, settings: MapSettings, edge_m: float | None = None) -> tuple[Array, float, float, float]:
+    """Arguments for a raster around places (N, 3) m, of `raster_m` or another edge."""
+    edge = settings.cell_m / round(settings.cell_m / (edge_m or settings.raster_m))  # a whole number in a cell's edge
     # What is seen lies within the maximum depth, and a little farther at the image corners.
-    return raster_around(trajectory.positions[:, :2], 1.5 * settings.far_m, edge, settings.cell_m)
+    return places[:, :2], 1.5 * settings.far_m, edge, settings.cell_m
+
+
+def _edges(settings: MapSettings) -> list[float]:
+    """Edges of squares, m, from `raster_m` to COARSEST_M, of which at least 5 make the edge of a cell."""
+    edges = [settings.raster_m]
+    while 2 * edges[-1] <= min(COARSEST_M, settings.cell_m / 5):
+        edges.append(2 * edges[-1])
+    return edges
+
+
+def _check_extent(places: list[Array], settings: MapSettings) -> None:
+    """Raise TrajectoryError where images lie farther apart than any raster can hold."""
+    if len(places) % 100 == 1:
+        raster_around(*_around(np.array(places), settings, _edges(settings)[-1]))
 
 
 def _pose_sigma(trajectory: Trajectory, stamp_ns: int, settings: MapSettings, exact: bool) -> float:

@@ -181,7 +181,7 @@ def evaluate_maps(
                 path_poses = poses if path_name == TRUE_POSES else aligned(poses, path, align, settings.max_gap_s)
                 owners: dict[tuple[int, int], int] = {}
                 labelled = _owned(sequence, camera, seen, owners)
-                found = build_map(sequence, path_poses, labelled, camera, depth, settings)
+                found = build_map(sequence, path_poses, labelled, camera, depth, settings, any_length=False)
             except (MachineError, MissingExtraError):
                 raise  # no failure of the method: it is not counted, here as elsewhere
             except OysterbenchError as error:

@@ -82,7 +82,8 @@ class FlatReef(Sequence):
         return float(self.seconds[-1])
 
     def contents(self):
-        return [(f"/cam/{layer}", "", len(self.places)) for layer in ("image", *self.layers)]
+        topics = ("/truth/odometry", *(f"/cam/{layer}" for layer in ("image", *self.layers)))
+        return [(topic, "", len(self.places)) for topic in topics]
 
     def truth(self) -> Trajectory:
         positions = np.column_stack([self.places, np.full(len(self.places), BOTTOM + ALTITUDE)])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from oysterbench.core.errors import SequenceError, TrajectoryError
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.mapping import Seen, true_seen
 from oysterbench.mapping.survey import _unmasked
 from oysterbench.mapping.views import begin_ns, check_time, check_upright
@@ -115,3 +116,63 @@ def test_a_file_without_all_topics_of_any_sensor_is_refused(dive_file, tmp_path)
     cut_to(tmp_path / "some.mcap", dive_file, ["/truth/odometry", DVL[0], "/cam_left/class"])
     with pytest.raises(SequenceError, match="has all topics of no sensor: expected those of one or more for a map"):
         begin_ns(open_sequence(tmp_path / "some.mcap"))
+
+
+def transit(path, metres):
+    """The path, after which the vehicle leaves at 45 degrees."""
+    away = path.positions[-1] + np.array([metres, metres, 0.0])
+    return Trajectory(
+        np.append(path.stamps_ns, path.stamps_ns[-1] + 10**11),
+        np.vstack([path.positions, away]),
+        np.vstack([path.quaternions, path.quaternions[-1:]]),
+    )
+
+
+def test_a_transit_without_images_changes_no_map(reef):
+    found, alone = map_of(reef, transit(reef.truth(), 1e4)), map_of(reef)
+    assert found.total.count == pytest.approx(alone.total.count, abs=0.5)
+    assert found.total.area_m2 == pytest.approx(alone.total.area_m2, rel=1e-3)
+    assert found.cover.raster.edge_m == alone.cover.raster.edge_m
+    assert not any("squares of" in note for note in found.notes)
+
+
+def test_images_far_apart_are_mapped_in_larger_squares_and_that_is_said(reef):
+    far = FlatReef(np.vstack([LANE, LANE + 120.0]), reef.discs)
+    found = map_of(far)
+    assert found.cover.raster.edge_m == pytest.approx(0.02)
+    (note,) = [note for note in found.notes if "squares of" in note]
+    assert note == "the ground is measured in squares of 2 cm instead of 1 cm, as the images lie far apart"
+    assert found.total.area_m2 == pytest.approx(2 * map_of(reef).total.area_m2, rel=0.03)
+    with pytest.raises(TrajectoryError, match="has the trajectory diverged"):
+        map_of(FlatReef(np.vstack([LANE, LANE + 5e3]), reef.discs))
+
+
+def test_a_map_without_ground_truth_needs_none(reef):
+    class WithoutTruth(FlatReef):
+        def contents(self):
+            return [one for one in super().contents() if one[0] != "/truth/odometry"]
+
+        def truth(self):
+            raise SequenceError("it has none")
+
+    masks = list(true_seen(reef, "cam"))
+    found = map_of(WithoutTruth(LANE, reef.discs), reef.truth(), seen=lambda: masks)
+    assert found.unassociated is not None, "nobody knows whether the path is exact"
+
+
+def test_how_few_states_are_known_is_said(reef):
+    masks = list(true_seen(reef, "cam"))
+    only_dead = [replace(one, states={k: state for k, state in one.states.items() if state == "dead"}) for one in masks]
+    found = map_of(reef, seen=lambda: only_dead)
+    (note,) = [note for note in found.notes if "unknown state" in note]
+    assert "count as 100 % live (95 %: 0 to 100 %), as all the known ones are dead, which says nothing of" in note
+    assert found.total.low_per_m2 == 0.0 < found.total.live_per_m2
+    assert not any("unknown state" in note for note in map_of(reef).notes)
+
+
+def test_of_little_ground_the_page_says_what_its_interval_is_of(reef):
+    found = map_of(reef)
+    page = map_page(found, "")
+    assert "95 % for the seen ground alone, as too little was seen to tell of the reef" in page
+    assert "is that of the seen ground alone: too little was seen" in page
+    assert summary(found)["live_per_m2"]["interval_of"] == "seen ground"
