@@ -10,8 +10,9 @@ from typing import Any
 
 from oysterbench.core.errors import OptionError, SequenceError
 from oysterbench.core.names import did_you_mean, instead, nearest
-from oysterbench.core.trajectory import Trajectory, read_trajectory
+from oysterbench.core.trajectory import ReadOptions, Trajectory, read_trajectory
 from oysterbench.mapping import DEPTHS, MapSettings, OysterMap, Seen, build_map, default_depth, read_seen, true_seen
+from oysterbench.mapping.views import check_time, check_upright
 from oysterbench.sequence.types import Sequence
 
 Path_ = str | os.PathLike[str]
@@ -24,7 +25,7 @@ def oyster_map(
     *,
     camera: str | None = None,
     depth: str | None = None,
-    **settings: Any,
+    **options: Any,
 ) -> OysterMap:
     """Map the oysters in a sequence's images to the ground, and count each once.
 
@@ -42,8 +43,9 @@ def oyster_map(
     depth : str, optional
         Source of depths: stereo, motion, plane, or layer, which is the ground truth; by default the best that the
         sequence allows without ground truth.
-    **settings
-        Fields of `oysterbench.mapping.MapSettings`, such as ``cell_m=0.5``.
+    **options
+        Fields of `oysterbench.mapping.MapSettings`, such as ``cell_m=0.5``, and of
+        `oysterbench.core.trajectory.ReadOptions`, such as ``quaternion="wxyz"``, for the trajectory's file.
 
     Returns
     -------
@@ -54,9 +56,9 @@ def oyster_map(
     Raises
     ------
     oysterbench.core.errors.TrajectoryError
-        The poses do not cover the time of the images.
+        The poses do not cover the time of the images, or by them the vehicle would not be upright.
     oysterbench.core.errors.LabelError
-        The masks are not of this camera's images, or none has an oyster.
+        The masks are not of this camera's images.
     oysterbench.core.errors.SequenceError
         There is no such camera, or depths cannot be obtained.
 
@@ -71,21 +73,29 @@ def oyster_map(
     ...
     oysterbench.core.errors.SequenceError: hand-made has no camera 'cam_up'; it has cam_left, cam_right
     """
-    known = [field.name for field in fields(MapSettings)]
-    for name in settings:
-        if name not in known:
+    known, reading = ([field.name for field in fields(of)] for of in (MapSettings, ReadOptions))
+    for name in options:
+        if name not in (*known, *reading):
             raise OptionError(
-                f"no setting {name!r} of a map; {did_you_mean(nearest(name, known))}it has {', '.join(known)}"
+                f"no setting {name!r} of a map; {did_you_mean(nearest(name, [*known, *reading]))}it has "
+                f"{', '.join(known)}; for reading the trajectory's file, {', '.join(reading)}"
             )
-    chosen = MapSettings(**settings)
+        if name in reading and isinstance(trajectory, Trajectory):
+            raise OptionError(
+                f"{name}: it says how a file is read, and the trajectory is poses in memory: leave it out"
+            )
+    chosen = MapSettings(**{name: value for name, value in options.items() if name in known})
+    read = ReadOptions(**{name: value for name, value in options.items() if name in reading})
     if depth not in (None, *DEPTHS):
         raise OptionError(f"depth: expected one of {', '.join(DEPTHS)}, got {depth!r}")
     opened = sequence if isinstance(sequence, Sequence) else _opened(sequence)
-    poses = trajectory if isinstance(trajectory, Trajectory) else read_trajectory(trajectory)
+    poses = trajectory if isinstance(trajectory, Trajectory) else read_trajectory(trajectory, read)
     which = camera or next(iter(opened.cameras), "")
     if which not in opened.cameras:
         there = instead(which, opened.cameras, f"oysterbench info {opened.name}")
         raise SequenceError(f"{opened.name} has no camera {which!r}; {there}")
+    check_time(opened, poses)
+    check_upright(opened, poses)
 
     def seen() -> Iterable[Seen]:
         if masks is None:
