@@ -84,7 +84,7 @@ class MapCommand(click.Command):
 )
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="With --masks a folder, else a .ply file.")
 @click.option("--camera", "cameras", multiple=True, metavar="NAME", help="Camera to use.  [default: the first]")
-@click.option("--far", "far_m", type=POSITIVE, help="Maximum range, in m.  [default: map 2.5, cloud 6]")
+@click.option("--far", "far_m", type=POSITIVE, help="Maximum range, in m.  [default: map 2.5, cloud 6, echoes any]")
 @click.option("--depth", type=click.Choice(DEPTHS), help="Map: source of depths.  [default: stereo, or motion]")
 @click.option(
     "--masks-kind", "kind", type=click.Choice(KINDS), help="Map: meaning of the masks' values.  [default: auto]"
@@ -216,6 +216,8 @@ def _cloud(
     from oysterbench.mapping import CloudSettings, build_cloud
     from oysterbench.mapping.contradictions import contradictions
 
+    if source == "echoes" and "far_m" in chosen:
+        chosen = {**chosen, "echo_far_m": chosen["far_m"]}
     settings = _settings(CloudSettings, chosen)
     poses = _poses(opened, trajectory, options)
     start = time.process_time()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from oysterbench.core.errors import OysterbenchError
@@ -9,7 +10,7 @@ from oysterbench.core.errors import OysterbenchError
 
 @dataclass(frozen=True)
 class CloudSettings:
-    """Settings of a point cloud. Raises OysterbenchError where a length is not above 0."""
+    """Settings of a point cloud. Raises OysterbenchError where a length is not above 0, or not finite."""
 
     voxel_m: float = 0.01  # edge of the voxels, with one point each: a third of the smallest oyster
     near_m: float = 0.3  # along the optical axis, start of the search range
@@ -32,6 +33,7 @@ class CloudSettings:
     pair_tolerance_s: float = 0.002  # between the stamps of a pair
 
     # Depth from echoes.
+    echo_far_m: float = math.inf  # ranges beyond are left out; by default, sensors give their own limit
     echo_share: float = 0.35  # level of the leading edge, as a share of the beam's strongest echo
     min_echo: float = 4.0  # strongest echo of a beam with a detection, as a multiple of the beam's median
     colour_every_s: float = 0.5  # interval of the frames that colour the echoes
@@ -41,8 +43,12 @@ class CloudSettings:
     max_spread: float = 2.0  # standard deviations of the mean distance to the neighbours
 
     def __post_init__(self) -> None:
-        for name in ("voxel_m", "near_m"):
-            if not getattr(self, name) > 0:
-                raise OysterbenchError(f"{name}: expected more than 0 m, got {getattr(self, name):g}")
+        for name, unit in (("voxel_m", "m"), ("near_m", "m"), ("far_m", "m"), ("max_gap_s", "s")):
+            value = getattr(self, name)
+            if not 0 < value < math.inf:
+                expected = "a finite number" if value > 0 else f"more than 0 {unit}"
+                raise OysterbenchError(f"{name}: expected {expected}, got {value:g}")
+        if not self.echo_far_m > 0:
+            raise OysterbenchError(f"echo_far_m: expected more than 0 m, got {self.echo_far_m:g}")
         if not self.far_m > self.near_m:
             raise OysterbenchError(f"far_m: expected more than near_m, {self.near_m:g} m, got {self.far_m:g}")

@@ -24,10 +24,11 @@ Echo = tuple[int, Array, Array]
 def heard_points(
     sequence: Sequence, poses: PoseInterpolator, settings: CloudSettings, watch: Watch = unwatched
 ) -> Iterator[Array]:
-    """Yield points (N, 3) m in the world frame, sample by sample, where the pose is known."""
+    """Yield points (N, 3) m in the world frame, sample by sample, where the pose is known; none beyond `echo_far_m`."""
     for stamp_ns, points, T_base_sensor in chain(range_echoes(sequence), _pings(sequence, settings)):
         watch(stamp_ns)
         T_world_base = poses.at(stamp_ns)
+        points = points[np.linalg.norm(points, axis=1) <= settings.echo_far_m]
         if T_world_base is not None and len(points):
             T = T_world_base @ T_base_sensor
             yield points @ T[:3, :3].T + T[:3, 3]

@@ -205,6 +205,8 @@ def test_beams_and_altimeters_hit_the_bottom(dive_file):
     np.testing.assert_allclose(beams[:, 2], BOTTOM_Z, atol=1e-5)
     assert (np.ptp(beams[:, :2], axis=0) > 0.5).all()
     assert (abs(altimeter[:, 2] - BOTTOM_Z) < 0.2).all()
+    near = CloudSettings(echo_far_m=0.4)
+    assert sum(map(len, heard_points(oysterbench.open(dive_file), PoseInterpolator(dive.truth(), 0.3), near))) == 0
 
 
 def test_a_fan_puts_each_beam_on_the_leading_edge_of_its_echo(dive_file):
@@ -290,6 +292,8 @@ def test_a_trajectory_of_another_time_and_a_length_of_nothing_are_named():
         build_cloud(reef, late)
     with pytest.raises(OysterbenchError, match="voxel_m: expected more than 0 m, got 0"):
         CloudSettings(voxel_m=0.0)
+    with pytest.raises(OysterbenchError, match="far_m: expected a finite number, got inf"):
+        CloudSettings(far_m=float("inf"))
 
 
 def test_poses_by_which_gravity_would_not_pull_down_are_refused(dive_file):
