@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -42,9 +43,11 @@ class MapSettings:
     max_gap_s: float = 0.3  # between the poses that an image's pose is interpolated from
 
     def __post_init__(self) -> None:
-        for name in ("cell_m", "raster_m", "near_m", "shell_m", "reach_m", "plane_s", "max_gap_s"):
-            if not getattr(self, name) > 0:
-                raise OysterbenchError(f"{name}: expected more than 0, got {getattr(self, name):g}")
+        for name in ("cell_m", "raster_m", "near_m", "shell_m", "reach_m", "plane_s", "max_gap_s", "far_m"):
+            value = getattr(self, name)
+            if not 0 < value < math.inf:
+                expected = "a finite number" if value > 0 else "more than 0"
+                raise OysterbenchError(f"{name}: expected {expected}, got {value:g}")
         for name in ("pose_sigma_m", "depth_sigma"):
             value = getattr(self, name)
             if value is not None and not value >= 0:

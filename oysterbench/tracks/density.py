@@ -106,9 +106,10 @@ class DensityTrack(Track):
         """Build maps and score them. SLAM methods provide paths, image methods provide masks."""
         from oysterbench.mapping import read_seen
         from oysterbench.report.density_figure import drawn
-        from oysterbench.tracks.mapping_evaluation import MappedSequence, camera_with_layers, evaluate_maps
+        from oysterbench.tracks.mapping_evaluation import MappedSequence, evaluate_maps
 
         self.check(request)
+        SLAM.settings(request.options)  # refused before methods are run, and though none is
         options, settings = request.options, self.settings(request.options)
         if request.template is not None or request.runs > 1:
             raise MethodError("density: maps need Python methods, each run once, or --poses and --masks")
@@ -125,18 +126,18 @@ class DensityTrack(Track):
         names = {one.name for one in (sequences if request.split is None else request.split.sequence)}
         if request.split is None and "poses" in options:  # which may have estimates of the user's other sequences too
             names |= _with_truth(options["poses"])
+        own: dict[str, dict[str, Callable[[], Iterator[Seen]]]] = {}
+        for sequence in sequences if "masks" in options else ():
+            opened, camera = _with_camera(sequence)
+            kind, several = options.get("kind", "auto"), len(sequences) > 1
+            seen = partial(read_seen, options["masks"], opened, camera, kind, settings.threshold, several)
+            seen()  # refuses what are no masks of it, before methods are run
+            own[sequence.name] = {options["masks"].name: seen}
         for sequence in sequences:
-            opened = open_sequence(sequence.path)
-            topics = {topic for topic, _, _ in opened.contents()}
-            camera = camera_with_layers(opened.name, opened.cameras, topics)
+            opened, camera = _with_camera(sequence)
             paths = self._paths(sequence, [one for one in methods if one.track == "slam"], kept, once, names)
-            if (place := options.get("masks")) is None:
-                masks = self._masks(sequence, camera, images, once, settings)
-            else:
-                kind, several = options.get("kind", "auto"), len(sequences) > 1
-                seen = partial(read_seen, place, opened, camera, kind, settings.threshold, several)
-                masks = {place.name: seen}
-            mapped = MappedSequence(opened, camera, paths, masks, sequence.topics)
+            masks = own.get(sequence.name) or self._masks(sequence, camera, images, once, settings)
+            mapped = MappedSequence(opened, camera, paths, masks, sequence.topics, bool(own))
             depth, align = options.get("depth", "layer"), options.get("align", "posyaw")
             for run in evaluate_maps(mapped, sequence.split, settings, depth, align, request.announce):
                 runs.append(drawn(run))
@@ -218,6 +219,15 @@ class DensityTrack(Track):
             each.job.adapter.name: partial(_seen, each.job, each.outcome, within.out, camera, settings.threshold)
             for each in done
         }
+
+
+def _with_camera(sequence: SlamSequence) -> tuple[Any, str]:
+    """Sequence, opened, and the camera along whose images it is mapped."""
+    from oysterbench.tracks.mapping_evaluation import camera_with_layers
+
+    opened = open_sequence(sequence.path)
+    topics = {topic for topic, _, _ in opened.contents()}
+    return opened, camera_with_layers(opened.name, opened.cameras, topics)
 
 
 def _read(path: Path) -> Trajectory | TrajectoryError:

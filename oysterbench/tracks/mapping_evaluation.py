@@ -47,13 +47,15 @@ class TrueMap:
 @dataclass(frozen=True)
 class MappedSequence:
     """A sequence to map: with its paths by name (an exception where there is none) and its masks by name (by default
-    those of the ground truth). topics: of a file with only some of its split's, which records then name."""
+    those of the ground truth). topics: of a file with only some of its split's, which records then name. own_masks:
+    the masks are files of the user, rather than a method's."""
 
     sequence: Sequence
     camera: str
     paths: Mapping[str, Trajectory | Exception]
     masks: Mapping[str, SeenOf] = field(default_factory=dict)
     topics: tuple[str, ...] = ()
+    own_masks: bool = False
 
 
 def camera_with_layers(name: str, cameras: Iterable[str], topics: Collection[str]) -> str:
@@ -156,7 +158,8 @@ def evaluate_maps(
     align: Align = "posyaw",
     announce: Announce = lambda text: None,
 ) -> Iterator[DensityRun]:
-    """Build and score a map for each combination of path and masks; one that fails leaves a record with `failure`."""
+    """Build and score a map for each combination of path and masks; one that fails leaves a record with `failure`.
+    Raises LabelError where the user's own masks cannot be read."""
     sequence, camera = mapped.sequence, mapped.camera
     truth = true_map(sequence, camera, settings)
     poses = sequence.truth()
@@ -185,6 +188,8 @@ def evaluate_maps(
             except (MachineError, MissingExtraError):
                 raise  # no failure of the method: it is not counted, here as elsewhere
             except OysterbenchError as error:
+                if mapped.own_masks and isinstance(error, LabelError):
+                    raise  # the same along every path, and no failure of any
                 yield DensityRun(ResultRecord(**about, method=method, failure=str(error)))
                 continue
             score = score_density(truth.count, map_count(found, owners))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 import oysterbench
-from oysterbench.core.errors import MethodError, TrajectoryError
+from oysterbench.core.errors import LabelError, MethodError, OysterbenchError, TrajectoryError
 from oysterbench.core.trajectory import write_tum
 from oysterbench.tracks import Request
 from oysterbench.tracks.density import TRACK, estimates_in
@@ -161,3 +161,23 @@ def test_methods_are_run_with_the_alignment_and_the_gaps_of_the_maps(dive_file, 
     monkeypatch.setattr("oysterbench.tracks.mapping_evaluation.evaluate_maps", lambda *rest: [])
     TRACK.evaluate(Request(tmp_path, places=[dive_file], options={"align": "origin", "max_gap_s": 0.5, "cell_m": 2.0}))
     assert [(one.align, one.max_gap_s) for one in asked] == [("origin", 0.5)]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"masks": "nomasks"}, r"nomasks: expected a \.png, \.npy or \.npz per image, got none"),
+        ({"max_gap_s": float("inf")}, r"max_gap_s.*expected more than 0 s, got inf"),
+        ({"cell_m": float("inf")}, r"cell_m: expected a finite number, got inf"),
+    ],
+)
+def test_masks_and_settings_that_cannot_be_used_are_refused_before_methods_are_run(
+    dive_file, tmp_path, monkeypatch, options, message
+):
+    (tmp_path / "nomasks").mkdir()
+    ran = []
+    monkeypatch.setattr(SLAM, "run", lambda *rest: ran.append(rest) or [])
+    given = {key: tmp_path / value if key == "masks" else value for key, value in options.items()}
+    with pytest.raises(LabelError if "masks" in options else OysterbenchError, match=message):
+        TRACK.evaluate(Request(tmp_path / "out", places=[dive_file], options=given))
+    assert ran == []

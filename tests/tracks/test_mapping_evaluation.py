@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from oysterbench.core.errors import MachineError
+from oysterbench.core.errors import LabelError, MachineError
 from oysterbench.core.geometry import transform
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.core.trajectory.frames import poses_of_body, poses_of_frame, scaled
 from oysterbench.mapping import MapSettings, Seen
 from oysterbench.tracks.mapping_evaluation import MappedSequence, _owned, aligned, evaluate_maps, map_count
@@ -63,3 +64,28 @@ def test_masks_that_the_machine_failed_to_make_are_no_failure_of_their_method():
     mapped = MappedSequence(FlatReef(LANE[:3], scattered(-0.6, 1.2)), "cam", {}, {"mine": killed})
     with pytest.raises(MachineError, match="out of memory"):
         list(evaluate_maps(mapped, None, MapSettings(cell_m=0.5)))
+
+
+def test_masks_of_the_user_that_cannot_be_read_are_no_failure_of_any_path():
+    def damaged():
+        raise LabelError("5.png: damaged")
+        yield
+
+    mapped = MappedSequence(FlatReef(LANE[:3], scattered(-0.6, 1.2)), "cam", {}, {"mine": damaged})
+    with pytest.raises(LabelError, match=r"5\.png: damaged"):
+        list(evaluate_maps(replace(mapped, own_masks=True), None, MapSettings(cell_m=0.5)))
+    (run,) = evaluate_maps(mapped, None, MapSettings(cell_m=0.5))
+    assert run.record.failure == "5.png: damaged", "those of a method are its failure"
+
+
+def test_a_path_that_does_not_fit_the_squares_of_the_settings_has_no_score():
+    reef = FlatReef(LANE, scattered(-0.6, 1.2))
+    path = reef.truth()
+    away = Trajectory(
+        np.append(path.stamps_ns, path.stamps_ns[-1] + 10**11),
+        np.vstack([path.positions, [2e3, 2e3, path.positions[0, 2]]]),
+        np.vstack([path.quaternions, path.quaternions[:1]]),
+    )
+    mapped = MappedSequence(reef, "cam", {"away": away})
+    true, failed = evaluate_maps(mapped, None, MapSettings(cell_m=0.5), align="none")
+    assert (true.record.failure, "has the trajectory diverged" in failed.record.failure) == (None, True)
