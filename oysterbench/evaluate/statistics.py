@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.streams import stream
+from oysterbench.evaluate.quantiles import row_quantiles, signs_off_zero
 
 Sample = Mapping[str, Sequence[float]]
 """Sequence -> value of each run, NaN where the run has none."""
@@ -318,7 +319,7 @@ def bootstrap_intervals(values: Array, weights: Array | None = None) -> Array:
     found = np.full((len(values), 2), math.nan)
     for rows, known, drawn in _by_known(values):
         means = _resampled_rows(values[rows][:, known], None if weights is None else weights[rows][:, known], drawn)
-        found[rows] = _quantiles(means, _tails(int(known.sum())))
+        found[rows] = row_quantiles(means, _tails(int(known.sum())))
     return np.array([[_settled(value) for value in row] for row in found.tolist()]).reshape(found.shape)
 
 
@@ -341,7 +342,7 @@ def significant_signs(
             resampled = _resampled_rows(a[None], weights[known][None], drawn)
             resampled = resampled - _resampled_rows(b, weights_of_others[rows][:, known], drawn)
         scale = np.maximum(np.abs(a).max(), np.abs(b).max(axis=1))[:, None]
-        signs[rows] = _signs_off_zero(_off_rounding(resampled, scale), int(known.sum()))
+        signs[rows] = signs_off_zero(_off_rounding(resampled, scale), _tails(int(known.sum())))
     return signs
 
 
@@ -359,15 +360,6 @@ def _by_known(values: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.bool
             yield np.flatnonzero(which.ravel() == k), ~pattern, _weights(known)
 
 
-def _quantiles(values: Array, shares: Sequence[float]) -> Array:
-    """Quantiles (R, len(shares)) of each row (R, n), interpolated as in `np.quantile`, but along contiguous memory."""
-    places = [share * (values.shape[1] - 1) for share in shares]
-    kept = [place for at in places for place in (math.floor(at), math.ceil(at))]
-    ordered = np.partition(values, sorted(set(kept)), axis=1)
-    ends = [(ordered[:, math.floor(at)], ordered[:, math.ceil(at)], at - math.floor(at)) for at in places]
-    return np.stack([low + (high - low) * part for low, high, part in ends], axis=1)
-
-
 def _resampled_rows(values: Array, weights: Array | None, drawn: Array) -> Array:
     """Means (R, RESAMPLES) of resampled values (R, n); unweighted where the weights of a resample are all 0."""
     plain: Array = values @ drawn.T
@@ -375,22 +367,6 @@ def _resampled_rows(values: Array, weights: Array | None, drawn: Array) -> Array
         return plain
     total = weights @ drawn.T
     return np.where(total > 0, ((weights * values) @ drawn.T) / np.where(total > 0, total, 1.0), plain)
-
-
-def _signs_off_zero(resampled: Array, n: int) -> Array:
-    """Sign (R,) of the interval of each row (R, RESAMPLES), resampled over n sequences; 0 where it contains 0.
-
-    A quantile lies between two neighbouring sorted values: if both have the same sign, so does the quantile, and
-    counting is enough. It is computed only where zero falls between these two.
-    """
-    tails = _tails(n)
-    neighbour = math.floor(tails[0] * (resampled.shape[1] - 1))
-    below, above = np.count_nonzero(resampled <= 0, axis=1), np.count_nonzero(resampled >= 0, axis=1)
-    signs = np.where(below <= neighbour, 1.0, np.where(above <= neighbour, -1.0, 0.0))
-    for k in np.flatnonzero((np.minimum(below, above) == neighbour + 1) & (signs == 0)):
-        low, high = np.quantile(resampled[k], tails)
-        signs[k] = float(low > 0) - float(high < 0)
-    return signs
 
 
 def _difference(a: float, b: float) -> float:
