@@ -230,13 +230,14 @@ def _judge(weights: Path | None, keep: float | None, device: str = "cpu") -> Jud
             raise click.UsageError("--keep goes by what a judge sees: expected --judge beside it")
         return None
     from oysterbench.cli.render import frames_bar
-    from oysterbench.methods.weights import have_weights
+    from oysterbench.methods.weights import existing, have_weights
     from oysterbench_baselines.cut.judge import Judge
     from oysterbench_baselines.learning.loop import pick_device
 
-    named = used_path("unet") if weights == Path("unet") else weights
-    have_weights({"unet": named}, message, frames_bar)
-    return Judge(named, pick_device(device))
+    if weights != Path("unet"):  # of any of the U-Nets
+        return Judge(existing("unet", weights), pick_device(device))
+    have_weights({"unet": used_path("unet")}, message, frames_bar)
+    return Judge(used_path("unet"), pick_device(device))
 
 
 def _write(

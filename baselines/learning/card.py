@@ -17,7 +17,7 @@ from oysterbench_baselines.moving.labels import SET as MOVING
 LAST = 50
 """Number of final steps over which the loss is averaged."""
 BEGUN_LICENCE = "under the licence of those weights"
-ENCODER_LICENCE = "Apache License 2.0; trained on ImageNet, whose images are for research and teaching"
+ENCODER_LICENCE = "Apache License 2.0; learnt from ImageNet, whose pictures are for research and teaching"
 ENCODER_SOURCE = "https://github.com/tensorflow/tpu/tree/master/models/official/efficientnet/lite"
 
 

@@ -129,7 +129,7 @@ def test_a_video_is_measured_with_a_calibration_of_its_frames_as_they_are_stored
     clip = of_pixels(whole, tmp_path / "hdv.mp4", 4, 3)
     lens = Lens(SHAPE[1], SHAPE[0], np.array([[150.0, 0, 80], [0, 200, 60], [0, 0, 1]]), np.zeros(4))
     settings = Settings(sampling=Sampling(every=60), scale=same_for_all(AltitudeScale(lens, 2.0)))
-    found = Counting(find_sources([clip]).sources, Discs(), {}, Store(tmp_path / "out", False), settings).run()
+    found = Counting(find_sources([clip]).sources, Discs(), {}, Store(tmp_path / "out"), settings).run()
     assert not found.failures
     assert found.pictures[0].area_m2 == pytest.approx(160 / 150 * 2 * 120 / 200 * 2)
 
