@@ -80,7 +80,7 @@ def download(
     found = None if check else find_here(split_name, version or None, patterns, out)
     vouched = found is None or not hub_at or is_offline() or is_trusted(found[1])
     here, unvouched = (found, None) if vouched or found is None else (None, found[0])
-    ours_do = not hub_at or bool(version) or is_offline()  # or a hub may have newer ones
+    ours_do = not hub_at or is_offline()  # a hub may have newer ones, or others of the same version
     if not (split or out) and ours_do and (ours := part_of_oysterbench(name, version)):
         message(f"nothing to download: {ours.described}, is part of oysterbench; a hub may have others: --from URL")
         echo(json.dumps({"model": name, "file": str(ours.path), "sha256": ours.sha256}) if as_json else ours.path)

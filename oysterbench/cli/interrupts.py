@@ -25,7 +25,7 @@ RESUMED = {
 STARTED_OVER = ("release", "segment", "train")
 """Those of them that --again makes start over each time it is given; others go on with what it began."""
 
-TOLD = ("segment", "train")
+TOLD = STARTED_OVER
 """Those of them that say when they have started over (`started_over`)."""
 BEGUN = "oysterbench.started_over"
 

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from oysterbench.cli.echo import echo, message
+from oysterbench.cli.interrupts import started_over
 from oysterbench.cli.models import card_options, release_card
 from oysterbench.core.names import counted
 
@@ -38,7 +39,7 @@ def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Pat
     from oysterbench.core.errors import HubError
     from oysterbench.core.places import home
     from oysterbench.hub.publish import check_made_by
-    from oysterbench.hub.release import keep_read, not_read, put_together, write_release
+    from oysterbench.hub.release import forget_read, keep_read, not_read, put_together, write_release
     from oysterbench.recipe import load_split
     from oysterbench.sequence.truth import rig_topics
     from oysterbench.simulation.generate import digest, sequence_files, split_folder
@@ -55,6 +56,9 @@ def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Pat
     files = sequence_files(split, data or split_folder(split))
     todo = {name: files[name] for name in (wanted if again else not_read(kept, wanted))}
     check_made_by(todo, split.name, split.version, made_by, hidden=False, texts=split.texts)
+    if again:
+        forget_read(kept, wanted)
+        started_over()
     done, total = 0, sum(path.stat().st_size for path in todo.values())
     with bytes_bar(f"reading {split.name}") as progress:
         for name, path in todo.items():

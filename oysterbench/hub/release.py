@@ -56,6 +56,12 @@ def not_read(kept: Path, names: Sequence[str]) -> list[str]:
     return [name for name in names if not (kept / f"{name}.json").is_file()]
 
 
+def forget_read(kept: Path, names: Sequence[str]) -> None:
+    """Forget what was read of these sequences, so that they are read again."""
+    for name in names:
+        (kept / f"{name}.json").unlink(missing_ok=True)
+
+
 def put_together(
     kept: Path, facts: Mapping[str, str], names: Sequence[str], recipe_digest: str, texts: Mapping[str, bytes]
 ) -> Manifest:

@@ -125,9 +125,12 @@ def run_rollouts(
     files = {
         job: rollout_file(folder, job.reef, job.policy, _identity(plan, job, identities[job.policy])) for job in jobs
     }
+    if again:  # before the first is made: interrupted, the command without --again then takes none of them
+        for file in files.values():
+            file.unlink(missing_ok=True)
     found: dict[RolloutJob, RolloutLog | str] = {}
     for job in jobs:
-        kept = None if again else read_rollout(files[job])
+        kept = read_rollout(files[job])
         if kept is not None:
             found[job] = kept
     todo = [job for job in jobs if job not in found]

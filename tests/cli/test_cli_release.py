@@ -54,6 +54,27 @@ def test_a_split_is_released_from_its_files_which_may_go_afterwards(recipe, tmp_
     assert "does not exist yet" in run("release", recipe, *options, "--again", code=1).stderr
 
 
+def test_again_forgets_what_was_read_before_it_reads_anew(recipe, tmp_path, monkeypatch):
+    """Interrupted, the command without it does not take a description of an older file."""
+    options = ("--data", tmp_path / "data", "--out", tmp_path / "manifests")
+    words = ("release", recipe, *options)
+    run(*words)
+
+    def interrupt(*arguments, **options):
+        raise KeyboardInterrupt
+
+    kept = list((tmp_path / "home" / "releases").rglob("tiny-01.json"))
+    assert len(kept) == 1
+    monkeypatch.setattr("sys.argv", ["oysterbench", *map(str, words), "--again"])
+    with monkeypatch.context() as within:
+        within.setattr("oysterbench.hub.publish.check_made_by", interrupt)
+        assert "interrupted before anything was started over" in run(*words, "--again", code=130).stderr
+    assert kept[0].is_file()
+    monkeypatch.setattr("oysterbench.hub.release.keep_read", interrupt)
+    assert "the command without --again resumes from there" in run(*words, "--again", code=130).stderr
+    assert not kept[0].exists()
+
+
 def test_what_was_read_before_the_text_of_the_recipe_was_edited_is_not_released(recipe, tmp_path):
     """The digest leaves comments out, but files keep them: what everybody renders would be other content."""
     options = ("--data", tmp_path / "data", "--out", tmp_path / "manifests")

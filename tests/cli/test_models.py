@@ -305,8 +305,15 @@ def test_methods_run_on_weights_that_are_part_of_oysterbench(place, part, tmp_pa
     assert not (home / "models").exists()
     hub = {"OYSTERBENCH_HUB": "https://127.0.0.1:9", "OYSTERBENCH_OFFLINE": "1"}
     assert place.run("download", "unet_small", home=home, **hub).stdout == f"{path}\n"
-    hub.pop("OYSTERBENCH_OFFLINE")
-    assert place.run("download", "unet_small@1.0", home=home, **hub).stdout == f"{path}\n"
+
+
+def test_a_hub_that_is_named_is_asked_for_the_version_that_oysterbench_has_too(place, published, part, tmp_path):
+    """It may be another lab's, whose weights of that number are others."""
+    _, home = part
+    hub = ("--from", place.tree, "--key", place.public)
+    own = home / "models" / "unet_small.pt"
+    assert place.run("download", "unet_small@1.0", *hub, home=home).stdout == f"{own}\n"
+    assert own.is_file()
 
 
 def test_models_and_publishing_take_the_weights_that_a_variable_names(place, part, tmp_path):

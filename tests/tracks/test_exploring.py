@@ -249,6 +249,22 @@ def test_finished_rollouts_are_kept_and_made_anew_where_anything_is_different(tm
     assert len(calls) == 1
 
 
+def test_what_again_began_is_resumed_without_the_rollouts_of_before(tmp_path):
+    calls: list = []
+    run_rollouts(plan_rollouts(SPLIT, explore=counted([])), ["one", "two"], ["expert"], tmp_path)
+
+    def stopped(split, reef, policy, **options):
+        if calls:
+            raise KeyboardInterrupt
+        return counted(calls)(split, reef, policy, **options)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_rollouts(plan_rollouts(SPLIT, explore=stopped), ["one", "two"], ["expert"], tmp_path, again=True)
+    calls.clear()
+    run_rollouts(plan_rollouts(SPLIT, explore=counted(calls)), ["one", "two"], ["expert"], tmp_path)
+    assert [reef for reef, *_ in calls] == ["two"]
+
+
 def test_an_interrupted_evaluation_goes_on_from_there(tmp_path):
     calls: list = []
 
