@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +25,9 @@ from oysterbench_baselines.common.filter import (
 )
 from oysterbench_baselines.common.inertial import MOST_FORCE, MOST_RATE, is_plausible
 
+EARLY_NS = 1_000_000_000
+"""What precedes the first inertial sample by more is not kept: nothing is known of the motion then, and a camera that
+begins a minute earlier has gigabytes of images."""
 JITTER_NS = 10_000_000
 """By how much another sensor's first stamp may precede that of the inertial unit though both begin together."""
 
@@ -48,8 +52,8 @@ class StartSettings:
 
 @dataclass(frozen=True)
 class FirstMoments:
-    """What a sequence begins with: all items of the stream until then; stamps (N,), gyro and accel (N, 3) of the
-    inertial samples by which the vehicle is levelled."""
+    """What a sequence begins with: the items of the stream until then, but for those that are EARLY_NS before the first
+    inertial sample; stamps (N,), gyro and accel (N, 3) of the inertial samples by which the vehicle is levelled."""
 
     items: list[Any]
     stamps_ns: NDArray[np.int64]
@@ -63,9 +67,11 @@ def first_moments(method: str, sequence: str, stream: Iterator[Any], settings: S
     Samples that no motion explains are left out, as later: a single one would tilt the vehicle by degrees. Raises
     MethodError, with the names of method and sequence, where there are fewer than two others.
     """
-    items, inertial, begin_ns = list[Any](), list[ImuMeasurement](), 0
+    items, inertial, begin_ns = deque[Any](), list[ImuMeasurement](), 0
     for item in stream:
         items.append(item)
+        while not inertial and item.stamp_ns - items[0].stamp_ns > EARLY_NS:
+            items.popleft()
         if isinstance(item, ImuMeasurement) and is_plausible(item):
             if not inertial:
                 early = item.stamp_ns - items[0].stamp_ns > JITTER_NS
@@ -79,7 +85,7 @@ def first_moments(method: str, sequence: str, stream: Iterator[Any], settings: S
             f"of less than {MOST_RATE:g} rad/s and {MOST_FORCE:g} m/s^2, got {len(inertial)}"
         )
     return FirstMoments(
-        items,
+        list(items),
         np.array([sample.stamp_ns for sample in inertial], dtype=np.int64),
         np.array([sample.gyro for sample in inertial]),
         np.array([sample.accel for sample in inertial]),

@@ -108,9 +108,14 @@ class EurocSequence(Sequence):
     def _bits_of(self, camera: str) -> int:
         """Bits of a camera whose images are stored in 16: by all of them, since a dark one by itself may use fewer."""
         if camera not in self._bits:
-            stored = (_decoded(path) for _, path, _ in self._pictures(camera))
-            most = max(int(pixels.max()) for pixels in stored if pixels is not None and pixels.dtype == np.uint16)
-            self._bits[camera] = used_bits(most)
+            bits = 8
+            for _, path, _ in self._pictures(camera):
+                pixels = _decoded(path)
+                if pixels is not None and pixels.dtype == np.uint16:
+                    bits = max(bits, used_bits(int(pixels.max())))
+                if bits == 16:  # there are no more
+                    break
+            self._bits[camera] = bits
         return self._bits[camera]
 
     def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:

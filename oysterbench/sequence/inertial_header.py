@@ -11,20 +11,19 @@ from oysterbench.core.trajectory.columns import UNIT_WORDS
 RATE, FORCE = "angular rate in rad/s", "specific force in m/s^2"
 WORDS = {
     RATE: {"w", "g", "gyr", "gyro", "gyroscope", "omega", "angular"},
-    FORCE: {"a", "acc", "accel", "acceleration", "accelerometer", "linear"},
+    FORCE: {"a", "f", "acc", "accel", "acceleration", "accelerometer", "linear", "force"},
 }
 """Words in the names of columns, by what they hold."""
 
-UNITS = {
-    RATE: {"", "rad/s", "rad/sec", "rads-1", "radians/s", "1/s", "s-1"},
-    FORCE: {"", "m/s2", "m/sec2", "ms-2", "m/s/s"},
-}
-"""Units of each, without blanks and signs of powers and products."""
+UNITS = {RATE: {"", "rad/s", "rads-1", "1/s", "s-1"}, FORCE: {"", "m/s2", "ms-2", "m/s/s"}}
+"""Units of each, as `_unit` writes them."""
 
 OTHER_UNITS = {"deg", "degs", "degrees", "dps", "mdps", "g", "mg"}
 """Units that stand after the axis in the names of some tables, as in `gyro_x_deg_s`."""
 
-PLAIN = str.maketrans({"\u207b": "-", "\u00b2": "2", "\u00b9": "1", **dict.fromkeys(" ^*\u00b7")})
+PLAIN = str.maketrans({"\u207b": "-", "\u00b2": "2", "\u00b9": "1", **dict.fromkeys(" ^*.\u00b7")})
+SHORT = {"squared": "2", "per": "/", r"met(er|re)(s(?!-2))?": "m", r"radian(s(?!-1))?": "rad", r"sec(ond)?s?": "s"}
+"""Words in the name of a unit, once its blanks are gone, and the short ones."""
 
 
 def check_inertial_header(path: Path, names: list[str]) -> None:
@@ -53,4 +52,16 @@ def _parts(name: str) -> tuple[list[str], str]:
     words = re.findall(r"[a-z]+|[0-9]+", (name[: bracket.start()] if bracket else name).lower())
     known = "|".join(sorted(WORDS[RATE] | WORDS[FORCE], key=len, reverse=True))
     split = [word for one in words for word in re.sub(rf"^({known})([xyz])$", r"\1 \2", one).split()]
-    return split, bracket.group(1).lower().translate(PLAIN) if bracket else ""
+    return split, _unit(bracket.group(1)) if bracket else ""
+
+
+def _unit(text: str) -> str:
+    """A unit in short words, without blanks and signs of powers and products.
+
+    >>> [_unit(text) for text in ("rad s^-1", "radians/sec", "meters per second squared")]
+    ['rads-1', 'rad/s', 'm/s2']
+    """
+    unit = text.lower().translate(PLAIN)
+    for word, short in SHORT.items():
+        unit = re.sub(word, short, unit)
+    return unit

@@ -163,6 +163,7 @@ def test_the_vehicle_is_levelled_by_a_second_of_samples_whatever_begins_before_t
     first = first_moments("mine", "theirs", iter(stream), StartSettings())
     assert first.stamps_ns[0] == 0
     assert first.stamps_ns[-1] == 1_005_000_000, "the first one after it"
+    assert first.items == [item for item in stream if -1_000_000_000 <= item.stamp_ns <= 1_005_000_000]
     with pytest.raises(MethodError, match=r"^mine: expected inertial samples in the first 1 s .* theirs, .* got 0$"):
         first_moments("mine", "theirs", iter(pictures), StartSettings())
 

@@ -119,12 +119,34 @@ def test_a_table_of_two_poses_is_refused_with_a_column_of_each(tmp_path, header,
         (f"t,imu_qx,imu_qy,imu_qz,imu_qw,{pose('odom_p', 'odom_q')},target_p_z", "1.5,0,1,0,0,1,2,3,0,0,0,1,9"),
         (f"t,{pose('p_RS_R', 'q_RS')}", "1.5,1,2,3,0,0,0,1"),
         (f"time,stamp,{pose('p', 'q')}", "9,1.5,1,2,3,0,0,0,1"),
+        (f"t,{pose('pos', 'q')},pos_std_x,pos_std_y,pos_std_z", "1.5,1,2,3,0,0,0,1,9,9,9"),
+        (f"t,{pose('p', 'q')},p_err_x,p_err_y,p_err_z,q_err_x,q_err_y,q_err_z,q_err_w", "1.5,1,2,3,0,0,0,1" + ",9" * 7),
+        (f"t,{pose('p', 'q')},rot_x,rot_y,rot_z", "1.5,1,2,3,0,0,0,1,9,9,9"),
+        (f"t,rot_x,rot_y,rot_z,{pose('p', 'q')}", "1.5,9,9,9,1,2,3,0,0,0,1"),
+        (f"t,{pose('p_W', 'q_WB')}", "1.5,1,2,3,0,0,0,1"),
+        ("t,x,y,z,qx,qy,qz,w", "1.5,1,2,3,0,0,0,1"),
     ],
 )
 def test_columns_that_belong_to_no_second_pose_are_left_aside(tmp_path, header, line):
     read = read_trajectory(written(tmp_path, f"{header}\n{line}\n".encode()))
     assert read.stamps_ns.tolist() == [1_500_000_000]
     np.testing.assert_array_equal(np.hstack([read.positions, read.quaternions]), [[1, 2, 3, 0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize("unit", ["s", "ns"])
+def test_the_unit_of_stamps_in_two_columns_is_not_asked_for(tmp_path, unit):
+    path = written(tmp_path, f"stamp_sec,stamp_nsec,{pose('p', 'q')}\n1,500000000,1,2,3,0,0,0,1\n".encode())
+    with pytest.raises(
+        TrajectoryError, match=f"'stamp_sec' and 'stamp_nsec', of s and ns; leave --time-unit {unit} out"
+    ):
+        read_trajectory(path, time_unit=unit)
+    assert read_trajectory(path).stamps_ns.tolist() == [1_500_000_000]
+
+
+@pytest.mark.parametrize(("unit", "stamp"), [("s", 1_250_000_000), ("ns", 1_500_000_000)])
+def test_of_stamps_in_two_units_the_one_that_is_asked_for_is_read(tmp_path, unit, stamp):
+    path = written(tmp_path, f"stamp_sec,stamp_nsec,{pose('p', 'q')}\n1.25,1500000000,1,2,3,0,0,0,1\n".encode())
+    assert read_trajectory(path, time_unit=unit).stamps_ns.tolist() == [stamp]
 
 
 def test_a_part_of_a_covariance_is_left_out_and_said(tmp_path):

@@ -232,6 +232,18 @@ def test_an_exact_first_pose_costs_no_consistency_where_the_truth_is_faster(alig
         assert claimed.reasons["nees_pose"] == why
 
 
+def test_matches_of_an_exact_first_pose_alone_are_no_samples():
+    truth, estimate = drifting(stream(14, b"", "drift"))
+    covariances = estimate.covariances.copy()
+    covariances[0] = 0
+    first, claimed = (
+        Trajectory(one.stamps_ns[:3], one.positions[:3], one.quaternions[:3], covariances[:3])
+        for one in (truth, estimate)
+    )
+    with pytest.raises(ValueError, match="no pose was matched but the first one"):
+        nees(first, claimed, "origin", IDENTITY, by_first=3)
+
+
 @pytest.mark.parametrize("align", ["posyaw", "origin"])
 def test_an_estimate_that_calls_itself_exact_for_long_is_not_excused_for_it(align):
     truth, estimate = drifting(stream(14, b"", "drift"))

@@ -184,6 +184,9 @@ def test_inertial_columns_that_are_not_the_layouts_by_their_names_are_refused(fo
         "t;gx (rad/s);gy (rad/s);gz (rad/s);accX (m/s\u00b2);accY (m/s\u00b2);accZ (m/s\u00b2);temperature [C]",
         "%time,field.angular_velocity.x,field.angular_velocity.y,field.angular_velocity.z,"
         "field.linear_acceleration.x,field.linear_acceleration.y,field.linear_acceleration.z",
+        "t,w_x [radians/sec],w_y [rad s^-1],w_z [rad.s^-1],a_x [meters/s^2],a_y [m/sec^2],a_z [m per second squared]",
+        "t,w_x,w_y,w_z,f_w_x,f_w_y,f_w_z",
+        "t,gyro_x,gyro_y,gyro_z,specific_force_x,specific_force_y,specific_force_z",
         "# of a diver, in the bay",
     ],
 )

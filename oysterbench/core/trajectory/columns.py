@@ -30,6 +30,10 @@ OTHER_LENGTHS = {"um", "cm", "dm", "km", "ft", "inch"} | {
     for word in (one, f"{one}s")
 }
 """Words of units that positions are not read in, so that a name that ends in one is known to be that of a position."""
+SPREAD_WORDS = {"std", "stddev", "stdev", "sd", "sigma", "var", "variance", "err", "error", "rms", "rmse"}
+"""Words in the names of columns that say how far off a pose is, and are no pose."""
+LONGEST_FRAMES = 3
+"""Letters of a word that is taken for those of frames."""
 COVARIANCE_WORDS = {"cov", "covariance", "covariances"}
 COVARIANCE_AXES = {name: k // 2 for k, name in enumerate(("x", "px", "y", "py", "z", "pz"))} | {
     f"{prefix}{axis}": 3 + k for prefix in ("r", "rot") for k, axis in enumerate("xyz")
@@ -96,10 +100,10 @@ KITTI = Columns("12 numbers r11 r12 r13 tx ... r33 tz", None, (3, 7, 11), (), ex
 KITTI_MATRIX = (0, 1, 2, 4, 5, 6, 8, 9, 10)
 
 
-def named_columns(names: list[str], two_parts: bool = True) -> Columns | None:
+def named_columns(names: list[str], two_parts: bool = True, time_unit: str | None = None) -> Columns | None:
     """Columns that a header names, or None where it does not name a stamp, a position and a quaternion. two_parts:
-    whether a stamp may be in two columns."""
-    found: dict[Prefix, dict[str, list[int]]] = {}
+    whether a stamp may be in two columns; time_unit: of the one that is meant, where there are several."""
+    found: dict[Prefix, dict[str, list[tuple[int, str]]]] = {}
     covariance: dict[tuple[int, int], int] = {}
     stamps: list[tuple[list[str], int]] = []
     units: dict[int, str] = {}
@@ -109,7 +113,7 @@ def named_columns(names: list[str], two_parts: bool = True) -> Columns | None:
         if cell := _covariance_cell(words):
             covariance.setdefault(cell, k)
         elif role := _role(words):
-            found.setdefault(role[0], {}).setdefault(role[1], []).append(k)
+            found.setdefault(role[0], {}).setdefault(role[1], []).append((k, role[2]))
         elif _is_time(words):
             stamps.append((words, k))
         if words and words[-1] in PARTS and (len(words) == 1 or _is_time(words)):
@@ -117,13 +121,14 @@ def named_columns(names: list[str], two_parts: bool = True) -> Columns | None:
     beyond = None
     if two_parts and (whole := next((found for found in parts.values() if {"s", "ns"} <= found.keys()), None)):
         stamps, beyond = [(["s"], whole["s"])], whole["ns"]
-    pose = _pose(found)
+    pose = _pose({prefix: _consistent(columns) for prefix, columns in found.items()})
     if pose is None or not stamps:
         return None
     position, quaternion, of_pose = pose
+    of_unit = [_time_unit(words, units[k]) for words, k in stamps]
+    if time_unit in of_unit:
+        stamps = [stamp for stamp, unit in zip(stamps, of_unit, strict=True) if unit == time_unit]
     chosen, of_stamps = _stamp(stamps)
-    words, unit = stamps[chosen][0], units[stamps[chosen][1]]
-    spelled = next((UNIT_WORDS[word] for word in words if word in UNIT_WORDS), None)
     lengths = dict.fromkeys(LENGTH_WORDS.get(units[k], units[k]) for k in position)
     return Columns(
         ",".join(names)[:80],
@@ -132,11 +137,24 @@ def named_columns(names: list[str], two_parts: bool = True) -> Columns | None:
         tuple(quaternion),
         covariance,
         beyond,
-        UNIT_WORDS.get(unit, spelled),
+        _time_unit(stamps[chosen][0], units[stamps[chosen][1]]),
         " and ".join(lengths),
         named=True,
         rivals=tuple(names[k] for k in of_pose or of_stamps),
     )
+
+
+def _consistent(found: dict[str, list[tuple[int, str]]]) -> dict[str, list[int]]:
+    """Columns of each role, from columns and the words that say it: where one word has all axes, those of another that
+    lacks some are no part of the pose, as Euler's angles rot_x, rot_y, rot_z beside qx to qw."""
+    chosen: dict[str, list[int]] = {}
+    for roles in (("px", "py", "pz"), ("qx", "qy", "qz", "qw")):
+        columns = {role: found[role] for role in roles if role in found}
+        words = {word for of in columns.values() for _, word in of}
+        whole = {word for word in words if all(word in {one for _, one in columns.get(role, ())} for role in roles)}
+        for role, of in columns.items():
+            chosen[role] = [k for k, word in of if word in (whole or words)]
+    return {role: of for role, of in chosen.items() if of}
 
 
 def _pose(found: dict[Prefix, dict[str, list[int]]]) -> tuple[list[int], list[int], list[int]] | None:
@@ -170,10 +188,17 @@ def _stamp(stamps: list[tuple[list[str], int]]) -> tuple[int, list[int]]:
     return called[0], [] if other is None else [stamps[called[0]][1], stamps[other][1]]
 
 
+def _time_unit(words: list[str], unit: str) -> str | None:
+    """Unit of stamps by the words of their name and what it has in brackets; None where they do not say."""
+    spelled = next((UNIT_WORDS[word] for word in words if word in UNIT_WORDS), None)
+    return UNIT_WORDS.get(unit, spelled)
+
+
 def _nested(one: Prefix, other: Prefix) -> bool:
-    """Whether one of two prefixes begins with the other."""
+    """Whether one of two prefixes begins with the other, as words or, of frames, as letters: W and WB of p_W, q_WB."""
     least = min(len(one), len(other))
-    return one[:least] == other[:least]
+    frames = len(one) == len(other) == 1 and max(len(one[0]), len(other[0])) <= LONGEST_FRAMES
+    return one[:least] == other[:least] or (frames and (one[0].startswith(other[0]) or other[0].startswith(one[0])))
 
 
 def _words(name: str) -> tuple[list[str], str]:
@@ -186,20 +211,22 @@ def _words(name: str) -> tuple[list[str], str]:
     return (words[:-1], words[-1]) if length else (words, "")
 
 
-def _role(words: list[str]) -> tuple[Prefix, str] | None:
-    """Whose number a column's words name, and its role: `px` to `pz`, `qx` to `qw`; or None."""
+def _role(words: list[str]) -> tuple[Prefix, str, str] | None:
+    """Whose number a column's words name, its role, `px` to `pz` or `qx` to `qw`, and the word for it; or None."""
     if not words:
         return None
     *before, last = words
+    if SPREAD_WORDS & set(before):
+        return None
     if re.fullmatch(r"q[xyzw]|[pt][xyz]", last):
         before, last = [*before, last[0]], last[1]
     if last not in set("xyzw"):
         return None
-    if QUATERNION_WORDS & set(before):
-        return tuple(word for word in before if word not in QUATERNION_WORDS), f"q{last}"
-    if last != "w" and (not before or POSITION_WORDS & set(before)):
-        return tuple(word for word in before if word not in POSITION_WORDS), f"p{last}"
-    return ((), "qw") if last == "w" and not before else None
+    for letter, known in (("q", QUATERNION_WORDS), ("p", POSITION_WORDS)):
+        said = [word for word in before if word in known]
+        if said and (letter, last) != ("p", "w"):
+            return tuple(word for word in before if word not in known), f"{letter}{last}", said[-1]
+    return None if before else ((), "qw" if last == "w" else f"p{last}", "")
 
 
 def _is_time(words: list[str]) -> bool:

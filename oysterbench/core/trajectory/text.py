@@ -50,6 +50,11 @@ def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
         table = read_table(text, head.begin, columns, str(path))
     if columns.stamp is None:
         return _kitti(table, path, options)
+    if columns.beyond is not None and options.time_unit is not None:
+        raise TrajectoryError(
+            f"{path}: expected no unit of the stamps, which are in two columns, {head.names[columns.stamp]!r} and "
+            f"{head.names[columns.beyond]!r}, of s and ns; leave --time-unit {options.time_unit} out"
+        )
     place = {column: k for k, column in enumerate(columns.numbers)}
     notes: list[str] = []
     trajectory = Trajectory(
@@ -173,7 +178,7 @@ def _is_header(fields: list[str]) -> bool:
 def _columns(head: _Head, path: Path, options: ReadOptions, parts: bool = True) -> Columns:
     """Column layout: as requested, as a header names it, or as the number of columns and their separator indicate, with
     the requested order of the quaternion. parts: whether two columns may make up one stamp."""
-    columns = _layout(head, path, options, parts and options.time_unit is None)
+    columns = _layout(head, path, options, parts)
     if options.quaternion is None or not columns.quaternion:
         return columns
     first = min(columns.quaternion)
@@ -184,7 +189,7 @@ def _columns(head: _Head, path: Path, options: ReadOptions, parts: bool = True) 
 
 
 def _layout(head: _Head, path: Path, options: ReadOptions, parts: bool) -> Columns:
-    named = named_columns(head.names, parts) if len(head.names) <= len(head.first) else None
+    named = named_columns(head.names, parts, options.time_unit) if len(head.names) <= len(head.first) else None
     if options.format == "kitti":
         return KITTI
     if options.format == "tum":

@@ -70,7 +70,7 @@ def nees(truth: Trajectory, estimate: Trajectory, align: Align, fit: Similarity,
     in the axes of its world frame, and rotate and scale with it. If the first pose is used for alignment, it is not a
     sample, and may be exact: (N - 1,), or (N - by_first,) if it is exact. by_first: how many matched poses, from the
     first on, have the covariance of the same pose of the estimate, to which a faster truth is matched several times.
-    Raises ValueError where another covariance is not positive definite, or one is not finite.
+    Raises ValueError where another covariance is not positive definite, or one is not finite, or there is no sample.
     """
     covariances = estimate.covariances
     if covariances is None:
@@ -78,6 +78,8 @@ def nees(truth: Trajectory, estimate: Trajectory, align: Align, fit: Similarity,
     at_first = align not in ("none", "scale")
     begin = (by_first if _is_singular(covariances[0]) else 1) if at_first else 0
     _check(covariances, begin)
+    if begin >= len(covariances):
+        raise ValueError("no pose was matched but the first one, by which the estimate is aligned")
     change = _by_first(truth, estimate, align, fit.scale) if at_first else fit
     aligned = Trajectory(truth.stamps_ns, change.apply(estimate.positions), change.rotate(estimate.quaternions))
     turn = scipy.spatial.transform.Rotation.from_quat(absolute_errors(truth, aligned).turn).as_rotvec()
