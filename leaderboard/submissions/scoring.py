@@ -164,7 +164,7 @@ class PathScorer(Scorer):
 
     def open(self, path: Path, sequence: str) -> str:
         from oysterbench.sequence import open_sequence
-        from oysterbench.tracks.slam import truth_digest
+        from oysterbench.tracks.slam_truth import truth_digest
 
         self._truth, self._sequence = open_sequence(path).truth(), sequence
         return truth_digest(self._truth)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Literal
 
 import numpy as np
@@ -40,7 +40,8 @@ TIE = 1e-9
 """Relative difference below which two values are equal: they differ by rounding errors."""
 
 ZERO = 1e-12
-"""Mean of differences, relative to the largest value, below which it is zero: exact ties add up to rounding errors."""
+"""Mean of differences, relative to that of the values compared, below which it is zero: exact ties add up to rounding
+errors."""
 
 LEAST_SEQUENCES = 6
 """Minimum number of sequences for an interval. The mean of a symmetric population lies within the range of n values
@@ -192,21 +193,30 @@ def bootstrap_interval(values: Array, weights: Array | None = None) -> Interval:
     n = len(values)
     if n < LEAST_SEQUENCES:
         return Interval(math.nan, math.nan, too_few(n))
-    return _interval_of(tuple(values.tolist()), None if weights is None else tuple(weights.tolist()), 0.0)
+    return _interval_of(tuple(values.tolist()), None if weights is None else tuple(weights.tolist()))
 
 
 @lru_cache(maxsize=8192)
-def _interval_of(values: tuple[float, ...], weights: tuple[float, ...] | None, scale: float) -> Interval:
+def _interval_of(
+    values: tuple[float, ...], weights: tuple[float, ...] | None, sizes: tuple[float, ...] | None = None
+) -> Interval:
     """`bootstrap_interval` with a cache: every page of a site that compares a method asks for its intervals again.
-    scale: for differences, as in `_off_rounding`"""
+    sizes: where the values are differences, as in `_off_rounding`"""
     means = _resampled_means(np.array(values), None if weights is None else np.array(weights))
-    return resampled_interval(_off_rounding(means, scale), len(values))
+    if sizes is not None:
+        means = _off_rounding(means[None], (np.array(sizes)[None], None))[0]
+    return resampled_interval(means, len(values))
 
 
-def _off_rounding(means: Array, scale: float | Array) -> Array:
-    """Resampled means of differences, with those set to 0 that are rounding errors. scale: the largest magnitude of
-    the values compared; one for each row, or for all."""
-    return np.where(np.abs(means) <= ZERO * scale, 0.0, means)
+def _off_rounding(means: Array, *compared: tuple[Array, Array | None]) -> Array:
+    """Resampled means (R, RESAMPLES) of differences, with those set to 0 that are rounding errors: small beside the
+    resampled means of what is compared. A method that diverged on one sequence thus makes no ties of resamples without
+    it. compared: magnitudes (R, n), or (1, n), and their weights, if any."""
+    largest = np.max([sizes.max() for sizes, _ in compared])
+    if not (np.abs(means) <= ZERO * largest).any():
+        return means
+    rows = [_resampled_rows(sizes, weights, _weights(sizes.shape[1])) for sizes, weights in compared]
+    return np.where(np.abs(means) <= ZERO * reduce(np.maximum, rows), 0.0, means)
 
 
 def _resampled_means(values: Array, weights: Array | None) -> Array:
@@ -288,10 +298,10 @@ def compare(
         return Comparison(
             0, math.nan, Interval(math.nan, math.nan, "no common sequence"), 0, 0, 0, "not significantly different"
         )
-    scale = max(abs(means[name]) for means in (means_a, means_b) for name in shared)
     difference, interval = mean_of(differences), Interval(math.nan, math.nan, too_few(len(shared)))
     if weights is None and len(shared) >= LEAST_SEQUENCES:
-        interval = _interval_of(tuple(differences.tolist()), None, scale)
+        sizes = tuple(max(abs(means_a[name]), abs(means_b[name])) for name in shared)
+        interval = _interval_of(tuple(differences.tolist()), None, sizes)
     if weights is not None:
         difference, interval = _weighed_difference(
             *(np.array([m[name] for name in shared]) for m in (means_a, means_b)),
@@ -310,7 +320,8 @@ def _weighed_difference(a: Array, b: Array, weights_a: Array, weights_b: Array) 
     if len(a) < LEAST_SEQUENCES:
         return difference, Interval(math.nan, math.nan, too_few(len(a)))
     resampled = _resampled_means(a, weights_a) - _resampled_means(b, weights_b)
-    return difference, resampled_interval(_off_rounding(resampled, max(np.abs(a).max(), np.abs(b).max())), len(a))
+    compared = [(np.abs(values)[None], weights[None]) for values, weights in ((a, weights_a), (b, weights_b))]
+    return difference, resampled_interval(_off_rounding(resampled[None], *compared)[0], len(a))
 
 
 def bootstrap_intervals(values: Array, weights: Array | None = None) -> Array:
@@ -337,12 +348,14 @@ def significant_signs(
             # Where all differences have the same sign, so have all resamples: nothing to compute.
             unclear = (differences <= 0).any(axis=1) & (differences >= 0).any(axis=1)
             signs[rows] = np.sign(differences.sum(axis=1))
-            rows, b, resampled = rows[unclear], b[unclear], differences[unclear] @ drawn.T
+            rows, resampled = rows[unclear], differences[unclear] @ drawn.T
+            compared: list[tuple[Array, Array | None]] = [(np.maximum(np.abs(a), np.abs(b[unclear])), None)]
         else:
-            resampled = _resampled_rows(a[None], weights[known][None], drawn)
-            resampled = resampled - _resampled_rows(b, weights_of_others[rows][:, known], drawn)
-        scale = np.maximum(np.abs(a).max(), np.abs(b).max(axis=1))[:, None]
-        signs[rows] = signs_off_zero(_off_rounding(resampled, scale), _tails(int(known.sum())))
+            of_a, of_b = weights[known][None], weights_of_others[rows][:, known]
+            resampled = _resampled_rows(a[None], of_a, drawn) - _resampled_rows(b, of_b, drawn)
+            compared = [(np.abs(a)[None], of_a), (np.abs(b), of_b)]
+        if len(rows):
+            signs[rows] = signs_off_zero(_off_rounding(resampled, *compared), _tails(int(known.sum())))
     return signs
 
 

@@ -21,6 +21,7 @@ from oysterbench.core.places import leads_out
 from oysterbench.core.text import as_unicode
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.core.trajectory.frames import poses_of_body
+from oysterbench.core.trajectory.read import EUROC_TRUTH
 from oysterbench.sensors.camera import KIND as CAMERA
 from oysterbench.sensors.imu import KIND as IMU
 from oysterbench.sequence.inertial_header import check_inertial_header
@@ -61,7 +62,7 @@ class EurocSequence(Sequence):
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
         root = self.folder / "mav0"
-        self._root, self._states = root, root / "state_groundtruth_estimate0" / "data.csv"
+        self._root = root
         self._bits: dict[str, int] = {}
         self.name = as_unicode(self.folder.resolve().name)
         self.metadata = {"sequence": self.name, "format": "euroc"}
@@ -156,18 +157,24 @@ class EurocSequence(Sequence):
 
     @property
     def has_truth(self) -> bool:
-        return self._states.is_file()
+        return (self.folder / EUROC_TRUTH).is_file()
 
     def truth(self) -> Trajectory:
-        if not self.has_truth:
-            raise NoTruthError(f"{self.folder} has no ground truth: {self._states} is absent")
-        states = read_trajectory(self._states)
-        sensor = self._states.with_name("sensor.yaml")
-        T_body_sensor = _read_sensor(sensor, _pose_if_given) if sensor.is_file() else np.eye(4)
-        if np.array_equal(T_body_sensor, np.eye(4)):
-            return states
-        # The poses are those of the sensor that measured them, such as a marker: p_RS_R, q_RS.
-        return replace(poses_of_body(states, T_body_sensor), T_body_estimate=None)
+        return true_poses(self.folder)
+
+
+def true_poses(folder: Path) -> Trajectory:
+    """Ground truth of a folder in EuRoC layout, whatever else is in it. Raises NoTruthError where there is none,
+    TrajectoryError or SequenceError where it cannot be read."""
+    path = folder / EUROC_TRUTH
+    if not path.is_file():
+        raise NoTruthError(f"{folder} has no ground truth: {path} is absent")
+    states, sensor = read_trajectory(path), path.with_name("sensor.yaml")
+    T_body_sensor = _read_sensor(sensor, _pose_if_given) if sensor.is_file() else np.eye(4)
+    if np.array_equal(T_body_sensor, np.eye(4)):
+        return states
+    # The poses are those of the sensor that measured them, such as a marker: p_RS_R, q_RS.
+    return replace(poses_of_body(states, T_body_sensor), T_body_estimate=None)
 
 
 def _within(stamp_ns: int, start_ns: int | None, end_ns: int | None) -> bool:

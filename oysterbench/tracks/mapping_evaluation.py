@@ -28,7 +28,7 @@ from oysterbench.recipe import SplitRecipe
 from oysterbench.report.density import DensityRun
 from oysterbench.results.records import ResultRecord
 from oysterbench.sequence import Sequence
-from oysterbench.tracks.slam import truth_digest
+from oysterbench.tracks.slam_truth import truth_digest
 from oysterbench.tracks.track import Announce, about_sequence
 
 TRUE_POSES = "true poses"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -37,7 +36,8 @@ from oysterbench.sequence import Sequence as SensorSequence
 from oysterbench.sequence import open_sequence
 from oysterbench.sequence.truth import rig_topics
 from oysterbench.simulation.generate import digest
-from oysterbench.tracks.slam_options import OPTIONS, check_not_read, read_options
+from oysterbench.tracks.slam_options import OPTIONS, read_options
+from oysterbench.tracks.slam_truth import true_poses_of, truth_digest
 from oysterbench.tracks.track import (
     Evaluation,
     Finished,
@@ -333,32 +333,12 @@ def score_files(
     estimate_options: ReadOptions | None = None,
 ) -> SlamRun:
     """Score one trajectory file against another; the options say what the files leave open."""
-    pair = open_pair(_true_poses(truth, truth_options), estimate, settings, truth_options, estimate_options)
+    pair = open_pair(true_poses_of(truth, truth_options), estimate, settings, truth_options, estimate_options)
     result = score(*pair, settings)
     given, answered = as_unicode(truth.name), as_unicode(estimate.name)
     about = about_sequence("slam", None, given, truth_digest(pair[0]), settings.as_dict(), EVALUATOR)
     record = ResultRecord(**about, method=answered, metrics=result.metrics, reasons=result.reasons, notes=result.notes)
     return SlamRun(record, result, [])
-
-
-def _true_poses(place: Path, options: ReadOptions | None) -> Path | Trajectory:
-    """Ground truth of an oysterbench sequence, if the file is one and no topic is requested; else the file itself.
-    Raises OptionError where options say how to read a file in place of the sequence."""
-    if (place.suffix == ".mcap" or place.is_dir()) and (options is None or options.topic is None):
-        with suppress(SequenceError):
-            truth = open_sequence(place).truth()
-            if options is not None:
-                check_not_read(options)
-            return truth
-    return place
-
-
-def truth_digest(truth: Trajectory) -> str:
-    """SHA-256 of stamps and poses, which shows whether two results refer to the same ground truth."""
-    text = hashlib.sha256()
-    for array in (truth.stamps_ns, truth.positions, truth.quaternions):
-        text.update(array.tobytes())
-    return text.hexdigest()
 
 
 def sample_frames(sequence: SensorSequence) -> list[tuple[int, bytes]]:

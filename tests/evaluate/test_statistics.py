@@ -127,6 +127,19 @@ def test_rounding_is_no_victory():
     assert (against.wins, against.ties, against.losses, against.verdict) == (0, 8, 0, "not significantly different")
 
 
+@pytest.mark.parametrize("far", [1e3, 1e11, 1e13, 1e18])
+def test_who_diverges_on_one_sequence_ties_on_no_other(far):
+    mine, theirs = (np.array([start + 0.01 * k for k in range(8)]) for start in (0.5, 1.0))
+    theirs[3] = far
+    equal = np.ones(8)
+    for whole in (None, (sample(equal), sample(equal))):
+        found = compare(sample(mine), sample(theirs), "lower", whole)
+        assert (found.verdict, found.wins) == ("better", 8)
+        assert found.interval.high < -0.4
+    assert significant_signs(mine, theirs[None]) == -1
+    assert significant_signs(mine, theirs[None], equal, equal[None]) == -1
+
+
 def test_an_interval_that_ends_at_zero_exactly_tells_nobody_apart_whoever_else_is_compared():
     """Scores in steps of 0.01, as of a hidden split: in whole hundredths the interval of the last pair begins at 0."""
     rows = [

@@ -7,10 +7,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import oysterbench
-from oysterbench.core.errors import TrajectoryError
-from oysterbench.core.trajectory import Trajectory, read_trajectory, write_npz, write_tum
+from oysterbench.core.errors import SequenceError, TrajectoryError
+from oysterbench.core.trajectory import ReadOptions, Trajectory, read_trajectory, write_npz, write_tum
 from oysterbench.evaluate.slam.scoring import SlamSettings
 from oysterbench.tracks.slam import (
     FRAMES_IN_REPORT,
@@ -20,8 +21,9 @@ from oysterbench.tracks.slam import (
     own_sequences,
     sample_frames,
     score_files,
-    truth_digest,
 )
+from oysterbench.tracks.slam_truth import true_poses_of, truth_digest
+from tests.helpers.dives import survey
 from tests.helpers.euroc import FRAMES, Folder
 from tests.helpers.track_runs import finished_of, runs_of
 
@@ -176,3 +178,30 @@ def test_files_are_scored_under_their_names(truth, tmp_path):
     run = score_files(tmp_path / "truth.tum", tmp_path / "moved.tum", SlamSettings(align="none"))
     assert run.record.method == "moved.tum"
     assert run.record.metrics["ate_rmse_m"] == pytest.approx(np.sqrt(14.0), abs=1e-6)
+
+
+def test_a_folder_is_scored_against_by_its_true_poses_alone_and_by_their_file(tmp_path):
+    """Whatever its inertial columns are called; and where a marker was measured, by the poses of the body."""
+    folder = Folder(tmp_path / "dive")
+    folder.change("imu0/data.csv", "w_x,w_y,w_z", "w_x [deg s^-1],w_y,w_z")
+    with pytest.raises(SequenceError, match="has no ground truth: "):
+        true_poses_of(folder.path, None)
+    truth = survey(duration_s=20)
+    measured = truth.positions + Rotation.from_quat(truth.quaternions).apply([0.3, 0.0, 0.1])
+    write_tum(truth, tmp_path / "mine.tum")
+    order = [3, 0, 1, 2]
+    rows = zip(truth.stamps_ns.tolist(), measured.tolist(), truth.quaternions[:, order].tolist(), strict=True)
+    folder.write(
+        "state_groundtruth_estimate0/data.csv",
+        "".join(f"{stamp},{','.join(map(str, [*position, *attitude]))}\n" for stamp, position, attitude in rows),
+    )
+    lever = "T_BS: [1, 0, 0, 0.3, 0, 1, 0, 0, 0, 0, 1, 0.1, 0, 0, 0, 1]"
+    folder.write("state_groundtruth_estimate0/sensor.yaml", lever)
+    file = folder.root / "state_groundtruth_estimate0" / "data.csv"
+    for place in (folder.path, file):
+        run = score_files(place, tmp_path / "mine.tum", SlamSettings())
+        assert run.record.metrics["ate_rmse_m"] < 1e-6
+    assert true_poses_of(file, ReadOptions(time_unit="ns")) == file, "read as it is said to be"
+    folder.write("state_groundtruth_estimate0/sensor.yaml", "T_BS: null")
+    with pytest.raises(SequenceError, match=r"state_groundtruth_estimate0/sensor\.yaml: T_BS, data: expected 16"):
+        true_poses_of(folder.path, None)
