@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TypeVar
-
-T = TypeVar("T")
 
 
 def times_of(runs: Sequence[int] | None, sequences: int) -> tuple[int, ...]:
@@ -19,11 +16,6 @@ def times_of(runs: Sequence[int] | None, sequences: int) -> tuple[int, ...]:
     runs = runs or (1,) * sequences
     common = math.lcm(*runs)
     return tuple(common // count for count in runs)
-
-
-def repeated(parts: Sequence[T], times: Sequence[int]) -> list[T]:
-    """Repeat each of the parts (C,) so many times (C,)."""
-    return [part for part, count in zip(parts, times, strict=True) for _ in range(count)]
 
 
 def sum_as_of_one_run(totals: Sequence[float], runs: Sequence[int] | None) -> float:

@@ -18,7 +18,7 @@ from oysterbench.evaluate.detection.precision import PrecisionCurve, average_pre
 from oysterbench.evaluate.detection.precision import join as join_matches
 from oysterbench.evaluate.detection.settings import DetectionSettings
 from oysterbench.evaluate.detection.states import STATE_METRICS, StateCounts, state_metrics, states_of
-from oysterbench.evaluate.runs import repeated, sum_as_of_one_run, times_of
+from oysterbench.evaluate.runs import sum_as_of_one_run, times_of
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
 
 NO_TRUTH = "the ground truth has no such oyster"
@@ -112,8 +112,10 @@ def finish(
     quality: PanopticCounts | None,
     states: StateCounts | None,
     settings: DetectionSettings,
+    uneven: tuple[Sequence[DetectionClip], Sequence[int]] | None = None,
 ) -> DetectionClip:
-    """Compute the result from matches and counts."""
+    """Compute the result from matches and counts. uneven: the clips that these are of, and how often each counts; by
+    default all count alike."""
     metrics: dict[str, float] = {}
     reasons: dict[str, str] = {}
     curve = np.full(101, np.nan)
@@ -124,7 +126,11 @@ def finish(
             reasons |= dict.fromkeys(missing, NO_MASKS)
             continue
         for area, found in matches[kind].items():
-            precision, recall = PrecisionCurve([found]).at()
+            if uneven is None:
+                precision, recall = PrecisionCurve([found]).at()
+            else:
+                parts, times = [clip.matches[kind][area] for clip in uneven[0]], np.array(uneven[1], dtype=float)
+                precision, recall = PrecisionCurve(parts).at(times)
             if area == "all":
                 metrics[f"ap_{kind}"] = average_precision(precision)
                 metrics[f"ap50_{kind}"] = average_precision(precision, 0.5)
@@ -136,7 +142,7 @@ def finish(
     for key, value in metrics.items():
         if math.isnan(value):
             reasons.setdefault(key, NO_TRUTH)
-    of_counts, why = count_metrics(counts)
+    of_counts, why = count_metrics(counts, None if uneven is None else _for_each_image(*uneven))
     names = ("pq", "sq", "rq")
     values = quality.quality if quality is not None else (math.nan,) * 3
     for key, value in zip(names, values, strict=True):
@@ -150,8 +156,13 @@ def finish(
     return DetectionClip(metrics, {**reasons, **why, **untold}, matches, counts, quality, states, curve, settings)
 
 
-def join(clips: Sequence[DetectionClip]) -> DetectionClip:
-    """Compute the result over all images of several clips, or of several runs on one."""
+def _for_each_image(clips: Sequence[DetectionClip], times: Sequence[int]) -> Array:
+    return np.repeat(np.array(times, dtype=float), [len(clip.counts) for clip in clips])
+
+
+def join(clips: Sequence[DetectionClip], times: Sequence[int] | None = None) -> DetectionClip:
+    """Compute the result over all images of several clips, or of several runs on one. times: how often each clip counts
+    in metrics that are no sums over images; None: once."""
     if len(clips) == 1:
         return clips[0]
     kinds = [kind for kind in ("mask", "box") if all(kind in clip.matches for clip in clips)]
@@ -159,12 +170,13 @@ def join(clips: Sequence[DetectionClip]) -> DetectionClip:
         kind: {area: join_matches([clip.matches[kind][area] for clip in clips]) for area in clips[0].matches[kind]}
         for kind in kinds
     }
-    parts = [clip.panoptic for clip in clips if clip.panoptic is not None]
+    often = times or (1,) * len(clips)
+    parts = [clip.panoptic * n for clip, n in zip(clips, often, strict=True) if clip.panoptic is not None]
     quality = sum(parts, PanopticCounts()) if len(parts) == len(clips) else None
-    told = [clip.states for clip in clips if clip.states is not None]
+    told = [clip.states * n for clip, n in zip(clips, often, strict=True) if clip.states is not None]
     states = sum(told, StateCounts()) if len(told) == len(clips) else None
     counts = tuple(one for clip in clips for one in clip.counts)
-    return finish(matches, counts, quality, states, clips[0].settings)
+    return finish(matches, counts, quality, states, clips[0].settings, None if times is None else (clips, times))
 
 
 def over_clips(
@@ -176,7 +188,7 @@ def over_clips(
     times = times_of(runs, len(clips))
     whole = join(clips)
     if set(times) != {1}:
-        even = join(repeated(clips, times))
+        even = join(clips, times)
         whole = replace(whole, metrics=even.metrics, reasons=even.reasons, curve=even.curve)
     totals = {key: sum_as_of_one_run([clip.metrics[key] for clip in clips], runs) for key in TOTALS}
     whole = replace(whole, metrics={**whole.metrics, **totals})

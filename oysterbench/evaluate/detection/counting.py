@@ -67,27 +67,33 @@ def _in_cells(instances: Sequence[Instance], image: ImageInstances, level: int) 
     return np.bincount(rows * side + columns, minlength=side**2).astype(float)
 
 
-def count_metrics(counts: Sequence[ImageCount]) -> tuple[dict[str, float], dict[str, str]]:
-    """Compute the metrics of a clip, and the reasons for those that are NaN."""
+def count_metrics(counts: Sequence[ImageCount], times: Array | None = None) -> tuple[dict[str, float], dict[str, str]]:
+    """Compute the metrics of N images, and the reasons for those that are NaN. times: (N,) how often each counts in
+    means; None: once."""
+
+    def mean(values: Array, often: Array | None = times) -> float:
+        return float(values.mean() if often is None else np.average(values, weights=often))
+
     errors = np.array([each.error for each in counts], dtype=float)
     areas = np.array([each.footprint_m2 for each in counts])
     metrics = {
-        "count_mae": float(np.abs(errors).mean()),
-        "count_rmse": float(np.sqrt((errors**2).mean())),
-        "count_bias": float(errors.mean()),
+        "count_mae": mean(np.abs(errors)),
+        "count_rmse": float(np.sqrt(mean(errors**2))),
+        "count_bias": mean(errors),
         "count_truth": float(sum(each.truth for each in counts)),
         "count_estimate": float(sum(each.estimate for each in counts)),
     }
     for level, values in zip(LEVELS, np.array([each.cells for each in counts], dtype=float).T, strict=True):
-        metrics[f"game_{level}"] = float(values.mean())
+        metrics[f"game_{level}"] = mean(values)
     metrics["count_error"] = metrics["count_estimate"] - metrics["count_truth"]
     known = ~np.isnan(areas) & (areas > 0)
     if not known.any():
         missing = ("density_error_per_m2", "density_mae_per_m2")
         return metrics | dict.fromkeys(missing, math.nan), dict.fromkeys(missing, NO_FOOTPRINT)
-    errors, areas = errors[known], areas[known]
-    truth = sum(each.truth for each, k in zip(counts, known, strict=True) if k)
-    metrics["density_error_per_m2"] = float(errors.sum() / areas.sum())
-    metrics["density_mae_per_m2"] = float(np.abs(errors / areas).mean())
-    metrics["density_truth_per_m2"] = float(truth / areas.sum())
+    errors, areas, often = errors[known], areas[known], None if times is None else times[known]
+    truth = np.array([each.truth for each, k in zip(counts, known, strict=True) if k], dtype=float)
+    total = areas.sum() if often is None else areas @ often
+    metrics["density_error_per_m2"] = float((errors.sum() if often is None else errors @ often) / total)
+    metrics["density_mae_per_m2"] = mean(np.abs(errors / areas), often)
+    metrics["density_truth_per_m2"] = float((truth.sum() if often is None else truth @ often) / total)
     return metrics, {}

@@ -26,6 +26,9 @@ class PanopticCounts:
     def __add__(self, other: PanopticCounts) -> PanopticCounts:
         return PanopticCounts(*map(add, astuple(self), astuple(other)))
 
+    def __mul__(self, times: int) -> PanopticCounts:
+        return PanopticCounts(*(times * value for value in astuple(self)))
+
     @property
     def quality(self) -> tuple[float, float, float]:
         """Panoptic, segmentation and recognition quality; NaN without any truth or estimate (the 2nd: any match)."""

@@ -40,6 +40,9 @@ class StateCounts:
     def __add__(self, other: StateCounts) -> StateCounts:
         return StateCounts(*map(add, astuple(self), astuple(other)))
 
+    def __mul__(self, times: int) -> StateCounts:
+        return StateCounts(*(times * value for value in astuple(self)))
+
 
 def states_of(pairing: Pairing) -> StateCounts:
     """Count the states in an image. An estimate is live from a probability of `ALIVE`."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oysterbench.core.geometry import Array
-from oysterbench.evaluate.runs import repeated, sum_as_of_one_run, times_of
+from oysterbench.evaluate.runs import sum_as_of_one_run, times_of
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
 from oysterbench.evaluate.steering import labels
 from oysterbench.evaluate.steering.pictures import (
@@ -75,8 +75,8 @@ def over_sequences(parts: Sequence[tuple[Labels, Commands]], runs: Sequence[int]
     pictures = sum_as_of_one_run([one.metrics["pictures"] for one in scores], runs)
     n = len(parts)
     times = times_of(runs, n)
-    even = score if set(times) == {1} else score_pictures(*together(repeated(parts, times)))
-    score = replace(score, metrics={**even.metrics, "pictures": pictures})
+    even = score.metrics if set(times) == {1} else _evened(parts, scores, np.array(times, dtype=float))
+    score = replace(score, metrics={**even, "pictures": pictures})
     runs = runs or (1,) * n
     counts = resample_counts(n)
     if counts is None:
@@ -111,6 +111,22 @@ def together(parts: Sequence[tuple[Labels, Commands]]) -> tuple[Labels, Commands
             np.concatenate([c.pitch_probability for c in commands]),
         ),
     )
+
+
+def _evened(parts: Sequence[tuple[Labels, Commands]], scores: Sequence[PictureScore], times: Array) -> dict[str, float]:
+    """The metrics of `score_pictures` over all images, those of each sequence counted `times` (n,) over."""
+    weights = times * [len(truth.classes) for truth, _ in parts]
+    metrics = {}
+    for key in scores[0].metrics:
+        values = np.array([each.metrics[key] for each in scores])
+        metrics[key] = float(weights @ np.nan_to_num(values) / weights.sum()) if weights.any() else math.nan
+    for axis in AXES:
+        confusion = np.tensordot(times, [getattr(each, axis) for each in scores], 1)
+        metrics[f"{axis}_balanced_accuracy"] = labels.balanced_accuracy(confusion)
+        metrics[f"{axis}_macro_f1"] = labels.macro_f1(confusion)
+    regret, chance = _sums(parts, scores)["skill"]
+    metrics["skill"] = 1.0 - float(times @ regret) / float(times @ chance) if times @ chance > 0 else math.nan
+    return metrics
 
 
 def _sums(parts: Sequence[tuple[Labels, Commands]], scores: Sequence[PictureScore]) -> dict[str, tuple[Array, Array]]:
