@@ -10,16 +10,13 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import OysterbenchError, ResultError
-from oysterbench_leaderboard.commands.options import find_place
+from oysterbench_leaderboard.commands.options import DAMAGED, find_place
 from oysterbench_leaderboard.commands.terminal import AS_JSON
 from oysterbench_leaderboard.storage.record import TIERS
 
 if TYPE_CHECKING:
     from oysterbench_leaderboard.boards.board import Row
     from oysterbench_leaderboard.boards.index import BoardIndex
-
-DAMAGED = 3
-"""Exit code of `verify` and `rescore` where a file is damaged, as for all damaged data."""
 
 
 @click.command("add", short_help="Put results on the board.")
@@ -268,7 +265,9 @@ def rescore_command(
     from dataclasses import replace
 
     from oysterbench.results.records import dump
+    from oysterbench_leaderboard.boards.withdrawn import withdrawn_successors, withdrawn_with
     from oysterbench_leaderboard.publishing.rescoring import is_outdated, score_again
+    from oysterbench_leaderboard.submissions.catalogue import SCORED
     from oysterbench_leaderboard.submissions.scoring import evaluator
     from oysterbench_leaderboard.submissions.settings import is_server
 
@@ -288,6 +287,7 @@ def rescore_command(
     if server is None and any(row.tier == "scored" for row in wanted) and not is_server(estimates.absolute().parent):
         message(f"{estimates} is in no server's folder: uploads are read within the default limits; see --submissions")
     changes, skipped, damaged = [], False, False
+    withdrawn = withdrawn_successors(index)
     for before in wanted:
         try:
             record = index.store.record(before.digest)
@@ -297,7 +297,11 @@ def rescore_command(
             continue
         if split is not None and record.split != split:
             raise ResultError(f"{before.digest[:8]} is of the split {record.split}, not of {split}")
-        if not again and not is_outdated(record):
+        if not again and not is_outdated(record) and not (digests and record.track not in SCORED):
+            continue
+        if why_not := withdrawn_with(before, record.estimates, withdrawn):
+            message(f"{before.digest[:8]} ({before.method} by {before.team}) was not rescored: {why_not}")
+            skipped = True
             continue
         message(f"scoring {record.method} by {record.team} on {record.split}")
         why = reason or f"Rescored by {evaluator(record.track)[0]}, earlier by {record.evaluator_version}."
@@ -327,7 +331,7 @@ def rescore_command(
     if shown and dry_run and not as_json:
         message("nothing was written: ranks are known once the same command without --dry-run has stored the records")
     if not (shown or skipped or damaged or as_json):
-        echo("nothing was rescored: all current records use this version's evaluator")
+        echo("nothing was rescored: all current records that can be use this version's evaluator")
     if damaged:
         sys.exit(DAMAGED)
 

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from oysterbench_leaderboard.storage.store import RecordStore
 
 
+DAMAGED = 3
+"""Exit code of commands that have found a damaged file, as for all damaged data."""
+
+
 @dataclass(frozen=True)
 class Place:
     """Place of a board. folder: of the records, by default `OYSTERBENCH_BOARD`, or those shipped with oysterbench; url:

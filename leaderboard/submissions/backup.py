@@ -14,7 +14,7 @@ import tarfile
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any
 
@@ -50,16 +50,19 @@ BATCH = 1000
 
 @dataclass(frozen=True)
 class Backup:
-    """Contents of a backup: the number of rows of each table, of files, and of the board's records among them."""
+    """Contents of a backup: the number of rows of each table, of files, and of the board's records among them; damaged:
+    paths of files that were left out, as their bytes do not match their names."""
 
     rows: dict[str, int]
     files: int
     records: int
+    damaged: tuple[str, ...] = ()
 
 
 def backup(settings: SubmissionSettings, file: Path, board: Path | None = None) -> Backup:
-    """Write a whole server into a file that only its owner can read. board: folder of records to include. Raises
-    ResultError where that is no board's, before anything is written."""
+    """Write a whole server into a file that only its owner can read. board: folder of records to include. Files that
+    are damaged are left out: with one of them, nothing could be restored. Raises ResultError where the folder is no
+    board's, before anything is written."""
     if board is not None and not (board / "records").is_dir():
         raise ResultError(
             f"--board {board}: expected the folder of a board, got {'one' if board.is_dir() else 'none'} without "
@@ -68,6 +71,7 @@ def backup(settings: SubmissionSettings, file: Path, board: Path | None = None) 
     database = SubmissionDatabase(settings)
     rows: Counter[str] = Counter()
     files = records = 0
+    damaged = []
     try:
         with appearing(file, mode=0o600) as output, tarfile.open(fileobj=output, mode="w") as archive:
             with database.reading() as connection:
@@ -83,13 +87,24 @@ def backup(settings: SubmissionSettings, file: Path, board: Path | None = None) 
                     rows[table.name] = len(lines)
                     _add(archive, f"rows/{table.name}.jsonl", "\n".join(lines).encode())
             for name, path in _files(settings, board):
+                if not _is_whole(path):
+                    damaged.append(str(path))
+                    continue
                 archive.add(path, name)
                 files += 1
                 records += name.startswith(RECORDS)
             _add(archive, END, json.dumps({"members": len(archive.getmembers()) + 1}).encode())
     finally:
         database.close()
-    return Backup(dict(rows), files, records)
+    return Backup(dict(rows), files, records, tuple(damaged))
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a file's bytes match its name, if that is a SHA-256."""
+    if not re.fullmatch(HASH, path.stem):
+        return True
+    with open(path, "rb") as file:
+        return file_digest(file, "sha256").hexdigest() == path.stem
 
 
 def _add(archive: tarfile.TarFile, name: str, data: bytes) -> None:

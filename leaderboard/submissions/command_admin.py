@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
@@ -12,7 +13,7 @@ import click
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import ResultError
 from oysterbench.core.names import counted
-from oysterbench_leaderboard.commands.options import find_place
+from oysterbench_leaderboard.commands.options import DAMAGED, find_place
 
 FOLDER = click.option(
     "--submissions",
@@ -205,7 +206,8 @@ def retry(id: str, folder: Path, as_json: bool) -> None:
 @click.pass_context
 def backup_command(context: click.Context, file: Path, folder: Path, as_json: bool) -> None:
     """Write database, estimates and records into a file that only its owner can read; the server may keep running. With
-    `leaderboard --board DIR` or OYSTERBENCH_BOARD, the board's records are included.
+    `leaderboard --board DIR` or OYSTERBENCH_BOARD, the board's records are included. Damaged files are named and left
+    out, with exit code 3.
 
     \b
     Examples:
@@ -217,7 +219,14 @@ def backup_command(context: click.Context, file: Path, folder: Path, as_json: bo
 
     _check_server(folder)
     board = find_place(context).folder
-    _show_backup(file, backup(load_settings(folder), file, board), as_json, board is not None)
+    made = backup(load_settings(folder), file, board)
+    _show_backup(file, made, as_json, board is not None)
+    for path in made.damaged:
+        message(
+            f"{path} is damaged, and not in the backup: its bytes do not match its name; restore it from an older one"
+        )
+    if made.damaged:
+        sys.exit(DAMAGED)
 
 
 @submissions.command("restore", short_help="Restore a server from a backup, into an empty folder.")

@@ -11,6 +11,8 @@ import shutil
 import time
 from collections.abc import AsyncGenerator, AsyncIterator, Iterator
 from contextlib import contextmanager
+from encodings import normalize_encoding
+from encodings.aliases import aliases
 from pathlib import Path
 from typing import IO
 
@@ -111,7 +113,7 @@ def announced_kind(request: Request) -> str:
         if kind != b"multipart/form-data" or not 0 < len(options.get(b"boundary", b"")) <= 200:
             raise Refusal("type", f"expected multipart/form-data with a boundary, got {content_type!r:.80}")
         # Names any codec of Python to the parser, also those that fail or make text that no page can show.
-        if _codec(options.get(b"charset", b"utf-8")) not in ("utf-8", "ascii"):
+        if _codec(options.get(b"charset", b"utf-8")) not in ("utf_8", "ascii"):
             raise Refusal("type", f"expected a form in UTF-8, got {content_type!r:.80}")
         return FORM
     if name not in KINDS:
@@ -123,11 +125,10 @@ def announced_kind(request: Request) -> str:
 
 
 def _codec(name: bytes) -> str:
-    """Python's name of a codec, by any of its names; empty where there is none."""
-    try:
-        return codecs.lookup(name.decode("latin-1")).name
-    except (LookupError, ValueError):
-        return ""
+    """Python's name of a codec, by any of its names; another name as it is. Not by `codecs.lookup`, which keeps each
+    name that it is asked for, and clients may send any number of them."""
+    plain = normalize_encoding(name.decode("latin-1")).lower()
+    return aliases.get(plain, plain)
 
 
 async def receive_file(request: Request, file: IO[bytes], settings: SubmissionSettings) -> None:

@@ -87,4 +87,6 @@ def interruption(command: str, what: str = "interrupted", begun: bool = True) ->
         typed = shlex.join(["oysterbench", *words])
         same = "the same command" if words == sys.argv[1:] else "the command without --again"
         return f"{what}; {kept}, and {same} resumes from there: {typed}"
+    if command == "leaderboard" and "rescore" in sys.argv and "--dry-run" not in sys.argv:
+        return f"{what}; the records that were scored again are kept"
     return f"{what}; {BEGUN_ANEW.get(command, 'nothing was written')}"

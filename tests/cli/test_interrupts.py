@@ -126,6 +126,14 @@ def test_what_again_starts_over_is_told_only_once_it_has_begun(tmp_path, home, m
         assert said in CliRunner().invoke(main, words).stderr
 
 
+def test_records_that_were_scored_again_are_said_to_be_kept(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["oysterbench", "leaderboard", "rescore", "--estimates", "e"])
+    assert interruption("leaderboard") == "interrupted; the records that were scored again are kept"
+    for words in (["rescore", "--dry-run"], ["verify"]):
+        monkeypatch.setattr("sys.argv", ["oysterbench", "leaderboard", *words])
+        assert interruption("leaderboard") == "interrupted; nothing was written"
+
+
 def test_an_evaluation_in_closed_loop_goes_on_with_its_rollouts_and_others_begin_anew(monkeypatch):
     monkeypatch.setattr("sys.argv", ["oysterbench", "eval", "steering", "--closed-loop"])
     assert interruption("eval") == (

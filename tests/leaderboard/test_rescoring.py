@@ -20,6 +20,7 @@ from oysterbench_leaderboard.storage.record import Record
 from oysterbench_leaderboard.storage.store import RecordStore
 from oysterbench_leaderboard.submissions.sandbox import sandbox
 from tests.helpers.pool import answers, lay_split
+from tests.helpers.records_made import records_made
 from tests.leaderboard.test_curves import loop, moved, results_of
 
 
@@ -179,6 +180,51 @@ def test_uploads_on_a_hidden_split_are_scored_again_and_what_changed_is_said(tmp
     again = CliRunner().invoke(main, words)
     assert json.loads(again.stdout) == []
     assert len(store.digests()) == 3
+
+
+def test_what_is_withdrawn_does_not_come_back_by_being_scored_again(tmp_path, monkeypatch):
+    """Its record by the former evaluator is current again on its own board, and has the same estimates."""
+    monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("OYSTERBENCH_BOARD", str(tmp_path / "board"))
+    recipe, truth = lay_split(tmp_path / "splits")
+    store, old = RecordStore(tmp_path / "board"), uploaded(tmp_path, recipe)
+    (tmp_path / "key").write_bytes(b"secret")
+    store.add(old)
+    words = ["leaderboard", "rescore", "--estimates", str(tmp_path / "estimates"), "--json"]
+    words += ["--split", str(recipe), "--truth", str(truth)]
+    made = json.loads(CliRunner().invoke(main, words).stdout)[0]["after"]["record"]
+
+    def call(command, digest):
+        done = CliRunner().invoke(main, ["leaderboard", command, digest, "--reason", "made from the truth"])
+        assert done.exit_code == 0, done.output
+
+    call("withdraw", made)
+    done = CliRunner().invoke(main, words)
+    assert json.loads(done.stdout) == []
+    assert f"{made[:8]}, scored from the same estimates, is withdrawn; restore that one" in done.stderr
+    call("withdraw", old.digest)
+    named = [*words[:2], old.digest, *words[2:]]
+    assert "it is withdrawn; `oysterbench leaderboard restore" in CliRunner().invoke(main, named).stderr
+    assert len(store.digests()) == 2
+    call("restore", made)
+    call("restore", old.digest)
+    assert json.loads(CliRunner().invoke(main, words).stdout) == []
+    # What replaced it with other estimates says nothing of these.
+    other = store.add(replace(old, estimates={}, supersedes=old.digest, created="2031-01-01T00:00:00Z"))
+    call("withdraw", made)
+    call("withdraw", other)
+    assert "scored from the same estimates" in CliRunner().invoke(main, words).stderr
+
+
+def test_a_record_of_a_track_that_is_not_scored_again_is_told_so_by_its_name(tmp_path, monkeypatch):
+    monkeypatch.setenv("OYSTERBENCH_BOARD", str(tmp_path / "board"))
+    monkeypatch.setattr("oysterbench_leaderboard.submissions.catalogue.SCORED", ("slam",))
+    record = next(one for one in records_made().values() if one.track == "steering")
+    RecordStore(tmp_path / "board").add(record)
+    words = ["leaderboard", "rescore", record.digest, "--estimates", str(tmp_path)]
+    told = CliRunner().invoke(main, words)
+    assert "was not rescored: its estimates were not kept" in told.stderr
+    assert told.stdout == ""
 
 
 def test_a_damaged_record_is_named_and_the_others_are_scored_again(tmp_path, monkeypatch):

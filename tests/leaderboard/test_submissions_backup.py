@@ -184,6 +184,24 @@ def test_a_backup_that_was_cut_off_anywhere_is_refused_before_anything_is_writte
         assert not private.exists()
 
 
+def test_a_damaged_file_is_named_and_spoils_no_backup(saved, tmp_path):
+    for name in ("private", "board"):
+        shutil.copytree(saved[0] / name, tmp_path / name)
+    spoilt = [*(tmp_path / "board" / "records").iterdir(), *(tmp_path / "private" / "estimates").iterdir()][:2]
+    for path in spoilt:
+        path.chmod(0o600)
+        path.write_bytes(path.read_bytes() + b" ")
+    words = ("--submissions", tmp_path / "private")
+    done = run("leaderboard", "--board", tmp_path / "board", "submissions", "backup", tmp_path / "a.tar", *words)
+    assert done.returncode == 3
+    assert done.stderr.count("is damaged, and not in the backup") == 2
+    assert all(str(path) in done.stderr for path in spoilt)
+    kept = restore(tmp_path / "a.tar", tmp_path / "again" / "private", tmp_path / "again" / "board")
+    assert kept.records == saved[2].records - 1
+    assert not list((tmp_path / "again").rglob(spoilt[1].name))
+    assert set(all_of(tmp_path / "again" / "private")) == {"carp", "tench"}
+
+
 def test_it_is_done_by_commands(saved, tmp_path):
     folder, *_ = saved
     file, private = tmp_path / "again.tar", tmp_path / "private"

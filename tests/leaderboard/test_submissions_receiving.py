@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import encodings
 import json
 import shutil
 
@@ -58,6 +59,15 @@ def test_a_body_whose_reading_fails_is_counted(service, monkeypatch):
     service.reads = DailyReads(1, service.clock)
     monkeypatch.setattr("oysterbench_leaderboard.submissions.accounts.auth.receive_form", fails)
     assert [upload(service, form_body(), FORM_KIND).status_code for _ in range(2)] == [500, 429]
+
+
+def test_names_of_encodings_that_do_not_exist_are_not_remembered(service):
+    """`codecs.lookup` keeps each of them for ever."""
+    before = len(encodings._cache)
+    for number in range(20):
+        answer = upload(service, form_body(), f"{FORM_KIND}; charset=none-{number}")
+        assert answer.status_code == 415
+    assert len(encodings._cache) == before
 
 
 @pytest.mark.parametrize("charset", ["punycode", "undefined", "unicode_escape", "utf-16"])
