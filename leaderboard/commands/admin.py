@@ -286,6 +286,9 @@ def rescore_command(
     ]
     if server is None and any(row.tier == "scored" for row in wanted) and not is_server(estimates.absolute().parent):
         message(f"{estimates} is in no server's folder: uploads are read within the default limits; see --submissions")
+    splits = {board.id: board.split for board in index.boards()}
+    if other := next((row for row in wanted if split not in (None, splits.get(row.board))), None):
+        raise ResultError(f"{other.digest[:8]} is of the split {splits.get(other.board)}, not of {split}")
     changes, skipped, damaged = [], False, False
     withdrawn = withdrawn_successors(index)
     for before in wanted:
@@ -295,8 +298,6 @@ def rescore_command(
             message(f"{before.digest[:8]} ({before.method} by {before.team}) was not rescored: {error}")
             damaged = True
             continue
-        if split is not None and record.split != split:
-            raise ResultError(f"{before.digest[:8]} is of the split {record.split}, not of {split}")
         if not again and not is_outdated(record) and not (digests and record.track not in SCORED):
             continue
         if why_not := withdrawn_with(before, record.estimates, withdrawn):

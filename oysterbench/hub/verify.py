@@ -329,7 +329,8 @@ def check_tree(tree: Path) -> Iterator[Check]:
 def _check_folder(folder: Path) -> Iterator[Check]:
     """Check the files in a split's folder, also those not in its manifest, and report those that are absent, or that a
     killed `download --verify` left aside."""
-    for path in sorted(folder.glob(ASIDE.format("*.mcap"))):
+    asides = ASIDE.format("*.mcap")
+    for path in sorted([*folder.glob(asides), *folder.glob(f"topics-*/{asides}")]):
         yield Check(path, DAMAGED, "set aside by a repair that was interrupted: delete it")
     manifest = kept_manifest(folder)
     if manifest is not None:

@@ -60,9 +60,15 @@ Progress = Callable[[int, int], None]
 """Called with the number of frames done, and the total."""
 
 
+SALTED = 2
+"""Generation of what a salt draws, beside GENERATION: raised where only renders with a salt change."""
+
+
 def digest(split: SplitRecipe, salt: bytes = b"") -> str:
     """SHA-256 of all that determines the bytes: recipe, rig, salt, and the generation of this program."""
     text = f"{GENERATION} {split.digest()} {hashlib.sha256(salt).hexdigest()}"
+    if salt:
+        text += f" {SALTED}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 

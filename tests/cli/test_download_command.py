@@ -219,6 +219,11 @@ def test_a_damaged_file_is_gone_only_once_another_is_complete(place, tmp_path, m
     )
     line = place.run("verify", tmp_path, code=3).stdout
     assert line == f"{aside}: damaged (set aside by a repair that was interrupted: delete it)\n"
+    smaller = tmp_path / "topics-e3154fbf" / aside.name
+    smaller.parent.mkdir()
+    smaller.write_bytes(b"cut off")
+    assert f"{smaller}: damaged (set aside by" in place.run("verify", tmp_path, code=3).stdout
+    shutil.rmtree(smaller.parent)
     place.run(*words, home=tmp_path / "home")
     assert (path.read_bytes(), aside.exists()) == (whole, False)
     aside.write_bytes(whole[:-100])  # and if its file was rendered by another command
