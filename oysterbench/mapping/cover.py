@@ -60,6 +60,11 @@ class Raster:
         )
         return rows, columns
 
+    def touching(self, low: Array, high: Array) -> tuple[slice, slice]:
+        """Rows and columns of the squares of which any part lies between two corners (2,) m."""
+        half = 0.5 * self.edge_m
+        return self.between(low - half, high + half)
+
     def bounds(self, move: Array) -> tuple[Array, Array]:
         """Minimum and maximum x and y, each (2,) m, of the outer corners after a move (4, 4) about the vertical."""
         east_m, south_m = self.west_m + self.columns * self.edge_m, self.north_m - self.rows * self.edge_m
@@ -128,6 +133,11 @@ def _fitting(raster: Raster, spans_m: Array, whole_m: float) -> Raster:
     return raster
 
 
+def _length(part: slice) -> int:
+    """Number of rows or columns of a slice that begins and ends on the raster."""
+    return int(max(0, part.stop - part.start))
+
+
 @dataclass(frozen=True)
 class Tile:
     """The part of the ground that one image shows.
@@ -176,6 +186,7 @@ class Cover:
         self.views: NDArray[np.uint16] = np.zeros(shape, dtype=np.uint16)
         self.colours: NDArray[np.uint8] = np.zeros((*shape, 3), dtype=np.uint8)
         self._nearest = np.full(shape, np.inf, dtype=np.float32)
+        self._shares: NDArray[np.float32] | None = None  # seen of each square, where these are larger than the tiles'
 
     def lay(self, tile: Tile, move: Array) -> Squares:
         """Add an image's tile after a move (4, 4) about the vertical. Returns the squares that it shows.
@@ -199,15 +210,37 @@ class Cover:
         best = at[0][better], at[1][better]
         self.colours[best] = tile.colours[shown[there[better]]]
         self._nearest[best] = distances_m[better]
+        self._measure(tile, move)
         return at
+
+    def _measure(self, tile: Tile, move: Array) -> None:
+        """Note how much of each square a tile shows whose own squares are smaller. Of several images, the one that shows
+        most counts: along a path, they have the sides of the ground seen in common."""
+        often = round(self.raster.edge_m / tile.raster.edge_m)
+        if often < 2 or not tile.raster.rows:
+            return
+        if self._shares is None:
+            self._shares = np.zeros(self.views.shape, dtype=np.float32)
+        among, along = self.raster.touching(*tile.raster.bounds(move))
+        step = self.raster.edge_m / often
+        x = self.raster.west_m + self.raster.edge_m * along.start + step * (np.arange(often * _length(along)) + 0.5)
+        y = self.raster.north_m - self.raster.edge_m * among.start - step * (np.arange(often * _length(among)) + 0.5)
+        seen, back = _closed(tile.seen, tile.raster.edge_m), invert(move)
+        middles = np.stack([way[0] * x + way[1] * y[:, None] + way[3] for way in back[:2]], axis=-1)
+        rows, columns, inside = tile.raster.index(middles.reshape(-1, 2))
+        shown = np.zeros(len(rows), dtype=bool)
+        shown[inside] = seen[rows[inside], columns[inside]]
+        shares = shown.reshape(_length(among), often, _length(along), often).mean(axis=(1, 3), dtype=np.float32)
+        self._shares[among, along] = np.maximum(self._shares[among, along], shares)
 
     def closed(self) -> NDArray[np.bool_]:
         """Mask (rows, columns) of the squares that count as seen: small gaps are closed."""
-        times = max(1, round(CLOSED_M / self.raster.edge_m / 2))
-        padded = np.pad(self.views > 0, times)
-        return np.asarray(
-            binary_closing(padded, np.ones((3, 3), dtype=bool), iterations=times)[times:-times, times:-times]
-        )
+        return _closed(self.views > 0, self.raster.edge_m)
+
+    def seen(self) -> NDArray[Any]:
+        """How much of each square was seen (rows, columns): all or nothing; shares where squares are larger than
+        those of the tiles, and the edge of a strip would be off by half of one."""
+        return self.closed() if self._shares is None else self._shares
 
     def holds(self, xy: Array) -> NDArray[np.bool_]:
         """Whether each of the points (N, 2) m lies in the area seen, (N,)."""
@@ -217,11 +250,19 @@ class Cover:
         return found
 
 
-def covered_m2(raster: Raster, seen: NDArray[np.bool_], settings: MapSettings) -> Array:
-    """Area of each grid cell, (rows, columns) m^2, of the raster's squares seen. Its outer edges are those of cells."""
+def _closed(seen: NDArray[np.bool_], edge_m: float) -> NDArray[np.bool_]:
+    """A mask of squares of an edge with its small gaps closed."""
+    times = max(1, round(CLOSED_M / edge_m / 2))
+    padded = np.pad(seen, times)
+    return np.asarray(binary_closing(padded, np.ones((3, 3), dtype=bool), iterations=times)[times:-times, times:-times])
+
+
+def covered_m2(raster: Raster, seen: NDArray[Any], settings: MapSettings) -> Array:
+    """Area of each grid cell, (rows, columns) m^2, of what was `seen` of the raster's squares (`Cover.seen`). Its outer
+    edges are those of cells."""
     per_cell = round(settings.cell_m / raster.edge_m)
     cells = seen.reshape(raster.rows // per_cell, per_cell, raster.columns // per_cell, per_cell)
-    return np.asarray(cells.sum(axis=(1, 3)) * raster.edge_m**2)
+    return np.asarray(cells.sum(axis=(1, 3), dtype=float) * raster.edge_m**2)
 
 
 def units_of(raster: Raster, edge_m: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -232,8 +273,8 @@ def units_of(raster: Raster, edge_m: float) -> tuple[NDArray[np.int64], NDArray[
     return rows, columns
 
 
-def units_m2(raster: Raster, seen: NDArray[np.bool_], edge_m: float) -> Array:
-    """Area (rows, columns) m^2 of the raster's squares seen, in squares of another edge."""
+def units_m2(raster: Raster, seen: NDArray[Any], edge_m: float) -> Array:
+    """Area (rows, columns) m^2 of what was `seen` of the raster's squares, in squares of another edge."""
     sums: NDArray[Any] = seen
     for index in units_of(raster, edge_m):
         starts = np.flatnonzero(np.diff(index, prepend=-1))

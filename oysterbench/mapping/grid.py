@@ -129,7 +129,7 @@ def make_grid(
     oysters: list[Oyster], cover: Cover, settings: MapSettings, depth_sigma: float, unassociated: float | None = None
 ) -> Grid:
     """Make the grid; cell edges are at multiples of `cell_m` in the world frame. unassociated: as for `total`."""
-    raster, seen = cover.raster, cover.closed()
+    raster, seen = cover.raster, cover.seen()
     area = covered_m2(raster, seen, settings)
     known = area >= settings.least_cover * settings.cell_m**2
     counts = {state: np.zeros(area.shape) for state in STATES}

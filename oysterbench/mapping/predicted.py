@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +65,29 @@ def read_seen(
     files = open_predictions(place, form)
     stamps = _stamps(place, files.names, sequence, camera, several)
     return _from_masks(files, stamps, camera, threshold)
+
+
+def check_seen(seen: Iterable[Seen], sequence: Sequence, camera: str) -> None:
+    """Read all of the oysters seen, and raise LabelError where those in an image are damaged, or of no image of this
+    camera."""
+    stamps = {image.stamp_ns for image in sequence.images(camera)}
+    for picture in seen:
+        check_shown(picture, sequence, camera, picture.stamp_ns in stamps)
+
+
+def check_shown(picture: Seen, sequence: Sequence, camera: str, there: bool) -> None:
+    """Raise LabelError where the oysters seen are in no image of a camera: none is `there` at their stamp, or it has
+    another size."""
+    if not there:
+        raise LabelError(
+            f"{sequence.name}: {camera} took no image at {picture.stamp_ns} ns: are the masks of another sequence?"
+        )
+    size = (sequence.cameras[camera].height, sequence.cameras[camera].width)
+    if picture.numbers.shape != size:
+        raise LabelError(
+            f"mask of {camera} at {picture.stamp_ns} ns: expected {size[1]} x {size[0]} px, as the images of "
+            f"{sequence.name}, got {picture.numbers.shape[1]} x {picture.numbers.shape[0]}"
+        )
 
 
 def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str, several: bool) -> dict[int, str]:

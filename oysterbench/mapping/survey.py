@@ -20,6 +20,7 @@ from oysterbench.mapping.depth import SIGMA, depth_source
 from oysterbench.mapping.grid import Grid, Oyster, Total, known_states, live_range, live_share, make_grid, total
 from oysterbench.mapping.north import magnetic_north
 from oysterbench.mapping.pose_graph import Progress, laid
+from oysterbench.mapping.predicted import check_shown
 from oysterbench.mapping.projection import Lens, Patch, Seen, patches, usable
 from oysterbench.mapping.settings import MapSettings
 from oysterbench.mapping.tiles import Tiles
@@ -152,16 +153,8 @@ def build_map(
         for k, picture in enumerate(seen()):
             counts["pictures"] += 1
             shown = shown_at(sequence, camera, picture.stamp_ns)
-            if shown is None:
-                raise LabelError(
-                    f"{sequence.name}: {camera} took no image at {picture.stamp_ns} ns: are the masks of another "
-                    "sequence?"
-                )
-            if picture.numbers.shape != lens.shape:
-                raise LabelError(
-                    f"mask of {camera} at {picture.stamp_ns} ns: expected {lens.shape[1]} x {lens.shape[0]} px, as the "
-                    f"images of {sequence.name}, got {picture.numbers.shape[1]} x {picture.numbers.shape[0]}"
-                )
+            check_shown(picture, sequence, camera, shown is not None)
+            assert shown is not None
             any_oyster |= bool(picture.numbers.any())
             image, first_ns = shown
             T, T_world_cam = (find(calibration, first_ns) for find in (poses.taking, poses.of_rows))

@@ -174,7 +174,11 @@ def true_poses(folder: Path) -> Trajectory:
     if np.array_equal(T_body_sensor, np.eye(4)):
         return states
     # The poses are those of the sensor that measured them, such as a marker: p_RS_R, q_RS.
-    return replace(poses_of_body(states, T_body_sensor), T_body_estimate=None)
+    told = (
+        f"{folder.name}: the true poses are those of a sensor apart from the body, by T_BS of {sensor.name} beside them"
+    )
+    moved = poses_of_body(states, T_body_sensor)
+    return replace(moved, T_body_estimate=None, notes=(*moved.notes, f"{told}, and were taken to the body"))
 
 
 def _within(stamp_ns: int, start_ns: int | None, end_ns: int | None) -> bool:
@@ -327,7 +331,8 @@ def _pose(settings: Mapping[str, str]) -> Array:
 
 
 def _pose_if_given(settings: Mapping[str, str]) -> Array:
-    return _pose(settings) if "T_BS" in settings else np.eye(4)
+    """T_BS (4, 4); the identity where it is absent, or said to be none."""
+    return np.eye(4) if settings.get("T_BS", "").strip() in ("", "null", "~", "[]") else _pose(settings)
 
 
 def _coefficients(settings: Mapping[str, str], lens: str) -> list[float]:

@@ -104,7 +104,7 @@ class DensityTrack(Track):
 
     def evaluate(self, request: Request) -> Evaluation:
         """Build maps and score them. SLAM methods provide paths, image methods provide masks."""
-        from oysterbench.mapping import read_seen
+        from oysterbench.mapping import check_seen, read_seen
         from oysterbench.report.density_figure import drawn
         from oysterbench.tracks.mapping_evaluation import MappedSequence, evaluate_maps
 
@@ -131,7 +131,7 @@ class DensityTrack(Track):
             opened, camera = _with_camera(sequence)
             kind, several = options.get("kind", "auto"), len(sequences) > 1
             seen = partial(read_seen, options["masks"], opened, camera, kind, settings.threshold, several)
-            seen()  # refuses what are no masks of it, before methods are run
+            check_seen(seen(), opened, camera)  # before methods are run, some for hours
             own[sequence.name] = {options["masks"].name: seen}
         for sequence in sequences:
             opened, camera = _with_camera(sequence)

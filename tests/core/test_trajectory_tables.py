@@ -56,7 +56,15 @@ def test_a_header_gives_the_unit_of_the_positions(tmp_path):
         read_trajectory(written(tmp_path, ("t,x [ft],y [ft],z [ft],qx,qy,qz,qw" + rows).encode()))
 
 
-@pytest.mark.parametrize("unit", ["x_cm,y_cm,z_cm", "x [ft],y [ft],z [ft]", "x_m,y_m,z_km", "x_mm,y_mm,z_m"])
+@pytest.mark.parametrize("unit", [None, "m", "mm"])
+@pytest.mark.parametrize("header", ["x_m,y_m,z_km", "x_mm,y_mm,z_m"])
+def test_positions_in_two_units_are_refused_whatever_unit_is_asked_for(tmp_path, unit, header):
+    path = written(tmp_path, f"t,{header},qw,qx,qy,qz\n1.5,1,2,3,1,0,0,0\n".encode())
+    with pytest.raises(TrajectoryError, match=r"got k?mm? and k?mm?: no one unit is right; convert them"):
+        read_trajectory(path, unit=unit)
+
+
+@pytest.mark.parametrize("unit", ["x_cm,y_cm,z_cm", "x [ft],y [ft],z [ft]"])
 @pytest.mark.parametrize("comment", ["", "# "])
 def test_a_header_or_comment_with_another_unit_of_the_positions_is_refused(tmp_path, unit, comment):
     path = written(tmp_path, f"{comment}t,{unit},qw,qx,qy,qz\n1.5,1,2,3,1,0,0,0\n".encode())
@@ -100,7 +108,8 @@ def echoed(k):
         ("t,px,py,pz,gt_qx,gt_qy,gt_qz,gt_qw,vio_qx,vio_qy,vio_qz,vio_qw", "gt_qx", "vio_qx"),
         (f"t,{pose('gt_p', 'vio_q')},vio_p_x,vio_p_y", "gt_p_x", "vio_q_x"),
         (f"header.stamp,stamp,{pose('p', 'q')}", "header.stamp", "stamp"),
-        (f"t,timestamp,{pose('p', 'q')}", "t", "timestamp"),
+        (f"t,stamp,timestamp,{pose('p', 'q')}", "stamp", "timestamp"),
+        (f"t,time,{pose('p', 'q')}", "t", "time"),
     ],
 )
 @pytest.mark.parametrize("comment", ["", "# "])
@@ -119,6 +128,7 @@ def test_a_table_of_two_poses_is_refused_with_a_column_of_each(tmp_path, header,
         (f"t,imu_qx,imu_qy,imu_qz,imu_qw,{pose('odom_p', 'odom_q')},target_p_z", "1.5,0,1,0,0,1,2,3,0,0,0,1,9"),
         (f"t,{pose('p_RS_R', 'q_RS')}", "1.5,1,2,3,0,0,0,1"),
         (f"time,stamp,{pose('p', 'q')}", "9,1.5,1,2,3,0,0,0,1"),
+        (f"timestamp,time,{pose('p', 'q')}", "1.5,9,1,2,3,0,0,0,1"),
         (f"t,{pose('pos', 'q')},pos_std_x,pos_std_y,pos_std_z", "1.5,1,2,3,0,0,0,1,9,9,9"),
         (f"t,{pose('p', 'q')},p_err_x,p_err_y,p_err_z,q_err_x,q_err_y,q_err_z,q_err_w", "1.5,1,2,3,0,0,0,1" + ",9" * 7),
         (f"t,{pose('p', 'q')},rot_x,rot_y,rot_z", "1.5,1,2,3,0,0,0,1,9,9,9"),

@@ -136,13 +136,17 @@ def test_a_transit_without_images_changes_no_map(reef):
     assert not any("squares of" in note for note in found.notes)
 
 
-def test_images_far_apart_are_mapped_in_larger_squares_and_that_is_said(reef):
-    far = FlatReef(np.vstack([LANE, LANE + 120.0]), reef.discs)
-    found = map_of(far)
-    assert found.cover.raster.edge_m == pytest.approx(0.02)
+@pytest.mark.parametrize(("metres", "edge_cm"), [(120.0, "2"), (240.0, "4.2"), (420.0, "8.3")])
+def test_images_far_apart_are_mapped_in_larger_squares_and_that_is_said(reef, metres, edge_cm):
+    far = FlatReef(np.vstack([LANE, LANE + metres]), reef.discs)
+    found, alone = map_of(far), map_of(reef)
     (note,) = [note for note in found.notes if "squares of" in note]
-    assert note == "the ground is measured in squares of 2 cm instead of 1 cm, as the images lie far apart"
-    assert found.total.area_m2 == pytest.approx(2 * map_of(reef).total.area_m2, rel=0.03)
+    assert note == f"the ground is measured in squares of {edge_cm} cm instead of 1 cm, as the images lie far apart"
+    assert found.total.area_m2 == pytest.approx(2 * alone.total.area_m2, rel=0.005)
+    assert found.total.live_per_m2 == pytest.approx(0.5 * alone.total.live_per_m2, rel=0.02)
+
+
+def test_images_too_far_apart_for_any_map_are_refused(reef):
     with pytest.raises(TrajectoryError, match="has the trajectory diverged"):
         map_of(FlatReef(np.vstack([LANE, LANE + 5e3]), reef.discs))
 

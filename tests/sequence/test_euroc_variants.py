@@ -222,7 +222,9 @@ def test_colours_of_8_and_of_16_bits_are_red_green_blue(folder):
 # Ground truth
 
 
-@pytest.mark.parametrize("pose", [None, "T_BS: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]"])
+@pytest.mark.parametrize(
+    "pose", [None, "T_BS: null\n", "T_BS: []", "T_BS: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]"]
+)
 def test_true_poses_are_those_of_the_body_where_nothing_else_is_said(folder, pose):
     folder.write("state_groundtruth_estimate0/data.csv", f"{SAMPLES[0]},1,2,3,1,0,0,0\n{SAMPLES[1]},2,2,3,1,0,0,0\n")
     if pose is not None:
@@ -241,6 +243,10 @@ def test_true_poses_of_a_sensor_apart_from_the_body_become_those_of_the_body(fol
     np.testing.assert_allclose(truth.positions, [[1, 1, 3]] * 2, atol=1e-12)
     np.testing.assert_allclose(truth.quaternions, [[0, 0, half, half]] * 2, atol=1e-12)
     assert truth.T_body_estimate is None
+    assert truth.notes == (
+        "dive: the true poses are those of a sensor apart from the body, by T_BS of sensor.yaml beside them, and were "
+        "taken to the body",
+    )
     folder.write("state_groundtruth_estimate0/sensor.yaml", "T_BS: [1, 0]")
     with pytest.raises(SequenceError, match=r"state_groundtruth_estimate0/sensor\.yaml: T_BS, data: expected 16"):
         oysterbench.open(folder.path).truth()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
+import numpy as np
 import pytest
 
 import oysterbench
@@ -11,6 +13,7 @@ from oysterbench.core.errors import LabelError, MethodError, OysterbenchError, T
 from oysterbench.core.trajectory import write_tum
 from oysterbench.tracks import Request
 from oysterbench.tracks.density import TRACK, estimates_in
+from oysterbench.tracks.mapping_evaluation import camera_with_layers
 from oysterbench.tracks.slam import TRACK as SLAM
 
 
@@ -163,10 +166,18 @@ def test_methods_are_run_with_the_alignment_and_the_gaps_of_the_maps(dive_file, 
     assert [(one.align, one.max_gap_s) for one in asked] == [("origin", 0.5)]
 
 
+def _cameras(path):
+    opened = oysterbench.open(path)
+    return opened.name, opened.cameras, {topic for topic, _, _ in opened.contents()}
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"masks": "nomasks"}, r"nomasks: expected a \.png, \.npy or \.npz per image, got none"),
+        ({"masks": "small"}, r"at \d+ ns: expected \d+ x \d+ px, as the images of .*, got 3 x 2"),
+        ({"masks": "elsewhere"}, r"took no image at 5 ns: are the masks of another sequence"),
+        ({"masks": "damaged"}, r"\.png"),
         ({"max_gap_s": float("inf")}, r"max_gap_s.*expected more than 0 s, got inf"),
         ({"cell_m": float("inf")}, r"cell_m: expected a finite number, got inf"),
     ],
@@ -174,7 +185,13 @@ def test_methods_are_run_with_the_alignment_and_the_gaps_of_the_maps(dive_file, 
 def test_masks_and_settings_that_cannot_be_used_are_refused_before_methods_are_run(
     dive_file, tmp_path, monkeypatch, options, message
 ):
-    (tmp_path / "nomasks").mkdir()
+    camera = camera_with_layers(*_cameras(dive_file))
+    stamp = next(oysterbench.open(dive_file).images(camera)).stamp_ns
+    for folder, name in (("nomasks", ""), ("small", stamp), ("elsewhere", 5), ("damaged", stamp)):
+        (tmp_path / folder).mkdir()
+        if name:
+            cv2.imwrite(str(tmp_path / folder / f"{camera}_{name}.png"), np.zeros((2, 3), np.uint8))
+    (tmp_path / "damaged" / f"{camera}_{stamp}.png").write_bytes(b"cut off")
     ran = []
     monkeypatch.setattr(SLAM, "run", lambda *rest: ran.append(rest) or [])
     given = {key: tmp_path / value if key == "masks" else value for key, value in options.items()}

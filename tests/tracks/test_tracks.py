@@ -188,7 +188,7 @@ def test_a_folder_is_scored_against_by_its_true_poses_alone_and_by_their_file(tm
         true_poses_of(folder.path, None)
     truth = survey(duration_s=20)
     measured = truth.positions + Rotation.from_quat(truth.quaternions).apply([0.3, 0.0, 0.1])
-    write_tum(truth, tmp_path / "mine.tum")
+    write_tum(tmp_path / "mine.tum", truth)
     order = [3, 0, 1, 2]
     rows = zip(truth.stamps_ns.tolist(), measured.tolist(), truth.quaternions[:, order].tolist(), strict=True)
     folder.write(
@@ -202,6 +202,7 @@ def test_a_folder_is_scored_against_by_its_true_poses_alone_and_by_their_file(tm
         run = score_files(place, tmp_path / "mine.tum", SlamSettings())
         assert run.record.metrics["ate_rmse_m"] < 1e-6
     assert true_poses_of(file, ReadOptions(time_unit="ns")) == file, "read as it is said to be"
-    folder.write("state_groundtruth_estimate0/sensor.yaml", "T_BS: null")
+    assert any("taken to the body" in note for note in run.record.notes)
+    folder.write("state_groundtruth_estimate0/sensor.yaml", "T_BS: [0]")
     with pytest.raises(SequenceError, match=r"state_groundtruth_estimate0/sensor\.yaml: T_BS, data: expected 16"):
         true_poses_of(folder.path, None)

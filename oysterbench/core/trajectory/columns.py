@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 QUATERNION_WORDS = {"q", "quat", "quaternion", "orientation", "rotation", "rot", "attitude"}
 POSITION_WORDS = {"p", "pos", "position", "t", "trans", "translation", "location"}
 TIME_WORDS = {"t", "ts", "time", "times", "timestamp", "timestamps", "stamp", "stamps"}
+STAMP_WORDS = {"stamp", "stamps", "timestamp", "timestamps"}
 UNIT_WORDS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
     **dict.fromkeys(("ms", "msec", "millisec", "milliseconds"), "ms"),
@@ -182,7 +183,7 @@ def _pose(found: dict[Prefix, dict[str, list[int]]]) -> tuple[list[int], list[in
 def _stamp(stamps: list[tuple[list[str], int]]) -> tuple[int, list[int]]:
     """Which of several columns of times is the stamp, as its place in the list: one called so, or else the first; and
     two columns that may be it, where their names differ in more than the unit."""
-    called = [i for i, (words, _) in enumerate(stamps) if "stamp" in words] or list(range(len(stamps)))
+    called = [i for i, (words, _) in enumerate(stamps) if STAMP_WORDS & set(words)] or list(range(len(stamps)))
     bare = [[word for word in stamps[i][0] if word not in UNIT_WORDS] for i in called]
     other = next((i for i, words in zip(called, bare, strict=True) if words != bare[0]), None)
     return called[0], [] if other is None else [stamps[called[0]][1], stamps[other][1]]

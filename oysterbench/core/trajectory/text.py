@@ -201,6 +201,11 @@ def _layout(head: _Head, path: Path, options: ReadOptions, parts: bool) -> Colum
             f"{path}: expected the columns of one stamp and one pose, got {named.rivals[0]!r} and {named.rivals[1]!r}, "
             "which may be of several; delete those that are not meant, or rename them"
         )
+    if named and " and " in named.unit:
+        raise TrajectoryError(
+            f"{path}: expected a header that names x, y, z in m or in mm, got {named.unit}: no one unit is right; "
+            "convert them, and correct their names"
+        )
     if named and named.unit not in METRES and options.unit is None:
         raise TrajectoryError(
             f"{path}: expected a header that names x, y, z in m or mm, got {named.unit!r}; convert them, or say which "
