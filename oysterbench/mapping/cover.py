@@ -214,7 +214,7 @@ class Cover:
         return at
 
     def _measure(self, tile: Tile, move: Array) -> None:
-        """Note how much of each square a tile shows whose own squares are smaller. Of several images, the one that shows
+        """Note how much of each square a tile shows whose own squares are smaller. Of several images, that which shows
         most counts: along a path, they have the sides of the ground seen in common."""
         often = round(self.raster.edge_m / tile.raster.edge_m)
         if often < 2 or not tile.raster.rows:

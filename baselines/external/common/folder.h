@@ -74,7 +74,13 @@ inline std::vector<std::vector<ImageRow>> taken_together(const std::string &fold
       const auto apart = [&](std::size_t n) { return std::llabs(images[i][n].stamp_ns - images[0][k].stamp_ns); };
       while (at[i] + 1 < images[i].size() && apart(at[i] + 1) <= apart(at[i]))
         at[i]++;
-      if (at[i] < images[i].size() && apart(at[i]) <= tolerance_ns)
+      if (at[i] >= images[i].size() || apart(at[i]) > tolerance_ns)
+        continue;
+      // One whose partner was lost takes no neighbour's: of faster cameras, that one is within the tolerance, too.
+      const auto other = [&](std::size_t n) {
+        return std::llabs(images[i][at[i]].stamp_ns - images[0][n].stamp_ns);
+      };
+      if ((k == 0 || other(k - 1) > apart(at[i])) && (k + 1 == images[0].size() || other(k + 1) >= apart(at[i])))
         together.push_back(images[i][at[i]]);
     }
     if (together.size() == cameras)  // a pair needs both

@@ -69,6 +69,13 @@ def test_of_several_the_nearest_one_is_taken_and_what_has_none_is_left_out(toget
     assert stamps(done) == [[0, 2 * MS], [10 * MS, 9 * MS]]
 
 
+def test_a_picture_whose_partner_was_lost_takes_no_neighbours(together):
+    """At 100 Hz with a tolerance of 10 ms: each would be in two pairs."""
+    done = together([10 * k * MS for k in range(6)], [20 * k * MS for k in range(3)], tolerance_ns=10 * MS)
+    assert stamps(done) == [[0, 0], [20 * MS, 20 * MS], [40 * MS, 40 * MS]]
+    done.check_returncode()
+
+
 def test_one_camera_needs_no_other(together):
     assert stamps(together([0, 7])) == [[0], [7]]
 
