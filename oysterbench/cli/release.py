@@ -20,8 +20,11 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 @click.option("--sequence", "names", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
 @click.option("--data", type=FOLDER, help="Folder of the rendered files.  [default: under the home folder]")
 @click.option("--out", type=FOLDER, help="Folder of the manifest.  [default: that of the package]")
+@click.option("--reads", type=FOLDER, help="Folder of what was read.  [default: under the home folder, in `releases`]")
 @click.option("--again", is_flag=True, help="Read sequences again that have been read before.")
-def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Path | None, again: bool) -> None:
+def release(
+    split_name: str, names: tuple[str, ...], data: Path | None, out: Path | None, reads: Path | None, again: bool
+) -> None:
     """Read a rendered split and write its manifest, for maintainers of splits: hashes of every file and of its decoded
     content, with the versions of the software that made them.
 
@@ -29,9 +32,11 @@ def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Pat
     Examples:
       oysterbench release slam-mini
       oysterbench release slam-val --sequence val-03    one at a time
+      oysterbench release slam-train --sequence train-01 \
+        --reads /mnt/shared/slam-train    and others on other machines
 
-    What is read of a sequence is kept under the home folder, in `releases`: its file may then be deleted. The manifest
-    is written once all sequences have been read. A release never changes: another manifest under its name is refused.
+    What is read of a sequence is kept: its file may then be deleted. The manifest is written once all sequences have
+    been read. A release never changes: another manifest under its name is refused.
     """
     from importlib import resources
 
@@ -50,7 +55,7 @@ def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Pat
             f"{split.name} is a hidden split, which others cannot render; `oysterbench publish --hidden` pins it"
         )
     made_by = digest(split)
-    kept = home() / "releases" / f"{split.name}-{split.version}-{made_by[:12]}"
+    kept = (reads or home() / "releases") / f"{split.name}-{split.version}-{made_by[:12]}"
     known = [sequence.name for sequence in split.sequence]
     wanted = [split.find_sequence(name).name for name in names] or known
     files = sequence_files(split, data or split_folder(split))

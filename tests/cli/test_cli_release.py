@@ -54,6 +54,15 @@ def test_a_split_is_released_from_its_files_which_may_go_afterwards(recipe, tmp_
     assert "does not exist yet" in run("release", recipe, *options, "--again", code=1).stderr
 
 
+def test_what_is_read_on_several_machines_is_put_together_from_a_folder_of_theirs(recipe, tmp_path, monkeypatch):
+    options = ("--data", tmp_path / "data", "--out", tmp_path / "manifests", "--reads", tmp_path / "shared")
+    first = Path(run("release", recipe, *options).stdout.strip()).read_bytes()
+    assert not (tmp_path / "home" / "releases").exists()
+    (tmp_path / "data" / "tiny-01.mcap").unlink()
+    monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "another"))
+    assert Path(run("release", recipe, *options).stdout.strip()).read_bytes() == first
+
+
 def test_again_forgets_what_was_read_before_it_reads_anew(recipe, tmp_path, monkeypatch):
     """Interrupted, the command without it does not take a description of an older file."""
     options = ("--data", tmp_path / "data", "--out", tmp_path / "manifests")
