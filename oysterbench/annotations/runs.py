@@ -11,15 +11,20 @@ from oysterbench.annotations.image import Entry
 
 TIME = re.compile(r"(?<![^-_/])(?:\d+[-_T])*\d\d[-_][0-5]\d$")
 """End of a name that is a time in parts, with or without a date: 2026-05-01_12-30-05, or 03-59 of a video."""
+APART = 0.1
+"""Cameras of one rig begin and end together, up to this share of their time; videos whose numbers restart do not."""
 CAMERAS, FEW = 4, 30
 """Of more than this many prefixes with fewer than this many images each, none is taken for a camera: they are quadrats
 or sites, and their numbers are no times."""
 
+Instant = tuple[int, ...]
+"""Instants of one rig are in order of time, and begin with its number."""
+
 
 @dataclass(frozen=True)
 class Run:
-    """Images that follow each other, in order of time. known: whether a clip says so; otherwise they are the images of
-    one folder, in the order of their names."""
+    """Images that follow each other, in order of time as far as their names say it (`taken_of`). known: whether a clip
+    says so; otherwise they are the images of one folder, in the order of their names, 9 before 10."""
 
     entries: tuple[Entry, ...]
     known: bool
@@ -27,13 +32,15 @@ class Run:
 
 def runs_of(entries: Iterable[Entry]) -> list[Run]:
     """Group images into runs, in the order of their first images: those of a clip; and of images whose clips are not
-    known (each is a clip of its own name) those of a folder of their names."""
+    known (each is a clip of its own name, of which no other is) those of a folder of their names."""
+    entries = list(entries)
+    counts = Counter(entry.clip for entry in entries)
     groups: dict[tuple[str, bool], list[Entry]] = {}
     for entry in entries:
-        known = entry.clip != entry.name
+        known = entry.clip != entry.name or counts[entry.clip] > 1
         groups.setdefault((entry.clip if known else entry.name.rpartition("/")[0], known), []).append(entry)
     return [
-        Run(tuple(group if known else sorted(group, key=lambda entry: entry.name)), known)
+        Run(tuple(_in_time(group) if known else sorted(group, key=lambda entry: _numbered(entry.name))), known)
         for (_, known), group in groups.items()
     ]
 
@@ -41,43 +48,86 @@ def runs_of(entries: Iterable[Entry]) -> list[Run]:
 def ends_of(entries: Sequence[Entry], share: float) -> list[Entry]:
     """Select the last share (rounded down) of what each camera took, of the images of one run in order of time; an
     image of another camera at the same instant, which shows the same ground, is selected too. Where that is less than
-    half of this share of all images, as most cameras took too few, the last share of all instants, or of all images, is
-    selected."""
+    half of this share of all images, as most cameras took too few, or more than twice as much, the last share of all
+    instants, or of all images, is selected."""
     taken = taken_of(entries)
-    cameras: dict[str, list[str]] = {}
+    cameras: dict[str, list[Instant]] = {}
     for camera, instant in taken:
         cameras.setdefault(camera, []).append(instant)
     instants = {instant for of in cameras.values() for instant in of[len(of) - int(share * len(of)) :]}
     found = [entry for entry, (_, instant) in zip(entries, taken, strict=True) if instant in instants]
-    return found if found and len(found) >= share * len(entries) / 2 else _last_of(entries, taken, share)
+    most = share * len(entries)
+    return found if found and most / 2 <= len(found) <= 2 * most else _last_of(entries, taken, share)
 
 
-def taken_of(entries: Sequence[Entry]) -> list[tuple[str, str]]:
+def taken_of(entries: Sequence[Entry]) -> list[tuple[str, Instant]]:
     """What took each image of a run, and when, as far as names say: frames of sequences are named
-    SEQUENCE/CAMERA/STAMP, or with dashes or underscores in folders. Cameras that looked at the same time have the same
-    instant. Where names do not say so, the camera is empty, and the instant is the name."""
-    timed = all(TIME.search(entry.name) for entry in entries)
-    taken = [_taken(entry.name, timed) for entry in entries]
-    counts = Counter(camera for camera, _ in taken)
-    if len(counts) > CAMERAS and len(entries) < FEW * len(counts):
-        return [("", entry.name) for entry in entries]
-    return taken
+    SEQUENCE/CAMERA/STAMP, or with dashes or underscores in folders. Cameras of one rig (`_rigs`) that looked at the
+    same time have the same instant; those of others, such as videos whose numbers restart, have other ones. Where names
+    do not say so, the camera is empty, and the instant is the place in the run."""
+    said = _said([entry.name for entry in entries])
+    rigs = _rigs(said)
+    return [
+        (camera, (rigs[camera], *numbers) if numbers else (-1, place)) for place, (camera, numbers) in enumerate(said)
+    ]
 
 
-def _taken(name: str, timed: bool) -> tuple[str, str]:
-    """Camera and instant of a name. timed: whether it ends with a time in parts."""
-    found = TIME.search(name) if timed else None
-    camera, _, instant = name.replace("/", "-").replace("_", "-").rpartition("-")
-    if found is not None:
-        camera, instant = name[: found.start()], found.group()
-    return (camera, instant) if timed or instant.isdecimal() else ("", name)
+def _said(names: Sequence[str]) -> list[tuple[str, Instant]]:
+    """Camera and time of each image by its name: what stands before the number at the end of it, and this number, or
+    the numbers of a time in parts after their count; nothing for other names, or where cameras are too many."""
+    timed = all(TIME.search(name) for name in names)
+    said: list[tuple[str, Instant]] = []
+    for name in names:
+        camera, _, number = name.replace("/", "-").replace("_", "-").rpartition("-")
+        if timed and (found := TIME.search(name)):
+            parts = tuple(map(int, re.findall(r"\d+", found.group())))
+            said.append((name[: found.start()], (len(parts), *parts)))
+        else:
+            said.append((camera, (int(number),)) if number.isdecimal() else ("", ()))
+    counts = Counter(camera for camera, _ in said)
+    return said if len(counts) <= CAMERAS or len(names) >= FEW * len(counts) else [("", ())] * len(names)
 
 
-def _last_of(entries: Sequence[Entry], taken: Sequence[tuple[str, str]], share: float) -> list[Entry]:
+def _rigs(said: Sequence[tuple[str, Instant]]) -> dict[str, int]:
+    """Number of the rig of each camera: those whose first and last images are at nearly the same places among all
+    instants (`APART`) are on one."""
+    order = {numbers: place for place, numbers in enumerate(sorted({numbers for _, numbers in said}))}
+    places: dict[str, list[int]] = {}
+    for camera, numbers in said:
+        places.setdefault(camera, []).append(order[numbers])
+    rigs: dict[str, int] = {}
+    limits: list[tuple[int, int]] = []
+    for camera, of in places.items():
+        first, last = min(of), max(of)
+        room = max(1, APART * (last - first))
+        near = (k for k, (start, end) in enumerate(limits) if abs(start - first) <= room and abs(end - last) <= room)
+        rigs[camera] = next(near, len(limits))
+        if rigs[camera] == len(limits):
+            limits.append((first, last))
+    return rigs
+
+
+def _in_time(clip: Sequence[Entry]) -> list[Entry]:
+    """The images of a clip in order of time, where every name says it; else as they stand."""
+    taken = taken_of(clip)
+    return list(clip) if any(rig < 0 for _, (rig, *_) in taken) else _ordered(taken, clip)
+
+
+def _ordered(taken: Sequence[tuple[str, Instant]], entries: Sequence[Entry]) -> list[Entry]:
+    """The images in order of their instants."""
+    return [entry for _, entry in sorted(zip(taken, entries, strict=True), key=lambda pair: pair[0][1])]
+
+
+def _numbered(name: str) -> list[str | int]:
+    """What names are sorted by, so that numbers in them are in order whether or not they are filled up with zeros."""
+    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", name))]
+
+
+def _last_of(entries: Sequence[Entry], taken: Sequence[tuple[str, Instant]], share: float) -> list[Entry]:
     """Select the images of the last share of all instants, at least of one; where these are more than twice the share
     of all images, as of many cameras at few instants, or less than half of it, as of cameras that took more images than
-    others, select the last share of the images as they stand."""
-    instants = sorted({instant for _, instant in taken}, key=lambda instant: (len(instant), instant))
-    last, most = instants[-max(1, int(share * len(instants))) :], int(share * len(entries))
+    others, select the last share of the images."""
+    instants = sorted({instant for _, instant in taken})
+    last, most = set(instants[-max(1, int(share * len(instants))) :]), int(share * len(entries))
     found = [entry for entry, (_, instant) in zip(entries, taken, strict=True) if instant in last]
-    return found if most / 2 <= len(found) <= 2 * most else list(entries[len(entries) - most :])
+    return found if most / 2 <= len(found) <= 2 * most else _ordered(taken, entries)[len(entries) - most :]

@@ -85,14 +85,28 @@ def with_val(parts: Parts) -> tuple[Parts, list[str]]:
         ends = [entry for run in unknown for entry in ends_of(run, VAL_SHARE)]
         ends = ends or [max((entry for run in unknown for entry in run), key=lambda entry: entry.name)]
         held += ends
+        count = _count(unknown, {entry.name for entry in ends})
+        which = f"the last {len(ends)} by name" if count == 1 else f"the ends of {count} runs, {len(ends)} images"
         notes.append(
-            f"which images are of one clip is not known: val is the last {len(ends)} by name, and may show the same "
-            "ground as train; a column clip in manifest.csv keeps clips together"
+            f"which images are of one clip is not known: val is {which}, and may show the same ground as train; a "
+            "column clip in manifest.csv keeps clips together"
         )
     taken = {entry.name for entry in held}
     held = [entry for entry in entries if entry.name in taken]
     kept = [entry for entry in entries if entry.name not in taken]
     return {TRAIN: kept or held, VAL: held, **{part: of for part, of in parts.items() if part != TRAIN}}, notes
+
+
+def _count(unknown: Sequence[Sequence[Entry]], ends: set[str]) -> int:
+    """Number of folders, and of videos in each, whose images the ends, by their names, are."""
+    return len(
+        {
+            (k, instant[0])
+            for k, run in enumerate(unknown)
+            for entry, (_, instant) in zip(run, taken_of(run), strict=True)
+            if entry.name in ends
+        }
+    )
 
 
 def _end_of(clip: Sequence[Entry]) -> list[Entry]:

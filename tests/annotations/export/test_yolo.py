@@ -111,6 +111,21 @@ def test_where_clips_are_not_known_neighbours_by_name_stay_together_and_that_is_
     assert "a column clip in manifest.csv" in notes[0]
 
 
+def test_of_several_videos_the_ends_are_taken_and_that_is_said():
+    names = [f"GX{video}_{k:06}" for video in range(8) for k in range(100 + 40 * video)]
+    parts, notes = with_val({"train": [entry(name, name) for name in names]})
+    assert {part: len(of) for part, of in parts.items()} == {"train": 1536, "val": 384}
+    assert "val is the ends of 8 runs, 384 images, and may show the same ground as train" in notes[0]
+
+
+def test_a_clip_that_is_named_after_its_first_image_is_kept_together_too():
+    entries = [entry(f"dive{d}-{n:03}", f"dive{d}-000") for d in range(5) for n in range(10)]
+    parts, notes = with_val({"train": entries})
+    assert len({one.clip for one in parts["val"]}) == 1
+    assert len(parts["val"]) == 10
+    assert [note[:26] for note in notes] == ["val is 1 of 5 clips of tra"]
+
+
 @pytest.mark.parametrize("clips", [1, 10])
 def test_beside_clips_that_are_known_images_without_one_stay_together(clips):
     """And none of them is drawn alone, as a clip, from between two of train."""
