@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
-from oysterbench.annotations.manifest import images_with, side_in
+from oysterbench.annotations.manifest import SIDES, images_with
 from oysterbench.core.errors import LabelError
 from oysterbench.core.polygons import rasterise
 from oysterbench.evaluate.detection.instances import OUTSIDE
@@ -30,10 +30,10 @@ def yolo_set(folder: Path) -> LabelledSet:
     """Open a folder with images/, labels/ and, if clips and splits are known, manifest.csv.
 
     A line of a label file is `CLASS x1 y1 x2 y2 ...` in fractions of width and height. Classes have the names that
-    data.yaml (or another of `FILES`) in the folder gives them, or in the one above, where train/, valid/ and test/
-    share it; without one, 0 is oyster. An image without a label file or a number without a name is refused, by file and
-    line, and so is a YAML file of another name that names further classes; objects of other classes than oyster are
-    skipped. Polygons are clipped to the image.
+    data.yaml (or another of `FILES`) in the folder gives them, or in the one above, which train/, valid/ and test/
+    (`SIDES`) share; without one, 0 is oyster. An image without a label file or a number without a name is refused, by
+    file and line, and so is a YAML file of another name that names further classes; objects of other classes than
+    oyster are skipped. Polygons are clipped to the image.
     """
     names, source = _classes(folder)
     entries = []
@@ -45,16 +45,30 @@ def yolo_set(folder: Path) -> LabelledSet:
 
 def _classes(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
     """Names of the classes by number, and the file that gives them, if they are others than without one. Raises
-    LabelError where that is a YAML file of another name, here or beside folders of sides."""
-    above = folder.resolve().parent
-    for path in (place / name for place in (folder, above) for name in FILES):
+    LabelError where that is a YAML file of another name; above, only where it names oysters."""
+    whole = folder.resolve()
+    above = [whole.parent] if whole.name.casefold() in SIDES else []
+    for path in (place / name for place in (folder, *above) for name in FILES):
         if path.is_file() and (names := read_classes(path)):
             return names, () if names == USUAL else (path,)
-    for place in (folder, above) if side_in(folder.resolve().name) else (folder,):
+    for place in (folder, *above):
         for path in sorted(place.glob("*.y*ml")):
-            if path.is_file() and NAMES.search(path.read_bytes()) and read_classes(path) != USUAL:
+            if path.is_file() and _names_others(path, place in above):
                 raise LabelError(f"{path}: expected the names of the classes in {FILES[0]}, got them here: rename it")
     return USUAL, ()
+
+
+def _names_others(path: Path, shared: bool) -> bool:
+    """Whether a YAML file names other classes than there are without one. shared: it may be of something else, such as
+    another data set, and is where it names no oysters. Raises LabelError where a file that is not shared names none."""
+    if not NAMES.search(path.read_bytes()):
+        return False
+    try:
+        return read_classes(path) != USUAL
+    except LabelError:
+        if shared:
+            return False
+        raise
 
 
 def _read(image: Path, label: Path, classes: Mapping[int, str], name: str, clip: str) -> LabelledImage:

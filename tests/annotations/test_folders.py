@@ -99,12 +99,39 @@ def test_a_manifest_with_two_columns_of_one_name_is_refused(tmp_path):
     ("name", "text"), [("classes.txt", "barnacle\nOyster\n\n"), ("data.yml", "names: [barnacle, oyster]\n")]
 )
 def test_classes_have_the_names_of_other_files_too(name, text, place, tmp_path):
-    folder = yolo_folder(tmp_path / "set", {"a": "0" + TRIANGLE, "b": "1" + TRIANGLE})
+    folder = yolo_folder(tmp_path / "train", {"a": "0" + TRIANGLE, "b": "1" + TRIANGLE})
     before = open_labelled(folder).digest()
     (folder / place / name).write_text(text)
     found = open_labelled(folder)
     assert [bool(one.oysters.any()) for one in found] == [False, True]
     assert found.digest() != before
+
+
+@pytest.mark.parametrize("name", ["reef", "reef-test"])
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("classes.txt", "barnacle\noyster\n"),
+        ("classes.txt", "person\ncar\n"),
+        ("data.yaml", "names: [barnacle, oyster]\n"),
+        ("coco128.yaml", "names: [person]\n"),
+    ],
+)
+def test_class_names_beside_a_folder_that_is_no_part_of_an_export_are_of_other_sets(file, text, name, tmp_path):
+    folder = yolo_folder(tmp_path / name, {"a": "0" + TRIANGLE})
+    (tmp_path / file).write_text(text)
+    assert open_labelled(folder)[0].oysters.any()
+
+
+def test_yaml_files_beside_parts_of_an_export_that_name_no_oysters_are_of_something_else(tmp_path):
+    folder = yolo_folder(tmp_path / "Valid", {"a": "0" + TRIANGLE})
+    for text in ("names: [person]\n", "names: {\n"):
+        (tmp_path / "coco128.yaml").write_text(text)
+        assert open_labelled(folder)[0].oysters.any()
+        (folder / "coco128.yaml").write_text(text)
+        with pytest.raises(LabelError, match=r"Valid/coco128\.yaml: "):
+            open_labelled(folder)
+        (folder / "coco128.yaml").unlink()
 
 
 def test_class_names_in_a_yaml_file_of_any_name_are_not_ignored(tmp_path):
