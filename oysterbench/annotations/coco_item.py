@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.detection import Instance
 from oysterbench.evaluate.detection.instances import OUTSIDE, Runs, mask_tools, numpy_2, part_boxes
+from oysterbench.evaluate.detection.states import ALIVE
 
 PACKED = re.compile(rb"([P-o]{0,6}[0-O])+")
 """Compressed run lengths: each number is characters of 5 bits from '0' on, all but its last with a sixth bit set. Seven
@@ -107,12 +108,18 @@ def instance_of(item: CocoItem, height: int, width: int, scored: bool) -> Instan
 
 
 def live_of(item: CocoItem) -> float:
-    """Probability that an item is alive, from the key `live`, or from `state`, live or dead; NaN without either."""
-    if "live" in item.values:
-        if not _is_number(item.values["live"], 0, 1):
-            raise LabelError(f"{item.where}: expected 'live', a probability, got {item.values['live']!s:.60}")
-        return float(item.values["live"])
-    return {"live": 1.0, "dead": 0.0}.get(item.state, math.nan)
+    """Probability that an item is alive, from the key `live`; where `state` is given, 1 if live or 0 if dead unless the
+    probability says the same, as states are corrected by hand, and NaN if unknown. NaN without either."""
+    value = item.values.get("live")
+    if value is not None and not _is_number(value, 0, 1):
+        raise LabelError(f"{item.where}: expected 'live', a probability, got {value!s:.60}")
+    live = math.nan if value is None else float(value)
+    if item.values.get("state") in (None, ""):
+        return live
+    if item.state == "unknown":
+        return math.nan
+    alive = item.state == "live"
+    return live if value is not None and (live >= ALIVE) == alive else float(alive)
 
 
 def _box(where: str, box: Any, height: int, width: int) -> tuple[float, float, float, float]:

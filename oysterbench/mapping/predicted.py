@@ -188,9 +188,10 @@ def _categories(place: Path) -> list[tuple[str, CocoFile]]:
 def _state(item: CocoItem, category: str) -> str:
     """State of an annotation: its own, from `state` or the probability `live`, else that of its category. Raises
     LabelError for another state or probability."""
-    if item.values.get("state") not in (None, ""):
-        return item.state
-    return category if item.values.get("live") is None else _told(live_of(item))
+    if item.values.get("state") in (None, "") and item.values.get("live") is None:
+        return category
+    live = live_of(item)
+    return "unknown" if math.isnan(live) else _told(live)
 
 
 def _annotated(

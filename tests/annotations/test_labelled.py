@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 
 import cv2
 import numpy as np
 import pytest
 
 import oysterbench
-from oysterbench.annotations import LabelledSet, joined, open_labelled, open_truth, write_folder
+from oysterbench.annotations import LabelledSet, joined, open_labelled, open_truth, read_coco, write_folder
 from oysterbench.annotations.export.examples import Example
 from oysterbench.core.errors import LabelError
 from oysterbench.core.polygons import mask_polygons, rasterise
@@ -293,6 +294,27 @@ def test_a_coco_file_says_which_oysters_are_alive(state, alive, tmp_path):
     assert open_labelled(folder)[0].living == {1: alive}
     (clip,) = open_truth(folder / "all.json")
     assert [one.live for one in clip.instances(next(clip.images())[0]).instances] == [alive]
+
+
+@pytest.mark.parametrize(
+    ("said", "live"),
+    [
+        ({"live": 0.9, "state": "dead"}, 0.0),
+        ({"live": 0.2, "state": "Live"}, 1.0),
+        ({"live": 0.9, "state": "live"}, 0.9),
+        ({"live": 0.2, "state": "dead"}, 0.2),
+        ({"live": 0.9, "state": "unknown"}, None),
+        ({"live": 0.9, "state": ""}, 0.9),
+        ({"live": None, "state": "live"}, 1.0),
+        ({"live": None}, None),
+    ],
+)
+def test_a_state_that_was_corrected_by_hand_goes_before_the_probability_beside_it(said, live, tmp_path):
+    """As `segment --coco` writes probabilities, and messages ask for states."""
+    folder = coco_file(tmp_path, [[8, 8, 24, 8, 24, 20, 8, 20]], **said)
+    assert open_labelled(folder)[0].living == ({} if live is None else {1: live >= 0.5})
+    (one,) = read_coco(folder / "all.json").instances("a", scored=False).instances
+    assert one.live == pytest.approx(math.nan if live is None else live, nan_ok=True)
 
 
 def test_own_labels_are_scored_and_exported_with_the_states_of_their_coco_file(tmp_path):

@@ -317,6 +317,11 @@ def test_annotations_tell_live_from_dead(once, tmp_path):
     (tmp_path / "a.json").write_text(json.dumps(document))
     (seen,) = read_seen(tmp_path / "a.json", once, "cam", "auto", 0.5)
     assert seen.states == {1: "dead", 2: "unknown"}
+    document["annotations"][0]["state"] = "live"
+    document["annotations"][1] |= {"live": None, "state": None}
+    (tmp_path / "a.json").write_text(json.dumps(document))
+    (seen,) = read_seen(tmp_path / "a.json", once, "cam", "auto", 0.5)
+    assert seen.states == {1: "live", 2: "unknown"}
     document["annotations"][0]["score"] = "high"
     (tmp_path / "a.json").write_text(json.dumps(document))
     with pytest.raises(LabelError, match=r"annotations\[0\]: expected 'score', a number, got high"):
