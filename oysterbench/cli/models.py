@@ -56,17 +56,16 @@ def release_card(
     an option asks for another."""
     from oysterbench.hub.manifest import VERSION_NAME
     from oysterbench.hub.publish_model import build_model, describe_weights
-    from oysterbench.hub.weights import weights_here
-    from oysterbench.methods.weights import find_weights, used_path
+    from oysterbench.methods.weights import card_of, find_weights, used_path
     from oysterbench.results.card_figures import card_figures
 
     if version is not None and not VERSION_NAME.fullmatch(version):
         raise click.UsageError(f"--version: expected letters, digits and . _ -, such as 1.0, got {version!r}")
     known = find_weights(name)
     path = path or used_path(name)
-    here = weights_here(path)
-    if here is not None and here.model is not None and not (version or results or summary or limits or licence):
-        return path, here.model
+    card = card_of(name, path)
+    if card is not None and not (version or results or summary or limits or licence):
+        return path, card
     training = known.describe(path)
     file = describe_weights(name, path)
     figures = [figure for place in results for figure in card_figures(place, name, file.sha256)]
@@ -135,8 +134,8 @@ def part_of_oysterbench(name: str, version: str) -> Here | None:
     from oysterbench.methods.weights import used_path
 
     here = weights_here(used_path(name))
-    right = here is not None and here.released and here.model is not None and version in ("", here.model.version)
-    return here if right else None
+    card = here.model if here is not None and here.released else None
+    return here if card is not None and card.name == name and version in ("", card.version) else None
 
 
 def download_model(hub: Hub, model: Model, out: Path | None, dry_run: bool, again: bool, as_json: bool) -> None:
@@ -253,7 +252,8 @@ def _state(name: str, here: Here) -> str:
     try:
         check_usable(name, here.path)
     except MethodError:
-        return f"{here.brief} (unfinished or damaged)"
+        other = here.model is not None and here.model.name != name
+        return f"{here.brief} ({'of another kind' if other else 'unfinished or damaged'})"
     return here.brief
 
 
@@ -261,18 +261,16 @@ def _print_card(name: str, hub: Hub | None, as_json: bool) -> None:
     """Print the card of a model: from the hub, of fetched weights, or made from weights trained here."""
     from oysterbench.hub.card import facts, reached
     from oysterbench.hub.publish_model import build_model, describe_weights
-    from oysterbench.hub.weights import weights_here
-    from oysterbench.methods.weights import existing, find_weights, used_path
+    from oysterbench.methods.weights import card_of, existing, find_weights, used_path
 
     name, _, version = name.partition("@")
     path = used_path(name)
-    here = weights_here(path) if hub is None else None
     if hub is not None:
         model = hub.model(name, version or None)
     elif version:
         raise MethodError(f"{name}@{version}: local weights have one version; add --hub for a version on a hub")
-    elif here is not None and here.model is not None:
-        model = here.model
+    elif (card := card_of(name, path)) is not None:
+        model = card
     else:
         known = find_weights(name)
         training = known.describe(existing(name, path))

@@ -23,7 +23,7 @@ from oysterbench.core.errors import HubError, MethodError
 from oysterbench.core.names import instead
 from oysterbench.core.places import models, released_models
 from oysterbench.hub.manifest import LICENCE
-from oysterbench.hub.model import Training
+from oysterbench.hub.model import Model, Training
 from oysterbench.methods.code import file_digest
 
 ENTRY_POINTS = "oysterbench.weights"
@@ -135,16 +135,25 @@ def no_weights(name: str, path: Path) -> MethodError:
     )
 
 
-def check_usable(name: str, path: Path) -> None:
-    """Raise MethodError where methods refuse the file of known weights, such as one of an interrupted training. Files
-    of which a card beside them is, which were released, are not read, and none are where what reads them is not
-    installed."""
+def card_of(name: str, path: Path) -> Model | None:
+    """Card beside weights, of this very file; None where there is none. Raises MethodError where it says that they are
+    others than those of this name."""
     from oysterbench.hub.weights import weights_here
 
-    if name not in weights_names():
-        return
     here = weights_here(path)
-    if here is None or here.model is None:
+    model = None if here is None else here.model
+    if model is not None and model.name != name:
+        raise MethodError(
+            f"{path}: expected weights of {name}, got {model.name} {model.version}, as the card beside them says"
+        )
+    return model
+
+
+def check_usable(name: str, path: Path) -> None:
+    """Raise MethodError where methods refuse the file of known weights, such as one of an interrupted training, or of
+    others (`card_of`). Files of which a card beside them is, which were released, are not read, and none are where what
+    reads them is not installed."""
+    if name in weights_names() and card_of(name, path) is None:
         with suppress(ModuleNotFoundError):
             find_weights(name).check(path)
 

@@ -361,3 +361,28 @@ def test_a_release_of_weights_never_changes_and_keeps_its_card(place, part, tmp_
     assert len(list((tree / "models").iterdir())) == 2
     place.run("release-model", "unet_small", "--weights", place.weights, "--out", path.parent, "--version", "1.1")
     assert json.loads(path.with_suffix(".json").read_text())["version"] == "1.1"
+
+
+def test_weights_of_another_kind_are_refused_though_their_own_card_is_beside_them(place, part, tmp_path):
+    """Before anything is run, shown or published under the name of others."""
+    path, home = part
+    named = {"home": home, "OYSTERBENCH_STEERING": str(path), "OYSTERBENCH_UNET": str(path)}
+    said = f"{path}: expected weights of unet, got unet_small 1.0, as the card beside them says"
+    publish = ("publish-model", "unet", tmp_path / "tree", "--key", place.folder / "key.pem")
+    for words in (
+        ("models", "unet"),
+        ("run", "unet", "--on", place.folder / "unseen", "--out", tmp_path / "out"),
+        ("run", f"unet[checkpoint={path}]", "--on", place.folder / "unseen", "--out", tmp_path / "out"),
+        publish,
+        (*publish, "--weights", path, "--version", "2.0"),
+        ("release-model", "unet", "--weights", path, "--out", tmp_path / "out"),
+    ):
+        assert said in place.run(*words, code=1, **named).stderr
+    assert not (tmp_path / "tree").exists()
+    assert not list((tmp_path / "out").rglob("*.*"))
+    assert place.run("download", "unet", code=1, **named).stdout == ""
+    findings = json.loads(place.run("doctor", "--json", code=1, **named).stdout)["findings"]
+    assert [one["state"] for one in findings if one["name"] == "weights steering"] == ["broken"]
+    rows = json.loads(place.run("models", "--json", **named).stdout)["models"]
+    (row,) = (row for row in rows if row["model"] == "steering")
+    assert "1.0, part of oysterbench (of another kind)" in row["here"]
