@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -153,13 +154,26 @@ def planes_of(
 
 
 def joined(sets: Iterable[LabelledSet], name: str) -> LabelledSet:
-    """Join several sets into one; images and clips are named SET/NAME."""
+    """Join several sets into one; images and clips are named SET/NAME, or SET-2/NAME in the second set of one name, as
+    COCO files of several folders may have. Raises LabelError where sets of one name have an image file in common."""
 
     def renamed(entry: Entry, part: str) -> Entry:
         own, clip = f"{part}/{entry.name}", f"{part}/{entry.clip}"
         return Entry(own, clip, lambda: replace(entry.read(), name=own, clip=clip), entry.files, entry.split)
 
-    return LabelledSet(name, [renamed(entry, part.name) for part in sets for entry in part.entries])
+    entries: list[Entry] = []
+    files: dict[str, set[Path]] = {}
+    counts: Counter[str] = Counter()
+    for part in sets:
+        own = {path.resolve(): entry.name for entry in part.entries for path in entry.files[:1]}
+        if common := own.keys() & files.setdefault(part.name, set()):
+            file = min(common)
+            raise LabelError(f"{name}: two images are named '{part.name}/{own[file]}', both of {file}: give it once")
+        files[part.name] |= own.keys()
+        counts[part.name] += 1
+        number = f"-{counts[part.name]}" if counts[part.name] > 1 else ""
+        entries += [renamed(entry, f"{part.name}{number}") for entry in part.entries]
+    return LabelledSet(name, entries)
 
 
 def file_digest(path: Path) -> str:

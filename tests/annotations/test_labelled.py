@@ -396,6 +396,15 @@ def test_sets_joined_keep_their_images_apart(tmp_path):
         LabelledSet("twice", [*one.entries, *other.entries])
 
 
+def test_sets_of_one_name_are_numbered_and_the_same_set_twice_is_refused(tmp_path):
+    """Such as instances.json of several sites, or train/ of several exports."""
+    sets = [open_labelled(coco_file(tmp_path / site, [[8, 8, 24, 8, 24, 20]]) / "all.json") for site in "xyz"]
+    assert [entry.name for entry in joined(sets, "both").entries] == ["all/a", "all-2/a", "all-3/a"]
+    assert joined(sets, "both").clips == ("all/one", "all-2/one", "all-3/one")
+    with pytest.raises(LabelError, match=r"^both: two images are named 'all/a', both of .*x/a\.png: give it once$"):
+        joined([*sets, sets[0]], "both")
+
+
 def test_a_digest_changes_with_labels_pictures_and_sides(tmp_path):
     folder = yolo_folder(tmp_path / "set", {"a": SQUARE, "b": ""}, "id,clip,split\na,one,train\nb,two,test\n")
     digests = {open_labelled(folder).digest()}
