@@ -113,8 +113,8 @@ class LabelledSequence:
         for name in self.names:
             if not masks:
                 self.coco.instances(name, scored=False)
-            for item in self.coco.items[name] if masks else ():
-                self.coco.mask_of(name, item)
+            for _ in self.coco.truth(name)[0] if masks else ():
+                pass
 
     def single(self) -> Iterator[tuple[ImageInstances, Seen | None]]:
         """Yield the single oysters of each image, with its truth and pixels; None for these if the truth has boxes
@@ -255,7 +255,7 @@ def _sides(side_of: Mapping[str, str]) -> tuple[frozenset[str], str]:
     """Names of the images that are not scored, as they are not on the side test where there is one, and a note on the
     sides. side_of: side of each image, by its name; empty where it has none."""
     counts = Counter(side or "no side" for side in side_of.values())
-    if set(counts) in ({"no side"}, {TEST}):
+    if not counts or set(counts) in ({"no side"}, {TEST}):
         return frozenset(), ""
     if TEST not in counts:
         found = ", ".join(f"{count} of {side}" for side, count in counts.items())

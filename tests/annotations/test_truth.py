@@ -145,6 +145,12 @@ def test_only_the_test_side_of_a_manifest_is_scored_and_that_is_said(tmp_path, l
         assert (len(clip.names), clip.sides, clip.unscored) == (3, "", frozenset())
 
 
+def test_nothing_is_said_of_sides_where_there_is_no_manifest(tmp_path):
+    (sided(tmp_path, "", "plain") / "manifest.csv").unlink()
+    (clip,) = open_truth(tmp_path / "plain")
+    assert (len(clip.names), clip.sides, clip.unscored) == (3, "", frozenset())
+
+
 @pytest.mark.parametrize("pictures", [False, True])
 def test_of_coco_annotations_with_sides_the_test_side_is_scored_and_not_what_train_learns_from(tmp_path, pictures):
     images = [

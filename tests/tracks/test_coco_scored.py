@@ -172,6 +172,11 @@ def test_annotations_that_cannot_be_scored_are_refused_before_anything_runs(trac
     write(tmp_path / "all.json", [*items(), items()[0] | {"id": 9, "segmentation": [[1, 2, 3]]}])
     with pytest.raises(LabelError, match=r"all.json: annotations\[5\]: expected polygons of at least three corners"):
         TRACKS[track].run_sequences(None, {"mine": tmp_path / "all.json"}, {})
+    write(tmp_path / "all.json", items(iscrowd="0"))
+    with pytest.raises(
+        LabelError, match=r"all.json: annotations\[0\]: expected 'iscrowd', 0 or 1 as a number, got '0'"
+    ):
+        TRACKS[track].run_sequences(None, {"mine": tmp_path / "all.json"}, {})
 
 
 @pytest.mark.parametrize("changes", [{"bbox": []}, {"bbox": [-3, 5, 80, 8]}, {"area": None}])
