@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from oysterbench.core.errors import LabelError
+from oysterbench.core.places import is_hidden
 from oysterbench.core.text import separator
 
 FILE = "manifest.csv"
@@ -119,12 +120,21 @@ def images_with(
 def files_of(folder: Path, *suffixes: str) -> dict[str, Path]:
     """Files with one of the suffixes by their names without it, in order; empty if there is no folder. Hidden files are
     left out, such as the ._NAME.png that macOS writes beside each file on other file systems. Raises LabelError where
-    two differ by their suffix alone."""
+    two differ by their suffix alone, or some are in folders below."""
     if not folder.is_dir():
         return {}
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
-        if path.name.startswith(".") or path.suffix.lower() not in suffixes:
+        if is_hidden(path, folder):
+            continue
+        if path.is_dir():
+            below = (one for one in path.rglob("*") if one.suffix.lower() in suffixes and not is_hidden(one, path))
+            if (one := next(below, None)) is not None:
+                raise LabelError(
+                    f"{one}: expected {', '.join(suffixes)} files in {folder.name}/ itself, and none in folders below: "
+                    "move them there, or to a data set of their own"
+                )
+        if path.suffix.lower() not in suffixes:
             continue
         if found.setdefault(path.stem, path) != path:
             raise LabelError(

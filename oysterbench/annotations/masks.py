@@ -26,6 +26,7 @@ from oysterbench.annotations.forms import JUDGED, Form, judged
 from oysterbench.annotations.image import read_plane
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import LARGEST_IMAGE_PX
+from oysterbench.core.places import is_hidden
 from oysterbench.core.text import in_one_line
 from oysterbench.evaluate.detection.instances import instance_numbers
 from oysterbench.evaluate.segmentation import EstimateImage
@@ -178,7 +179,8 @@ def open_predictions(place: Path, form: Form = "auto") -> MaskFiles:
             f"(.json), got {'another kind of file' if place.exists() else 'nothing of that name'}"
         )
     files: dict[str, Path] = {}
-    for path in sorted(path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES and path.name[0] != "."):
+    shown = (path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES and not is_hidden(path, place))
+    for path in sorted(shown):
         name = path.relative_to(place).with_suffix("").as_posix()
         if name in files:
             raise LabelError(f"{place}: two files predict {name}; expected one of {', '.join(SUFFIXES)}")

@@ -20,6 +20,7 @@ from oysterbench.annotations.masks import as_mask, read_png
 from oysterbench.annotations.opening import kinds_at, open_labelled
 from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import Array
+from oysterbench.core.places import is_hidden
 from oysterbench.evaluate.detection import ImageInstances
 from oysterbench.evaluate.detection.instances import from_planes
 from oysterbench.evaluate.segmentation import TruthImage
@@ -307,7 +308,7 @@ def _coco_clips(path: Path, place: Path) -> list[LabelledSequence]:
 
 
 def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[LabelledSequence]:
-    found = sorted(path for path in place.rglob("*") if path.suffix.lower() == ".png" and path.name[0] != ".")
+    found = sorted(path for path in place.rglob("*") if path.suffix.lower() == ".png" and not is_hidden(path, place))
     files = {path.relative_to(place).with_suffix("").as_posix(): path for path in found}
     if len(files) < len(found):
         twice = next(path for path in found if path not in files.values())

@@ -276,7 +276,9 @@ def _tell_others(found: Found) -> None:
     if found.others:
         message(f"left out because they are neither image nor video: {listed(found.others)}")
     if found.skipped:
-        message(f"left out because they hold labels, or results of another count: {listed(found.skipped)}")
+        message(
+            f"left out because they hold labels or results of another count, or are hidden: {listed(found.skipped)}"
+        )
 
 
 def _tell_unused(path: Path, names: tuple[str, ...], what: str = "image") -> None:

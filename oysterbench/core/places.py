@@ -46,3 +46,14 @@ def leads_out(name: str) -> bool:
     (False, True, True)
     """
     return os.path.isabs(name) or os.path.normpath(name).split(os.sep)[0] == os.pardir
+
+
+def is_hidden(path: Path, folder: Path) -> bool:
+    """Whether a file of a folder, or another folder on the way to it, is one that systems and editors keep for
+    themselves: its name begins with a dot, or Windows put it there.
+
+    >>> is_hidden(Path("set/.ipynb_checkpoints/a.png"), Path("set")), is_hidden(Path(".set/a.png"), Path(".set"))
+    (True, False)
+    """
+    parts = path.relative_to(folder).parts
+    return any(part.startswith(".") for part in parts) or path.name.casefold() in ("thumbs.db", "desktop.ini")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from oysterbench.core.errors import LabelError
+from oysterbench.core.places import is_hidden
 
 PICTURES = (".jpg", ".jpeg", ".jpe", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm")
 VIDEOS = (
@@ -60,7 +61,7 @@ class Found:
     sources:    in the order of their names
     others:     files that are neither image nor video
     to_convert: images in formats that cannot be read
-    skipped:    folders of labels, or of results of another count
+    skipped:    folders of labels, of results of another count, and hidden ones
     copies:     images in such formats beside a readable one of the same name, as cameras store raw images
     misnamed:   images and videos whose names cannot be used for results
     closed:     folders that may not be read
@@ -90,8 +91,8 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
     """Find all images and videos at the paths, by their suffix: files, and folders with everything below them.
 
     leave_out: a folder that is not searched, such as that of the results; nor are links to folders, folders of labels
-    beside images/, and results of other counts, whose images would be counted as well. Raises LabelError if a path does
-    not exist or is one of results, and if there is neither an image nor a video.
+    beside images/, results of other counts, and hidden folders, whose images would be counted as well. Raises
+    LabelError if a path does not exist or is one of results, and if there is neither an image nor a video.
     """
     files: dict[Path, None] = {}  # in order, each once
     skipped: list[Path] = []
@@ -146,7 +147,7 @@ def _below(folder: Path, leave_out: Path | None, skipped: list[Path], closed: li
     for at, folders, names in os.walk(folder, onerror=stay_out):
         labels = LABELS if "images" in folders else ()
         own = [Path(at, name) for name in sorted(folders) if Path(at, name) != results]
-        aside = [path for path in own if path.name in labels or _holds_results(path)]
+        aside = [path for path in own if path.name in labels or is_hidden(path, folder) or _holds_results(path)]
         skipped += aside
         folders[:] = [path.name for path in own if path not in aside]
         found += [Path(at, name) for name in sorted(names)]

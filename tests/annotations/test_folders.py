@@ -49,6 +49,41 @@ def test_oysters_are_numbered_in_all_images_or_none_and_files_of_the_system_are_
     assert [bool(one.ignore.any()) for one in open_labelled(tmp_path)] == [True, False]
 
 
+@pytest.mark.parametrize("layer", ["images", "masks", "instances", "ignore"])
+def test_files_in_folders_below_are_refused_by_name_and_other_folders_are_none_of_the_set(layer, tmp_path):
+    """As only those in images/ itself are read, and others would be left out."""
+    for kind in ("images", "masks", "instances", "ignore"):
+        write_png(tmp_path / kind / "a.png", MASK if kind == "masks" else MASK // 255)
+    (tmp_path / layer / "old").mkdir()
+    for name in ("notes.txt", "Thumbs.db", "._b.png"):
+        (tmp_path / layer / "old" / name).write_bytes(b"x")
+    for name in ("Thumbs.db", "desktop.ini"):
+        (tmp_path / layer / name).write_bytes(b"x")
+    write_png(tmp_path / layer / ".ipynb_checkpoints" / "a-checkpoint.png", MASK)
+    assert len(open_labelled(tmp_path)) == 1
+    write_png(tmp_path / layer / "sub" / "b.png", MASK)
+    with pytest.raises(
+        LabelError, match=rf"{layer}/sub/b\.png: expected .*\.png files in {layer}/ itself, and none in"
+    ):
+        open_labelled(tmp_path)
+
+
+def test_an_export_of_several_sides_in_folders_is_refused_by_its_first_image(tmp_path):
+    write_png(tmp_path / "images" / "train" / "a.png", picture(0))
+    (tmp_path / "labels" / "train").mkdir(parents=True)
+    (tmp_path / "labels" / "train" / "a.txt").touch()
+    with pytest.raises(LabelError, match=r"images/train/a\.png: expected \.jpg, \.jpeg, \.png files in images/ itself"):
+        open_labelled(tmp_path)
+
+
+def test_masks_in_hidden_folders_are_neither_predictions_nor_truth(tmp_path):
+    folder = tmp_path / ".set"
+    for name in ("a", ".ipynb_checkpoints/a-checkpoint", "deep/b", "deep/.trash/c"):
+        write_png(folder / f"{name}.png", MASK)
+    assert open_predictions(folder).names == ("a", "deep/b")
+    assert sorted(name for one in open_truth(folder) for name in one.names) == ["a", "deep/b"]
+
+
 @pytest.mark.parametrize("mode", ["LA", "RGBA", "RGBA on black"])
 def test_a_mask_that_is_painted_in_the_transparency_is_refused(mode, tmp_path):
     """As white paint on a transparent white ground; as black paint on a transparent black one."""

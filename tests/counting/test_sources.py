@@ -86,6 +86,14 @@ def test_labels_beside_images_and_results_of_other_counts_are_told_and_not_count
         find_sources([tmp_path / "old"])
 
 
+def test_hidden_folders_are_told_and_not_looked_into(tmp_path):
+    """Such as those of notebooks, with a copy of each image that was opened."""
+    folder = touch(tmp_path / ".set", "a.jpg", ".ipynb_checkpoints/a-checkpoint.jpg", "deep/.trash/b.jpg")
+    found = find_sources([folder])
+    assert [source.name for source in found.sources] == ["a"]
+    assert [path.name for path in found.skipped] == [".ipynb_checkpoints", ".trash"]
+
+
 def test_results_do_not_go_into_the_folder_of_the_images_itself(tmp_path):
     touch(tmp_path, "a.jpg")
     with pytest.raises(LabelError, match="expected another folder for the results than that of the images"):
