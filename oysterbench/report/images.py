@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -49,7 +49,8 @@ class ImageRun:
 @dataclass(frozen=True)
 class DatasetRow:
     """A method over all clips together: metrics, reasons for missing ones, confidence intervals where they exist,
-    number of clips, and (C,) of runs on each; totals are as of one run."""
+    number of clips, and (C,) of runs on each; totals are as of one run. left_out: clips without a result of each other
+    method that has no row, as it has not run or has failed on them."""
 
     track: str
     method: str
@@ -59,6 +60,7 @@ class DatasetRow:
     clips: int
     whole: ClipResult | DetectionClip
     runs: Sequence[int] = (1,)
+    left_out: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def as_plain(self) -> dict[str, Any]:
         """Convert to plain values for JSON; a number that does not exist is null, with the reason beside it."""
@@ -102,9 +104,16 @@ def _dataset_table(rows: Sequence[DatasetRow]) -> Table:
     runs = [count for row in rows for count in row.runs]
     if max(runs) > 1:
         about += f", in {span_of_runs(runs)} on each; totals are as of one run"
-    notes = (f"{about}; {unknown}.",) if unknown else (f"{about}; sequences are resampled for the interval.",)
+    notes = [f"{about}; {unknown}." if unknown else f"{about}; sequences are resampled for the interval."]
+    if missed := rows[0].left_out:
+        lacking = (f"{method}, as it has no result on {_some(names)}" for method, names in missed.items())
+        notes.append(f"Left out: {'; '.join(lacking)}.")
     columns = (*name_columns("method"), first, interval_column(first), *others)
-    return Table("Over the data set", columns, tuple(table_rows), notes)
+    return Table("Over the data set", columns, tuple(table_rows), tuple(notes))
+
+
+def _some(names: Sequence[str], most: int = 3) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 COUNTS = (

@@ -139,15 +139,20 @@ class ImageTrack(Track):
 
     def dataset_rows(self, runs: Sequence[ImageRun]) -> list[DatasetRow]:
         """Result over all sequences for each method that could be scored on all of them: one that lacks runs on a
-        sequence that others ran on, as it was killed there, is left out, as that may be a hard one."""
+        sequence that others ran on, as it was killed there, is left out, as that may be a hard one, and named."""
         groups: dict[str, dict[str, list[Any]]] = {}
         for run in runs:
             groups.setdefault(run.record.method, {}).setdefault(run.record.sequence, []).append(run.result)
-        every = {run.record.sequence for run in runs}
-        return [
-            self.over_dataset(method, list(found.values()))
+        every = dict.fromkeys(run.record.sequence for run in runs)
+        lacking = {
+            method: [name for name in every if any(result is None for result in found.get(name, [None]))]
             for method, found in groups.items()
-            if found.keys() == every and all(result is not None for results in found.values() for result in results)
+        }
+        left_out = {method: names for method, names in lacking.items() if names}
+        return [
+            replace(self.over_dataset(method, list(found.values())), left_out=left_out)
+            for method, found in groups.items()
+            if method not in left_out
         ]
 
     def failed_metrics(self, labelled: LabelledSequence, settings: Any) -> Mapping[str, float]:

@@ -114,8 +114,20 @@ def test_a_method_that_lacks_a_sequence_is_in_no_table_over_the_data_set_of_thos
     ]
     (row,) = TRACKS[track].dataset_rows(made)
     assert (row.method, row.clips) == ("full", 2)
+    assert dataset_tables([row])[0].notes[1:] == ("Left out: killed, as it has no result on hard.",)
+    failed = [
+        SimpleNamespace(record=SimpleNamespace(method=method, sequence=f"s{k}"), result=what)
+        for method, what in (("full", made[0].result), ("failed", None))
+        for k in range(5)
+    ]
+    (row,) = TRACKS[track].dataset_rows([*made, *failed])
+    assert dataset_tables([row])[0].notes[1] == (
+        "Left out: killed, as it has no result on hard, s0, s1 and 3 more; failed, as it has no result on easy, hard, "
+        "s0 and 4 more."
+    )
     (alone,) = TRACKS[track].dataset_rows(made[2:])
     assert (alone.method, alone.clips) == ("killed", 1)
+    assert len(dataset_tables([alone])[0].notes) == 1
 
 
 def test_each_sequence_counts_once_in_the_curve_of_thresholds_whatever_its_number_of_runs():
