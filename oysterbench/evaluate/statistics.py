@@ -40,8 +40,7 @@ TIE = 1e-9
 """Relative difference below which two values are equal: they differ by rounding errors."""
 
 ZERO = 1e-12
-"""Mean of differences, relative to that of the values compared, below which it is zero: exact ties add up to rounding
-errors."""
+"""Mean of differences, relative to that of the values, below which it is zero: exact ties add up to rounding errors."""
 
 LEAST_SEQUENCES = 6
 """Minimum number of sequences for an interval. The mean of a symmetric population lies within the range of n values
@@ -209,11 +208,10 @@ def _interval_of(
 
 
 def _off_rounding(means: Array, *compared: tuple[Array, Array | None]) -> Array:
-    """Resampled means (R, RESAMPLES) of differences, with those set to 0 that are rounding errors: small beside the
-    resampled means of what is compared. A method that diverged on one sequence thus makes no ties of resamples without
-    it. compared: magnitudes (R, n), or (1, n), and their weights, if any."""
-    largest = np.max([sizes.max() for sizes, _ in compared])
-    if not (np.abs(means) <= ZERO * largest).any():
+    """Resampled means (R, RESAMPLES) of differences, with those set to 0 that are rounding errors beside the resampled
+    means of what is compared: magnitudes (R, n), or (1, n), and their weights, if any. A value of a sequence that a
+    resample has not makes no tie of it, however large it is."""
+    if not (np.abs(means) <= ZERO * max(sizes.max() for sizes, _ in compared)).any():
         return means
     rows = [_resampled_rows(sizes, weights, _weights(sizes.shape[1])) for sizes, weights in compared]
     return np.where(np.abs(means) <= ZERO * reduce(np.maximum, rows), 0.0, means)
@@ -221,9 +219,8 @@ def _off_rounding(means: Array, *compared: tuple[Array, Array | None]) -> Array:
 
 def _resampled_means(values: Array, weights: Array | None) -> Array:
     """Means (RESAMPLES,) of resampled values (n,); unweighted where the weights of a resample are all 0."""
-    return np.asarray(
-        _resampled_rows(values[None], None if weights is None else weights[None], _weights(len(values)))[0]
-    )
+    one = None if weights is None else weights[None]
+    return np.asarray(_resampled_rows(values[None], one, _weights(len(values)))[0])
 
 
 def resample_counts(n: int) -> Array | None:
@@ -265,10 +262,8 @@ def _weights(n: int) -> Array:
 
 def too_few(sequences: int, noun: str = "sequence") -> str:
     """State why so few sequences have no interval."""
-    return (
-        f"{sequences} {noun}{'' if sequences == 1 else 's'}: no {LEVEL:.0%} interval is possible with fewer than "
-        f"{LEAST_SEQUENCES}"
-    )
+    count = f"{sequences} {noun}{'' if sequences == 1 else 's'}"
+    return f"{count}: no {LEVEL:.0%} interval is possible with fewer than {LEAST_SEQUENCES}"
 
 
 def compare(
