@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 
 import pytest
 
-from oysterbench.annotations import open_labelled, read_coco
+from oysterbench.annotations import joined, open_labelled, read_coco
 from oysterbench.core.errors import LabelError
 from tests.helpers.labelled_folders import HEIGHT, WIDTH, picture, write_png
 
@@ -79,6 +80,27 @@ def test_states_are_read_in_either_case(state, living, tmp_path):
     assert open_labelled(path)[0].living == living
 
 
+@pytest.mark.parametrize(
+    ("said", "live"),
+    [
+        ({"live": 0.9, "state": "dead"}, 0.0),
+        ({"live": 0.2, "state": "Live"}, 1.0),
+        ({"live": 0.9, "state": "live"}, 0.9),
+        ({"live": 0.2, "state": "dead"}, 0.2),
+        ({"live": 0.9, "state": "unknown"}, None),
+        ({"live": 0.9, "state": ""}, 0.9),
+        ({"live": None, "state": "live"}, 1.0),
+        ({"live": None}, None),
+    ],
+)
+def test_a_state_that_was_corrected_by_hand_goes_before_the_probability_beside_it(said, live, tmp_path):
+    """As `segment --coco` writes probabilities, and messages ask for states."""
+    path = coco_file(tmp_path / "a.json", {"segmentation": [SQUARE], **said})
+    assert open_labelled(path)[0].living == ({} if live is None else {1: live >= 0.5})
+    (one,) = read_coco(path).instances("a", scored=False).instances
+    assert one.live == pytest.approx(math.nan if live is None else live, nan_ok=True)
+
+
 @pytest.mark.parametrize("state", ["alive", 1, False])
 def test_another_state_is_refused(state, tmp_path):
     path = coco_file(tmp_path / "a.json", {"segmentation": [SQUARE], "state": state})
@@ -93,3 +115,14 @@ def test_a_file_is_named_as_itself_and_by_roboflow_as_its_folder(tmp_path):
         coco_file(path)
         assert open_labelled(path).name == (path.parent.name if "coco" in name else path.stem)
     assert open_labelled(tmp_path / "valid").name == "valid"
+
+
+def test_sets_of_one_name_are_numbered_and_the_same_set_twice_is_refused(tmp_path):
+    """Such as instances.json of several sites, or train/ of several exports."""
+    for site in "xyz":
+        (tmp_path / site).mkdir()
+    sets = [open_labelled(coco_file(tmp_path / site / "all.json")) for site in "xyz"]
+    assert [entry.name for entry in joined(sets, "both").entries] == ["all/all", "all-2/all", "all-3/all"]
+    assert joined(sets, "both").clips == ("all/all", "all-2/all", "all-3/all")
+    with pytest.raises(LabelError, match=r"^both: two images are named 'all/all', both of .*x/all\.png: give it once$"):
+        joined([*sets, sets[0]], "both")

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 
 import cv2
 import numpy as np
 import pytest
 
 import oysterbench
-from oysterbench.annotations import LabelledSet, joined, open_labelled, open_truth, read_coco, write_folder
+from oysterbench.annotations import LabelledSet, joined, open_labelled, open_truth, write_folder
 from oysterbench.annotations.export.examples import Example
 from oysterbench.core.errors import LabelError
 from oysterbench.core.polygons import mask_polygons, rasterise
@@ -296,27 +295,6 @@ def test_a_coco_file_says_which_oysters_are_alive(state, alive, tmp_path):
     assert [one.live for one in clip.instances(next(clip.images())[0]).instances] == [alive]
 
 
-@pytest.mark.parametrize(
-    ("said", "live"),
-    [
-        ({"live": 0.9, "state": "dead"}, 0.0),
-        ({"live": 0.2, "state": "Live"}, 1.0),
-        ({"live": 0.9, "state": "live"}, 0.9),
-        ({"live": 0.2, "state": "dead"}, 0.2),
-        ({"live": 0.9, "state": "unknown"}, None),
-        ({"live": 0.9, "state": ""}, 0.9),
-        ({"live": None, "state": "live"}, 1.0),
-        ({"live": None}, None),
-    ],
-)
-def test_a_state_that_was_corrected_by_hand_goes_before_the_probability_beside_it(said, live, tmp_path):
-    """As `segment --coco` writes probabilities, and messages ask for states."""
-    folder = coco_file(tmp_path, [[8, 8, 24, 8, 24, 20, 8, 20]], **said)
-    assert open_labelled(folder)[0].living == ({} if live is None else {1: live >= 0.5})
-    (one,) = read_coco(folder / "all.json").instances("a", scored=False).instances
-    assert one.live == pytest.approx(math.nan if live is None else live, nan_ok=True)
-
-
 def test_own_labels_are_scored_and_exported_with_the_states_of_their_coco_file(tmp_path):
     folder = coco_file(tmp_path / "set", [[8, 8, 24, 8, 24, 20, 8, 20]], state="dead")
     (tmp_path / "set" / "images").mkdir()
@@ -394,15 +372,6 @@ def test_sets_joined_keep_their_images_apart(tmp_path):
     assert [(image.name, image.clip) for image in both] == [(entry.name, entry.clip) for entry in both.entries]
     with pytest.raises(LabelError, match="two images are named 'a'"):
         LabelledSet("twice", [*one.entries, *other.entries])
-
-
-def test_sets_of_one_name_are_numbered_and_the_same_set_twice_is_refused(tmp_path):
-    """Such as instances.json of several sites, or train/ of several exports."""
-    sets = [open_labelled(coco_file(tmp_path / site, [[8, 8, 24, 8, 24, 20]]) / "all.json") for site in "xyz"]
-    assert [entry.name for entry in joined(sets, "both").entries] == ["all/a", "all-2/a", "all-3/a"]
-    assert joined(sets, "both").clips == ("all/one", "all-2/one", "all-3/one")
-    with pytest.raises(LabelError, match=r"^both: two images are named 'all/a', both of .*x/a\.png: give it once$"):
-        joined([*sets, sets[0]], "both")
 
 
 def test_a_digest_changes_with_labels_pictures_and_sides(tmp_path):
