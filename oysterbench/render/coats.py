@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from oysterbench.render.noise import kept, noise2, noise3, step_smoothly
+from oysterbench.render.noise import kept, noise2, noise3, nth, step_smoothly
 
 PUPIL = wp.constant(wp.vec3(0.012, 0.012, 0.014))
 SILVER_BACK = wp.constant(wp.vec3(0.085, 0.105, 0.070))
@@ -24,21 +24,21 @@ def blended(a: wp.vec3, b: wp.vec3, share: float):
 
 
 @wp.func
-def mottle(q: wp.vec3, size: float, footprint: float, seed: wp.uint32):
+def mottle(q: wp.vec3, size: float, footprint: float, seed: wp.vec2ui):
     """Factor of about 1 that varies over `size` m and a third of it; q: point in the shape's frame, m."""
     coarse = noise3(q / size, seed)
-    fine = noise3(q * (3.0 / size), seed + wp.uint32(1))
+    fine = noise3(q * (3.0 / size), nth(seed, 1))
     return wp.max(0.3, 1.0 + 0.30 * coarse[0] * kept(size, footprint) + 0.18 * fine[0] * kept(0.33 * size, footprint))
 
 
 @wp.func
-def fish_coat(mark: wp.vec3, colour: wp.vec3, length: float, footprint: float, seed: wp.uint32):
+def fish_coat(mark: wp.vec3, colour: wp.vec3, length: float, footprint: float, seed: wp.vec2ui):
     """Albedo of a fish; mark: position from nose to tail and from belly to back, and part, as in scene.life.fish."""
     along = mark[0]
     up = mark[1]
     part = int(mark[2] + 0.5)
     scales = noise2(along * 70.0, up * 22.0, seed)[0] * kept(0.02 * length, footprint)
-    blots = noise2(along * 9.0, up * 2.5, seed + wp.uint32(3))[0] * kept(0.12 * length, footprint)
+    blots = noise2(along * 9.0, up * 2.5, nth(seed, 3))[0] * kept(0.12 * length, footprint)
     albedo = wp.vec3(0.0, 0.0, 0.0)
     if part == 1:
         albedo = PUPIL

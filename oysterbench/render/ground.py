@@ -7,7 +7,7 @@ import warp as wp
 from oysterbench.recipe import ReefRecipe
 from oysterbench.render.arithmetic import greater
 from oysterbench.render.growth import DARK, SMOOTHED, SPECK, mouth, speck
-from oysterbench.render.noise import fleck, kept, noise2, pebble, step_smoothly
+from oysterbench.render.noise import fleck, kept, noise2, nth, pebble, step_smoothly
 
 SHELL_HASH = wp.constant(wp.vec3(0.520, 0.490, 0.420))
 PEBBLE = wp.constant(wp.vec3(0.050, 0.048, 0.042))
@@ -63,7 +63,7 @@ def build_ground(reef: ReefRecipe) -> Ground:
 
 
 @wp.func
-def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: wp.uint32):
+def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: wp.vec2ui):
     """Material of the seabed at p in `map`: sediment with patches, mottling, pebbles and shell hash."""
     patches = wp.float32(0.0)
     grain = wp.float32(0.0)
@@ -80,7 +80,7 @@ def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: 
             if octave % 2 == 1:
                 x = (0.28 * p[0] + 0.96 * p[1]) / wavelength
                 y = (0.28 * p[1] - 0.96 * p[0]) / wavelength
-            n = noise2(x, y, seed + wp.uint32(octave))
+            n = noise2(x, y, nth(seed, octave))
             if octave < 3:
                 patches += weight * n[0] * (1.0 - 0.2 * float(octave))
             else:
@@ -108,9 +108,9 @@ def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: 
         if weight > 0.0:
             x = p[0] * 0.936 - p[1] * 0.352
             y = p[0] * 0.352 + p[1] * 0.936
-            top = pebble(x, y, cell, seed + wp.uint32(50))
+            top = pebble(x, y, cell, nth(seed, 50))
             if top[0] < 0.45:
-                top = pebble(y + 0.31, x, 0.45 * cell, seed + wp.uint32(51))
+                top = pebble(y + 0.31, x, 0.45 * cell, nth(seed, 51))
                 top = wp.vec4(0.6 * top[0], top[2], top[1], top[3])
             mineral = albedo * (0.55 + 0.9 * top[3]) * (0.35 + 0.75 * top[0])
             albedo = albedo + (mineral - albedo) * weight
@@ -129,7 +129,7 @@ def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: 
             density = density * (1.0 - SMOOTHED * ground.drape)
         hit = wp.vec4(0.0, 0.0, 0.0, 0.0)
         if kept(0.6 * cell, 0.7 * footprint) > 0.0:  # no grain is larger
-            hit = fleck(x + 0.37 * float(layer), y, cell, density, footprint, seed + wp.uint32(100 + layer))
+            hit = fleck(x + 0.37 * float(layer), y, cell, density, footprint, nth(seed, 100 + layer))
         if hit[0] > 0.0:
             # Sediment has settled on most of the pieces.
             pale = (hit[1] + ground.shells - 1.0) / ground.shells

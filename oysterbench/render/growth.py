@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from oysterbench.render.arithmetic import clamped, greater
-from oysterbench.render.noise import fleck, kept, lattice, noise2, noise3, step_smoothly, unit
+from oysterbench.render.noise import fleck, kept, lattice, noise2, noise3, nth, step_smoothly, unit
 
 SMOOTHED = wp.constant(0.90)  # share of a surface's own relief and mottling that a full drape hides
 FLUFF = wp.constant(0.45)  # share of the grain of settled sediment that a full drape hides
@@ -35,7 +35,7 @@ class Growth:
 
 
 @wp.func
-def barnacle(x: float, y: float, cell: float, footprint: float, seed: wp.uint32):
+def barnacle(x: float, y: float, cell: float, footprint: float, seed: wp.vec2ui):
     """At most one barnacle in each cell: (cover, slopes in x and y, darkness of its mouth)."""
     fx = wp.floor(x / cell)
     fy = wp.floor(y / cell)
@@ -53,17 +53,17 @@ def barnacle(x: float, y: float, cell: float, footprint: float, seed: wp.uint32)
 
 
 @wp.func
-def foul(q: wp.vec3, share: float, footprint: float, seed: wp.uint32):
+def foul(q: wp.vec3, share: float, footprint: float, seed: wp.vec2ui):
     """Barnacles, worm tubes and spat in clusters on the outside of a shell; q: point in the shell's frame, m."""
-    cluster = noise3(q / CLUSTER_M, seed + wp.uint32(91))
+    cluster = noise3(q / CLUSTER_M, nth(seed, 91))
     least = 0.9 - 1.5 * share
     out = Growth()
-    young = barnacle(q[0], q[1], SPAT_CELL_M, footprint, seed + wp.uint32(92))
+    young = barnacle(q[0], q[1], SPAT_CELL_M, footprint, nth(seed, 92))
     spat = young[0] * step_smoothly(least, least + 0.3, cluster[2] * 0.6)
     out.cover = spat
     out.albedo = SPAT * (1.0 - 0.35 * young[3])
     out.gradient = wp.vec3(young[1], young[2], 0.0) * (0.8 * spat)
-    wind = noise3(q / TUBE_BEND_M, seed + wp.uint32(93))
+    wind = noise3(q / TUBE_BEND_M, nth(seed, 93))
     slope = wp.vec3(wind[1], wind[2], wind[3])
     steep = greater(wp.length(slope), 0.35)
     beside = wp.abs(wind[0]) / steep * TUBE_BEND_M
@@ -73,7 +73,7 @@ def foul(q: wp.vec3, share: float, footprint: float, seed: wp.uint32):
     out.albedo = out.albedo + (TUBE - out.albedo) * tube
     out.gradient = out.gradient + slope * (-1.2 * wind[0] / (wp.abs(wind[0]) + 1.0e-3) * tube / steep)
     out.cover = greater(out.cover, tube)
-    acorn = barnacle(q[0], q[1], SETTLERS_CELL_M, footprint, seed + wp.uint32(94))
+    acorn = barnacle(q[0], q[1], SETTLERS_CELL_M, footprint, nth(seed, 94))
     cone = acorn[0] * step_smoothly(least, least + 0.3, -cluster[0]) * kept(0.006, footprint)
     out.albedo = out.albedo + (BARNACLE * (1.0 - 0.85 * acorn[3]) - out.albedo) * cone
     out.gradient = out.gradient + wp.vec3(acorn[1], acorn[2], 0.0) * (2.5 * cone * (1.0 - acorn[3]))
@@ -88,11 +88,11 @@ def lying(drape: float, normal: wp.vec3, uneven: float):
 
 
 @wp.func
-def fur(q: wp.vec3, normal: wp.vec3, share: float, footprint: float, seed: wp.uint32):
+def fur(q: wp.vec3, normal: wp.vec3, share: float, footprint: float, seed: wp.vec2ui):
     """Turf on a surface with a normal given in `map`; q: point in the surface's own frame, m."""
-    patch = noise3(q / PATCH_M, seed + wp.uint32(61))
-    lock = noise3(q / LOCK_M, seed + wp.uint32(62))
-    hair = noise3(q / HAIR_M, seed + wp.uint32(63))
+    patch = noise3(q / PATCH_M, nth(seed, 61))
+    lock = noise3(q / LOCK_M, nth(seed, 62))
+    hair = noise3(q / HAIR_M, nth(seed, 63))
     coarse = kept(LOCK_M, footprint)
     close = kept(HAIR_M, footprint)
     out = Growth()
@@ -108,17 +108,17 @@ def fur(q: wp.vec3, normal: wp.vec3, share: float, footprint: float, seed: wp.ui
 
 
 @wp.func
-def speck(x: float, y: float, grit: float, footprint: float, seed: wp.uint32):
+def speck(x: float, y: float, grit: float, footprint: float, seed: wp.vec2ui):
     """White specks at x, y, m: their share of a pixel, and their brightness, 0 to 1."""
-    grain = fleck(x, y, SPECK_CELL_M, SPECK_DENSITY * grit, footprint, seed + wp.uint32(71))
+    grain = fleck(x, y, SPECK_CELL_M, SPECK_DENSITY * grit, footprint, nth(seed, 71))
     return wp.vec2(grain[0], 0.45 + 0.55 * grain[1])
 
 
 @wp.func
-def mouth(x: float, y: float, burrows: float, footprint: float, seed: wp.uint32):
+def mouth(x: float, y: float, burrows: float, footprint: float, seed: wp.vec2ui):
     """Burrow mouths in low, clustered mounds at x, y, m: (darkness, slopes of the mounds in x and y)."""
-    mound = barnacle(x, y, MOUTH_CELL_M, footprint, seed + wp.uint32(81))
-    cluster = noise2(x / MOUTHS_M, y / MOUTHS_M, seed + wp.uint32(82))
+    mound = barnacle(x, y, MOUTH_CELL_M, footprint, nth(seed, 81))
+    cluster = noise2(x / MOUTHS_M, y / MOUTHS_M, nth(seed, 82))
     there = step_smoothly(0.8 - 1.9 * burrows, 1.0 - 1.9 * burrows, cluster[0]) * kept(0.006, footprint)
     rim = mound[0] * (1.0 - mound[3]) * there
     return wp.vec3((0.15 * mound[0] + 0.85 * mound[3]) * there, mound[1] * rim, mound[2] * rim)

@@ -161,7 +161,7 @@ def shade_material(
     else:
         it = world.placed[i]
         q = wp.transpose(it.rotation) * (p - it.position)
-        seed = scramble(looks.seed + wp.uint32(i))
+        seed = wp.vec2ui(scramble(looks.seed[0] + wp.uint32(i)), looks.seed[1])
         mark = blend(world.marks, world.corners, it.first_corner + 3 * hit.face, hit.u, hit.v)
         material = instance_material(
             it.kind, q, mark, it.scale[0], smooth, it.rotation, it.colour, it.silt, looks.ground, footprint, seed

@@ -18,7 +18,7 @@ class Looks:
     on the same grid things may shade the seabed, and where they may hide sky from it.
     """
 
-    seed: wp.uint32
+    seed: wp.vec2ui
     ground: Ground
     envelope: wp.array2d(dtype=wp.float32)
     reach: wp.array2d(dtype=wp.uint8)

@@ -21,6 +21,7 @@ from oysterbench.recipe import SequenceRecipe
 from oysterbench.render.admixture import Admixture, admixtures
 from oysterbench.render.caustics import PATTERN_CONE_RAD
 from oysterbench.render.lamps import lamp_spread
+from oysterbench.render.noise import key_of
 from oysterbench.render.optics import Optics, lamp_irradiance
 from oysterbench.render.radiance import Daylight
 from oysterbench.render.tables import look_up, look_up_pair
@@ -70,7 +71,7 @@ class TurbidityField:
         field.bottom, field.excess, field.fade = -depth, layer.factor - 1.0, 1.0 / layer.thickness_m
         field.contrast, field.frequency = patches.contrast, 1.0 / patches.size_m
         field.blurring = round(forward_share(IMAGE_CONE_RAD) - forward_share(PATTERN_CONE_RAD), 7)
-        field.seed = int(appearance.generator("patches").integers(0, 2**31))
+        field.seed = key_of(int(appearance.generator("patches").integers(0, 2**31)), appearance, "patches")
         ambient, own, silt = admixtures(recipe.water, water, daylight, depth)
         self._admix("own", own)
         self._admix("silt", silt)

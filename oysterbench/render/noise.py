@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from oysterbench.core.streams import Name, Streams
 from oysterbench.render.arithmetic import clamped, greater, lesser
 
 MIX_1 = wp.constant(wp.uint32(0x7FEB352D))
@@ -27,11 +28,27 @@ def scramble(h: wp.uint32):
     return h ^ (h >> wp.uint32(16))
 
 
+def key_of(first: int, appearance: Streams, *name: Name) -> wp.vec2ui:
+    """Key of a pattern: 32 bits, and with a salt another 32 from the stream of this name. Who knew the pattern on the
+    ground of a hidden reef would know where each image of it was taken, and 32 bits can all be tried."""
+    second = int(appearance.generator(*name, "key").integers(1, 2**32)) if appearance.salt else 0
+    return wp.vec2ui(wp.uint32(first), wp.uint32(second))
+
+
 @wp.func
-def lattice(x: int, y: int, z: int, seed: wp.uint32):
+def nth(seed: wp.vec2ui, n: int):
+    """Key of the n-th of several patterns."""
+    return wp.vec2ui(seed[0] + wp.uint32(n), seed[1])
+
+
+@wp.func
+def lattice(x: int, y: int, z: int, seed: wp.vec2ui):
     """Hash of a lattice point."""
     mixed = (wp.uint32(x) * PRIME_X) ^ (wp.uint32(y) * PRIME_Y)
-    return scramble(mixed ^ (wp.uint32(z) * PRIME_Z) ^ seed)
+    h = scramble(mixed ^ (wp.uint32(z) * PRIME_Z) ^ seed[0])
+    if seed[1] != wp.uint32(0):
+        h = scramble(h ^ seed[1])
+    return h
 
 
 @wp.func
@@ -47,7 +64,7 @@ def signed(h: wp.uint32):
 
 
 @wp.func
-def noise2(x: float, y: float, seed: wp.uint32):
+def noise2(x: float, y: float, seed: wp.vec2ui):
     """Value noise on the unit lattice: (value from -1 to 1, d/dx, d/dy)."""
     fx = wp.floor(x)
     fy = wp.floor(y)
@@ -67,7 +84,7 @@ def noise2(x: float, y: float, seed: wp.uint32):
 
 
 @wp.func
-def noise3(p: wp.vec3, seed: wp.uint32):
+def noise3(p: wp.vec3, seed: wp.vec2ui):
     """Value noise on the unit lattice: (value from -1 to 1, gradient)."""
     fx = wp.floor(p[0])
     fy = wp.floor(p[1])
@@ -117,7 +134,7 @@ def step_smoothly(low: float, high: float, x: float):
 
 
 @wp.func
-def fleck(x: float, y: float, cell: float, density: float, footprint: float, seed: wp.uint32):
+def fleck(x: float, y: float, cell: float, density: float, footprint: float, seed: wp.vec2ui):
     """At most one elliptic grain in each cell: (coverage and tone from 0 to 1, slopes in x and y)."""
     fx = wp.floor(x / cell)
     fy = wp.floor(y / cell)
@@ -150,7 +167,7 @@ def fleck(x: float, y: float, cell: float, density: float, footprint: float, see
 
 
 @wp.func
-def pebble(x: float, y: float, cell: float, seed: wp.uint32):
+def pebble(x: float, y: float, cell: float, seed: wp.vec2ui):
     """Topmost pebble at x, y in a packed layer: (height from 0 to 1, its slopes in x and y per cell, tone).
 
     One rounded, jittered grain per cell; the highest in the neighbourhood shows (Worley 1996, with ellipsoids).

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from oysterbench.render.arithmetic import clamped
-from oysterbench.render.noise import noise2, step_smoothly
+from oysterbench.render.noise import noise2, nth, step_smoothly
 from oysterbench.render.tables import look_up, look_up_pair
 from oysterbench.render.turbidity import Turbidity
 
@@ -79,7 +79,7 @@ class Optics:
     cosine_step: wp.float32
     shade: wp.float32
     shade_m: wp.float32
-    shade_seed: wp.uint32
+    shade_seed: wp.vec2ui
     lamps: Lamps
     caustics: Caustics
     turbidity: Turbidity
@@ -152,7 +152,7 @@ def caustic(optics: Optics, p: wp.vec3):
         u = (LAYER_COSINE * x - LAYER_SINE * y) * cells + 0.37 * float(optics.caustics.tile.shape[0])
         v = (LAYER_SINE * x + LAYER_COSINE * y) * cells
         two = look_up_wrapped(optics.caustics.tile, u, v) - 1.0
-        mix = noise2(x / LAYER_PATCH_M, y / LAYER_PATCH_M, wp.uint32(0))
+        mix = noise2(x / LAYER_PATCH_M, y / LAYER_PATCH_M, wp.vec2ui(wp.uint32(0), optics.shade_seed[1]))
         first = step_smoothly(-0.6, 0.6, mix[0])
         second = 1.0 - first
         wave = (first * one + second * two) / wp.sqrt(first * first + second * second)
@@ -221,5 +221,5 @@ def unshaded(optics: Optics, p: wp.vec3):
     x = (0.8 * p[0] - 0.6 * p[1]) / optics.shade_m
     y = (0.6 * p[0] + 0.8 * p[1]) / optics.shade_m
     wide = noise2(x, y, optics.shade_seed)
-    close = noise2(2.3 * y, 2.3 * x, optics.shade_seed + wp.uint32(1))
+    close = noise2(2.3 * y, 2.3 * x, nth(optics.shade_seed, 1))
     return 1.0 - optics.shade * step_smoothly(-0.6, 0.6, wide[0] + 0.4 * close[0])

@@ -12,7 +12,7 @@ from oysterbench.render.arithmetic import clamped, greater
 from oysterbench.render.coats import fish_coat, mottle
 from oysterbench.render.ground import Ground, Material
 from oysterbench.render.growth import BARNACLE, FLUFF, SMOOTHED, SPECK, barnacle, foul, fur, lying, speck
-from oysterbench.render.noise import kept, noise2, noise3, scramble, step_smoothly, unit
+from oysterbench.render.noise import kept, noise2, noise3, nth, scramble, step_smoothly, unit
 from oysterbench.scene.instances import CLASS_NUMBERS
 
 __all__ = ["Material", "instance_material", "scramble"]
@@ -43,7 +43,7 @@ def shell(
     silt: float,
     ground: Ground,
     footprint: float,
-    seed: wp.uint32,
+    seed: wp.vec2ui,
 ):
     """Surface of a shell: growth bands, stains, fouling, a chalky margin, a pale inside, silt where it faces up.
 
@@ -58,7 +58,7 @@ def shell(
     for octave in range(octaves):
         weight = kept(wavelength, footprint)
         if weight > 0.0:
-            n = noise3(q / wavelength, seed + wp.uint32(octave + 1))
+            n = noise3(q / wavelength, nth(seed, octave + 1))
             fine += weight * n[0]
             gradient += wp.vec3(n[1], n[2], n[3]) * (0.50 * weight)
         wavelength *= 0.5
@@ -96,7 +96,7 @@ def shell(
     outer = outer * (1.0 + 0.45 * step_smoothly(0.90, 1.0, mark[0]))
     film = step_smoothly(0.1, 0.8, 1.3 * coarse[2] - 0.5 * value + 0.3 * fine + 0.4 * normal[2])
     outer = outer + (FILM * (1.0 + 0.4 * fine) - outer) * (0.55 * film)
-    if outside > 0.5 and footprint < 0.0035 and unit(seed, 8) < 0.4:
+    if outside > 0.5 and footprint < 0.0035 and unit(seed[0], 8) < 0.4:
         cell = barnacle(q[0], q[1], 0.014, footprint, seed)
         weight = cell[0] * step_smoothly(0.05, 0.35, coarse[0]) * kept(0.007, footprint)
         outer = outer + (BARNACLE * (1.0 - 0.85 * cell[3]) - outer) * (0.85 * weight)
@@ -118,7 +118,7 @@ def shell(
     if draped > 0.0:
         grains = grains * (1.0 - FLUFF * draped)
     if grains > 0.0:
-        fuzz = noise3(q / 0.0019, seed + wp.uint32(41))
+        fuzz = noise3(q / 0.0019, nth(seed, 41))
         bumped = wp.normalize(bumped - (rotation * wp.vec3(fuzz[1], fuzz[2], fuzz[3])) * (0.22 * grains))
         tone += 0.28 * fuzz[0] * grains
     silted = ground.silt * greater(0.35, tone)
@@ -144,7 +144,7 @@ def stone(
     silt: float,
     ground: Ground,
     footprint: float,
-    seed: wp.uint32,
+    seed: wp.vec2ui,
 ):
     """Surface of a stone: mottled, speckled, with an algal film, and silted from above; q: in the stone's frame, m."""
     value = wp.float32(0.0)
@@ -154,7 +154,7 @@ def stone(
     for octave in range(octaves):
         weight = kept(wavelength, footprint)
         if weight > 0.0:
-            n = noise3(q / wavelength, seed + wp.uint32(octave))
+            n = noise3(q / wavelength, nth(seed, octave))
             value += weight * n[0]
             gradient += wp.vec3(n[1], n[2], n[3]) * weight
         wavelength *= 0.4
@@ -169,7 +169,7 @@ def stone(
 
 
 @wp.func
-def plant(mark: wp.vec3, normal: wp.vec3, colour: wp.vec3, ground: Ground, footprint: float, seed: wp.uint32):
+def plant(mark: wp.vec3, normal: wp.vec3, colour: wp.vec3, ground: Ground, footprint: float, seed: wp.vec2ui):
     """Surface of a blade, older towards the tip; mark: share of its length, its own tone and the position across."""
     n = noise2(mark[0] * 9.0, mark[1] * 37.0, seed)
     weight = kept(0.02, footprint)
@@ -185,11 +185,11 @@ def plant(mark: wp.vec3, normal: wp.vec3, colour: wp.vec3, ground: Ground, footp
 
 @wp.func
 def sponge(
-    q: wp.vec3, normal: wp.vec3, rotation: wp.mat33, colour: wp.vec3, ground: Ground, footprint: float, seed: wp.uint32
+    q: wp.vec3, normal: wp.vec3, rotation: wp.mat33, colour: wp.vec3, ground: Ground, footprint: float, seed: wp.vec2ui
 ):
     """Surface of a sponge: fleshy, with pores; q: point in its frame, m."""
     a = noise3(q / 0.011, seed)
-    b = noise3(q / 0.0031, seed + wp.uint32(1))
+    b = noise3(q / 0.0031, nth(seed, 1))
     wide = kept(0.011, footprint)
     close = kept(0.0031, footprint)
     pore = step_smoothly(0.45, 0.75, b[0]) * close
@@ -214,7 +214,7 @@ def instance_material(
     silt: float,
     ground: Ground,
     footprint: float,
-    seed: wp.uint32,
+    seed: wp.vec2ui,
 ):
     """Material of an instance of class `kind` at a point q, m, in its own frame."""
     material = Material()

@@ -32,6 +32,7 @@ from oysterbench.render import (
 from oysterbench.render.casting import Hit
 from oysterbench.render.lens import pixel_rays
 from oysterbench.render.light import build_light, sky_fan, sun_fan
+from oysterbench.render.noise import key_of
 from oysterbench.render.optics import Optics
 from oysterbench.render.passage import STILL, Passage
 from oysterbench.render.radiance import Daylight
@@ -228,7 +229,7 @@ class ViewTracer:
             self._movers.throw_shadows(np.vstack([fan, light.sun_direction]))
         self._looks = upload_looks(world, recipe, np.vstack([fan, light.sun_direction]), device)
         self._optics = upload_optics(water, light, fan, recipe, world.terrain.steepest(), device)
-        self._optics.shade_seed = world.appearance.seed ^ SHADE_SEED
+        self._optics.shade_seed = key_of(world.appearance.seed ^ SHADE_SEED, world.appearance, "shade")
         shape = (camera.height, camera.width)
         self._optics.lamps = lamps.build_lamps(self._lamps, recipe.light.lamps, water, shape, device)
         self._fill = partial(march.TurbidityField, recipe, water, daylight, plumes, world.appearance)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from oysterbench.render.noise import noise2
+from oysterbench.render.noise import noise2, nth
 from oysterbench.render.tables import look_up
 
 HALVINGS = wp.constant(1.0 / 64.0)
@@ -37,7 +37,7 @@ class Turbidity:
     contrast: wp.float32
     frequency: wp.float32
     drift: wp.vec2
-    seed: wp.uint32
+    seed: wp.vec2ui
     silty: wp.int32
     grid: wp.array3d(dtype=wp.vec2)
     corner: wp.vec3
@@ -109,7 +109,7 @@ def patch(field: Turbidity, x: float, y: float):
         u = (x - field.drift[0]) * field.frequency
         v = (y - field.drift[1]) * field.frequency
         coarse = noise2(u, v, field.seed)
-        fine = noise2(2.0 * u, 2.0 * v, field.seed + wp.uint32(1))
+        fine = noise2(2.0 * u, 2.0 * v, nth(field.seed, 1))
         factor = 1.0 + field.contrast * (coarse[0] + 0.5 * fine[0]) / 1.5
     return factor
 

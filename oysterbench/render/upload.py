@@ -16,6 +16,7 @@ from oysterbench.render.ground import build_ground
 from oysterbench.render.light import Light, shadow_reach
 from oysterbench.render.looks import Looks
 from oysterbench.render.movers import Meshes, Movers
+from oysterbench.render.noise import key_of
 from oysterbench.render.optics import Optics
 from oysterbench.render.relief import build_relief
 from oysterbench.render.tree import upload_library, upload_tree
@@ -100,7 +101,7 @@ def upload_looks(world: World, recipe: SequenceRecipe, fan: NDArray[np.float32],
     fan (N, 3): unit vectors towards all light that casts shadows.
     """
     looks = Looks()
-    looks.seed = world.appearance.seed
+    looks.seed = key_of(world.appearance.seed, world.appearance, "looks")
     looks.ground = build_ground(recipe.reef)
     looks.envelope_start = float(world.envelope_lines[0])
     cell = float(world.envelope_lines[1] - world.envelope_lines[0])
