@@ -150,16 +150,21 @@ def test_a_folder_that_is_no_servers_is_not_taken_for_one(tmp_path, monkeypatch)
     assert "is in no server's folder: uploads are read within the default limits" in asked.stderr
 
 
-def test_uploads_on_a_hidden_split_are_scored_again_and_what_changed_is_said(tmp_path, monkeypatch):
+def board_of_one(tmp_path, monkeypatch):
+    """A board with a record of an upload, the record, and the command that scores it again."""
     monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("OYSTERBENCH_BOARD", str(tmp_path / "board"))
     recipe, truth = lay_split(tmp_path / "splits")
     store, old = RecordStore(tmp_path / "board"), uploaded(tmp_path, recipe)
     (tmp_path / "key").write_bytes(b"secret")  # so that all around the upload is hidden from the process that reads it
     store.add(old)
-    store.add(replace(old, team="others", estimates={}))
     words = ["leaderboard", "rescore", "--estimates", str(tmp_path / "estimates"), "--json"]
-    words += ["--split", str(recipe), "--truth", str(truth)]
+    return store, old, [*words, "--split", str(recipe), "--truth", str(truth)]
+
+
+def test_uploads_on_a_hidden_split_are_scored_again_and_what_changed_is_said(tmp_path, monkeypatch):
+    store, old, words = board_of_one(tmp_path, monkeypatch)
+    store.add(replace(old, team="others", estimates={}))
     tried = CliRunner().invoke(main, [*words, "--dry-run"])
     assert tried.exit_code == 0, tried.output
     assert len(store.digests()) == 2
@@ -184,14 +189,7 @@ def test_uploads_on_a_hidden_split_are_scored_again_and_what_changed_is_said(tmp
 
 def test_what_is_withdrawn_does_not_come_back_by_being_scored_again(tmp_path, monkeypatch):
     """Its record by the former evaluator is current again on its own board, and has the same estimates."""
-    monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "home"))
-    monkeypatch.setenv("OYSTERBENCH_BOARD", str(tmp_path / "board"))
-    recipe, truth = lay_split(tmp_path / "splits")
-    store, old = RecordStore(tmp_path / "board"), uploaded(tmp_path, recipe)
-    (tmp_path / "key").write_bytes(b"secret")
-    store.add(old)
-    words = ["leaderboard", "rescore", "--estimates", str(tmp_path / "estimates"), "--json"]
-    words += ["--split", str(recipe), "--truth", str(truth)]
+    store, old, words = board_of_one(tmp_path, monkeypatch)
     made = json.loads(CliRunner().invoke(main, words).stdout)[0]["after"]["record"]
 
     def call(command, digest):
@@ -228,15 +226,8 @@ def test_a_record_of_a_track_that_is_not_scored_again_is_told_so_by_its_name(tmp
 
 
 def test_a_damaged_record_is_named_and_the_others_are_scored_again(tmp_path, monkeypatch):
-    monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "home"))
-    monkeypatch.setenv("OYSTERBENCH_BOARD", str(tmp_path / "board"))
-    recipe, truth = lay_split(tmp_path / "splits")
-    store, old = RecordStore(tmp_path / "board"), uploaded(tmp_path, recipe)
-    (tmp_path / "key").write_bytes(b"secret")
-    store.add(old)
+    store, old, words = board_of_one(tmp_path, monkeypatch)
     damaged = store.add(replace(old, team="others"))
-    words = ["leaderboard", "rescore", "--estimates", str(tmp_path / "estimates"), "--json"]
-    words += ["--split", str(recipe), "--truth", str(truth)]
     assert CliRunner().invoke(main, [*words, "--dry-run"]).exit_code == 0  # both are in the index now
     (tmp_path / "board" / "records" / f"{damaged}.json").write_bytes(b"{}")
     done = CliRunner().invoke(main, words)
