@@ -50,8 +50,8 @@ def judge_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "--judge",
             type=click.Path(path_type=Path, dir_okay=False),
             metavar="FILE",
-            help="Weights of `oysterbench train unet`, which say what has become of the oysters; 'unet' for those "
-            "under the home folder.",
+            help="Weights of `oysterbench train unet`, which say what has become of the oysters; unet for those that "
+            "it runs on.",
         ),
     ):
         command = option(command)

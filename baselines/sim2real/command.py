@@ -9,7 +9,8 @@ from typing import Any
 import click
 
 from oysterbench.cli.labelled import LABELLED
-from oysterbench_baselines.learning.trained import device_option
+from oysterbench.methods.weights import weights_names
+from oysterbench_baselines.learning.trained import device_option, trained
 
 
 @click.command("sim2real", short_help="What rendered images add to real ones.")
@@ -31,15 +32,20 @@ from oysterbench_baselines.learning.trained import device_option
     "--weights",
     "given",
     multiple=True,
-    metavar="NAME=FILE",
-    help="Weights that were trained on synthetic images before, such as those of `oysterbench train unet`; repeatable.",
+    metavar="NAME=MODEL|FILE",
+    help="Weights that were trained on synthetic images before: a file of `oysterbench train unet`, or unet for those "
+    "that it runs on; repeatable.",
 )
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home folder]"
 )
 @click.option("--sizes", default="5,10,20,40,all", show_default=True, help="Numbers of real training images.")
 @click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Training runs of each kind.")
-@click.option("--steps", type=click.IntRange(min=1), help="Optimiser steps of each training run.  [default: 1200]")
+@click.option(
+    "--steps",
+    type=click.IntRange(min=1),
+    help="Optimiser steps of each training run.  [default: 1200, or with --encoder 350]",
+)
 @click.option(
     "--schedule",
     default="tuned",
@@ -84,8 +90,7 @@ def command(
         --hold-out closeup-b --hold-out closeup-c --sizes 10    to choose settings without the test clips
       oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train --encoder lite0 \\
         --leave-site-out
-      oysterbench experiment sim2real --real real-oysters --weights released=unet.pt \\
-        --encoder lite0 --seeds 5
+      oysterbench experiment sim2real --real real-oysters --weights released=unet --encoder lite0 --seeds 5
 
     For each number of real images and each seed, it trains on real only and on real + each synthetic set; it also
     trains on each synthetic set alone. With --weights the first part of the training has been done already, and only
@@ -111,7 +116,7 @@ def command(
     from oysterbench_baselines.sim2real.work import Source
 
     sets = {name: open_training_data(places, name=name) for name, places in parts.items()}
-    sources: dict[str, Source] = {**sets, **{name: read_finished(path) for name, path in weights.items()}}
+    sources: dict[str, Source] = {**sets, **{name: read_finished(_file(path)) for name, path in weights.items()}}
     if schedule not in SCHEDULES:
         raise click.UsageError(f"--schedule: expected one of {', '.join(SCHEDULES)}, got {schedule!r}")
     if leave_site_out and hold_out:
@@ -133,6 +138,12 @@ def command(
         run_sites(open_data(real), sources, settings, out or experiments / "sim2real-sites", **how)
     else:
         run(open_data(real), sources, settings, out or experiments / "sim2real", hold_out=hold_out, **how)
+
+
+def _file(weights: Path) -> Path:
+    """Path of weights that are given as a file, or by the name under which a method runs on them."""
+    by_name = str(weights) in weights_names() and not weights.exists()
+    return trained(str(weights)) if by_name else weights
 
 
 def _sizes(text: str) -> tuple[int, ...]:

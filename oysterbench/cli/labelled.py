@@ -67,10 +67,10 @@ def named_places(texts: Sequence[str], taken: Collection[str]) -> dict[str, list
 
 
 def named_files(texts: Sequence[str], taken: Collection[str]) -> dict[str, Path]:
-    """Parse options --weights NAME=FILE to name -> file. taken: names with another meaning."""
+    """Parse options --weights NAME=MODEL|FILE to name -> file. taken: names with another meaning."""
     found: dict[str, Path] = {}
     for text in texts:
-        name, place = _named(text, "--weights", "NAME=FILE", [*taken, *found])
+        name, place = _named(text, "--weights", "NAME=MODEL|FILE", [*taken, *found])
         found[name] = Path(place)
     return found
 

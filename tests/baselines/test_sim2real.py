@@ -341,10 +341,13 @@ def test_sizes_of_which_there_are_no_images_are_left_out_by_name(real, tmp_path)
     assert not any("left out: size" in str(line) for line in echoed)
 
 
-def test_weights_are_given_by_a_name_of_their_own(real, tmp_path):
+def test_weights_are_given_by_a_name_of_their_own(real, tmp_path, monkeypatch):
     place = Path(real.entries[0].files[0]).parents[1]
     done = CliRunner().invoke(command, [f"--real={place}", "--weights=real=w.pt"])
     assert done.exit_code == 2
-    assert "--weights: expected NAME=FILE, with a name other than real, got 'real=w.pt'" in done.output
+    assert "--weights: expected NAME=MODEL|FILE, with a name other than real, got 'real=w.pt'" in done.output
     with pytest.raises(MethodError, match="no such checkpoint"):
         CliRunner().invoke(command, [f"--real={place}", f"--weights=w={tmp_path / 'w.pt'}"], catch_exceptions=False)
+    monkeypatch.setenv("OYSTERBENCH_UNET", str(tmp_path / "mine.pt"))
+    with pytest.raises(MethodError, match=r"unet: no trained weights at .*mine\.pt"):
+        CliRunner().invoke(command, [f"--real={place}", "--weights=w=unet"], catch_exceptions=False)
