@@ -112,11 +112,16 @@ def train(
 ) -> Checkpoint:
     """Train on a set, or resume from the checkpoint at `path`; then measure the trained network (`measure`). loading,
     measuring: called with the number of images read, and measured on. begun: the training from whose weights this one
-    starts, of the same network. again: start over. Raises LabelError where the set is empty."""
+    starts, of the same network. again: start over. Raises LabelError where the set is empty, and before the first step
+    where an image or its label cannot be read."""
     if not len(labelled):
         raise LabelError(f"{labelled.name}: expected images to train on, got none")
     learnt_from, kept = kept_back(labelled) if settings.measured else (labelled, labelled.where(lambda entry: False))
-    dataset = LabelledDataset(learnt_from, settings.network.scale, settings.network.side).load(loading)
+    dataset = LabelledDataset(learnt_from, settings.network.scale, settings.network.side)
+    dataset.load(lambda done, total: loading(done, len(labelled)))
+    for done, entry in enumerate(kept.entries, start=len(dataset) + 1):
+        entry.read()  # a bad label or image is found now, not when the training is done
+        loading(done, len(labelled))
     streams = Streams(seed).at("unet")
     wanted = identity(
         settings, {labelled.name: labelled.digest()}, seed, device, begun, kept if settings.measured else None

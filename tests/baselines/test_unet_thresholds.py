@@ -14,12 +14,13 @@ from click.testing import CliRunner  # noqa: E402
 
 from oysterbench.annotations import Entry, LabelledImage, LabelledSet, open_labelled, write_folder  # noqa: E402
 from oysterbench.cli.main import main  # noqa: E402
-from oysterbench.core.errors import MethodError  # noqa: E402
+from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
 from oysterbench.methods.weights import weights_path  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
 from oysterbench_baselines.unet.calibration import LEAST, Calibration, kept_back, measured  # noqa: E402
 from oysterbench_baselines.unet.training import thresholds_of, train  # noqa: E402
 from oysterbench_baselines.unet.views import Look  # noqa: E402
+from tests.helpers.labelled_folders import yolo_folder  # noqa: E402
 from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
 
 ONE = dataclasses.replace(SMALL, fit=dataclasses.replace(SMALL.fit, steps=1))
@@ -142,6 +143,20 @@ def test_weights_with_default_thresholds_say_so(tmp_path):
     )
     nothing = small_set(tmp_path / "more", {"one": ("", 2)}).where(lambda entry: False)
     assert measured(nothing, lambda pixels: Look(np.zeros((2, 4, 4), np.float32)), otherwise=KNOWN) == KNOWN
+
+
+def test_a_bad_label_of_an_image_held_out_is_found_before_the_training(tmp_path):
+    """And not when it is measured on: with the label mended, the set is another, and the training would be lost."""
+    folder = yolo_folder(tmp_path / "set", {f"f{k:02}": "" for k in range(20)})
+    (folder / "labels" / "f19.txt").write_text("0 0.5 0.5 0.2 0.2\n")
+    labelled = open_labelled(folder)
+    assert "f19" in {entry.name for entry in kept_back(labelled)[1].entries}
+    with pytest.raises(LabelError, match=r"f19\.txt:1: .*a box, not a polygon"):
+        train(labelled, tmp_path / "a.pt", ONE, 0, CPU, lambda done, total: pytest.fail("it was trained"))
+    (folder / "labels" / "f19.txt").write_text("")
+    read = []
+    train(open_labelled(folder), tmp_path / "a.pt", ONE, 0, CPU, loading=lambda *done: read.append(done))
+    assert read == [(k, 20) for k in range(1, 21)]
 
 
 def test_of_a_folder_that_was_written_from_two_cameras_the_same_instants_are_kept_back_too(tmp_path):
