@@ -11,6 +11,15 @@ from oysterbench.annotations.image import Entry
 
 TIME = re.compile(r"(?<![^-_/])(?:\d+[-_T])*\d\d[-_][0-5]\d$")
 """End of a name that is a time in parts, with or without a date: 2026-05-01_12-30-05, or 03-59 of a video."""
+ROBOFLOW = re.compile(r"_(?:jpe?g|png|bmp|webp|tiff?)\.rf\.\w+$", re.IGNORECASE)
+"""What Roboflow adds to names; copies of an image by augmentation differ in it."""
+LABEL_STUDIO = re.compile(r"(?<![^/])(?P<drawn>[0-9a-f]{8})-(?=[^/]+$)")
+"""What Label Studio puts before names: eight random hex digits."""
+_SIDE = r"(?:cam(?:era)?\d{0,2}|left|right|l|r|port|starboard)"
+SIDE = re.compile(rf"(?<![^-_/]){_SIDE}(?![^-_/])", re.IGNORECASE)
+"""Words for one of the cameras of a rig, such as a stereo camera: names that differ in them alone are of one instant,
+also where a camera stopped earlier, or took few images."""
+SIDE_LAST = re.compile(rf"(?<![^-_/])(\d+)[-_/]{_SIDE}$", re.IGNORECASE)
 APART = 0.1
 """Cameras of one rig begin and end together, up to this share of their time; videos whose numbers restart do not."""
 CAMERAS, FEW = 4, 30
@@ -24,7 +33,8 @@ Instant = tuple[int, ...]
 @dataclass(frozen=True)
 class Run:
     """Images that follow each other, in order of time as far as their names say it (`taken_of`). known: whether a clip
-    says so; otherwise they are the images of one folder, in the order of their names, 9 before 10."""
+    says so; otherwise they are the images of one folder, or of one for each camera of a rig (`SIDE`), in the order of
+    their names without what programs add to them, 9 before 10."""
 
     entries: tuple[Entry, ...]
     known: bool
@@ -38,23 +48,21 @@ def runs_of(entries: Iterable[Entry]) -> list[Run]:
     groups: dict[tuple[str, bool], list[Entry]] = {}
     for entry in entries:
         known = entry.clip != entry.name or counts[entry.clip] > 1
-        groups.setdefault((entry.clip if known else entry.name.rpartition("/")[0], known), []).append(entry)
-    return [
-        Run(tuple(_in_time(group) if known else sorted(group, key=lambda entry: _numbered(entry.name))), known)
-        for (_, known), group in groups.items()
-    ]
+        folder = SIDE.sub("", entry.name.rpartition("/")[0])
+        groups.setdefault((entry.clip if known else folder, known), []).append(entry)
+    return [Run(tuple(_in_time(group) if known else _by_name(group)), known) for (_, known), group in groups.items()]
 
 
 def ends_of(entries: Sequence[Entry], share: float) -> list[Entry]:
-    """Select the last share (rounded down) of what each camera took, of the images of one run in order of time; an
-    image of another camera at the same instant, which shows the same ground, is selected too. Where that is less than
-    half of this share of all images, as most cameras took too few, or more than twice as much, the last share of all
-    instants, or of all images, is selected."""
+    """Select the last share (rounded down) of the instants of each camera, of the images of one run; an image of
+    another camera at the same instant, which shows the same ground, is selected too. Where that is less than half of
+    this share of all images, as most cameras took too few, or more than twice as much, the last share of all instants,
+    or of all images, is selected."""
     taken = taken_of(entries)
-    cameras: dict[str, list[Instant]] = {}
+    cameras: dict[str, set[Instant]] = {}
     for camera, instant in taken:
-        cameras.setdefault(camera, []).append(instant)
-    instants = {instant for of in cameras.values() for instant in of[len(of) - int(share * len(of)) :]}
+        cameras.setdefault(camera, set()).add(instant)
+    instants = {instant for of in cameras.values() for instant in sorted(of)[len(of) - int(share * len(of)) :]}
     found = [entry for entry, (_, instant) in zip(entries, taken, strict=True) if instant in instants]
     most = share * len(entries)
     return found if found and most / 2 <= len(found) <= 2 * most else _last_of(entries, taken, share)
@@ -62,30 +70,47 @@ def ends_of(entries: Sequence[Entry], share: float) -> list[Entry]:
 
 def taken_of(entries: Sequence[Entry]) -> list[tuple[str, Instant]]:
     """What took each image of a run, and when, as far as names say: frames of sequences are named
-    SEQUENCE/CAMERA/STAMP, or with dashes or underscores in folders. Cameras of one rig (`_rigs`) that looked at the
-    same time have the same instant; those of others, such as videos whose numbers restart, have other ones. Where names
-    do not say so, the camera is empty, and the instant is the place in the run."""
-    said = _said([entry.name for entry in entries])
-    rigs = _rigs(said)
-    return [
-        (camera, (rigs[camera], *numbers) if numbers else (-1, place)) for place, (camera, numbers) in enumerate(said)
-    ]
+    SEQUENCE/CAMERA/STAMP, or with dashes or underscores in folders. Cameras that names tell apart by such words as left
+    and right (`SIDE`) are one; others of one rig (`_rigs`) that looked at the same time have the same instant; those of
+    others, such as videos whose numbers restart, have other ones. Where names do not say so, or cameras are too many,
+    the camera is empty, and the instant is the place in the run, of the first image of its camera and number."""
+    said = _said(_bare([entry.name for entry in entries]))
+    count = len({camera for camera, _ in said})
+    rigs = _rigs(said) if count <= CAMERAS or len(said) >= FEW * count else {}
+    first: dict[tuple[str, Instant], int] = {}
+    taken: list[tuple[str, Instant]] = []
+    for place, (camera, numbers) in enumerate(said):
+        known = rigs and numbers
+        at = first.setdefault((camera, numbers), place) if numbers else place
+        taken.append((camera, (rigs[camera], *numbers)) if known else ("", (-1, at)))
+    return taken
+
+
+def _bare(names: Sequence[str]) -> list[str]:
+    """The names of a run without what programs add to them, which is random: it would be what they are sorted by, or
+    hide the number at their ends."""
+    names = [ROBOFLOW.sub("", name) for name in names]
+    drawn = [found["drawn"] for name in names if (found := LABEL_STUDIO.search(name))]
+    # Dates have no letters, and numbers of videos are those of many images.
+    random = len(drawn) == len(names) and 2 * len(set(drawn)) > len(set(names)) and not "".join(drawn).isdecimal()
+    return [LABEL_STUDIO.sub("", name) for name in names] if random else names
 
 
 def _said(names: Sequence[str]) -> list[tuple[str, Instant]]:
-    """Camera and time of each image by its name: what stands before the number at the end of it, and this number, or
-    the numbers of a time in parts after their count; nothing for other names, or where cameras are too many."""
+    """Camera and time of each image by its name: what stands before the number at the end of it, without words for one
+    of the cameras of a rig, and this number, or the numbers of a time in parts after their count; nothing for other
+    names."""
+    names = [SIDE_LAST.sub(r"\1", name) for name in names]
     timed = all(TIME.search(name) for name in names)
     said: list[tuple[str, Instant]] = []
     for name in names:
         camera, _, number = name.replace("/", "-").replace("_", "-").rpartition("-")
         if timed and (found := TIME.search(name)):
             parts = tuple(map(int, re.findall(r"\d+", found.group())))
-            said.append((name[: found.start()], (len(parts), *parts)))
+            said.append((SIDE.sub("", name[: found.start()]), (len(parts), *parts)))
         else:
-            said.append((camera, (int(number),)) if number.isdecimal() else ("", ()))
-    counts = Counter(camera for camera, _ in said)
-    return said if len(counts) <= CAMERAS or len(names) >= FEW * len(counts) else [("", ())] * len(names)
+            said.append((SIDE.sub("", camera), (int(number),)) if number.isdecimal() else ("", ()))
+    return said
 
 
 def _rigs(said: Sequence[tuple[str, Instant]]) -> dict[str, int]:
@@ -111,6 +136,13 @@ def _in_time(clip: Sequence[Entry]) -> list[Entry]:
     """The images of a clip in order of time, where every name says it; else as they stand."""
     taken = taken_of(clip)
     return list(clip) if any(rig < 0 for _, (rig, *_) in taken) else _ordered(taken, clip)
+
+
+def _by_name(images: Sequence[Entry]) -> list[Entry]:
+    """The images of a folder in the order of their names, those of the cameras of a rig one after the other."""
+    names = _bare([entry.name for entry in images])
+    keys = [(_numbered(SIDE.sub("", name)), _numbered(name)) for name in names]
+    return [images[k] for k in sorted(range(len(images)), key=lambda k: keys[k])]
 
 
 def _ordered(taken: Sequence[tuple[str, Instant]], entries: Sequence[Entry]) -> list[Entry]:

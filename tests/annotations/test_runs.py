@@ -79,3 +79,60 @@ def test_images_of_a_clip_whose_names_are_no_times_stay_as_they_are_listed():
 
 def test_of_names_without_a_mark_before_their_numbers_those_that_are_higher_come_last():
     assert ends(entries_of([f"img{k}" for k in range(1, 61)]), 0.1) == [f"img{k}" for k in range(55, 61)]
+
+
+STEREO = ["dive{d}_{side}_{k:04}", "dive{d}/{side}/{k}", "{side}/dive{d}-{k:03}", "dive{d}_{k:03}_{side}"]
+
+
+@pytest.mark.parametrize("form", STEREO)
+@pytest.mark.parametrize("sides", [("left", "right"), ("cam0", "cam1"), ("L", "R")])
+@pytest.mark.parametrize("clip", ["", "reef"])
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [([100], [88]), ([100], [60]), ([25] * 3, [25] * 3), ([10] * 6, [9] * 6), ([30, 60], [60, 20])],
+)
+def test_images_of_a_stereo_pair_are_on_one_side(form, sides, clip, left, right):
+    """Also where a camera stopped early, and where there are few images of each of many dives."""
+    counts = dict(zip(sides, (left, right), strict=True))
+    names = {
+        form.format(d=d, side=side, k=k): (d, k)
+        for side, of in counts.items()
+        for d, count in enumerate(of)
+        for k in range(count)
+    }
+    held = set(ends(entries_of(names, clip), 0.2))
+    assert 0.1 * len(names) <= len(held) <= 0.4 * len(names)
+    assert not {names[name] for name in held} & {names[name] for name in names.keys() - held}
+
+
+def test_numbers_after_a_word_for_a_camera_are_those_of_images():
+    assert ends(entries_of([f"dive12_cam_{k:04}" for k in range(20)]), 0.1) == ["dive12_cam_0018", "dive12_cam_0019"]
+    names = [f"cam-{year}-{k:03}" for year, count in ((2024, 100), (2025, 40)) for k in range(count)]
+    assert ends(entries_of(names), 0.1) == [*names[90:100], *names[136:]]
+
+
+def drawn(k, digits=8):
+    return f"{random.Random(str(k)).getrandbits(4 * digits):0{digits}x}"
+
+
+@pytest.mark.parametrize("clip", ["", "dive"])
+@pytest.mark.parametrize(
+    "form",
+    ["{drawn}-frame_{k:06}", "site/{drawn}-{k}", "GX_frame_{k:05}_jpg.rf.{drawn}", "{drawn}-f_{k}_PNG.rf.Ab{drawn}"],
+)
+def test_random_parts_that_programs_add_to_names_are_no_order(form, clip):
+    """Such as those of Label Studio and Roboflow, in whichever order a file lists them."""
+    names = [form.format(drawn=drawn(k), k=k) for k in range(95, 145)]
+    mixed = random.Random(1).sample(names, len(names))
+    assert ends(entries_of(mixed, clip), 0.2) == names[-10:]
+
+
+def test_copies_of_an_image_by_augmentation_are_on_one_side():
+    names = [f"frame_{k:03}_jpg.rf.{drawn((k, copy), 32)}" for k in range(40) for copy in range(3)]
+    assert set(ends(entries_of(names), 0.1)) == set(names[-12:])
+
+
+@pytest.mark.parametrize("first", [["20260501", "20260502"], ["0a1b2c3d", "1a2b3c4d"]])
+def test_dates_and_videos_named_by_hex_digits_stay_apart(first):
+    names = [f"{of}-{k:03}" for of, count in zip(first, (100, 60), strict=True) for k in range(count)]
+    assert ends(entries_of(names), 0.1) == [*names[90:100], *names[154:]]
