@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -154,26 +154,35 @@ def planes_of(
 
 
 def joined(sets: Iterable[LabelledSet], name: str) -> LabelledSet:
-    """Join several sets into one; images and clips are named SET/NAME, or SET-2/NAME in the second set of one name, as
-    COCO files of several folders may have. Raises LabelError where sets of one name have an image file in common."""
+    """Join several sets into one, with the names of `apart`. Raises LabelError where sets of one name have an image
+    file in common."""
+    return LabelledSet(name, [entry for one in apart(sets, name) for entry in one.entries])
+
+
+def apart(sets: Iterable[LabelledSet], name: str) -> list[LabelledSet]:
+    """Name images and clips of several sets SET/NAME, or SET-2/NAME in the second set of one name, as COCO files of
+    several folders may have, by the first number that leads to the name of no other. name: of all together. Raises
+    LabelError where sets of one name have an image file in common."""
 
     def renamed(entry: Entry, part: str) -> Entry:
         own, clip = f"{part}/{entry.name}", f"{part}/{entry.clip}"
         return Entry(own, clip, lambda: replace(entry.read(), name=own, clip=clip), entry.files, entry.split)
 
-    entries: list[Entry] = []
+    sets = list(sets)
+    names = {one.name for one in sets}
+    found: list[LabelledSet] = []
     files: dict[str, set[Path]] = {}
-    counts: Counter[str] = Counter()
-    for part in sets:
-        own = {path.resolve(): entry.name for entry in part.entries for path in entry.files[:1]}
-        if common := own.keys() & files.setdefault(part.name, set()):
+    for one in sets:
+        own = {path.resolve(): entry.name for entry in one.entries for path in entry.files[:1]}
+        if common := own.keys() & files.get(one.name, set()):
             file = min(common)
-            raise LabelError(f"{name}: two images are named '{part.name}/{own[file]}', both of {file}: give it once")
-        files[part.name] |= own.keys()
-        counts[part.name] += 1
-        number = f"-{counts[part.name]}" if counts[part.name] > 1 else ""
-        entries += [renamed(entry, f"{part.name}{number}") for entry in part.entries]
-    return LabelledSet(name, entries)
+            raise LabelError(f"{name}: two images are named '{one.name}/{own[file]}', both of {file}: give it once")
+        numbered = (f"{one.name}-{number}" for number in count(2))
+        part = next(free for free in numbered if free not in names) if one.name in files else one.name
+        names.add(part)
+        files.setdefault(one.name, set()).update(own)
+        found.append(LabelledSet(one.name, [renamed(entry, part) for entry in one.entries]))
+    return found
 
 
 def file_digest(path: Path) -> str:

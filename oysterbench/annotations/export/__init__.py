@@ -37,8 +37,8 @@ def export_set(
 
     The part of an image (train, val, test) is as its set states; else by the set's name if that ends in such a word
     (`manifest.side_in`); else train. The same sets give the same bytes. Returns the folder and notes about it. Raises
-    LabelError if `out` already has content, or two images have the same name, MissingExtraError if a format needs a
-    package that is not installed, and MachineError if the export will not fit on the disk.
+    LabelError if `out` already has content, or sets overlap, MissingExtraError if a format needs a package that is not
+    installed, and MachineError if the export will not fit on the disk.
     """
     if form not in SET_FORMATS:
         raise LabelError(f"unknown format {form!r}; formats: {', '.join(SET_FORMATS)}")

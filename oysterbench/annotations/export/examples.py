@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, read_picture
+from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, apart, read_picture
 from oysterbench.annotations.manifest import SIDES, TEST, TRAIN, VAL, side_in
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import decode_picture
@@ -73,11 +73,12 @@ class Example:
 def parted(sets: Sequence[LabelledSet]) -> Parts:
     """Divide the images into parts, train, val and test first: by the sides that sets state, else by their names
     (`side_in`), else train. Names of parts, from sides that may be any text, are what Hugging Face allows for a split:
-    letters, digits and `_`. Raises LabelError if two images have the same file name, or two sides the same name as
-    parts."""
+    letters, digits and `_`. Where sets have images of one name, such as frames of several videos, all are named after
+    their sets (`image.apart`). Raises LabelError if two images have the same file name all the same, as sets overlap,
+    or two sides the same name as parts."""
     found: Parts = {TRAIN: [], VAL: [], TEST: []}
     sides: dict[str, str] = {}
-    for one in sets:
+    for one in _told_apart(sets):
         own = side_in(one.name) or TRAIN
         for entry in one.entries:
             side = SIDES.get(entry.split, entry.split) or own
@@ -95,6 +96,16 @@ def parted(sets: Sequence[LabelledSet]) -> Parts:
             )
         names[key] = entry.name
     return {part: entries for part, entries in found.items() if entries}
+
+
+def _told_apart(sets: Sequence[LabelledSet]) -> Sequence[LabelledSet]:
+    files: dict[str, list[Path]] = {}
+    for one in sets:
+        for key, file in {key_of(entry.name): entry.files[0].resolve() for entry in one.entries}.items():
+            files.setdefault(key, []).append(file)
+    shared = [of for of in files.values() if len(of) > 1]
+    overlapping = any(len(set(of)) < len(of) for of in shared)
+    return apart(sets, "+".join(one.name for one in sets)) if shared and not overlapping else sets
 
 
 def key_of(name: str) -> str:

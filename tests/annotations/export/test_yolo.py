@@ -13,8 +13,9 @@ from oysterbench.annotations import open_labelled
 from oysterbench.annotations.export import export_set
 from oysterbench.annotations.export.examples import examples, key_of, parted
 from oysterbench.annotations.export.yolo import joined_polygon, oyster_masks, with_val
-from oysterbench.annotations.image import Entry
+from oysterbench.annotations.image import Entry, joined
 from oysterbench.annotations.yolo import read_yolo
+from oysterbench.core.errors import LabelError
 from oysterbench.core.polygons import mask_polygons, rasterise
 from tests.helpers.labelled_folders import yolo_folder
 
@@ -179,6 +180,30 @@ def test_folders_called_as_roboflow_calls_them_are_these_parts(tmp_path):
     out, notes = export_set(sets, "yolo", tmp_path / "out")
     assert pictures(out) == ["test/of-test.png", "train/of-train.png", "val/of-valid.png"]
     assert notes == ["1 train, 1 val, 1 test; class 0 is oyster"]
+
+
+def test_images_of_one_name_in_several_sets_are_named_after_their_sets(tmp_path):
+    """Such as frames of several videos; and sets of one name are numbered, as where they are trained on."""
+    manifest = "id,clip\nframe_1,dive\nframe_2,dive\n"
+    names = dict.fromkeys(("frame_1", "frame_2"), "")
+    one, two = (open_labelled(yolo_folder(tmp_path / side / "reef", names, manifest)) for side in "ab")
+    out, notes = export_set([one, two], "yolo", tmp_path / "out")
+    assert len(pictures(out)) == 4
+    assert {path.partition("/")[2] for path in pictures(out)} == {
+        f"{name}_frame_{k}.png" for name in ("reef", "reef-2") for k in (1, 2)
+    }
+    assert notes[1].startswith("val is 1 of 2 clips of train: reef")
+    with pytest.raises(
+        LabelError, match=r"two images have the same name, frame_1 and frame_1: .* overlapping sets given"
+    ):
+        export_set([one, one], "yolo", tmp_path / "other")
+
+
+def test_the_number_of_a_set_leads_to_the_name_of_no_other(tmp_path):
+    places = ("x/reef", "y/reef", "z/reef-2", "w/reef-2")
+    sets = [open_labelled(yolo_folder(tmp_path / place, {"a": ""})) for place in places]
+    names = [entry.name for entry in joined(sets, "all").entries]
+    assert names == ["reef/a", "reef-3/a", "reef-2/a", "reef-2-2/a"]
 
 
 @pytest.mark.parametrize("side", ["valid", "Validation", "val"])
