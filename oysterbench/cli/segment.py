@@ -267,6 +267,7 @@ def _scale(
 
 
 def _tell_others(found: Found) -> None:
+    from oysterbench.counting.labels import seeming_labels
     from oysterbench.counting.sources import listed
 
     if found.copies:
@@ -277,7 +278,13 @@ def _tell_others(found: Found) -> None:
         message(f"left out because they are neither image nor video: {listed(found.others)}")
     if found.skipped:
         message(
-            f"left out because they hold labels or results of another count, or are hidden: {listed(found.skipped)}"
+            "left out because they are or hold labels, hold results of another count, or are hidden: "
+            f"{listed(found.skipped)}"
+        )
+    for labels, images in seeming_labels(source.path for source in found.sources if not source.video).items():
+        message(
+            f"{labels} is counted, though its images seem to be labels of those in {images}, by their names and few "
+            "colours: if they are, move the folder elsewhere, or give that of the images alone"
         )
 
 

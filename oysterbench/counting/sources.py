@@ -10,6 +10,7 @@ from pathlib import Path
 
 from oysterbench.core.errors import LabelError
 from oysterbench.core.places import is_hidden
+from oysterbench.counting.labels import folders_of_labels, masks_beside
 
 PICTURES = (".jpg", ".jpeg", ".jpe", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm")
 VIDEOS = (
@@ -33,8 +34,6 @@ CONVERT = (".heic", ".heif", ".avif", ".dng", ".gpr", ".raw", ".cr2", ".cr3", ".
 
 RESULTS = ("finished", "overlays")
 """Folders that mark a folder of results (`store.Store`)."""
-LABELS = ("masks", "instances", "ignore")
-"""Folders beside images/ whose images are labels (`annotations.folders`)."""
 
 LONGEST_NAME = 220
 """Maximum length of a file name in bytes: results have slightly longer names, and file systems allow 255."""
@@ -61,7 +60,7 @@ class Found:
     sources:    in the order of their names
     others:     files that are neither image nor video
     to_convert: images in formats that cannot be read
-    skipped:    folders of labels, of results of another count, and hidden ones
+    skipped:    folders of labels, masks beside their images, folders of results of another count, and hidden ones
     copies:     images in such formats beside a readable one of the same name, as cameras store raw images
     misnamed:   images and videos whose names cannot be used for results
     closed:     folders that may not be read
@@ -91,8 +90,9 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
     """Find all images and videos at the paths, by their suffix: files, and folders with everything below them.
 
     leave_out: a folder that is not searched, such as that of the results; nor are links to folders, folders of labels
-    beside images/, results of other counts, and hidden folders, whose images would be counted as well. Raises
-    LabelError if a path does not exist or is one of results, and if there is neither an image nor a video.
+    beside images/, results of other counts, and hidden folders, whose images would be counted as well, as would masks
+    beside their images. Raises LabelError if a path does not exist or is one of results, and if there is neither an
+    image nor a video.
     """
     files: dict[Path, None] = {}  # in order, each once
     skipped: list[Path] = []
@@ -115,8 +115,11 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
     for file in first.values():
         kind = _kind(file)
         kinds["misnamed" if kind != "others" and _misnamed(file) else kind].append(file)
+    masks = set(masks_beside(kinds["pictures"]))
+    kinds["pictures"] = [path for path in kinds["pictures"] if path not in masks]
+    skipped += sorted(masks)
     if not kinds["pictures"] and not kinds["videos"]:
-        raise LabelError(_nothing(paths, kinds["convert"], kinds["others"] + kinds["misnamed"]))
+        raise LabelError(_nothing(paths, kinds["convert"], kinds["others"] + kinds["misnamed"], skipped))
     root = Path(os.path.commonpath(roots))
     readable = {path.with_suffix("") for path in kinds["pictures"]}
     copies = tuple(path for path in kinds["convert"] if path.with_suffix("") in readable)
@@ -145,7 +148,7 @@ def _below(folder: Path, leave_out: Path | None, skipped: list[Path], closed: li
 
     results = None if leave_out is None else leave_out.absolute()
     for at, folders, names in os.walk(folder, onerror=stay_out):
-        labels = LABELS if "images" in folders else ()
+        labels = folders_of_labels(folders)
         own = [Path(at, name) for name in sorted(folders) if Path(at, name) != results]
         aside = [path for path in own if path.name in labels or is_hidden(path, folder) or _holds_results(path)]
         skipped += aside
@@ -195,14 +198,17 @@ def _pictures(files: Sequence[Path], root: Path, videos: Iterable[str]) -> list[
     return [Source(name, path, False) for path, name in named]
 
 
-def _nothing(paths: Sequence[Path], to_convert: Sequence[Path], others: Sequence[Path]) -> str:
+def _nothing(paths: Sequence[Path], to_convert: Sequence[Path], others: Sequence[Path], skipped: Sequence[Path]) -> str:
     where = ", ".join(map(str, paths))
     if to_convert:
         return (
             f"{where}: expected images or videos, got {listed(to_convert)}, of a format that cannot be read: save "
             "them as JPEG, PNG or TIFF first"
         )
-    got = f"only {listed(others)}" if others else "an empty folder"
+    got = f"only {listed(others)}" if others else "" if skipped else "an empty folder"
+    if skipped:
+        aside = f"{listed(skipped)}, left out as labels, as results of another count, or as hidden"
+        got = f"{got}, and {aside}" if got else f"only {aside}"
     return f"{where}: expected images ({' '.join(PICTURES[:6])} ...) or videos ({' '.join(VIDEOS[:5])} ...), got {got}"
 
 

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from oysterbench.core.errors import LabelError
+from oysterbench.counting.labels import seeming_labels
 from oysterbench.counting.sources import find_sources
+from tests.helpers.labelled_folders import oysters, picture, write_png
 
 
 def touch(folder: Path, *names):
@@ -86,6 +88,40 @@ def test_labels_beside_images_and_results_of_other_counts_are_told_and_not_count
         find_sources([tmp_path / "old"])
 
 
+@pytest.mark.parametrize(
+    ("images", "labels"),
+    [
+        ("img", ["masks_human", "masks_machine"]),
+        ("JPEGImages", ["SegmentationClass", "SegmentationClassPNG", "SegmentationObject"]),
+        ("Images", ["Masks", "labels"]),
+    ],
+)
+def test_labels_of_other_programs_beside_images_are_not_counted_as_images(images, labels, tmp_path):
+    touch(tmp_path, f"set/{images}/a.jpg", *(f"set/{name}/a.png" for name in labels))
+    found = find_sources([tmp_path])
+    assert [source.name for source in found.sources] == [f"set/{images}/a"]
+    assert [path.name for path in found.skipped] == labels
+
+
+def test_masks_in_the_folder_of_their_images_are_not_counted(tmp_path):
+    """As Roboflow writes them."""
+    found = find_sources([touch(tmp_path, "a.jpg", "a_mask.png", "b_mask.png", "deep/a_mask.png")])
+    assert [source.name for source in found.sources] == ["a", "b_mask", "deep/a_mask"]
+    assert [path.name for path in found.skipped] == ["a_mask.png"]
+
+
+def test_folders_of_other_names_that_seem_to_hold_labels_are_told_by_their_names_and_few_colours(tmp_path):
+    for folder in ("photos", "right"):
+        write_png(tmp_path / folder / "a.png", picture(0))
+        write_png(tmp_path / folder / "b.png", picture(1))
+    for folder in ("gt", "right/truth", "more"):
+        write_png(tmp_path / folder / "b.png", oysters(0))
+    write_png(tmp_path / "more" / "c.png", oysters(0))
+    touch(tmp_path, "odd/a.png")
+    found = seeming_labels(source.path for source in find_sources([tmp_path]).sources)
+    assert found == {tmp_path / "gt": tmp_path / "photos", tmp_path / "right/truth": tmp_path / "right"}
+
+
 def test_hidden_folders_are_told_and_not_looked_into(tmp_path):
     """Such as those of notebooks, with a copy of each image that was opened."""
     folder = touch(tmp_path / ".set", "a.jpg", ".ipynb_checkpoints/a-checkpoint.jpg", "deep/.trash/b.jpg")
@@ -108,7 +144,13 @@ def test_what_is_neither_picture_nor_video_is_told_apart_from_formats_that_canno
 
 @pytest.mark.parametrize(
     ("files", "said"),
-    [((), "an empty folder"), (("notes.txt",), "only notes.txt"), (("a.heic",), "a.heic, of a format that cannot")],
+    [
+        ((), "got an empty folder"),
+        (("notes.txt",), "got only notes.txt"),
+        (("a.heic",), "a.heic, of a format that cannot"),
+        ((".trash/a.jpg",), "got only .trash, left out as labels, as results of another count, or as hidden"),
+        ((".trash/a.jpg", "notes.txt"), "got only notes.txt, and .trash, left out as labels, as results"),
+    ],
 )
 def test_nothing_to_count_is_an_error_that_says_what_is_there(tmp_path, files, said):
     with pytest.raises(LabelError, match=re.escape(said)):

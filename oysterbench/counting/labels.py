@@ -1,0 +1,81 @@
+"""Labels that lie among images, as programs for annotation write them: they are images themselves, and not to count."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from oysterbench.core.pictures import decode_picture
+
+IMAGES = ("images", "image", "imgs", "img", "jpegimages")
+"""Names of folders of images that have labels beside them; in any case, as those of labels."""
+LABELS = re.compile(
+    r"masks?([-_].+)?|instances?|ignore|labels?|annotations?|segmentation(class|object)\w*", re.IGNORECASE
+)
+"""Names of folders of labels: of `annotations.folders`, YOLO, Supervisely (masks_machine, masks_human), and Pascal VOC,
+as CVAT and Labelme write it (SegmentationClass, SegmentationObject, SegmentationClassPNG)."""
+MASK = "_mask"
+"""What Roboflow puts after the name of an image to name its mask, which lies beside it."""
+LOSSLESS = (".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm")
+FEW = 32
+"""Labels have at most so many different colours, and photographs have more."""
+SAMPLE_PX = 100_000
+"""So many evenly spaced pixels of an image are looked at."""
+
+
+def folders_of_labels(names: Iterable[str]) -> set[str]:
+    """Select the folders of labels from all in a folder: there are none where no folder of images is among them.
+
+    >>> sorted(folders_of_labels(["img", "masks_machine", "more"])), folders_of_labels(["masks", "more"])
+    (['masks_machine'], set())
+    """
+    names = list(names)
+    if not any(name.casefold() in IMAGES for name in names):
+        return set()
+    return {name for name in names if LABELS.fullmatch(name)}
+
+
+def masks_beside(pictures: Iterable[Path]) -> list[Path]:
+    """Select the images that are the mask of another in the same folder by their names."""
+    pictures = list(pictures)
+    bare = {path.with_suffix("") for path in pictures}
+    named = [path for path in pictures if path.stem.endswith(MASK)]
+    return [path for path in named if path.with_name(path.stem.removesuffix(MASK)) in bare]
+
+
+def seeming_labels(pictures: Iterable[Path]) -> dict[Path, Path]:
+    """Folders whose images seem to be labels of those of another, beside or above it -> that folder: all have the names
+    of images there, and the first has few colours, as the one there has not."""
+    folders: dict[Path, dict[str, Path]] = {}
+    for path in pictures:
+        folders.setdefault(path.parent, {})[path.stem] = path
+    beside: dict[Path, list[Path]] = {}
+    for folder in folders:
+        beside.setdefault(folder.parent, []).append(folder)
+    found: dict[Path, Path] = {}
+    for folder, own in folders.items():
+        near = [one for one in (*beside[folder.parent], folder.parent) if one != folder and one in folders]
+        alike = [one for one in near if own.keys() <= folders[one].keys()]
+        first = min(own)
+        if alike and _has_few_colours(own[first]):
+            images = next((one for one in alike if not _has_few_colours(folders[one][first])), None)
+            found |= {} if images is None else {folder: images}
+    return found
+
+
+def _has_few_colours(path: Path) -> bool:
+    """Whether an image is stored without loss in few colours. False where it cannot be read."""
+    import cv2
+    import numpy as np
+
+    if path.suffix.lower() not in LOSSLESS:
+        return False
+    try:
+        pixels = decode_picture(path.read_bytes(), cv2.IMREAD_UNCHANGED)
+    except OSError:
+        return False
+    if pixels is None:
+        return False
+    colours = pixels.reshape(pixels.shape[0] * pixels.shape[1], -1)
+    return len(np.unique(colours[:: 1 + len(colours) // SAMPLE_PX], axis=0)) <= FEW
