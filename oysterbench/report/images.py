@@ -112,6 +112,14 @@ def _dataset_table(rows: Sequence[DatasetRow]) -> Table:
     return Table("Over the data set", columns, tuple(table_rows), tuple(notes))
 
 
+def lacking_table(lacking: Mapping[str, Sequence[str]]) -> Table:
+    """Table in place of that of the data set as a whole, where no method has a result on every sequence. lacking: names
+    of the sequences without one, by method."""
+    rows = tuple(TableRow((method, _some(names))) for method, names in lacking.items())
+    note = "No method has a result on every sequence, so there are no values over all of them together."
+    return Table("Over the data set", name_columns("method", "no_result_on"), rows, (note,))
+
+
 def _some(names: Sequence[str], most: int = 3) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 

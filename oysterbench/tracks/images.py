@@ -32,7 +32,7 @@ from oysterbench.methods.outcomes import Job, Outcome
 from oysterbench.methods.processes import Processes
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report import images_csv
-from oysterbench.report.images import DatasetRow, ImageRun, Sample, dataset_tables
+from oysterbench.report.images import DatasetRow, ImageRun, Sample, dataset_tables, lacking_table
 from oysterbench.report.tables import failures_and_notes
 from oysterbench.results.records import ResultRecord
 from oysterbench.simulation.conditions import conditions
@@ -140,15 +140,8 @@ class ImageTrack(Track):
     def dataset_rows(self, runs: Sequence[ImageRun]) -> list[DatasetRow]:
         """Result over all sequences for each method that could be scored on all of them: one that lacks runs on a
         sequence that others ran on, as it was killed there, is left out, as that may be a hard one, and named."""
-        groups: dict[str, dict[str, list[Any]]] = {}
-        for run in runs:
-            groups.setdefault(run.record.method, {}).setdefault(run.record.sequence, []).append(run.result)
-        every = dict.fromkeys(run.record.sequence for run in runs)
-        lacking = {
-            method: [name for name in every if any(result is None for result in found.get(name, [None]))]
-            for method, found in groups.items()
-        }
-        left_out = {method: names for method, names in lacking.items() if names}
+        groups = _groups(runs)
+        left_out = _lacking(runs)
         return [
             replace(self.over_dataset(method, list(found.values())), left_out=left_out)
             for method, found in groups.items()
@@ -271,11 +264,30 @@ class ImageTrack(Track):
         records = [run.record for run in runs]
         several = len({record.sequence for record in records}) > 1
         first = dataset_tables(rows)
+        lacking = [lacking_table(_lacking(runs))] if several and not rows else []
         if not several and rows:
             printed = [replace(first[0], notes=(*first[0].notes, *failures_and_notes(records))), *first[1:]]
         else:
-            printed = shown_tables(records, first)
-        return Evaluation(runs, rows, printed=printed, files={"images.csv": images_csv(runs)})
+            printed = shown_tables(records, [*lacking, *first])
+        return Evaluation(runs, rows, lacking, printed, files={"images.csv": images_csv(runs)})
+
+
+def _groups(runs: Sequence[ImageRun]) -> dict[str, dict[str, list[Any]]]:
+    """Results by method and sequence."""
+    groups: dict[str, dict[str, list[Any]]] = {}
+    for run in runs:
+        groups.setdefault(run.record.method, {}).setdefault(run.record.sequence, []).append(run.result)
+    return groups
+
+
+def _lacking(runs: Sequence[ImageRun]) -> dict[str, list[str]]:
+    """Names of the sequences on which each method lacks a result, of the methods that lack one."""
+    every = dict.fromkeys(run.record.sequence for run in runs)
+    lacking = {
+        method: [name for name in every if any(result is None for result in found.get(name, [None]))]
+        for method, found in _groups(runs).items()
+    }
+    return {method: names for method, names in lacking.items() if names}
 
 
 Predictor = Callable[[str, tuple[int, int]], Any]

@@ -10,7 +10,8 @@ import pytest
 from oysterbench.evaluate.detection import DetectionScorer
 from oysterbench.evaluate.detection.instances import from_planes
 from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage
-from oysterbench.report import dataset_tables
+from oysterbench.report import ImageRun, dataset_tables, html_report
+from oysterbench.results.records import ResultRecord
 from oysterbench.tracks import TRACKS
 from tests.helpers.masks import truth_of
 
@@ -128,6 +129,21 @@ def test_a_method_that_lacks_a_sequence_is_in_no_table_over_the_data_set_of_thos
     (alone,) = TRACKS[track].dataset_rows(made[2:])
     assert (alone.method, alone.clips) == ("killed", 1)
     assert len(dataset_tables([alone])[0].notes) == 1
+
+
+@pytest.mark.parametrize("track", SCORERS)
+def test_where_every_method_lacks_a_sequence_a_table_says_which_in_place_of_that_over_the_data_set(track):
+    made = []
+    for method, sequence in (("a", "s1"), ("b", "s2"), ("b", "s3")):
+        scored = result(track, 9)
+        about = {"track": track, "split": "", "metrics": scored.metrics, "reasons": scored.reasons}
+        made.append(ImageRun(ResultRecord(sequence=sequence, method=method, **about), scored))
+    found = TRACKS[track].show(made, (), None)
+    assert found.data_set == []
+    (table,) = found.first
+    assert table.title == found.printed[0].title == "Over the data set"
+    assert [row.values for row in table.rows] == [("a", "s2, s3"), ("b", "s1")]
+    assert "No result on" in html_report(made, "oysterbench run", first=found.first)
 
 
 def test_each_sequence_counts_once_in_the_curve_of_thresholds_whatever_its_number_of_runs():
