@@ -72,7 +72,7 @@ class Raster:
         there = corners @ move[:2, :2].T + move[:2, 3]
         return there.min(axis=0), there.max(axis=0)
 
-    def holding(self, others: Iterable[tuple[Raster, Array]], whole_m: float) -> Raster:
+    def holding(self, others: Iterable[tuple[Raster, Array]], whole_m: float, far_apart: str = DIVERGED) -> Raster:
         """Return the raster, enlarged by multiples of `whole_m` if needed so that it holds the centres of all squares
         within other rasters of the same edge after their moves (4, 4).
 
@@ -98,17 +98,18 @@ class Raster:
             ),
             high - low,
             whole_m,
+            far_apart,
         )
 
 
-def raster_around(places: Array, margin_m: float, edge_m: float, whole_m: float) -> Raster:
+def raster_around(places: Array, margin_m: float, edge_m: float, whole_m: float, far_apart: str = DIVERGED) -> Raster:
     """Raster around places (N, 2) m with a margin; its outer edges are at multiples of `whole_m`.
 
-    Raises TrajectoryError where the places are so far apart, or `whole_m` is so large, that it would not fit into
-    memory.
+    Raises TrajectoryError where the places are so far apart, which `far_apart` is said of, or `whole_m` is so large,
+    that it would not fit into memory.
     """
     spans_m = np.ptp(places, axis=0) + 2 * margin_m
-    return _fitting(lattice_around(places, margin_m, edge_m, whole_m), spans_m, whole_m)
+    return _fitting(lattice_around(places, margin_m, edge_m, whole_m), spans_m, whole_m, far_apart)
 
 
 def lattice_around(places: Array, margin_m: float, edge_m: float, whole_m: float) -> Raster:
@@ -119,12 +120,15 @@ def lattice_around(places: Array, margin_m: float, edge_m: float, whole_m: float
     return Raster(float(low[0]), float(high[1]), edge_m, rows, columns)
 
 
-def _fitting(raster: Raster, spans_m: Array, whole_m: float) -> Raster:
+def _fitting(raster: Raster, spans_m: Array, whole_m: float, far_apart: str) -> Raster:
     """Return the raster. Raises TrajectoryError where it would not fit into memory: because of the spans (2,) m of what
     it shows, or because it is made of whole squares of `whole_m`."""
     if raster.rows * raster.columns > MOST:
-        far_apart = np.prod(spans_m) > MOST * raster.edge_m**2
-        cause = DIVERGED if far_apart else f"are cells of {whole_m:g} m too large (--cell)?"
+        cause = (
+            far_apart
+            if np.prod(spans_m) > MOST * raster.edge_m**2
+            else f"are cells of {whole_m:g} m too large (--cell)?"
+        )
         raise TrajectoryError(
             f"a map of the images' poses would be {raster.columns * raster.edge_m:.0f} x "
             f"{raster.rows * raster.edge_m:.0f} m: expected an area of at most {MOST * raster.edge_m**2:.0f} m^2 at a "

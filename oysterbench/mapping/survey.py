@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.mapping.association import OysterTracks
 from oysterbench.mapping.contradictions import contradictions
-from oysterbench.mapping.cover import Cover, Raster, lattice_around, raster_around, tile_of
+from oysterbench.mapping.cover import DIVERGED, Cover, Raster, lattice_around, raster_around, tile_of
 from oysterbench.mapping.depth import SIGMA, depth_source
 from oysterbench.mapping.grid import Grid, Oyster, Total, known_states, live_range, live_share, make_grid, total
 from oysterbench.mapping.north import magnetic_north
@@ -211,12 +211,14 @@ def _raster(
     memory, around the images' positions (N, 3) alone, if given, in larger squares if need be. Raises TrajectoryError
     where these do not fit either."""
     choices = [(trajectory.positions, settings.raster_m)]
+    far_apart = DIVERGED
     if path is not None:
         choices += [(path, edge_m) for edge_m in _edges(settings)]
+        far_apart = _far_apart(path, settings)
     for places, edge_m in choices:
         try:
-            around = raster_around(*_around(places, settings, edge_m))
-            return around.holding(zip(tiles, moves, strict=True), settings.cell_m)
+            around = raster_around(*_around(places, settings, edge_m), far_apart)
+            return around.holding(zip(tiles, moves, strict=True), settings.cell_m, far_apart)
         except TrajectoryError as error:
             refused = error
     raise refused
@@ -287,7 +289,21 @@ def _edges(settings: MapSettings) -> list[float]:
 def _check_extent(places: list[Array], settings: MapSettings) -> None:
     """Raise TrajectoryError where images lie farther apart than any raster can hold."""
     if len(places) % 100 == 1:
-        raster_around(*_around(np.array(places), settings, _edges(settings)[-1]))
+        path = np.array(places)
+        raster_around(*_around(path, settings, _edges(settings)[-1]), _far_apart(path, settings))
+
+
+def _far_apart(path: Array, settings: MapSettings) -> str:
+    """What to say where images at positions (N, 3) m lie too far apart: that larger cells, which may consist of larger
+    squares, would do where they would."""
+    larger = replace(settings, cell_m=max(settings.cell_m, 5 * COARSEST_M))
+    if len(_edges(larger)) == len(_edges(settings)):
+        return DIVERGED
+    try:
+        raster_around(*_around(path, larger, _edges(larger)[-1]))
+    except TrajectoryError:
+        return DIVERGED
+    return f"larger cells can be made of larger squares: --cell {larger.cell_m:g} maps it"
 
 
 def _pose_sigma(trajectory: Trajectory, stamp_ns: int, settings: MapSettings, exact: bool) -> float:

@@ -146,6 +146,15 @@ def test_images_far_apart_are_mapped_in_larger_squares_and_that_is_said(reef, me
     assert found.total.live_per_m2 == pytest.approx(0.5 * alone.total.live_per_m2, rel=0.02)
 
 
+def test_images_too_far_apart_for_small_cells_are_mapped_in_the_larger_ones_that_are_named(reef):
+    far = FlatReef(np.vstack([LANE, LANE + 420.0]), reef.discs)
+    with pytest.raises(TrajectoryError, match=r"0\.0375 m; larger cells .* larger squares: --cell 0\.5 maps it$"):
+        map_of(far, settings=replace(SETTINGS, cell_m=0.3))
+    assert map_of(far, settings=replace(SETTINGS, cell_m=0.5)).total.count > 0
+    with pytest.raises(TrajectoryError, match="has the trajectory diverged"):
+        map_of(FlatReef(np.vstack([LANE, LANE + 5e3]), reef.discs), settings=replace(SETTINGS, cell_m=0.3))
+
+
 def test_images_too_far_apart_for_any_map_are_refused(reef):
     with pytest.raises(TrajectoryError, match="has the trajectory diverged"):
         map_of(FlatReef(np.vstack([LANE, LANE + 5e3]), reef.discs))
