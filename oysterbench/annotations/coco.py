@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.annotations.coco_categories import Categories, categories_of
 from oysterbench.annotations.coco_item import CocoItem, check_px, instance_of, live_of, run_lengths
 from oysterbench.core import text
 from oysterbench.core.errors import LabelError
@@ -38,13 +39,13 @@ class CocoImage(NamedTuple):
 
 @dataclass(frozen=True)
 class CocoFile:
-    """Content of a COCO file. images: by id; items: by name of the image; categories: names by id; notes: what was left
-    out or assumed, in sentences."""
+    """Content of a COCO file. images: by id; items: oysters, by name of the image; notes: what was left out or assumed,
+    in sentences."""
 
     path: Path
     images: Mapping[Any, CocoImage]
     items: Mapping[str, tuple[CocoItem, ...]]
-    categories: Mapping[Any, str]
+    categories: Categories
     notes: tuple[str, ...] = ()
 
     @property
@@ -110,14 +111,14 @@ class CocoFile:
         return {number: one >= ALIVE for number, one in enumerate(live, start=1) if not math.isnan(one)}
 
 
-def read_coco(path: Path, truth: CocoFile | None = None, category: str = "oyster") -> CocoFile:
-    """Read a document, or a list of results on the images of `truth`, of which only the items of a category are kept.
-    Raises LabelError naming the item that is wrong.
+def read_coco(path: Path, truth: CocoFile | None = None) -> CocoFile:
+    """Read a document, or a list of results on the images of `truth`, of which only the oysters are kept. Raises
+    LabelError naming the item that is wrong.
 
     In a list of results, `category_id` means what it means in `truth`. Where that has a single category, results of a
     single number are of it, since programs number a single class from 0 or from 1; of several numbers, only those of
-    the truth's. Checked here: ids of images and annotations (unique, known), categories; when they are used: boxes,
-    polygons, run lengths and their size, scores.
+    the truth's. Checked here: ids of images and annotations (unique, known), categories (`categories_of`); when they
+    are used: boxes, polygons, run lengths and their size, scores.
     """
     content = read_json(path)
     if isinstance(content, list):
@@ -126,38 +127,56 @@ def read_coco(path: Path, truth: CocoFile | None = None, category: str = "oyster
                 f"{path}: a bare list of results names images only by number: expected ground truth in COCO form, "
                 "which maps numbers to images, or an object with 'images' here"
             )
-        several, notes = len(truth.categories) > 1, tuple[str, ...]()
-        results = list(_checked(path, "", content, truth.images, truth.categories if several else None))
+        known, notes = truth.categories, tuple[str, ...]()
+        several = len(known.names) > 1
+        results = list(_checked(path, "", content, truth.images, known.names if several else None))
         if several:
-            kept = [one for one in results if truth.categories[one.values["category_id"]] == category]
-            notes = () if kept or not results else (_none_of(category, results, truth.categories),)
+            kept = [one for one in results if one.values["category_id"] in known.states]
+            notes = () if kept or not results else (_none_of_oysters(results, known),)
         else:
-            kept, notes = _of_single_category(path, results, *truth.categories.items())
-        return _sorted(path, truth.images, iter(kept), truth.categories, notes)
+            kept, notes = _of_single_category(path, results, *known.names.items())
+        return _sorted(path, truth.images, kept, known, notes)
     for key in ("images", "annotations", "categories"):
         if not isinstance(content, dict) or not isinstance(content.get(key), list):
             raise LabelError(f"{path}: expected a list of results, or an object with the list {key!r}")
-    names = {str(one.get("name")): one.get("id") for one in content["categories"] if isinstance(one, dict)}
-    for number in names.values():
-        _check_id(number, f"{path}: categories")
-    if category not in names:
-        raise LabelError(
-            f"{path}: no category is named {category!r}; its categories: {', '.join(names) or 'none'}; name the one of "
-            f'{category}s so; whether each is alive is said by "state": "live" or "dead" in its annotation'
-        )
-    categories = {one: name for name, one in names.items()}
+    categories = _categories(path, content["categories"])
     own = _images(path, content["images"])
-    items = _checked(path, "annotations", content["annotations"], own, categories)
-    return _sorted(path, own, (item for item in items if item.values["category_id"] == names[category]), categories)
+    kept = []
+    for item in _checked(path, "annotations", content["annotations"], own, categories.names):
+        number = item.values["category_id"]
+        if number in categories.doubtful:
+            raise LabelError(
+                f"{item.where}: its category, {categories.names[number]!r}, could be of oysters or not: expected a "
+                "name such as oyster, 'live oyster' or 'dead oyster' if it is, else a supercategory other than oyster, "
+                "and no name that is a state alone"
+            )
+        if number in categories.states:
+            kept.append(item)
+    return _sorted(path, own, kept, categories)
 
 
-def _none_of(category: str, results: list[CocoItem], categories: Mapping[Any, str]) -> str:
-    """What to say if no result is of a category, as where a program numbers its only class from 0."""
-    number = next(one for one, name in categories.items() if name == category)
-    others = ", ".join(f"{one} {categories[one]}" for one in {item.values["category_id"]: None for item in results})
-    return (
-        f"left out: all {len(results)} results, of category_id {others}; in the ground truth, {category}s are {number}"
-    )
+def _categories(path: Path, content: list[Any]) -> Categories:
+    """Categories of a document. Raises LabelError where two have one id, or none is of oysters."""
+    ids = [one.get("id") for one in content if isinstance(one, dict)]
+    for k, number in enumerate(ids):
+        _check_id(number, f"{path}: categories")
+        if number in ids[:k]:
+            raise LabelError(f"{path}: categories: id {number!r} is used twice")
+    found = categories_of(content)
+    if not found.states:
+        raise LabelError(
+            f"{path}: no category is named 'oyster'; its categories: {', '.join(found.names.values()) or 'none'}; name "
+            'the one of oysters so; whether each is alive is said by "state": "live" or "dead" in its annotation, or '
+            "by categories named 'live oyster' and 'dead oyster'"
+        )
+    return found
+
+
+def _none_of_oysters(results: list[CocoItem], known: Categories) -> str:
+    """What to say if no result is of an oyster, as where a program numbers its only class from 0."""
+    numbers = ", ".join(str(number) for number in known.states)
+    others = ", ".join(f"{k} {known.names[k]}" for k in {item.values["category_id"]: None for item in results})
+    return f"left out: all {len(results)} results, of category_id {others}; in the ground truth, oysters are {numbers}"
 
 
 def _of_single_category(
@@ -208,7 +227,7 @@ def _images(path: Path, images: list[Any]) -> dict[Any, CocoImage]:
             if not isinstance(image, dict) or key not in image:
                 raise LabelError(f"{where}: key {key!r} is missing")
         _check_id(image["id"], where)
-        file = str(image["file_name"])
+        file = _slashed(image["file_name"])
         name = _bare(file) if bare[_bare(file)] == 1 else file
         if image["id"] in found or name in names:
             raise LabelError(f"{where}: id {image['id']!r} or file_name {file!r} is used twice")
@@ -229,7 +248,13 @@ def _images(path: Path, images: list[Any]) -> dict[Any, CocoImage]:
 
 
 def _bare(file: Any) -> str:
-    return PurePosixPath(str(file)).with_suffix("").as_posix() if PurePosixPath(str(file)).name else ""
+    path = PurePosixPath(_slashed(file))
+    return path.with_suffix("").as_posix() if path.name else ""
+
+
+def _slashed(file: Any) -> str:
+    """Name of a file, which programs on Windows write with backslashes between folders."""
+    return str(file).replace("\\", "/")
 
 
 def _checked(
@@ -261,14 +286,17 @@ def _checked(
 def _sorted(
     path: Path,
     images: Mapping[Any, CocoImage],
-    items: Iterator[CocoItem],
-    categories: Mapping[Any, str],
+    items: list[CocoItem],
+    categories: Categories,
     notes: tuple[str, ...] = (),
 ) -> CocoFile:
+    """Sort the oysters by their images, each with the state of its category, or of the only one."""
+    alone = next(iter(categories.states.values())) if len(categories.names) == 1 else "unknown"
     found: dict[str, list[CocoItem]] = {image.name: [] for image in images.values()}
     for item in items:
-        found[images[item.values["image_id"]].name].append(item)
-    check_px(path, [item for own in found.values() for item in own])
+        kind = categories.states.get(item.values.get("category_id"), alone)
+        found[images[item.values["image_id"]].name].append(item._replace(kind=kind))
+    check_px(path, items)
     return CocoFile(path, images, {name: tuple(own) for name, own in found.items()}, categories, notes)
 
 

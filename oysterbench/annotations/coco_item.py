@@ -24,10 +24,11 @@ ROUNDING = 0.01
 
 
 class CocoItem(NamedTuple):
-    """An annotation or result, and where it is in the file."""
+    """An annotation or result, and where it is in the file. kind: state by its category, if this tells one."""
 
     where: str
     values: Mapping[str, Any]
+    kind: str = "unknown"
 
     def score(self, default: float | None = None) -> float:
         """Return the score. Raises LabelError if there is none, and no default, or it is not from 0 to 1."""
@@ -56,10 +57,13 @@ class CocoItem(NamedTuple):
 
     @property
     def state(self) -> str:
-        """live, dead, or unknown, as it is where none is given. Raises LabelError for other texts under `state`."""
-        value = self.values.get("state")
-        found = "unknown" if value in (None, "") else str(value).strip().casefold()
-        if found not in ("live", "dead", "unknown"):
+        """State given under `state`, or there among the `attributes` that CVAT writes: live, dead or unknown; empty
+        where none is. Raises LabelError for other texts."""
+        value, further = self.values.get("state"), self.values.get("attributes")
+        if value in (None, "") and isinstance(further, dict):
+            value = further.get("state")
+        found = "" if value in (None, "") else str(value).strip().casefold()
+        if found not in ("live", "dead", "unknown", ""):
             raise LabelError(f"{self.where}: expected 'state', live, dead or unknown, got {value!r:.60}")
         return found
 
@@ -109,16 +113,19 @@ def instance_of(item: CocoItem, height: int, width: int, scored: bool) -> Instan
 
 def live_of(item: CocoItem) -> float:
     """Probability that an item is alive, from the key `live`; where `state` is given, 1 if live or 0 if dead unless the
-    probability says the same, as states are corrected by hand, and NaN if unknown. NaN without either."""
+    probability says the same, as states are corrected by hand, and NaN if unknown. Without either, 1 or 0 by its
+    category, or NaN."""
     value = item.values.get("live")
     if value is not None and not _is_number(value, 0, 1):
         raise LabelError(f"{item.where}: expected 'live', a probability, got {value!s:.60}")
     live = math.nan if value is None else float(value)
-    if item.values.get("state") in (None, ""):
+    state = item.state
+    if not state and value is not None:
         return live
-    if item.state == "unknown":
+    state = state or item.kind
+    if state == "unknown":
         return math.nan
-    alive = item.state == "live"
+    alive = state == "live"
     return live if value is not None and (live >= ALIVE) == alive else float(alive)
 
 

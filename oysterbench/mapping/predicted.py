@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations import open_predictions, read_coco
-from oysterbench.annotations.coco import CocoFile, read_json
-from oysterbench.annotations.coco_item import CocoItem, live_of
+from oysterbench.annotations.coco import CocoFile
+from oysterbench.annotations.coco_item import live_of
 from oysterbench.annotations.forms import FORMS
 from oysterbench.annotations.masks import MaskFiles
 from oysterbench.annotations.parts import connected_parts, without_specks
@@ -24,9 +24,6 @@ from oysterbench.evaluate.detection.states import ALIVE
 from oysterbench.mapping.projection import Seen
 from oysterbench.recipe import OYSTER
 from oysterbench.sequence.types import Sequence
-
-COCO_STATES = {"oyster": "unknown", "live": "live", "live oyster": "live", "dead": "dead", "dead oyster": "dead"}
-"""COCO category -> state; an annotation of an oyster may also give its own state under the key `state`."""
 
 STAMP = re.compile(r"(?:(?P<sequence>[^/]+)/)?(?:(?P<camera>[A-Za-z]\w*)[/_])?(?P<stamp>\d+(?:\.\d{9})?)")
 """Image names: SEQUENCE/CAMERA/STAMP as in labels, CAMERA_STAMP as in exports, or STAMP alone; the stamp is in ns, or
@@ -165,49 +162,21 @@ def _told(live: float) -> str:
 
 
 def _coco(place: Path, sequence: Sequence, camera: str, threshold: float, several: bool) -> Iterator[Seen]:
-    files = _categories(place)
-    stamps = _stamps(place, files[0][1].names, sequence, camera, several)
-    return _annotated(stamps, files, camera, threshold)
+    file = read_coco(place)
+    return _annotated(_stamps(place, file.names, sequence, camera, several), file, camera, threshold)
 
 
-def _categories(place: Path) -> list[tuple[str, CocoFile]]:
-    """State and annotations of each oyster category."""
-    content = read_json(place)
-    if not isinstance(content, dict) or not isinstance(content.get("categories"), list):
-        raise LabelError(
-            f"{place}: expected COCO annotations with 'images', 'annotations' and 'categories': a bare list of results "
-            "does not say which images its numbers mean"
-        )
-    named = [str(one.get("name")) for one in content["categories"] if isinstance(one, dict)]
-    chosen = [name for name in named if name in COCO_STATES]
-    if not chosen:
-        raise LabelError(f"{place}: expected a category of {', '.join(COCO_STATES)}, got {', '.join(named) or 'none'}")
-    return [(COCO_STATES[name], read_coco(place, category=name)) for name in dict.fromkeys(chosen)]
-
-
-def _state(item: CocoItem, category: str) -> str:
-    """State of an annotation: its own, from `state` or the probability `live`, else that of its category. Raises
-    LabelError for another state or probability."""
-    if item.values.get("state") in (None, "") and item.values.get("live") is None:
-        return category
-    live = live_of(item)
-    return "unknown" if math.isnan(live) else _told(live)
-
-
-def _annotated(
-    stamps: Mapping[int, str], files: list[tuple[str, CocoFile]], camera: str, threshold: float
-) -> Iterator[Seen]:
+def _annotated(stamps: Mapping[int, str], file: CocoFile, camera: str, threshold: float) -> Iterator[Seen]:
     for stamp_ns, name in stamps.items():
-        numbers = np.zeros(files[0][1].sizes[name], dtype=np.int32)
-        items = [(state, item) for state, file in files for item in file.items[name]]
-        # The most certain are drawn last, and so on top.
-        items = sorted(items, key=lambda one: one[1].score(1.0))
+        numbers = np.zeros(file.sizes[name], dtype=np.int32)
         states, scores = {}, {}
-        for k, (state, item) in enumerate(items, start=1):
+        # The most certain are drawn last, and so on top.
+        for k, item in enumerate(sorted(file.items[name], key=lambda one: one.score(1.0)), start=1):
             score = item.score(1.0)
             if score < threshold or item.crowd:
                 continue
-            numbers[files[0][1].mask_of(name, item)] = k
-            states[k] = _state(item, state)
+            numbers[file.mask_of(name, item)] = k
+            live = live_of(item)
+            states[k] = "unknown" if math.isnan(live) else _told(live)
             scores[k] = score
         yield Seen(stamp_ns, camera, numbers, states, scores)

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from oysterbench.annotations import joined, open_labelled, read_coco
+from oysterbench.annotations import joined, open_labelled, open_truth, read_coco
 from oysterbench.core.errors import LabelError
 from tests.helpers.labelled_folders import HEIGHT, WIDTH, picture, write_png
 
@@ -15,12 +15,12 @@ SQUARE = [8, 8, 24, 8, 24, 20, 8, 20]
 FRACTIONS = [0.1, 0.1, 0.5, 0.1, 0.5, 0.5, 0.1, 0.5]
 
 
-def coco_file(path, *annotations):
-    """A file of one image, beside it, and of oysters in it."""
+def coco_file(path, *annotations, categories=({"id": 1, "name": "oyster"},)):
+    """A file of one image, beside it, and of annotations in it, of category 1 if they do not say another."""
     write_png(path.parent / f"{path.stem}.png", picture(0))
     document = {
         "images": [{"id": 1, "file_name": f"{path.stem}.png", "width": WIDTH, "height": HEIGHT}],
-        "categories": [{"id": 1, "name": "oyster"}],
+        "categories": list(categories),
         "annotations": [{"id": k, "image_id": 1, "category_id": 1, **one} for k, one in enumerate(annotations)],
     }
     path.write_text(json.dumps(document))
@@ -106,6 +106,67 @@ def test_another_state_is_refused(state, tmp_path):
     path = coco_file(tmp_path / "a.json", {"segmentation": [SQUARE], "state": state})
     with pytest.raises(LabelError, match=r"annotations\[0\]: expected 'state', live, dead or unknown, got"):
         open_labelled(path)[0]
+
+
+def test_cvat_says_states_among_its_attributes(tmp_path):
+    said = ({"attributes": {"state": "Dead"}}, {"attributes": {"state": "dead"}, "state": "live"}, {"attributes": []})
+    path = coco_file(tmp_path / "a.json", *({"segmentation": [SQUARE], **one} for one in said))
+    assert read_coco(path).living("a") == {1: False, 2: True}
+    path = coco_file(tmp_path / "a.json", {"segmentation": [SQUARE], "attributes": {"state": "alive"}})
+    with pytest.raises(LabelError, match=r"annotations\[0\]: expected 'state', live, dead or unknown, got 'alive'"):
+        read_coco(path).living("a")
+
+
+def named(*categories):
+    """Categories of such names and supercategories, numbered from 0."""
+    return [{"id": k, "name": name, "supercategory": above} for k, (name, above) in enumerate(categories)]
+
+
+ROBOFLOW = named(("oyster", "none"), ("live", "oyster"), ("dead", "oyster"))
+OF_A_PROJECT = named(("oysters-x2zq1", "none"), ("Live", "oysters-x2zq1"), ("Dead", "oysters-x2zq1"))
+OF_A_REEF = [*named(("reef", ""), ("live_oysters", "reef"), ("Dead Oyster", "reef"), ("stone", "reef"))]
+
+
+@pytest.mark.parametrize("categories", [ROBOFLOW, OF_A_PROJECT, OF_A_REEF])
+def test_categories_of_live_and_dead_oysters_are_oysters_with_that_state(categories, tmp_path):
+    """Roboflow puts its classes, which have oysters, below one that has none, and that may be called oyster."""
+    said = [
+        {"category_id": 1},
+        {"category_id": 2},
+        {"category_id": 2, "live": 0.8},
+        {"category_id": 1, "state": "dead"},
+    ]
+    path = coco_file(tmp_path / "a.json", *({"segmentation": [SQUARE], **one} for one in said), categories=categories)
+    assert open_labelled(path)[0].living == {1: True, 2: False, 3: True, 4: False}
+    (clip,) = open_truth(path)
+    assert [one.live for one in clip.instances(next(clip.images())[0]).instances] == [1.0, 0.0, 0.8, 0.0]
+
+
+@pytest.mark.parametrize("name", ["Oyster", "oysters", " OYSTERS"])
+def test_oysters_are_named_in_either_case_and_number(name, tmp_path):
+    path = coco_file(tmp_path / "a.json", {"segmentation": [SQUARE]}, categories=[{"id": 1, "name": name}])
+    assert open_labelled(path)[0].oysters.any()
+
+
+@pytest.mark.parametrize(
+    ("other", "above"), [("spat", "oyster"), ("barnacle", "Oysters"), ("live", "coral"), ("dead", "")]
+)
+def test_a_category_that_may_be_of_oysters_is_refused_where_it_is_annotated(other, above, tmp_path):
+    categories = named(("oyster", "none"), (other, above), ("stone", ""))
+    assert len(read_coco(coco_file(tmp_path / "a.json", categories=categories)).items["a"]) == 0
+    annotations = ({"segmentation": [SQUARE], "category_id": k} for k in (0, 1))
+    path = coco_file(tmp_path / "a.json", *annotations, categories=categories)
+    with pytest.raises(LabelError, match=rf"annotations\[1\]: its category, '{other}', could be of oysters or not"):
+        read_coco(path)
+
+
+def test_two_categories_of_one_id_are_refused_and_of_one_name_are_one(tmp_path):
+    categories = named(("oyster", "none"), ("oyster", "oyster"))
+    annotations = [{"segmentation": [SQUARE], "category_id": k} for k in (0, 1)]
+    assert len(read_coco(coco_file(tmp_path / "a.json", *annotations, categories=categories)).items["a"]) == 2
+    categories[0]["id"] = 1
+    with pytest.raises(LabelError, match=r"categories: id 1 is used twice"):
+        read_coco(coco_file(tmp_path / "a.json", categories=categories))
 
 
 def test_a_file_is_named_as_itself_and_by_roboflow_as_its_folder(tmp_path):

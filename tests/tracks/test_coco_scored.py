@@ -68,11 +68,14 @@ def test_results_of_other_categories_are_left_out_and_counted(score):
 
 def test_results_without_any_of_the_category_of_oysters_are_said_to_be_left_out(score):
     """As Roboflow exports ground truth: with a category 0 of the whole set, for which a program took its only class."""
-    categories = [{"id": 0, "name": "oysters"}, {"id": 2, "name": "oyster"}]
+    categories = [{"id": 0, "name": "reef"}, {"id": 2, "name": "oyster"}]
     wrong = [{**one, "category_id": 0} for one in items()]
     metrics, notes = score(items(), wrong, categories=categories)
     assert metrics["ap_mask"] == 0.0
-    assert notes == "left out: all 5 results, of category_id 0 oysters; in the ground truth, oysters are 2"
+    assert notes == "left out: all 5 results, of category_id 0 reef; in the ground truth, oysters are 2"
+    whole = [{"id": 0, "name": "oysters"}, {"id": 2, "name": "oyster"}]
+    metrics, notes = score(items(), wrong, categories=whole)
+    assert (metrics["ap_mask"], notes) == (1.0, "")
     for given in (items(), [*items(), *wrong], []):
         assert score(items(), given, categories=categories)[1] == ""
 

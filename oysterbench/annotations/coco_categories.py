@@ -1,0 +1,56 @@
+"""Categories of COCO files: which are of oysters, and alive or dead, by their names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+OYSTERS = frozenset(("oyster", "oysters"))
+STATES = frozenset(("live", "dead"))
+
+
+@dataclass(frozen=True)
+class Categories:
+    """Categories of a file. names: of all, by id; states: live, dead or unknown, of those of oysters, by id; doubtful:
+    ids of those that may be of oysters or not."""
+
+    names: Mapping[Any, str]
+    states: Mapping[Any, str]
+    doubtful: frozenset[Any]
+
+
+def categories_of(content: list[Any]) -> Categories:
+    """Read the list of categories of a file.
+
+    Oysters are those named oyster or oysters, alone or with live or dead, in any case and order; live or dead alone,
+    too, if the supercategory is oysters, or the file has no others, but for one above all, as Roboflow writes. Others
+    with the supercategory of oysters are doubtful: there, everything has one, whatever it is.
+    """
+    known = [one for one in content if isinstance(one, dict)]
+    names = {one.get("id"): str(one.get("name")) for one in known}
+    groups = {one.get("id"): str(one.get("supercategory")) for one in known}
+    states = {number: _state(name) for number, name in names.items() if _only(name, OYSTERS | STATES, OYSTERS)}
+    bare = {number for number, name in names.items() if _only(name, STATES, STATES)}
+    within = {number for number, group in groups.items() if number not in states and _only(group, OYSTERS, OYSTERS)}
+    whole = {k for k, name in names.items() if all(groups[other] == name for other in names if other != k)}
+    if names.keys() - whole <= bare | states.keys():
+        within |= bare
+    states |= {number: _state(names[number]) for number in bare & within}
+    return Categories(names, states, frozenset((bare | within) - states.keys()))
+
+
+def _only(name: str, known: frozenset[str], wanted: frozenset[str]) -> bool:
+    """Whether a name has no other words than known ones, and one that is wanted."""
+    words = _words(name)
+    return words <= known and bool(words & wanted)
+
+
+def _words(name: str) -> set[str]:
+    return set(re.split(r"[\W_]+", name.casefold())) - {""}
+
+
+def _state(name: str) -> str:
+    said = _words(name) & STATES
+    return said.pop() if len(said) == 1 else "unknown"
