@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from oysterbench.annotations.coco_set import coco_files
 from oysterbench.annotations.image import LabelledSet
 from oysterbench.core.errors import LabelError
+from oysterbench.core.places import shown
 
 KINDS = {
     "sequences": "a sequence file (.mcap), or a folder of them, with the layers class and instance",
     "yolo": "a folder with images/ and labels/*.txt",
     "masks": "a folder with images/ and masks/*.png",
-    "coco": "a folder with one COCO file (*.json) and the images that it names, or the file itself",
+    "coco": "a folder with one COCO file (*.json, or in annotations/) and the images that it names, or the file itself",
 }
+
+NONE = "none of them"
 
 
 def open_labelled(path: str | Path) -> LabelledSet:
@@ -29,14 +33,13 @@ def open_labelled(path: str | Path) -> LabelledSet:
         raise LabelError(f"{path}: no such file or folder; expected {'; or '.join(KINDS.values())}")
     found = kinds_at(path)
     if len(found) != 1:
-        got = f"what could be {' or '.join(found)}" if found else "none of them"
-        raise LabelError(f"{path}: expected {'; or '.join(KINDS.values())}; got {got}")
+        raise LabelError(f"{path}: expected {'; or '.join(KINDS.values())}; got {got_at(path)}")
     if found[0] == "sequences":
         from oysterbench.annotations.sequences import sequence_set
 
         if path.is_file():
             return sequence_set(path.stem, [path])
-        return sequence_set(path.resolve().name, sorted(path.glob("*.mcap")))
+        return sequence_set(path.resolve().name, shown(path, "*.mcap"))
     if found[0] == "yolo":
         from oysterbench.annotations.yolo import yolo_set
 
@@ -47,17 +50,27 @@ def open_labelled(path: str | Path) -> LabelledSet:
         return mask_set(path)
     from oysterbench.annotations.coco_set import coco_set
 
-    return coco_set(path) if path.is_file() else coco_set(next(iter(sorted(path.glob("*.json")))), whole=True)
+    return coco_set(path) if path.is_file() else coco_set(coco_files(path)[0], whole=True)
 
 
 def kinds_at(path: Path) -> list[str]:
     """Kinds of labelled data (keys of `KINDS`) that a path could be."""
     if path.is_file():
         return {".mcap": ["sequences"], ".json": ["coco"]}.get(path.suffix.lower(), [])
-    found = ["sequences"] if any(path.glob("*.mcap")) else []
+    found = ["sequences"] if shown(path, "*.mcap") else []
     if (path / "images").is_dir():
         found += ["yolo"] if (path / "labels").is_dir() else []
         found += ["masks"] if (path / "masks").is_dir() else []
-    if len(list(path.glob("*.json"))) == 1 and not found:
+    if not found and len(coco_files(path)) == 1:
         found.append("coco")
     return found
+
+
+def got_at(path: Path) -> str:
+    """What a path is that is not one of `KINDS`, and which to give instead, to end a message."""
+    if found := kinds_at(path):
+        return f"what could be {' or '.join(found)}"
+    if len(files := coco_files(path)) > 1:
+        return f"{len(files)} JSON files: give the COCO file that is meant, such as {files[0]}"
+    below = [one for one in shown(path, "*") if one.is_dir() and len(kinds_at(one)) == 1]
+    return f"{NONE} itself, but a folder of such: give one below, as {below[0]}" if below else NONE

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.coco import CocoFile, read_coco
-from oysterbench.annotations.coco_set import picture_file, read_coco_picture
+from oysterbench.annotations.coco_set import coco_files, picture_file, read_coco_picture
 from oysterbench.annotations.image import Entry, is_colour, planes_of
 from oysterbench.annotations.manifest import FILE, TEST, read_manifest
 from oysterbench.annotations.masks import as_mask, read_png
-from oysterbench.annotations.opening import kinds_at, open_labelled
+from oysterbench.annotations.opening import NONE, got_at, kinds_at, open_labelled
 from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import Array
-from oysterbench.core.places import is_hidden
+from oysterbench.core.places import is_hidden, shown
 from oysterbench.evaluate.detection import ImageInstances
 from oysterbench.evaluate.detection.instances import from_planes
 from oysterbench.evaluate.segmentation import TruthImage
@@ -214,11 +214,13 @@ def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = Non
     test, only that is opened. ignore_value: value of pixels to be ignored; for classes 255 by default.
     """
     if kinds_at(place) == ["coco"]:
-        return _coco_clips(place if place.is_file() else next(place.glob("*.json")), place)
-    if place.is_dir() and not (place / "images").is_dir() and not any(place.glob("*.mcap")):
+        (file,) = [place] if place.is_file() else coco_files(place)
+        return _coco_clips(file, place)
+    sequences = [place] if place.suffix == ".mcap" else shown(place, "*.mcap")
+    if place.is_dir() and not (place / "images").is_dir() and not sequences:
         return _plain_clips(place, labels, ignore_value)
-    if place.suffix == ".mcap" or any(place.glob("*.mcap")):
-        return [labelled_sequence(path) for path in ([place] if place.is_file() else sorted(place.glob("*.mcap")))]
+    if sequences:
+        return [labelled_sequence(path) for path in sequences]
     return _labelled_clips(place)
 
 
@@ -313,8 +315,8 @@ def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Lab
     if len(files) < len(found):
         twice = next(path for path in found if path not in files.values())
         raise LabelError(f"{twice}: expected one mask of this name, got another with the suffix in other case")
-    if not files:
-        got = "none of them" if place.exists() else "nothing of that name"
+    got = got_at(place) if place.exists() else "nothing of that name"
+    if not files or (got != NONE and is_colour(next(iter(files.values())))):
         raise LabelError(
             f"{place}: expected ground truth: masks as .png, a folder with images/ and labels/ or masks/, COCO "
             f"annotations (.json) or sequences (.mcap), got {got}"

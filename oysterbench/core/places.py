@@ -48,12 +48,31 @@ def leads_out(name: str) -> bool:
     return os.path.isabs(name) or os.path.normpath(name).split(os.sep)[0] == os.pardir
 
 
+SYSTEM = (
+    "thumbs.db",
+    "desktop.ini",
+    "$recycle.bin",
+    "system volume information",
+    "__macosx",
+    "@eadir",
+    "#recycle",
+    "#snapshot",
+    "lost+found",
+)
+"""What Windows, macOS, network storage and file systems keep beside a user's files, in lower case."""
+
+
 def is_hidden(path: Path, folder: Path) -> bool:
     """Whether a file of a folder, or another folder on the way to it, is one that systems and editors keep for
-    themselves: its name begins with a dot, or Windows put it there.
+    themselves: its name begins with a dot, or is one of `SYSTEM`.
 
     >>> is_hidden(Path("set/.ipynb_checkpoints/a.png"), Path("set")), is_hidden(Path(".set/a.png"), Path(".set"))
     (True, False)
     """
     parts = path.relative_to(folder).parts
-    return any(part.startswith(".") for part in parts) or path.name.casefold() in ("thumbs.db", "desktop.ini")
+    return any(part.startswith(".") or part.casefold() in SYSTEM for part in parts)
+
+
+def shown(folder: Path, pattern: str) -> list[Path]:
+    """What a folder itself holds that matches a pattern and is not hidden, in order; nothing if it is no folder."""
+    return sorted(path for path in folder.glob(pattern) if not is_hidden(path, folder))

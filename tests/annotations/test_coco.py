@@ -187,3 +187,77 @@ def test_sets_of_one_name_are_numbered_and_the_same_set_twice_is_refused(tmp_pat
     assert joined(sets, "both").clips == ("all/all", "all-2/all", "all-3/all")
     with pytest.raises(LabelError, match=r"^both: two images are named 'all/all', both of .*x/all\.png: give it once$"):
         joined([*sets, sets[0]], "both")
+
+
+LAYOUTS = {
+    "CVAT": ("annotations/instances_default.json", "images/default"),
+    "CVAT without subsets": ("annotations/instances_default.json", "images"),
+    "COCO 2017": ("annotations/instances_train2017.json", "train2017"),
+    "FiftyOne": ("labels.json", "data"),
+    "Label Studio": ("result.json", "images"),
+    "Roboflow": ("_annotations.coco.json", "."),
+}
+
+
+def laid(root, file, folder):
+    """A COCO file of one image, with the image in another folder below root."""
+    (root / file).parent.mkdir(parents=True, exist_ok=True)
+    path = coco_file(root / file, {"segmentation": [SQUARE]})
+    (root / folder).mkdir(parents=True, exist_ok=True)
+    path.with_suffix(".png").rename(root / folder / "a.png")
+    path.write_text(path.read_text().replace(f"{path.stem}.png", "a.png"))
+    return path
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_images_are_found_where_programs_put_them(layout, tmp_path, monkeypatch):
+    path = laid(tmp_path / "reef", *LAYOUTS[layout])
+    (path.parent / f"._{path.name}").write_bytes(b"x")  # as macOS writes on other file systems
+    for place in (path, tmp_path / "reef"):
+        assert open_labelled(place)[0].oysters.any()
+        ((name, pixels),) = open_truth(place)[0].pictures()
+        assert name == "a"
+        assert pixels is not None
+    assert open_labelled(tmp_path / "reef").name == "reef"
+    monkeypatch.chdir(path.parent)
+    assert open_labelled(path.name)[0].oysters.any()
+
+
+def test_images_of_another_subset_are_not_taken_for_those_of_a_file(tmp_path):
+    path = laid(tmp_path, "annotations/instances_val2017.json", "train2017")
+    with pytest.raises(LabelError, match=r"instances_val2017\.json: image 1: no file a\.png in any of .*val2017"):
+        open_labelled(path)
+
+
+def test_an_image_in_two_places_is_refused(tmp_path):
+    path = laid(tmp_path, "annotations/instances_default.json", "images/default")
+    (tmp_path / "images" / "a.png").symlink_to(tmp_path / "images" / "default" / "a.png")
+    assert open_labelled(path)[0].oysters.any()
+    (tmp_path / "images" / "a.png").unlink()
+    write_png(tmp_path / "images" / "a.png", picture(1))
+    for opened in (open_labelled, open_truth):
+        with pytest.raises(LabelError, match=r"a\.png could be .*images/a\.png or .*default/a\.png: rename or remove"):
+            opened(path)
+
+
+def test_of_several_files_one_is_asked_for(tmp_path):
+    for side in ("train", "val"):
+        path = tmp_path / "annotations" / f"instances_{side}2017.json"
+        path.parent.mkdir(exist_ok=True)
+        coco_file(path)
+    for opened in (open_labelled, open_truth):
+        with pytest.raises(LabelError, match=r"2 JSON files: give the COCO file .* as .*/instances_train2017\.json$"):
+            opened(tmp_path)
+
+
+def test_folders_in_names_may_be_divided_as_on_windows(tmp_path):
+    """As Label Studio writes there."""
+    path = laid(tmp_path, "result.json", "images")
+    content = json.loads(path.read_text())
+    content["images"][0]["file_name"] = "images\\a.png"
+    path.write_text(json.dumps(content))
+    assert [entry.name for entry in open_labelled(tmp_path).entries] == ["images/a"]
+    content["images"][0]["file_name"] = "..\\a.png"
+    path.write_text(json.dumps(content))
+    with pytest.raises(LabelError, match="leads out of it"):
+        open_labelled(tmp_path)
