@@ -25,7 +25,7 @@ from oysterbench.annotations.manifest import FILE, files_of, images_with
 from oysterbench.annotations.parts import connected_parts
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import LabelError
-from oysterbench.core.places import is_hidden
+from oysterbench.core.places import shown
 from oysterbench.recipe import OYSTER
 
 LAYERS = ("images", "masks", "instances", "ignore")
@@ -54,8 +54,8 @@ def mask_set(folder: Path) -> LabelledSet:
 def _further(folder: Path) -> dict[str, Path]:
     """Files of a folder that need not be there, by name of the image. Raises LabelError for one that is no .png."""
     found = files_of(folder, ".png")
-    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
-        if found.get(path.stem) != path and not path.is_dir() and not is_hidden(path, folder):
+    for path in shown(folder, "*"):
+        if found.get(path.stem) != path and not path.is_dir():
             raise LabelError(f"{path}: expected .png files alone, named as the images: save it as one, or delete it")
     return found
 

@@ -6,12 +6,12 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from oysterbench.core.errors import LabelError
-from oysterbench.core.places import is_hidden
+from oysterbench.core.places import is_hidden, shown
 from oysterbench.core.text import separator
 
 FILE = "manifest.csv"
@@ -99,7 +99,8 @@ def images_with(
     missing.
     """
     listed = read_manifest(folder)
-    images, beside = files_of(folder / "images", *PICTURES), files_of(folder / labels, suffix)
+    images = files_of(folder / "images", *PICTURES)
+    beside = files_of(folder / labels, suffix, of=None if suffix in PICTURES else images)
     if not images:
         raise LabelError(f"{folder / 'images'}: no image (.jpg, .jpeg or .png)")
     for name in listed:
@@ -117,26 +118,22 @@ def images_with(
         yield name, listed.get(name) or ManifestRow(name, ""), images[name], beside[name]
 
 
-def files_of(folder: Path, *suffixes: str) -> dict[str, Path]:
+def files_of(folder: Path, *suffixes: str, of: Collection[str] | None = None) -> dict[str, Path]:
     """Files with one of the suffixes by their names without it, in order; empty if there is no folder. Hidden files are
     left out, such as the ._NAME.png that macOS writes beside each file on other file systems. Raises LabelError where
-    two differ by their suffix alone, or some are in folders below."""
-    if not folder.is_dir():
-        return {}
+    two differ by their suffix alone, or some are in folders below; of: where given, only those named as these images
+    are refused there, as others may be of anything."""
     found: dict[str, Path] = {}
-    for path in sorted(folder.iterdir()):
-        if is_hidden(path, folder):
-            continue
+    for path in shown(folder, "*"):
         if path.is_dir():
-            below = (one for one in path.rglob("*") if one.suffix.lower() in suffixes and not is_hidden(one, path))
-            if (one := next(below, None)) is not None:
+            below = (one for one in sorted(path.rglob("*")) if one.suffix.lower() in suffixes and one.is_file())
+            ours = (one for one in below if not is_hidden(one, path) and (of is None or one.stem in of))
+            if (one := next(ours, None)) is not None:
                 raise LabelError(
                     f"{one}: expected {', '.join(suffixes)} files in {folder.name}/ itself, and none in folders below: "
                     "move them there, or to a data set of their own"
                 )
-        if path.suffix.lower() not in suffixes:
-            continue
-        if found.setdefault(path.stem, path) != path:
+        elif path.suffix.lower() in suffixes and found.setdefault(path.stem, path) != path:
             raise LabelError(
                 f"{path}: expected one file named {path.stem} here, got {found[path.stem].name}, too: rename or delete "
                 "one of them"

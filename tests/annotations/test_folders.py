@@ -9,6 +9,7 @@ import pytest
 from oysterbench.annotations import open_labelled, open_predictions, open_truth
 from oysterbench.annotations.manifest import side_in
 from oysterbench.core.errors import LabelError
+from oysterbench.counting.sources import find_sources
 from tests.helpers.labelled_folders import HEIGHT, WIDTH, picture, write_png, yolo_folder
 
 TRIANGLE = " 0.25 0.25 0.75 0.25 0.75 0.75\n"
@@ -68,12 +69,39 @@ def test_files_in_folders_below_are_refused_by_name_and_other_folders_are_none_o
         open_labelled(tmp_path)
 
 
-def test_an_export_of_several_sides_in_folders_is_refused_by_its_first_image(tmp_path):
-    write_png(tmp_path / "images" / "train" / "a.png", picture(0))
-    (tmp_path / "labels" / "train").mkdir(parents=True)
-    (tmp_path / "labels" / "train" / "a.txt").touch()
-    with pytest.raises(LabelError, match=r"images/train/a\.png: expected \.jpg, \.jpeg, \.png files in images/ itself"):
-        open_labelled(tmp_path)
+def test_files_of_systems_are_in_the_way_of_no_set(tmp_path):
+    """Of macOS on a disk of another kind, of network storage, of Windows."""
+    for place in (mask_folder(tmp_path / "masks", "a"), yolo_folder(tmp_path / "yolo", {"a": "0" + TRIANGLE})):
+        for folder in place.iterdir():
+            write_png(folder / "@eaDir" / "a.jpg" / "SYNOPHOTO_THUMB_M.png", MASK)
+            (folder / "@eaDir" / "a.txt").touch()
+            write_png(folder / "$RECYCLE.BIN" / "b.png", MASK)
+            write_png(folder / "__MACOSX" / "images" / "a.png", MASK)
+            (folder / "lost+found").mkdir()
+            (folder / "old.png").mkdir()
+        (place / "._dive.mcap").write_bytes(b"x")
+        (place / "._instances.json").write_bytes(b"x")
+        assert [entry.name for entry in open_labelled(place).entries] == ["a"]
+        assert [one.names for one in open_truth(place)] == [("a",)]
+    assert [one.name for one in find_sources([tmp_path / "masks"]).sources] == ["images/a"]
+
+
+def test_text_files_below_labels_are_refused_where_they_may_be_the_labels_of_an_image(tmp_path):
+    folder = yolo_folder(tmp_path, {"a": "0" + TRIANGLE})
+    (folder / "labels" / "old").mkdir()
+    (folder / "labels" / "old" / "readme.txt").touch()
+    assert len(open_labelled(folder)) == 1
+    (folder / "labels" / "old" / "a.txt").touch()
+    with pytest.raises(LabelError, match=r"labels/old/a\.txt: expected \.txt files in labels/ itself"):
+        open_labelled(folder)
+
+
+def test_of_a_folder_of_sets_one_is_named(tmp_path):
+    for side in ("train", "valid"):
+        yolo_folder(tmp_path / side, {"a": "0" + TRIANGLE})
+    for opened in (open_labelled, open_truth):
+        with pytest.raises(LabelError, match=rf"got none of them itself, .* give one below, as {tmp_path}/train$"):
+            opened(tmp_path)
 
 
 def test_masks_in_hidden_folders_are_neither_predictions_nor_truth(tmp_path):
