@@ -44,7 +44,7 @@ class ManifestRow:
 def read_manifest(folder: Path) -> dict[str, ManifestRow]:
     """Read the manifest of a folder, by id of an image, in the order of the file; empty if there is no manifest. The
     columns id and clip are required, split is optional, each in either case; others are ignored, and so are blanks
-    around values. Separators are commas or semicolons, as spreadsheets write them. Raises LabelError naming the
+    around values. Separators are commas, semicolons or tabs, as spreadsheets write them. Raises LabelError naming the
     line."""
     path = folder / FILE
     if not path.is_file():

@@ -40,8 +40,9 @@ def read_json(data: bytes | str) -> Any:
 
 def separator(table: str) -> str:
     """Separator of a CSV table: a semicolon if the first line has one, as spreadsheets write it where the comma is the
-    decimal sign, else a comma."""
-    return ";" if ";" in table.partition("\n")[0] else ","
+    decimal sign; else a comma, or a tab if that line has tabs alone, as what is copied from a spreadsheet."""
+    first = table.partition("\n")[0]
+    return ";" if ";" in first else "\t" if "\t" in first and "," not in first else ","
 
 
 def printable(text: str) -> str:

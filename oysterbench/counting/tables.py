@@ -37,7 +37,7 @@ class PictureTable:
 
 
 def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) -> PictureTable:
-    """Read a CSV with the column `picture` and further columns of numbers. If it is separated by semicolons, commas may
+    """Read a CSV with the column `picture` and further columns of numbers. Between semicolons or tabs, commas may
     be decimal, as spreadsheets write them.
 
     An image is identified by its name, as in pictures.csv, or by that of its file if it is unique; a frame by
@@ -76,7 +76,7 @@ def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) ->
             continue
         if name in rows:
             raise LabelError(f"{where}: {said} is listed twice")
-        rows[name] = tuple(_number(v.replace(",", ".") if mark == ";" else v, where) for v in values)
+        rows[name] = tuple(_number(v if mark == "," else v.replace(",", "."), where) for v in values)
     return PictureTable(path, rows, tuple(unused))
 
 

@@ -76,7 +76,7 @@ def test_a_manifest_gives_clips_splits_and_order(tmp_path):
         found.of_split("val")
 
 
-@pytest.mark.parametrize("mark", [",", ";"])
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
 def test_what_a_spreadsheet_or_editor_saves_as_utf_8_is_read(mark, tmp_path):
     rows = (("id", "clip", "split"), ("a", "Bänke, Süd", "train"), ("b", "two", "test"), ("", "", ""))
     folder = yolo_folder(tmp_path / "set", {"a": SQUARE, "b": ""})

@@ -316,8 +316,10 @@ def test_names_may_have_the_apostrophe_that_pictures_csv_puts_before_formulas(tm
     assert table(tmp_path, "picture,altitude_m\n'x,1\n", sources, ALTITUDE).unused == ("'x",)
 
 
-def test_a_table_of_a_spreadsheet_may_have_semicolons_and_decimal_commas(tmp_path, sources):
-    assert table(tmp_path, "\ufeffpicture;altitude_m\na/1;1,25\n\n", sources, ALTITUDE).rows == {"a/1": (1.25,)}
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_a_table_of_a_spreadsheet_may_have_semicolons_or_tabs_and_decimal_commas(mark, tmp_path, sources):
+    text = f"\ufeffpicture{mark}altitude_m\na/1{mark}1,25\n\n"
+    assert table(tmp_path, text, sources, ALTITUDE).rows == {"a/1": (1.25,)}
 
 
 @pytest.mark.parametrize(
