@@ -90,17 +90,23 @@ def _check_sides(path: Path, rows: Mapping[str, ManifestRow]) -> None:
 
 
 def images_with(
-    folder: Path, labels: str, suffix: str, hint: str = ""
+    folder: Path, labels: str, suffix: str, hint: str = "", sides: Mapping[str, str] | None = None
 ) -> Iterator[tuple[str, ManifestRow, Path, Path]]:
     """Yield name, manifest row, image file and label file (LABELS/NAME.suffix) of each image of a folder, in the order
     of the manifest if there is one; without it, each image is a clip of its own.
 
     Raises LabelError if the names of images, label files and manifest do not match. hint: added where a label file is
-    missing.
+    missing. sides: where images lie in folders below images/, the side of each such folder, which only the manifest
+    overrules; names are then FOLDER/NAME.
     """
     listed = read_manifest(folder)
-    images = files_of(folder / "images", *PICTURES)
-    beside = files_of(folder / labels, suffix, of=None if suffix in PICTURES else images)
+    images: dict[str, Path] = {}
+    beside: dict[str, Path] = {}
+    for part in sides or ("",):
+        own = files_of(folder / "images" / part, *PICTURES)
+        label_files = files_of(folder / labels / part, suffix, of=None if suffix in PICTURES else own)
+        for found, files in ((images, own), (beside, label_files)):
+            found |= {f"{part}/{name}" if part else name: path for name, path in files.items()}
     if not images:
         raise LabelError(f"{folder / 'images'}: no image (.jpg, .jpeg or .png)")
     for name in listed:
@@ -115,7 +121,18 @@ def images_with(
         if name not in images:
             raise LabelError(f"{folder}: {labels}/{name}{suffix} has no image of that name in images/")
     for name in listed or images:
-        yield name, listed.get(name) or ManifestRow(name, ""), images[name], beside[name]
+        row = listed.get(name) or ManifestRow(name, "")
+        side = row.split or (sides or {}).get(name.partition("/")[0], "")
+        yield name, ManifestRow(row.clip, side), images[name], beside[name]
+
+
+def parts_of(folder: Path) -> list[str]:
+    """Names of the folders with image files in a folder that has none itself."""
+
+    def has_some(place: Path) -> bool:
+        return any(path.suffix.lower() in PICTURES and path.is_file() for path in shown(place, "*"))
+
+    return [] if has_some(folder) else [path.name for path in shown(folder, "*") if path.is_dir() and has_some(path)]
 
 
 def files_of(folder: Path, *suffixes: str, of: Collection[str] | None = None) -> dict[str, Path]:

@@ -174,16 +174,101 @@ def test_classes_have_the_names_of_other_files_too(name, text, place, tmp_path):
 @pytest.mark.parametrize(
     ("file", "text"),
     [
-        ("classes.txt", "barnacle\noyster\n"),
         ("classes.txt", "person\ncar\n"),
-        ("data.yaml", "names: [barnacle, oyster]\n"),
+        ("classes.txt", "oyster\n"),
         ("coco128.yaml", "names: [person]\n"),
+        ("coco128.yaml", "names: {\n"),
     ],
 )
 def test_class_names_beside_a_folder_that_is_no_part_of_an_export_are_of_other_sets(file, text, name, tmp_path):
     folder = yolo_folder(tmp_path / name, {"a": "0" + TRIANGLE})
     (tmp_path / file).write_text(text)
     assert open_labelled(folder)[0].oysters.any()
+
+
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("classes.txt", "barnacle\noyster\n"),
+        ("data.yaml", "names: [barnacle, oyster]\ntrain: train/images\n"),
+        ("reef.yml", "names: [barnacle, oyster]\n"),
+    ],
+)
+def test_class_names_beside_a_folder_that_may_be_of_it_or_not_are_refused(file, text, tmp_path):
+    folder = yolo_folder(tmp_path / "reef", {"a": "0" + TRIANGLE})
+    (tmp_path / file).write_text(text)
+    with pytest.raises(LabelError, match=rf"{file}: expected the names of the classes of reef/ in data\.yaml there"):
+        open_labelled(folder)
+    (folder / "data.yaml").write_text("names: [oyster]\n")
+    assert open_labelled(folder)[0].oysters.any()
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("reef-train", ""),
+        ("train2", ""),
+        ("training", "train: ../training/images\n"),
+        ("fold0", "train: [fold1/images, fold0/images]\nval: fold2/images\n"),
+        ("all", "val: C:\\sets\\all\\images\n"),
+        ("set", "path: ../data/set\ntrain: images\n"),
+    ],
+)
+def test_a_data_yaml_above_is_of_a_folder_that_it_names_or_whose_name_ends_in_a_side(name, text, tmp_path):
+    """Where the folder has barnacles alone, nothing else would tell that they are no oysters."""
+    folder = yolo_folder(tmp_path / name, {"a": "0" + TRIANGLE})
+    (tmp_path / "data.yaml").write_text(f"{text}names: [barnacle, oyster]\n")
+    assert not open_labelled(folder)[0].oysters.any()
+
+
+def sides_folder(root, *sides, prefix=""):
+    """A YOLO data set with images/SIDE/ and labels/SIDE/, each with one oyster of class 1 in the image a."""
+    for k, side in enumerate(sides):
+        write_png(root / "images" / f"{prefix}{side}" / "a.png", picture(k))
+        (root / "labels" / f"{prefix}{side}").mkdir(parents=True)
+        (root / "labels" / f"{prefix}{side}" / "a.txt").write_text("1" + TRIANGLE)
+    (root / "data.yaml").write_text("names: [barnacle, oyster]\n")
+    return root
+
+
+def test_folders_below_images_and_labels_are_sides(tmp_path):
+    """As Ultralytics has them."""
+    found = open_labelled(sides_folder(tmp_path / "reef", "train", "Valid", "test2017"))
+    assert [(one.name, one.split) for one in found.entries] == [
+        ("Valid/a", "val"),
+        ("test2017/a", "test"),
+        ("train/a", "train"),
+    ]
+    assert all(one.oysters.any() for one in found)
+    assert [one.names for one in open_truth(tmp_path / "reef")] == [("test2017/a",)]
+    (tmp_path / "reef" / "labels" / "train" / "a.txt").unlink()
+    with pytest.raises(LabelError, match=r"image train/a has no labels/train/a\.txt"):
+        open_labelled(tmp_path / "reef")
+
+
+def test_a_manifest_has_clips_and_the_last_word_on_sides_in_folders(tmp_path):
+    folder = sides_folder(tmp_path, "train", "val")
+    (folder / "manifest.csv").write_text("id,clip,split\ntrain/a,one,test\nval/a,two,val\n")
+    assert [(one.clip, one.split) for one in open_labelled(folder).entries] == [("one", "test"), ("two", "val")]
+    (folder / "manifest.csv").write_text("id,clip\ntrain/a,one\nval/a,two\n")
+    assert [(one.clip, one.split) for one in open_labelled(folder).entries] == [("one", "train"), ("two", "val")]
+
+
+def test_a_folder_below_images_is_on_the_side_that_data_yaml_says_and_without_one_is_refused(tmp_path):
+    folder = sides_folder(tmp_path, "0", "1", prefix="fold")
+    with pytest.raises(LabelError, match=r"images/fold0: expected folders called train, val or test, or named under"):
+        open_labelled(folder)
+    with open(folder / "data.yaml", "a") as file:
+        file.write("train: images/fold1\nval: [images/fold0]\n")
+    assert [(one.name, one.split) for one in open_labelled(folder).entries] == [
+        ("fold0/a", "val"),
+        ("fold1/a", "train"),
+    ]
+    write_png(folder / "images" / "b.png", picture(2))
+    with pytest.raises(
+        LabelError, match=r"images/fold0/a\.png: expected .* files in images/ itself, and none in folders"
+    ):
+        open_labelled(folder)
 
 
 def test_yaml_files_beside_parts_of_an_export_that_name_no_oysters_are_of_something_else(tmp_path):

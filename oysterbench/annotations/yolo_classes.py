@@ -1,0 +1,143 @@
+"""Classes and sides of YOLO data sets, as data.yaml and files like it name them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from oysterbench.annotations.manifest import SIDES, side_in
+from oysterbench.core.errors import LabelError
+from oysterbench.core.places import shown
+
+FILES = ("data.yaml", "data.yml", "classes.txt")
+"""Files that may name the classes; the first that does is read. classes.txt has a name per line."""
+NAMES = re.compile(rb"^[\"']?names[\"']?\s*:", re.MULTILINE)
+"""What is in a YAML file that names classes."""
+USUAL = {0: "oyster"}
+"""Names of the classes where no file gives them."""
+OYSTERS = ("oyster", "oysters")
+"""Names of the class to be found, in any case."""
+
+
+def classes_of(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
+    """Names of the classes of a data set by number, and the file that gives them, if they are others than without one.
+
+    Read are `FILES` in the folder, or in the one above if they are of this one: it is called train, valid or test
+    (`SIDES`), which share them, or a YAML file names it, or could as its name ends in such a word. Raises LabelError
+    where another file names others: here, or above, where it may be of this data set or not; there, only where it names
+    oysters.
+    """
+    whole = folder.resolve()
+    own = [folder / name for name in FILES]
+    above = [path for path in (whole.parent / name for name in FILES) if path.is_file() and _is_of(path, whole.name)]
+    for path in (path for path in (*own, *above) if path.is_file()):
+        if names := read_classes(path):
+            return names, () if names == USUAL else (path,)
+    for path in shown(folder, "*.y*ml"):
+        if path.is_file() and _names_others(path):
+            raise LabelError(f"{path}: expected the names of the classes in {FILES[0]}, got them here: rename it")
+    for path in (*shown(whole.parent, "*.y*ml"), whole.parent / FILES[-1]):
+        if path.is_file() and _names_others(path, shared=True):
+            if whole.name.casefold() in SIDES:
+                raise LabelError(f"{path}: expected the names of the classes in {FILES[0]}, got them here: rename it")
+            raise LabelError(
+                f"{path}: expected the names of the classes of {whole.name}/ in {FILES[0]} there, got names here that "
+                "may be of it or not: copy them there, or write others there, such as `names: [oyster]`"
+            )
+    return USUAL, ()
+
+
+def _is_of(path: Path, folder: str) -> bool:
+    """Whether a file that names classes is of a folder beside it."""
+    if folder.casefold() in SIDES:
+        return True
+    try:
+        return path.suffix != ".txt" and bool(side_in(folder) or keys_naming(path, folder))
+    except LabelError:
+        return False
+
+
+def _names_others(path: Path, shared: bool = False) -> bool:
+    """Whether a file names other classes than there are without one. shared: it may be of something else, such as
+    another data set, and is where it names no oysters. Raises LabelError where a file that is not shared names none."""
+    try:
+        if path.suffix != ".txt" and not NAMES.search(path.read_bytes()):
+            return False
+        return read_classes(path) not in ({}, USUAL)
+    except (LabelError, OSError):
+        if shared:
+            return False
+        raise
+
+
+def side_of(folder: Path, part: str) -> str:
+    """Side of the images in images/PART of a data set: which the name ends in (`side_in`), or under which data.yaml
+    names it. Raises LabelError if neither says it."""
+    files = [folder / name for name in FILES[:2] if (folder / name).is_file()]
+    keys = {key for path in files for key in keys_naming(path, part)} - {"path"}
+    said = side_in(part) or (keys.pop().casefold() if len(keys) == 1 else "")
+    if not said:
+        raise LabelError(
+            f"{folder / 'images' / part}: expected folders called train, val or test, or named under one of these in "
+            f"{FILES[0]}: rename or name it, or move its images to images/ and their labels to labels/"
+        )
+    return SIDES.get(said, said)
+
+
+def keys_naming(path: Path, folder: str) -> set[str]:
+    """Keys under which a YAML file names a folder, or images/ in it, at the end of a path, wherever this leads from
+    here: Roboflow writes ../train/images, others where a set was at their place."""
+    found = set()
+    for key, value in (_mapping(path) or {}).items():
+        for place in value if isinstance(value, list) else [value]:
+            parts = PurePosixPath(place.replace("\\", "/")).parts if isinstance(place, str) else ()
+            if parts[-1:] == (folder,) or parts[-2:] == (folder, "images"):
+                found.add(str(key))
+    return found
+
+
+def read_classes(path: Path) -> dict[int, str]:
+    """Read the names of the classes from a file of `FILES`, by number; empty if it names none. Raises LabelError if it
+    cannot be read, or none of them is oyster."""
+    names = _lines(path) if path.suffix == ".txt" else _names(path)
+    if names is None:
+        return {}
+    found = {number: "oyster" if name.lower() in OYSTERS else name for number, name in names.items()}
+    if "oyster" not in found.values():
+        known = ", ".join(f"{number} = {name}" for number, name in found.items())
+        raise LabelError(f"{path}: no class is named 'oyster'; its classes: {known or 'none'}: rename the one meant")
+    return found
+
+
+def _lines(path: Path) -> dict[int, str] | None:
+    try:
+        lines = path.read_text(encoding="utf-8-sig").rstrip().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise LabelError(f"{path}: cannot be read as text: {error}") from None
+    return dict(enumerate(line.strip() for line in lines)) or None
+
+
+def _names(path: Path) -> dict[int, str] | None:
+    content = _mapping(path)
+    names = None if content is None else content.get("names")
+    if names is None:
+        return None
+    found = dict(enumerate(names)) if isinstance(names, list) else names
+    if not isinstance(found, Mapping) or not all(type(number) is int for number in found):
+        raise LabelError(f"{path}: names: expected a list, or number: name, got {str(names)[:60]!r}")
+    return {number: str(name) for number, name in found.items()}
+
+
+def _mapping(path: Path) -> Mapping[Any, Any] | None:
+    """Content of a YAML file; None if it is no mapping. Raises LabelError if it cannot be read."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8-sig"))
+    except (OSError, UnicodeDecodeError, YAMLError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else "not YAML"
+        raise LabelError(f"{path}: {why}; expected the names of the classes under 'names'") from None
+    return content if isinstance(content, Mapping) else None
