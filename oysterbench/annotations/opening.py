@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from oysterbench.annotations.coco_set import coco_files
+from oysterbench.annotations.coco_set import coco_files, coco_set
 from oysterbench.annotations.image import LabelledSet
+from oysterbench.annotations.yolo import yolo_root, yolo_set
 from oysterbench.core.errors import LabelError
 from oysterbench.core.places import shown
 
 KINDS = {
     "sequences": "a sequence file (.mcap), or a folder of them, with the layers class and instance",
-    "yolo": "a folder with images/ and labels/*.txt",
+    "yolo": "a folder with images/ and labels/*.txt, or images/train, labels/train and so on",
     "masks": "a folder with images/ and masks/*.png",
     "coco": "a folder with one COCO file (*.json, or in annotations/) and the images that it names, or the file itself",
 }
@@ -41,15 +42,11 @@ def open_labelled(path: str | Path) -> LabelledSet:
             return sequence_set(path.stem, [path])
         return sequence_set(path.resolve().name, shown(path, "*.mcap"))
     if found[0] == "yolo":
-        from oysterbench.annotations.yolo import yolo_set
-
         return yolo_set(path)
     if found[0] == "masks":
         from oysterbench.annotations.folders import mask_set
 
         return mask_set(path)
-    from oysterbench.annotations.coco_set import coco_set
-
     return coco_set(path) if path.is_file() else coco_set(coco_files(path)[0], whole=True)
 
 
@@ -58,9 +55,8 @@ def kinds_at(path: Path) -> list[str]:
     if path.is_file():
         return {".mcap": ["sequences"], ".json": ["coco"]}.get(path.suffix.lower(), [])
     found = ["sequences"] if shown(path, "*.mcap") else []
-    if (path / "images").is_dir():
-        found += ["yolo"] if (path / "labels").is_dir() else []
-        found += ["masks"] if (path / "masks").is_dir() else []
+    found += ["yolo"] if yolo_root(path) else []
+    found += ["masks"] if (path / "images").is_dir() and (path / "masks").is_dir() else []
     if not found and len(coco_files(path)) == 1:
         found.append("coco")
     return found

@@ -18,6 +18,7 @@ from oysterbench.annotations.image import Entry, is_colour, planes_of
 from oysterbench.annotations.manifest import FILE, TEST, read_manifest
 from oysterbench.annotations.masks import as_mask, read_png
 from oysterbench.annotations.opening import NONE, got_at, kinds_at, open_labelled
+from oysterbench.annotations.yolo_boxes import boxes_at
 from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import Array
 from oysterbench.core.places import is_hidden, shown
@@ -207,17 +208,23 @@ def footprint_m2(depth_m: NDArray[np.float32], rays: Array, T_map_camera: Array)
 
 
 def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = None) -> list[LabelledSequence]:
-    """Open the clips at a path: sequences, labelled folders (`opening.KINDS`), COCO annotations with or without
-    their images, or a plain folder of PNG files, masks or (labels="classes") class numbers.
+    """Open the clips at a path: sequences, labelled folders (`opening.KINDS`), YOLO folders of boxes, COCO annotations
+    with or without their images, or a plain folder of PNG files, masks or (labels="classes") class numbers.
 
     Clips of a plain folder are its subfolders, or as given in its manifest.csv (id, clip). Of data with a side
     test, only that is opened. ignore_value: value of pixels to be ignored; for classes 255 by default.
     """
-    if kinds_at(place) == ["coco"]:
-        (file,) = [place] if place.is_file() else coco_files(place)
-        return _coco_clips(file, place)
+    kinds = kinds_at(place)
+    if kinds == ["coco"]:
+        (path,) = [place] if place.is_file() else coco_files(place)
+        file = read_coco(path)
+        beside = {image.name: found for image in file.images.values() if (found := picture_file(path, image))}
+        return _coco_clips(file, beside, place.stem if place.is_file() else place.resolve().name, [path])
+    if kinds == ["yolo"] and (boxes := boxes_at(place)):
+        file, beside, labelled = boxes
+        return _coco_clips(file, beside, place.resolve().name, labelled)
     sequences = [place] if place.suffix == ".mcap" else shown(place, "*.mcap")
-    if place.is_dir() and not (place / "images").is_dir() and not sequences:
+    if place.is_dir() and not (place / "images").is_dir() and not kinds:
         return _plain_clips(place, labels, ignore_value)
     if sequences:
         return [labelled_sequence(path) for path in sequences]
@@ -271,13 +278,12 @@ def _sides(side_of: Mapping[str, str]) -> tuple[frozenset[str], str]:
     return frozenset(name for name, side in side_of.items() if side != TEST), note
 
 
-def _coco_clips(path: Path, place: Path) -> list[LabelledSequence]:
-    """The clips of a COCO file; without any, all is one, named after the place, the file or its folder."""
-    file = read_coco(path)
+def _coco_clips(file: CocoFile, beside: Mapping[str, Path], whole: str, labelled: list[Path]) -> list[LabelledSequence]:
+    """The clips of annotations; without any, all is one, named `whole`. beside: image files by the names of the images,
+    of those that are there; labelled: the files of the annotations."""
     own = {image.name: image for image in file.images.values()}
     unscored, sides = _sides({name: image.split for name, image in own.items()})
-    beside = {name: found for name, image in own.items() if (found := picture_file(path, image)) is not None}
-    whole, digest = place.stem if place.is_file() else place.resolve().name, _digest([path])
+    digest = _digest(labelled)
     groups: dict[str, list[str]] = {}
     for name in (name for name in own if name not in unscored):
         groups.setdefault(own[name].clip or whole, []).append(name)

@@ -6,16 +6,48 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
-from oysterbench.annotations.manifest import images_with, parts_of
+from oysterbench.annotations.manifest import ManifestRow, images_with, parts_of
 from oysterbench.annotations.yolo_classes import classes_of, side_of
 from oysterbench.core.errors import LabelError
 from oysterbench.core.polygons import rasterise
 from oysterbench.evaluate.detection.instances import OUTSIDE
+
+LAYERS = ("images", "labels")
+SEGMENT, DETECT = "segment", "detect"
+"""Folders of our own export, of polygons and of boxes."""
+
+
+class YoloImage(NamedTuple):
+    """An image of a data set and its label file; row: its clip and side."""
+
+    name: str
+    row: ManifestRow
+    image: Path
+    label: Path
+
+
+class Outline(NamedTuple):
+    """An oyster of a label file, and where it is there. corners (N, 2): fractions of width and height, of a polygon or
+    of a box."""
+
+    where: str
+    corners: NDArray[np.float64]
+    box: bool
+
+
+def yolo_root(folder: Path) -> Path | None:
+    """Folder with images/ and labels/: this one or, of our own export of the same oysters as polygons and boxes, that
+    of the polygons; None if it is neither."""
+    if all((folder / name).is_dir() for name in LAYERS):
+        return folder
+    ours = all((folder / task / name).is_dir() for task in (SEGMENT, DETECT) for name in LAYERS)
+    return folder / SEGMENT if ours else None
 
 
 def yolo_set(folder: Path) -> LabelledSet:
@@ -27,14 +59,22 @@ def yolo_set(folder: Path) -> LabelledSet:
     clipped to the image. Where images/ and labels/ have folders alone, each is a side (`side_of`), and images are named
     FOLDER/NAME.
     """
-    names, source = classes_of(folder)
-    hint = "; one without oysters has an empty file"
-    sides = {part: side_of(folder, part) for part in parts_of(folder / "images")}
+    images, names, source = yolo_images(folder)
     entries = []
-    for name, row, image, label in images_with(folder, "labels", ".txt", hint, sides):
+    for name, row, image, label in images:
         read = partial(_read, image, label, names, name, row.clip)
         entries.append(Entry(name, row.clip, read, (image, label, *source), row.split))
     return LabelledSet(folder.resolve().name, entries)
+
+
+def yolo_images(folder: Path) -> tuple[list[YoloImage], dict[int, str], tuple[Path, ...]]:
+    """Images of a data set, names of its classes by number, and the file that gives these, if it must be known."""
+    root = yolo_root(folder) or folder
+    names, source = classes_of(root)
+    hint = "; one without oysters has an empty file"
+    sides = {part: side_of(root, part) for part in parts_of(root / "images")}
+    found = images_with(root, "labels", ".txt", hint, sides)
+    return [YoloImage(*one) for one in found], names, source
 
 
 def _read(image: Path, label: Path, classes: Mapping[int, str], name: str, clip: str) -> LabelledImage:
@@ -46,9 +86,22 @@ def _read(image: Path, label: Path, classes: Mapping[int, str], name: str, clip:
 
 
 def read_yolo(path: Path, classes: Mapping[int, str]) -> list[NDArray[np.float64]]:
-    """Read the oysters' polygons (N, 2), in fractions of width and height; other classes with a name are skipped, as in
-    COCO files. Raises LabelError naming file and line."""
-    polygons = []
+    """Read the oysters' polygons (N, 2), in fractions of width and height. Raises LabelError naming file and line, also
+    of a box."""
+    found = read_outlines(path, classes)
+    for one in found:
+        if one.box:
+            raise LabelError(
+                f"{one.where}: expected at least three corners x y, got 4 numbers: a box, not a polygon; boxes alone "
+                "can be scored against, with `--track detection`, and not learnt from"
+            )
+    return [one.corners for one in found]
+
+
+def read_outlines(path: Path, classes: Mapping[int, str]) -> list[Outline]:
+    """Read the oysters of a label file, polygons and boxes (centre x y, width, height); other classes with a name are
+    skipped, as in COCO files. Raises LabelError naming file and line."""
+    found = []
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -66,11 +119,15 @@ def read_yolo(path: Path, classes: Mapping[int, str]) -> list[NDArray[np.float64
             raise LabelError(f"{where}: class {kind:g} is not an oyster; known classes: {known}")
         if classes[int(kind)] != "oyster":
             continue
-        if len(values) < 6 or len(values) % 2:
-            hint = ": a box, not a polygon" if len(values) == 4 else ""
-            raise LabelError(f"{where}: expected at least three corners x y, got {len(values)} numbers{hint}")
+        box = len(values) == 4
+        if not box and (len(values) < 6 or len(values) % 2):
+            raise LabelError(f"{where}: expected at least three corners x y, got {len(values)} numbers")
         corners = np.array(values).reshape(-1, 2)
+        if box:
+            corners = corners[0] + corners[1] / 2 * [[-1, -1], [1, -1], [1, 1], [-1, 1]]
         if not np.isfinite(corners).all() or corners.min() < -OUTSIDE or corners.max() > 1 + OUTSIDE:
             raise LabelError(f"{where}: expected corners as fractions of width and height, got {line[:60]!r}")
-        polygons.append(corners)
-    return polygons
+        if box and min(values[2:]) < 0:
+            raise LabelError(f"{where}: expected a box of centre, width and height, got {line[:60]!r}")
+        found.append(Outline(where, corners, box))
+    return found

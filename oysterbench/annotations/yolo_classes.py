@@ -73,11 +73,11 @@ def _names_others(path: Path, shared: bool = False) -> bool:
 
 
 def side_of(folder: Path, part: str) -> str:
-    """Side of the images in images/PART of a data set: which the name ends in (`side_in`), or under which data.yaml
-    names it. Raises LabelError if neither says it."""
+    """Side of the images in images/PART of a data set: which the name ends in (`side_in`), or under which alone, or by
+    its own name, data.yaml lists it. Raises LabelError if neither says it."""
     files = [folder / name for name in FILES[:2] if (folder / name).is_file()]
     keys = {key for path in files for key in keys_naming(path, part)} - {"path"}
-    said = side_in(part) or (keys.pop().casefold() if len(keys) == 1 else "")
+    said = side_in(part) or (part if part in keys else keys.pop() if len(keys) == 1 else "").casefold()
     if not said:
         raise LabelError(
             f"{folder / 'images' / part}: expected folders called train, val or test, or named under one of these in "

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from oysterbench.core.errors import LabelError
 from oysterbench.core.places import is_hidden
@@ -109,9 +110,9 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
         roots.append(path if path.is_dir() else path.parent)
         files.update(dict.fromkeys(_below(path, leave_out, skipped, closed) if path.is_dir() else [path]))
     kinds: dict[str, list[Path]] = {"pictures": [], "videos": [], "convert": [], "others": [], "misnamed": []}
-    first: dict[str, Path] = {}
+    first: dict[Any, Path] = {}
     for file in files:
-        first.setdefault(os.path.realpath(file), file)
+        first.setdefault(_identity(file), file)
     for file in first.values():
         kind = _kind(file)
         kinds["misnamed" if kind != "others" and _misnamed(file) else kind].append(file)
@@ -136,7 +137,7 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
         copies,
         tuple(kinds["misnamed"]),
         tuple(closed),
-        tuple(file for file in files if first[os.path.realpath(file)] is not file),
+        tuple(file for file in files if first[_identity(file)] is not file),
     )
 
 
@@ -155,6 +156,15 @@ def _below(folder: Path, leave_out: Path | None, skipped: list[Path], closed: li
         folders[:] = [path.name for path in own if path not in aside]
         found += [Path(at, name) for name in sorted(names)]
     return found
+
+
+def _identity(file: Path) -> Any:
+    """What paths to the same file have in common, be they links, or one file under two names, as in a YOLO export."""
+    try:
+        found = file.stat()
+    except OSError:
+        return os.path.realpath(file)
+    return (found.st_dev, found.st_ino) if found.st_nlink > 1 else os.path.realpath(file)
 
 
 def _misnamed(path: Path) -> bool:

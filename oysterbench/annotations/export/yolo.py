@@ -16,13 +16,13 @@ from oysterbench.annotations.export.examples import Example, Parts, examples
 from oysterbench.annotations.image import Entry
 from oysterbench.annotations.manifest import TRAIN, VAL
 from oysterbench.annotations.runs import ends_of, runs_of, taken_of
+from oysterbench.annotations.yolo import DETECT, SEGMENT
 from oysterbench.core.disk_space import link
 from oysterbench.core.geometry import Array
 from oysterbench.core.polygons import mask_polygons
 from oysterbench.core.streams import stream
 from oysterbench.recipe import OYSTER
 
-SEGMENT, DETECT = "segment", "detect"
 VAL_SHARE = 0.2  # of the clips, if no set for validation was given
 DIGITS = 7  # of a fraction: a hundredth of a pixel in images of 100 000 px
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from oysterbench.annotations import open_labelled
+from oysterbench.annotations import open_labelled, open_truth
 from oysterbench.annotations.export import export_set
 from oysterbench.annotations.export.examples import examples, key_of, parted
 from oysterbench.annotations.export.yolo import joined_polygon, oyster_masks, with_val
@@ -17,6 +17,7 @@ from oysterbench.annotations.image import Entry, joined
 from oysterbench.annotations.yolo import read_yolo
 from oysterbench.core.errors import LabelError
 from oysterbench.core.polygons import mask_polygons, rasterise
+from oysterbench.counting.sources import find_sources
 from tests.helpers.labelled_folders import yolo_folder
 
 OYSTER = {0: "oyster"}
@@ -222,7 +223,47 @@ def test_without_a_side_for_training_no_other_is_trained_on_and_that_is_said(sid
         data = yaml.safe_load((out / task / "data.yaml").read_text())
         assert (data["train"], data["val"], data[side]) == ("images/train", f"images/{side}", f"images/{side}")
         assert [path.name for path in (out / task / "images").iterdir()] == [side]
+        assert [(one.name, one.split) for one in open_labelled(out / task).entries] == [(f"{side}/a", side)]
     assert notes[1].startswith("no image is of a side train")
+
+
+@pytest.mark.parametrize("below", ["", "segment"])
+def test_what_is_written_is_read_back_with_its_sides(below, labelled, folder):
+    """Given the folder of the export, or that of the polygons in it, which has the same oysters as that of boxes."""
+    back = open_labelled(folder / below)
+    assert (back.name, len(back)) == (below or folder.name, len(labelled))
+    assert set(back.splits) == {"train", "val"}
+    before = {key_of(image.name): image for image in labelled}
+    for image in back:
+        source = before[image.name.partition("/")[2]]
+        assert np.array_equal(image.pixels, source.pixels)
+        assert np.array_equal(image.oysters, source.oysters)
+    (clip,) = open_truth(folder / below)
+    assert len(clip.names) == len(back)
+
+
+def test_boxes_that_are_written_are_a_ground_truth_for_single_oysters(labelled, folder):
+    (clip,) = open_truth(folder / "detect")
+    assert len(clip.names) == len(labelled)
+    masks = {key_of(image.name): image.instances * image.oysters for image in labelled}
+    for (found, seen), (name, pixels) in zip(clip.single(), clip.pictures(), strict=True):
+        assert (seen, name) == (None, found.name)
+        numbers = masks[name.partition("/")[2]]
+        assert pixels.shape[:2] == numbers.shape
+        assert len(found.instances) == len(np.unique(numbers[numbers > 0]))
+        for one, number in zip(found.instances, np.unique(numbers[numbers > 0]), strict=True):
+            rows, columns = np.nonzero(numbers == number)
+            left, top = columns.min(), rows.min()
+            expected = (left, top, columns.max() + 1 - left, rows.max() + 1 - top)
+            assert one.box == pytest.approx(expected, abs=0.01)
+    with pytest.raises(LabelError, match=r"labels/\w+/.*\.txt:1: has no segmentation: .* use `--track detection`"):
+        clip.check_annotations(masks=True)
+    clip.check_annotations(masks=False)
+
+
+def test_a_file_under_two_names_is_counted_once(folder):
+    found = find_sources([folder])
+    assert len(found.sources) == len(found.repeated) == len(pictures(folder))
 
 
 def test_the_part_of_a_folder_of_sequences_is_that_of_its_whole_name(dive_file, tmp_path):
