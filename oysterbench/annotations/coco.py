@@ -157,11 +157,12 @@ def read_coco(path: Path, truth: CocoFile | None = None) -> CocoFile:
 
 def _categories(path: Path, content: list[Any]) -> Categories:
     """Categories of a document. Raises LabelError where two have one id, or none is of oysters."""
-    ids = [one.get("id") for one in content if isinstance(one, dict)]
-    for k, number in enumerate(ids):
-        _check_id(number, f"{path}: categories")
-        if number in ids[:k]:
+    seen: set[Any] = set()
+    for one in (one for one in content if isinstance(one, dict)):
+        _check_id(number := one.get("id"), f"{path}: categories")
+        if number in seen:
             raise LabelError(f"{path}: categories: id {number!r} is used twice")
+        seen.add(number)
     found = categories_of(content)
     if not found.states:
         raise LabelError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -34,7 +35,8 @@ def categories_of(content: list[Any]) -> Categories:
     states = {number: _state(name) for number, name in names.items() if _only(name, OYSTERS | STATES, OYSTERS)}
     bare = {number for number, name in names.items() if _only(name, STATES, STATES)}
     within = {number for number, group in groups.items() if number not in states and _only(group, OYSTERS, OYSTERS)}
-    whole = {k for k, name in names.items() if all(groups[other] == name for other in names if other != k)}
+    below = Counter(groups.values())
+    whole = {k for k, name in names.items() if below[name] - (groups[k] == name) == len(names) - 1}
     if names.keys() - whole <= bare | states.keys():
         within |= bare
     states |= {number: _state(names[number]) for number in bare & within}

@@ -24,10 +24,10 @@ OYSTERS = ("oyster", "oysters")
 def classes_of(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
     """Names of the classes of a data set by number, and the file that gives them, if they are others than without one.
 
-    Read are `FILES` in the folder, or in the one above if they are of this one: it is called train, valid or test
-    (`SIDES`), which share them, or a YAML file names it, or could as its name ends in such a word. Raises LabelError
-    where another file names others: here, or above, where it may be of this data set or not; there, only where it names
-    oysters.
+    Read are `FILES` in the folder, or else in the one above if this is called train, valid or test (`SIDES`), which
+    share them; a YAML file there also if it names this folder, or the name of this ends in such a word. Raises
+    LabelError where others are named elsewhere: here in a YAML file of another name, or above, with oysters among them,
+    by a file that may be of this data set or not.
     """
     whole = folder.resolve()
     own = [folder / name for name in FILES]
@@ -91,6 +91,8 @@ def keys_naming(path: Path, folder: str) -> set[str]:
     here: Roboflow writes ../train/images, others where a set was at their place."""
     found = set()
     for key, value in (_mapping(path) or {}).items():
+        if key == "names":
+            continue
         for place in value if isinstance(value, list) else [value]:
             parts = PurePosixPath(place.replace("\\", "/")).parts if isinstance(place, str) else ()
             if parts[-1:] == (folder,) or parts[-2:] == (folder, "images"):

@@ -45,6 +45,7 @@ def test_class_names_beside_a_folder_that_is_no_part_of_an_export_are_of_other_s
     [
         ("classes.txt", "barnacle\noyster\n"),
         ("data.yaml", "names: [barnacle, oyster]\ntrain: train/images\n"),
+        ("data.yaml", "names: [reef, oyster]\n"),
         ("reef.yml", "names: [barnacle, oyster]\n"),
     ],
 )
