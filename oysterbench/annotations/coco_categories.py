@@ -27,20 +27,23 @@ def categories_of(content: list[Any]) -> Categories:
 
     Oysters are those named oyster or oysters, alone or with live or dead, in any case and order; live or dead alone,
     too, if the supercategory is oysters, or the file has no others, but for one above all, as Roboflow writes. Others
-    with the supercategory of oysters are doubtful: there, everything has one, whatever it is.
+    with the supercategory of oysters are doubtful, as a project called oysters may have anything below it, unless
+    oysters have a category of their own beside them.
     """
     known = [one for one in content if isinstance(one, dict)]
     names = {one.get("id"): str(one.get("name")) for one in known}
     groups = {one.get("id"): str(one.get("supercategory")) for one in known}
     states = {number: _state(name) for number, name in names.items() if _only(name, OYSTERS | STATES, OYSTERS)}
     bare = {number for number, name in names.items() if _only(name, STATES, STATES)}
-    within = {number for number, group in groups.items() if number not in states and _only(group, OYSTERS, OYSTERS)}
+    own = {groups[number] for number in states}  # groups in which oysters have a category of their own
+    within = {k for k, group in groups.items() if k not in states and _only(group, OYSTERS, OYSTERS)}
     below = Counter(groups.values())
     whole = {k for k, name in names.items() if below[name] - (groups[k] == name) == len(names) - 1}
     if names.keys() - whole <= bare | states.keys():
         within |= bare
     states |= {number: _state(names[number]) for number in bare & within}
-    return Categories(names, states, frozenset((bare | within) - states.keys()))
+    doubtful = (bare | {number for number in within if groups[number] not in own}) - states.keys()
+    return Categories(names, states, frozenset(doubtful))
 
 
 def _only(name: str, known: frozenset[str], wanted: frozenset[str]) -> bool:

@@ -160,6 +160,13 @@ def test_a_category_that_may_be_of_oysters_is_refused_where_it_is_annotated(othe
         read_coco(path)
 
 
+def test_what_is_beside_oysters_in_a_project_of_oysters_is_something_else(tmp_path):
+    categories = named(("oysters", "none"), ("oyster", "oysters"), ("barnacle", "oysters"))
+    annotations = ({"segmentation": [SQUARE], "category_id": k} for k in (1, 2))
+    path = coco_file(tmp_path / "a.json", *annotations, categories=categories)
+    assert len(read_coco(path).items["a"]) == 1
+
+
 def test_two_categories_of_one_id_are_refused_and_of_one_name_are_one(tmp_path):
     categories = named(("oyster", "none"), ("oyster", "oyster"))
     annotations = [{"segmentation": [SQUARE], "category_id": k} for k in (0, 1)]
