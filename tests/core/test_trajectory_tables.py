@@ -110,6 +110,19 @@ def echoed(k):
         (f"header.stamp,stamp,{pose('p', 'q')}", "header.stamp", "stamp"),
         (f"t,stamp,timestamp,{pose('p', 'q')}", "stamp", "timestamp"),
         (f"t,time,{pose('p', 'q')}", "t", "time"),
+        (
+            f"__time,{plotted('gt')},{plotted('error_state_kf')}",
+            "/gt/pose/position/x",
+            "/error_state_kf/pose/position/x",
+        ),
+        (f"__time,{plotted('gt')},{plotted('sd_slam')}", "/gt/pose/position/x", "/sd_slam/pose/position/x"),
+        (f"t,{pose('gt_p', 'gt_q')},{pose('sd_p', 'sd_q')}", "gt_p_x", "sd_p_x"),
+        (f"sec,nsec,stamp_sec,stamp_nsec,{pose('p', 'q')}", "sec", "stamp_sec"),
+        (
+            f"/vio/header/stamp,/vio/odom/header/stamp,{plotted('vio/odom')}",
+            "/vio/header/stamp",
+            "/vio/odom/header/stamp",
+        ),
     ],
 )
 @pytest.mark.parametrize("comment", ["", "# "])
@@ -135,12 +148,51 @@ def test_a_table_of_two_poses_is_refused_with_a_column_of_each(tmp_path, header,
         (f"t,rot_x,rot_y,rot_z,{pose('p', 'q')}", "1.5,9,9,9,1,2,3,0,0,0,1"),
         (f"t,{pose('p_W', 'q_WB')}", "1.5,1,2,3,0,0,0,1"),
         ("t,x,y,z,qx,qy,qz,w", "1.5,1,2,3,0,0,0,1"),
+        (f"t,{pose('vio_p', 'vio_q')},sigma_px,sigma_py,sigma_pz,std_pose_x", "1.5,1,2,3,0,0,0,1,9,9,9,9"),
+        (f"time,timestamp [ns],{pose('p', 'q')}", "9,1500000000,1,2,3,0,0,0,1"),
+        (f"stamp_ms,time,{pose('p', 'q')}", "1500,9,1,2,3,0,0,0,1"),
+        (f"%time,field.header.stamp_ns,{pose('p', 'q')}", "9,1500000000,1,2,3,0,0,0,1"),
+        (f"stamp,time_ns,{pose('p', 'q')}", "1.5,9000000000,1,2,3,0,0,0,1"),
+        (f"time_sec,time_nsec,stamp_sec,stamp_nsec,{pose('p', 'q')}", "9,9,1,500000000,1,2,3,0,0,0,1"),
+        (f"time_sec,time_nsec,stamp,{pose('p', 'q')}", "9,9,1.5,1,2,3,0,0,0,1"),
+        (f"__time,/imu/header/stamp,/vio/header/stamp,{plotted('vio')}", "9,8,1.5,1,2,3,0,0,0,1"),
+        (f"__time,/vio/pose/header/stamp,{plotted('vio/pose')}", "9,1.5,1,2,3,0,0,0,1"),
+        (f"__time,/vio/header/stamp/sec,/vio/header/stamp/nanosec,{plotted('vio')}", "9,1,500000000,1,2,3,0,0,0,1"),
+        (f"__time,/vio/header/stamp,stamp,{plotted('vio')}", "9,8,1.5,1,2,3,0,0,0,1"),
+        (f"time [\u00b5s],{pose('p', 'q')}", "1500000,1,2,3,0,0,0,1"),
     ],
 )
 def test_columns_that_belong_to_no_second_pose_are_left_aside(tmp_path, header, line):
     read = read_trajectory(written(tmp_path, f"{header}\n{line}\n".encode()))
     assert read.stamps_ns.tolist() == [1_500_000_000]
     np.testing.assert_array_equal(np.hstack([read.positions, read.quaternions]), [[1, 2, 3, 0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize("topic", ["error_state_kf", "sd_slam", "var/vio"])
+@pytest.mark.parametrize("comment", ["", "# "])
+def test_a_topic_may_be_called_as_a_spread(tmp_path, topic, comment):
+    read = read_trajectory(written(tmp_path, f"{comment}__time,{plotted(topic)}\n1.5,1,2,3,0.6,0,0,0.8\n".encode()))
+    np.testing.assert_array_equal(np.hstack([read.positions, read.quaternions]), [[1, 2, 3, 0.6, 0, 0, 0.8]])
+
+
+@pytest.mark.parametrize("header", [pose("p_std", "q"), pose("sigma_p", "sigma_q"), pose("est", "q") + ",pos_std_x"])
+def test_the_spread_of_a_position_is_no_position(tmp_path, header):
+    line = ",".join(["0.5"] * (1 + len(header.split(","))))
+    with pytest.raises(TrajectoryError, match="expected a header that names a column for each of t, x, y, z"):
+        read_trajectory(written(tmp_path, f"t,{header}\n{line}\n".encode()))
+
+
+@pytest.mark.parametrize("comment", ["", "# "])
+@pytest.mark.parametrize(
+    ("header", "line"),
+    [
+        ("timestamp,pose_x,pose_y,pose_z,qx,qy,qz,qw", "1,2,3,0.6,0,0,0.8"),
+        ("timestamp,pose.qx,pose.qy,pose.qz,pose.qw,pose.x,pose.y,pose.z", "0.6,0,0,0.8,1,2,3"),
+    ],
+)
+def test_a_position_may_be_called_pose(tmp_path, comment, header, line):
+    read = read_trajectory(written(tmp_path, f"{comment}{header}\n1500000000000000000,{line}\n".encode()))
+    np.testing.assert_array_equal(np.hstack([read.positions, read.quaternions]), [[1, 2, 3, 0.6, 0, 0, 0.8]])
 
 
 @pytest.mark.parametrize("unit", ["s", "ns"])
@@ -157,6 +209,11 @@ def test_the_unit_of_stamps_in_two_columns_is_not_asked_for(tmp_path, unit):
 def test_of_stamps_in_two_units_the_one_that_is_asked_for_is_read(tmp_path, unit, stamp):
     path = written(tmp_path, f"stamp_sec,stamp_nsec,{pose('p', 'q')}\n1.25,1500000000,1,2,3,0,0,0,1\n".encode())
     assert read_trajectory(path, time_unit=unit).stamps_ns.tolist() == [stamp]
+
+
+def test_a_unit_may_be_that_of_a_stamp_beside_a_time_in_two_columns(tmp_path):
+    path = written(tmp_path, f"time_sec,time_nsec,stamp,{pose('p', 'q')}\n9,9,1500000000,1,2,3,0,0,0,1\n".encode())
+    assert read_trajectory(path, time_unit="ns").stamps_ns.tolist() == [1_500_000_000]
 
 
 def test_a_part_of_a_covariance_is_left_out_and_said(tmp_path):

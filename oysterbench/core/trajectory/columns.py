@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 QUATERNION_WORDS = {"q", "quat", "quaternion", "orientation", "rotation", "rot", "attitude"}
@@ -11,10 +12,12 @@ TIME_WORDS = {"t", "ts", "time", "times", "timestamp", "timestamps", "stamp", "s
 STAMP_WORDS = {"stamp", "stamps", "timestamp", "timestamps"}
 UNIT_WORDS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec", "millisec", "milliseconds"), "ms"),
-    **dict.fromkeys(("us", "usec", "microsec", "microseconds"), "us"),
-    **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"), "ns"),
+    **dict.fromkeys(("ms", "msec", "millis", "millisec", "millisecond", "milliseconds"), "ms"),
+    **dict.fromkeys(("us", "usec", "micros", "microsec", "microsecond", "microseconds"), "us"),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecs", "nanosecond", "nanoseconds"), "ns"),
 }
+MICRO = str.maketrans(dict.fromkeys("\u00b5\u03bc", "u"))
+"""The micro sign and the Greek letter, both of which are in use, and how units are spelled without them."""
 PARTS = {
     **dict.fromkeys(("sec", "secs", "seconds"), "s"),
     **dict.fromkeys(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"), "ns"),
@@ -31,8 +34,9 @@ OTHER_LENGTHS = {"um", "cm", "dm", "km", "ft", "inch"} | {
     for word in (one, f"{one}s")
 }
 """Words of units that positions are not read in, so that a name that ends in one is known to be that of a position."""
-SPREAD_WORDS = {"std", "stddev", "stdev", "sd", "sigma", "var", "variance", "err", "error", "rms", "rmse"}
-"""Words in the names of columns that say how far off a pose is, and are no pose."""
+SPREAD_WORDS = {"std", "stddev", "stdev", "sigma", "var", "variance", "err", "error", "rms", "rmse"}
+"""Words in the names of columns that say how far off a pose is, and are no pose: beside the axis, or the word for a
+position or an attitude. In a topic before, as `/error_state_kf/pose/position/x`, they are part of a name."""
 LONGEST_FRAMES = 3
 """Letters of a word that is taken for those of frames."""
 COVARIANCE_WORDS = {"cov", "covariance", "covariances"}
@@ -101,44 +105,64 @@ KITTI = Columns("12 numbers r11 r12 r13 tx ... r33 tz", None, (3, 7, 11), (), ex
 KITTI_MATRIX = (0, 1, 2, 4, 5, 6, 8, 9, 10)
 
 
+@dataclass(frozen=True)
+class _Time:
+    """A time that a header names, in one column or in two.
+
+    topic:  words before those of a message's header, as of `/vio/header/stamp`; else empty
+    words:  those after them
+    column: where it is, or its whole seconds
+    unit:   as the name says it; None where it does not
+    beyond: column of the nanoseconds beyond the whole seconds, where it is in two
+    """
+
+    topic: Prefix
+    words: tuple[str, ...]
+    column: int
+    unit: str | None = None
+    beyond: int | None = None
+
+    @property
+    def rank(self) -> tuple[int, bool]:
+        """The lowest is the stamp of the poses: one called so, or in two columns, as tools for ROS write them; else
+        that of the poses' own topic in a recording of several; else a time, which may be that of the recording."""
+        called = STAMP_WORDS & set(self.words) or not self.bare
+        return (2 if not called else 1 if self.topic else 0), self.beyond is None
+
+    @property
+    def bare(self) -> list[str]:
+        """Words of its name but for the unit."""
+        return [*self.topic, *(word for word in self.words if word not in UNIT_WORDS)]
+
+
 def named_columns(names: list[str], two_parts: bool = True, time_unit: str | None = None) -> Columns | None:
     """Columns that a header names, or None where it does not name a stamp, a position and a quaternion. two_parts:
     whether a stamp may be in two columns; time_unit: of the one that is meant, where there are several."""
+    named = [_words(name) for name in names]
     found: dict[Prefix, dict[str, list[tuple[int, str]]]] = {}
     covariance: dict[tuple[int, int], int] = {}
-    stamps: list[tuple[list[str], int]] = []
-    units: dict[int, str] = {}
-    parts: dict[tuple[str, ...], dict[str, int]] = {}
-    for k, name in enumerate(names):
-        words, units[k] = _words(name)
+    for k, (words, _) in enumerate(named):
         if cell := _covariance_cell(words):
             covariance.setdefault(cell, k)
         elif role := _role(words):
             found.setdefault(role[0], {}).setdefault(role[1], []).append((k, role[2]))
-        elif _is_time(words):
-            stamps.append((words, k))
-        if words and words[-1] in PARTS and (len(words) == 1 or _is_time(words)):
-            parts.setdefault(tuple(words[:-1]), {}).setdefault(PARTS[words[-1]], k)
-    beyond = None
-    if two_parts and (whole := next((found for found in parts.values() if {"s", "ns"} <= found.keys()), None)):
-        stamps, beyond = [(["s"], whole["s"])], whole["ns"]
     pose = _pose({prefix: _consistent(columns) for prefix, columns in found.items()})
-    if pose is None or not stamps:
+    if pose is None:
         return None
-    position, quaternion, of_pose = pose
-    of_unit = [_time_unit(words, units[k]) for words, k in stamps]
-    if time_unit in of_unit:
-        stamps = [stamp for stamp, unit in zip(stamps, of_unit, strict=True) if unit == time_unit]
-    chosen, of_stamps = _stamp(stamps)
-    lengths = dict.fromkeys(LENGTH_WORDS.get(units[k], units[k]) for k in position)
+    whose, position, quaternion, of_pose = pose
+    times = [one for one in _times(named, two_parts) if one.topic == _topic(whose)[: len(one.topic)]]
+    if not times:
+        return None
+    stamp, of_stamps = _stamp(times, time_unit)
+    lengths = dict.fromkeys(LENGTH_WORDS.get(named[k][1], named[k][1]) for k in position)
     return Columns(
         ",".join(names)[:80],
-        stamps[chosen][1],
+        stamp.column,
         tuple(position),
         tuple(quaternion),
         covariance,
-        beyond,
-        _time_unit(stamps[chosen][0], units[stamps[chosen][1]]),
+        stamp.beyond,
+        stamp.unit,
         " and ".join(lengths),
         named=True,
         rivals=tuple(names[k] for k in of_pose or of_stamps),
@@ -158,9 +182,9 @@ def _consistent(found: dict[str, list[tuple[int, str]]]) -> dict[str, list[int]]
     return {role: of for role, of in chosen.items() if of}
 
 
-def _pose(found: dict[Prefix, dict[str, list[int]]]) -> tuple[list[int], list[int], list[int]] | None:
-    """Columns of the position, of the quaternion, and of two that may be of several poses, from the columns of each
-    prefix and role; None where there is no whole pose."""
+def _pose(found: dict[Prefix, dict[str, list[int]]]) -> tuple[Prefix, list[int], list[int], list[int]] | None:
+    """Prefix of the position, its columns, those of the quaternion, and two that may be of several poses, from the
+    columns of each prefix and role; None where there is no whole pose."""
     positions = [one for one in found if {"px", "py", "pz"} <= found[one].keys()]
     attitudes = [one for one in found if {"qx", "qy", "qz", "qw"} <= found[one].keys()]
     if not positions or not attitudes:
@@ -177,19 +201,42 @@ def _pose(found: dict[Prefix, dict[str, list[int]]]) -> tuple[list[int], list[in
         rivals = [found[one]["qx"][0] for one in attitudes[:2]]
     elif not _nested(attitude, first):
         rivals = [position[0][0], quaternion[0][0]]
-    return [k for k, *_ in position], [k for k, *_ in quaternion], rivals
+    return first, [k for k, *_ in position], [k for k, *_ in quaternion], rivals
 
 
-def _stamp(stamps: list[tuple[list[str], int]]) -> tuple[int, list[int]]:
-    """Which of several columns of times is the stamp, as its place in the list: one called so, or else the first; and
-    two columns that may be it, where their names differ in more than the unit."""
-    called = [i for i, (words, _) in enumerate(stamps) if STAMP_WORDS & set(words)] or list(range(len(stamps)))
-    bare = [[word for word in stamps[i][0] if word not in UNIT_WORDS] for i in called]
-    other = next((i for i, words in zip(called, bare, strict=True) if words != bare[0]), None)
-    return called[0], [] if other is None else [stamps[called[0]][1], stamps[other][1]]
+def _times(named: list[tuple[list[str], str]], two_parts: bool) -> list[_Time]:
+    """Times that the columns hold, from the words and the unit of each name."""
+    times: list[_Time] = []
+    parts: dict[tuple[Prefix, tuple[str, ...]], dict[str, int]] = {}
+    for k, (words, unit) in enumerate(named):
+        of = _time_words(words)
+        if of is not None:
+            times.append(_Time(*of, k, _time_unit(of[1], unit)))
+        elif len(words) == 1:
+            of = (), tuple(words)
+        if of is not None and of[1][-1] in PARTS:
+            parts.setdefault((of[0], of[1][:-1]), {}).setdefault(PARTS[of[1][-1]], k)
+    whole = [
+        _Time(*name, part["s"], "s", part["ns"])
+        for name, part in parts.items()
+        if two_parts and {"s", "ns"} <= part.keys()
+    ]
+    used = {k for one in whole for k in (one.column, one.beyond)}
+    return [*whole, *(one for one in times if one.column not in used)]
 
 
-def _time_unit(words: list[str], unit: str) -> str | None:
+def _stamp(times: list[_Time], unit: str | None) -> tuple[_Time, list[int]]:
+    """Which of several times is the stamp: the first of the lowest rank, among those in the unit that is asked for if a
+    name has it; and two columns that may be it, where their names differ in more than the unit."""
+    if unit is not None and any(one.unit == unit and one.beyond is None for one in times):
+        times = [one for one in times if one.unit == unit or one.beyond is not None]
+    lowest = min(one.rank for one in times)
+    stamp, *others = [one for one in times if one.rank == lowest]
+    other = next((one for one in others if one.bare != stamp.bare), None)
+    return stamp, [] if other is None else [stamp.column, other.column]
+
+
+def _time_unit(words: tuple[str, ...], unit: str) -> str | None:
     """Unit of stamps by the words of their name and what it has in brackets; None where they do not say."""
     spelled = next((UNIT_WORDS[word] for word in words if word in UNIT_WORDS), None)
     return UNIT_WORDS.get(unit, spelled)
@@ -204,6 +251,7 @@ def _nested(one: Prefix, other: Prefix) -> bool:
 
 def _words(name: str) -> tuple[list[str], str]:
     """Lower-case words of a column's name, and its unit, if given in brackets or as the last word."""
+    name = name.translate(MICRO)
     bracket = re.search(r"[\[(]\s*([a-zA-Z]*)\s*[\])]\s*$", name)
     words = re.findall(r"[a-z]+|[0-9]+", (name[: bracket.start()] if bracket else name).lower())
     if bracket:
@@ -217,23 +265,41 @@ def _role(words: list[str]) -> tuple[Prefix, str, str] | None:
     if not words:
         return None
     *before, last = words
-    if SPREAD_WORDS & set(before):
-        return None
     if re.fullmatch(r"q[xyzw]|[pt][xyz]", last):
         before, last = [*before, last[0]], last[1]
-    if last not in set("xyzw"):
+    if last not in ("x", "y", "z", "w") or _is_spread(before):
         return None
     for letter, known in (("q", QUATERNION_WORDS), ("p", POSITION_WORDS)):
         said = [word for word in before if word in known]
         if said and (letter, last) != ("p", "w"):
             return tuple(word for word in before if word not in known), f"{letter}{last}", said[-1]
+    if before[-1:] == ["pose"] and last != "w":
+        return tuple(before[:-1]), f"p{last}", "pose"
     return None if before else ((), "qw" if last == "w" else f"p{last}", "")
 
 
-def _is_time(words: list[str]) -> bool:
-    """Whether a name is that of a stamp: `t`, `timestamp_ns`, `field.header.stamp`."""
+def _is_spread(before: list[str]) -> bool:
+    """Whether the words before an axis are those of a spread: of `pos_std_x`, `sigma_px` and `q_err_w`."""
+    known = {*POSITION_WORDS, *QUATERNION_WORDS}
+    place = next((k for k in reversed(range(len(before))) if before[k] in known), len(before) - 1)
+    return bool(SPREAD_WORDS & {*before[-1:], *before[max(place - 1, 0) : place + 2]})
+
+
+def _time_words(words: list[str]) -> tuple[Prefix, tuple[str, ...]] | None:
+    """Topic and other words of a name that is that of a time: `t`, `timestamp_ns`, `field.header.stamp`, which have no
+    topic, and `/vio/header/stamp`; None for others."""
     core = [word for word in words if word not in UNIT_WORDS and word not in ("field", "header")]
-    return len(core) == 1 and core[0] in TIME_WORDS
+    if len(core) == 1 and core[0] in TIME_WORDS:
+        return (), tuple(words)
+    header = next((k for k in range(len(words)) if words[k : k + 2] == ["header", "stamp"]), None)
+    if header is None or not UNIT_WORDS.keys() >= set(words[header + 2 :]):
+        return None
+    return _topic(words[:header]), tuple(words[header:])
+
+
+def _topic(words: Iterable[str]) -> Prefix:
+    """Words before a name by which the stamp of a message and its position are known to be of one topic."""
+    return tuple(word for word in words if word not in ("field", "pose") and word not in POSITION_WORDS)
 
 
 def _covariance_cell(words: list[str]) -> tuple[int, int] | None:
