@@ -195,6 +195,30 @@ def test_a_position_may_be_called_pose(tmp_path, comment, header, line):
     np.testing.assert_array_equal(np.hstack([read.positions, read.quaternions]), [[1, 2, 3, 0.6, 0, 0, 0.8]])
 
 
+@pytest.mark.parametrize(
+    ("comment", "sign", "order"),
+    [
+        ("stamp,u,v,h,qx,qy,qz,qw", ",", "xyzw"),
+        ("stamp,u,v,h,q_std_x,q_std_y,q_std_z,q_std_w", ",", "xyzw"),
+        ("stamp u v h qw qx qy qz", " ", "wxyz"),
+    ],
+)
+def test_a_comment_that_has_the_quaternion_elsewhere_than_the_layout_is_refused(tmp_path, comment, sign, order):
+    """Though it does not name all other columns: in the order of the layout, the poses would be others."""
+    row = sign.join(["1500000000", "1", "2", "3", "0.1", "0.7", "0.1", "0.7"])
+    path = written(tmp_path, f"# {comment.replace(',', sign)}\n# of a dive\n{row}\n".encode())
+    with pytest.raises(TrajectoryError, match=r"expected a comment that names .*--quaternion xyzw or wxyz\)"):
+        read_trajectory(path)
+    found = [[0.1, 0.7, 0.1, 0.7], [0.7, 0.1, 0.7, 0.1]]
+    expected = found if order == "xyzw" else found[::-1]
+    np.testing.assert_array_equal(read_trajectory(path, quaternion=order).quaternions, expected[:1])
+    layout = read_trajectory(path, format="euroc" if sign == "," else "tum")
+    np.testing.assert_array_equal(layout.quaternions, expected[1:])
+    other = comment.replace("u,v,h,", "u,v,h,w,").replace("u v h ", "u v h w ")
+    more = written(tmp_path, f"# {other}\n{row}\n".encode())
+    assert len(read_trajectory(more)) == 1, "a comment on other columns says nothing"
+
+
 @pytest.mark.parametrize("unit", ["s", "ns"])
 def test_the_unit_of_stamps_in_two_columns_is_not_asked_for(tmp_path, unit):
     path = written(tmp_path, f"stamp_sec,stamp_nsec,{pose('p', 'q')}\n1,500000000,1,2,3,0,0,0,1\n".encode())

@@ -169,6 +169,16 @@ def named_columns(names: list[str], two_parts: bool = True, time_unit: str | Non
     )
 
 
+def named_quaternion(names: list[str]) -> dict[int, int]:
+    """Columns of the x, y, z, w of a quaternion, 0 to 3, as far as names say them, whatever the other columns are."""
+    found: dict[int, int] = {}
+    for k, name in enumerate(names):
+        role = _role([word for word in _words(name)[0] if word not in SPREAD_WORDS])
+        if role and role[1][0] == "q" and role[2]:
+            found.setdefault("xyzw".index(role[1][1]), k)
+    return found
+
+
 def _consistent(found: dict[str, list[tuple[int, str]]]) -> dict[str, list[int]]:
     """Columns of each role, from columns and the words that say it: where one word has all axes, those of another that
     lacks some are no part of the pose, as Euler's angles rot_x, rot_y, rot_z beside qx to qw."""

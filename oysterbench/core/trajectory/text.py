@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from oysterbench.core.errors import NoStampsError, TrajectoryError
 from oysterbench.core.geometry import RIGID_TOLERANCE, Array
 from oysterbench.core.trajectory.checks import checked_poses, others
-from oysterbench.core.trajectory.columns import EUROC, KITTI, KITTI_MATRIX, TUM, Columns, named_columns
+from oysterbench.core.trajectory.columns import (
+    EUROC,
+    KITTI,
+    KITTI_MATRIX,
+    TUM,
+    Columns,
+    named_columns,
+    named_quaternion,
+)
 from oysterbench.core.trajectory.frames import METRES, scaled
 from oysterbench.core.trajectory.options import EXPECTED, ReadOptions
 from oysterbench.core.trajectory.poses import Trajectory
@@ -135,6 +143,7 @@ class _Head:
 
     names: of the columns, from a header line or else from a comment before the poses; empty where there are none
     certain: whether the names come from a header line
+    comments: fields of those comments before the poses that name a quaternion
     begin: line of the first pose, counted from 0
     first: its fields
     commas: whether it has commas or semicolons
@@ -142,6 +151,7 @@ class _Head:
 
     names: list[str]
     certain: bool
+    comments: list[list[str]]
     begin: int
     first: list[str]
     commas: bool
@@ -149,6 +159,7 @@ class _Head:
     @classmethod
     def of(cls, text: str) -> _Head | None:
         names: list[str] = []
+        comments: list[list[str]] = []
         certain = False
         start = number = 0
         while start <= len(text):
@@ -159,10 +170,12 @@ class _Head:
                 if is_comment(line):
                     if not certain and named_columns(fields):
                         names = fields
+                    elif named_quaternion(fields):
+                        comments.append(fields)
                 elif not certain and _is_header(split(line)):
                     names, certain = split(line.rstrip(" \t,;")), True
                 else:
-                    return cls(names, certain, number, split(line), "," in line or ";" in line)
+                    return cls(names, certain, comments, number, split(line), "," in line or ";" in line)
             if end < 0:
                 break
             start, number = end + 1, number + 1
@@ -179,13 +192,26 @@ def _columns(head: _Head, path: Path, options: ReadOptions, parts: bool = True) 
     """Column layout: as requested, as a header names it, or as the number of columns and their separator indicate, with
     the requested order of the quaternion. parts: whether two columns may make up one stamp."""
     columns = _layout(head, path, options, parts)
-    if options.quaternion is None or not columns.quaternion:
-        return columns
-    first = min(columns.quaternion)
-    order = (0, 1, 2, 3) if options.quaternion == "xyzw" else (1, 2, 3, 0)
-    if sorted(columns.quaternion) != list(range(first, first + 4)):
-        return columns
-    return replace(columns, quaternion=tuple(first + k for k in order))
+    first = min(columns.quaternion, default=0)
+    if options.quaternion is not None and sorted(columns.quaternion) == list(range(first, first + 4)):
+        order = (0, 1, 2, 3) if options.quaternion == "xyzw" else (1, 2, 3, 0)
+        columns = replace(columns, quaternion=tuple(first + k for k in order))
+    if options.format is None and not columns.named:
+        _check_comments(head, path, columns)
+    return columns
+
+
+def _check_comments(head: _Head, path: Path, columns: Columns) -> None:
+    """Refuse a comment that names the quaternion, in other columns than a layout without names has it: it is known to
+    be another layout, though not which."""
+    for names in head.comments:
+        elsewhere = any(columns.quaternion[axis : axis + 1] != (k,) for axis, k in named_quaternion(names).items())
+        if elsewhere and len(names) == len(head.first):
+            raise TrajectoryError(
+                f"{path}: expected a comment that names a column for each of t, x, y, z, qx, qy, qz, qw, or columns "
+                f"`{columns.kind}`, got {','.join(names)[:80]!r}; correct it, or name the format (--format tum or "
+                "euroc) or the order (--quaternion xyzw or wxyz)"
+            )
 
 
 def _layout(head: _Head, path: Path, options: ReadOptions, parts: bool) -> Columns:
