@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from oysterbench.core.errors import SequenceError
-from oysterbench.core.trajectory.columns import UNIT_WORDS
+from oysterbench.core.trajectory.columns import MICRO, UNIT_WORDS
 
 RATE, FORCE = "angular rate in rad/s", "specific force in m/s^2"
 WORDS = {
@@ -18,8 +18,8 @@ WORDS = {
 UNITS = {RATE: {"", "rad/s", "rads-1", "1/s", "s-1"}, FORCE: {"", "m/s2", "ms-2", "m/s/s"}}
 """Units of each, as `_unit` writes them."""
 
-OTHER_UNITS = {"deg", "degs", "degrees", "dps", "mdps", "g", "mg"}
-"""Units that stand after the axis in the names of some tables, as in `gyro_x_deg_s`."""
+OTHER_UNITS = re.compile(r"deg.*|m?dps|rpm|mrad|[mu]?g|[cm]m(s|ps)?")
+"""First word of the units that stand after the axis in the names of some tables, as in `gyro_x_deg_per_s`."""
 
 PLAIN = str.maketrans({"\u207b": "-", "\u00b2": "2", "\u00b9": "1", **dict.fromkeys(" ^*.\u00b7")})
 SHORT = {"squared": "2", "per": "/", r"met(er|re)(s(?!-2))?": "m", r"radian(s(?!-1))?": "rad", r"sec(ond)?s?": "s"}
@@ -30,29 +30,41 @@ def check_inertial_header(path: Path, names: list[str]) -> None:
     """Check the names of the columns, the stamp's first, as far as they say what the columns hold; those that say
     nothing are taken for the layout's. Raises SequenceError for another order or unit."""
     layout = [(kind, axis) for kind in (RATE, FORCE) for axis in "xyz"]
-    words, unit = _parts(names[0]) if names else ([], "")
-    if (unit := UNIT_WORDS.get(unit or "".join(words[-1:]), "ns")) != "ns":
-        raise SequenceError(f"{path}: expected stamps in ns, got {unit}, by the name {names[0]!r}; convert them")
+    if names and (unit := _unit_of_stamps(names[0])) != "ns":
+        raise SequenceError(
+            f"{path}: expected stamps in ns, got {unit}, by the name {names[0]!r:.60}; convert them, and correct it"
+        )
     for column, (name, (kind, axis)) in enumerate(zip(names[1:], layout, strict=False), start=2):
         words, unit = _parts(name)
         held = [one for one, known in WORDS.items() if known & set(words)]
         axes = [word for word in words if word in ("x", "y", "z")]
-        after = "".join(words[words.index(axes[-1]) + 1 :]) if axes else ""
+        after = words[words.index(axes[-1]) + 1 :][:1] if axes else []
         other = held and (kind not in held or axes[-1:] not in ([], [axis]))
-        if other or unit not in UNITS[kind] or after in OTHER_UNITS:
+        if other or _unit(unit) not in UNITS[kind] or any(map(OTHER_UNITS.fullmatch, after)):
             raise SequenceError(
                 f"{path}: expected in column {column} the {axis} of the {kind}, as in the layout, which has the rate "
                 f"before the force, got {name!r:.60}; reorder or convert the columns, and correct their names"
             )
 
 
+def _unit_of_stamps(name: str) -> str:
+    """Unit of stamps by the name of their column: ns where it says none, what is in brackets where it is unknown."""
+    words, unit = _parts(name.translate(MICRO))
+    said = re.findall(r"[a-z]+", unit.lower())
+    known = [UNIT_WORDS[one] for one in ("".join(said), *(said or words[-1:])) if one in UNIT_WORDS]
+    return (known or [repr(unit.strip()) if said else "ns"])[0]
+
+
 def _parts(name: str) -> tuple[list[str], str]:
-    """Lower-case words of a column's name, `gx` and `accx` as two, and its unit in brackets."""
+    """Lower-case words of a column's name, `gx` and `accx` as two, and its unit in brackets; a number there counts the
+    axes, as in `gyro_rad[0]`."""
     bracket = re.search(r"[\[(]([^\])]*)[\])]\s*$", name)
     words = re.findall(r"[a-z]+|[0-9]+", (name[: bracket.start()] if bracket else name).lower())
     known = "|".join(sorted(WORDS[RATE] | WORDS[FORCE], key=len, reverse=True))
     split = [word for one in words for word in re.sub(rf"^({known})([xyz])$", r"\1 \2", one).split()]
-    return split, _unit(bracket.group(1)) if bracket else ""
+    if bracket and bracket[1] in ("0", "1", "2"):
+        return [*split, "xyz"[int(bracket[1])]], ""
+    return split, bracket[1] if bracket else ""
 
 
 def _unit(text: str) -> str:

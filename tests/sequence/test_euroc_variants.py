@@ -25,6 +25,12 @@ POSE = """T_BS:
   data: [1.0, 0.0, 0.0, 0.1, 0.0, 1.0, 0.0, 0.2,
          0.0, 0.0, 1.0, 0.3, 0.0, 0.0, 0.0, 1.0]
 """
+STAMPED = [
+    *(("[us]", "us"), ("[milliseconds]", "ms"), ("[microseconds]", "us"), ("[\u00b5s]", "us")),
+    *(("(seconds)", "s"), ("[ticks]", "'ticks'")),
+]
+"""What the name of a column says of stamps that are not in ns, and the unit."""
+DEGREES = ["deg_per_s", "deg_sec", "degps", "degree_per_second", "dps"]
 NUMBERS = "1.0, 0, 0, 0.1, 0, 1.0, 0, 0.2, 0, 0, 1.0, 0.3, 0, 0, 0, 1.0"
 
 
@@ -167,7 +173,13 @@ def test_an_image_that_cannot_be_read_is_told_from_one_that_is_absent_or_empty(f
         ("t,gyro_x_deg_s,gyro_y_deg_s,gyro_z_deg_s,acc_x,acc_y,acc_z", "column 2 .*, got 'gyro_x_deg_s'"),
         ("t,gyro_z,gyro_y,gyro_x,accX,accY,accZ", "column 2 the x of the angular rate in rad/s, .*, got 'gyro_z'"),
         ("t,temperature,wx,wy,wz,ax,ay,az", "column 3 the y of the angular rate in rad/s, .*, got 'wx'"),
-        ("#timestamp [us],w_x,w_y,w_z,a_x,a_y,a_z", r"stamps in ns, got us, by the name 'timestamp \[us\]'"),
+        *(
+            (f"#t {said},w_x,w_y,w_z,a_x,a_y,a_z", f"stamps in ns, got {unit}, by the name 't ")
+            for said, unit in STAMPED
+        ),
+        *((f"t,gyro_x_{unit},gyro_y,gyro_z,acc_x,acc_y,acc_z", "column 2 .*, got 'gyro_x_d") for unit in DEGREES),
+        ("t,w_x,w_y,w_z,acc_x_cm_s2,acc_y_cm_s2,acc_z_cm_s2", "column 5 .*, got 'acc_x_cm_s2'"),
+        ("t,gyro_rad[1],gyro_rad[0],gyro_rad[2],acc[0],acc[1],acc[2]", "column 2 the x .*, got 'gyro_rad"),
     ],
 )
 def test_inertial_columns_that_are_not_the_layouts_by_their_names_are_refused(folder, names, what):
@@ -187,6 +199,9 @@ def test_inertial_columns_that_are_not_the_layouts_by_their_names_are_refused(fo
         "t,w_x [radians/sec],w_y [rad s^-1],w_z [rad.s^-1],a_x [meters/s^2],a_y [m/sec^2],a_z [m per second squared]",
         "t,w_x,w_y,w_z,f_w_x,f_w_y,f_w_z",
         "t,gyro_x,gyro_y,gyro_z,specific_force_x,specific_force_y,specific_force_z",
+        "t [nano seconds],gyro_x_rad_per_s,gyro_y_rad_per_s,gyro_z_rad_per_s,acc_x_m_s2,acc_y_m_s2,acc_z_m_s2",
+        "t [ns since 1970],gyro_rad[0],gyro_rad[1],gyro_rad[2],acc_m_s2[0],acc_m_s2[1],acc_m_s2[2]",
+        "t [-],gyro_x_raw,gyro_y_raw,gyro_z_raw,acc_x,acc_y,acc_z",
         "# of a diver, in the bay",
     ],
 )
