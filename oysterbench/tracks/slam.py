@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 
 from oysterbench.core.atomic import write_atomically
-from oysterbench.core.errors import MethodError, OysterbenchError, SequenceError, TrajectoryError
+from oysterbench.core.errors import MethodError, NoTruthError, OysterbenchError, SequenceError, TrajectoryError
 from oysterbench.core.measurements import Image
 from oysterbench.core.ros import TF_STATIC
 from oysterbench.core.text import as_unicode
@@ -92,10 +92,11 @@ class SlamSequence(SequencePath):
 
     @cached_property
     def truth(self) -> Trajectory | None:
-        """Ground truth; None if the sequence withholds it."""
+        """Ground truth; None where there is none, or it is withheld. Raises SequenceError or TrajectoryError where it
+        cannot be read."""
         try:
             return open_sequence(self.path).truth()
-        except SequenceError:
+        except NoTruthError:
             return None
 
     @cached_property
@@ -214,14 +215,16 @@ class SlamTrack(Track):
         self, sequences: Sequence[RunSequence], adapters: Sequence[MethodAdapter], settings: Any, request: Request
     ) -> Iterator[Finished]:
         """Run as on every track; SEQUENCE-truth.tum is written to `out` only at the end, when no method runs any
-        more. Raises TrajectoryError before anything runs where no method can be scored against a ground truth."""
+        more. Raises TrajectoryError before anything runs where no method can be scored against a ground truth, and
+        SequenceError or TrajectoryError where one cannot be read."""
         if request.split is None:
             brought = [{**one.evaluation, **request.options} if one.evaluation else {} for one in adapters]
             judged = [self.settings(own) if own else settings for own in brought]
             for one in sequences:
                 check_truth(one, judged)
         truths = {request.out / f"{one.name}-truth.tum": one for one in sequences if isinstance(one, SlamSequence)}
-        for path in truths:
+        for path, sequence in truths.items():
+            _ = sequence.truth  # read now, and kept: an error would come too late after all runs
             path.unlink(missing_ok=True)
         yield from super().run(sequences, adapters, settings, request)
         for path, sequence in truths.items():
@@ -239,8 +242,8 @@ class SlamTrack(Track):
 
 
 def own_sequences(paths: Sequence[Path]) -> list[SlamSequence]:
-    """Open the user's own sequences: files, or folders in EuRoC layout. Raises MethodError where two share a name, and
-    TrajectoryError where a ground truth cannot be read."""
+    """Open the user's own sequences: files, or folders in EuRoC layout. Raises MethodError where two share a name,
+    SequenceError or TrajectoryError where a ground truth cannot be read."""
     found = [SlamSequence(open_sequence(path).name, path) for path in paths]
     check_names_differ(found)
     for sequence in found:

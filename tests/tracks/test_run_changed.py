@@ -219,6 +219,14 @@ def test_without_ground_truth_a_method_that_never_initialised_is_told_of_and_lea
     assert (tmp_path / "out" / "dive-reads.tum").is_file()
 
 
+def test_a_ground_truth_that_cannot_be_read_is_refused_before_anything_runs(folder, tmp_path):
+    folder.write("state_groundtruth_estimate0/data.csv", TRUTH)
+    folder.write("state_groundtruth_estimate0/sensor.yaml", "T_BS: [0, 1]")
+    done = run_here("run", "reading:Reads", "--on", folder.path, "--out", tmp_path / "out")
+    assert (done.returncode, "running reads" in done.stderr) == (1, False)
+    assert "state_groundtruth_estimate0/sensor.yaml: T_BS, data: expected 16 finite numbers, got 2" in done.stderr
+
+
 def test_folders_whose_names_are_not_utf_8_are_run_on_and_written_to(folder, tmp_path):
     odd = os.fsdecode(b"l\xe4t")
     folder.write("state_groundtruth_estimate0/data.csv", TRUTH)
