@@ -11,6 +11,7 @@ from typing import Any
 from oysterbench.core.errors import OptionError, SequenceError, TrajectoryError
 from oysterbench.core.names import did_you_mean, nearest
 from oysterbench.core.trajectory import ReadOptions, Trajectory
+from oysterbench.core.trajectory.read import euroc_folder
 from oysterbench.evaluate.slam import SlamResult, SlamSettings
 from oysterbench.evaluate.slam import score as score_poses
 from oysterbench.evaluate.slam.inputs import Poses, open_pair
@@ -70,6 +71,8 @@ def score(truth: Poses | Sequence, estimate: Poses, **options: Any) -> SlamResul
     _check_reading(options, truth, estimate)
     if isinstance(truth, Sequence):
         truth = truth.truth()
+    elif not isinstance(truth, Trajectory) and truth_reading.topic is None:
+        truth = _poses_in_folder(truth, truth_reading)
     return score_poses(*open_pair(truth, estimate, settings, truth_reading, reading), settings)
 
 
@@ -105,6 +108,15 @@ def _sequence_at(path: str | os.PathLike[str]) -> Sequence | None:
         return open_sequence(path)
     except SequenceError:
         return None
+
+
+def _poses_in_folder(file: str | os.PathLike[str], options: ReadOptions) -> Poses:
+    """True poses of the folder in EuRoC layout to which a file belongs; another file as it is."""
+    if (folder := euroc_folder(Path(file))) is None:
+        return file
+    from oysterbench.sequence.euroc import true_poses
+
+    return true_poses(folder, options)
 
 
 def _sorted_out(options: Mapping[str, Any]) -> tuple[SlamSettings, ReadOptions, ReadOptions]:

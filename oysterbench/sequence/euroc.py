@@ -19,7 +19,7 @@ from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.core.pictures import decode_picture, used_bits
 from oysterbench.core.places import leads_out
 from oysterbench.core.text import as_unicode
-from oysterbench.core.trajectory import Trajectory, read_trajectory
+from oysterbench.core.trajectory import ReadOptions, Trajectory, read_trajectory
 from oysterbench.core.trajectory.frames import poses_of_body
 from oysterbench.core.trajectory.read import EUROC_TRUTH
 from oysterbench.sensors.camera import KIND as CAMERA
@@ -163,22 +163,25 @@ class EurocSequence(Sequence):
         return true_poses(self.folder)
 
 
-def true_poses(folder: Path) -> Trajectory:
-    """Ground truth of a folder in EuRoC layout, whatever else is in it. Raises NoTruthError where there is none,
-    TrajectoryError or SequenceError where it cannot be read."""
+def true_poses(folder: Path, options: ReadOptions | None = None) -> Trajectory:
+    """Ground truth of a folder in EuRoC layout, whatever else is in it; options: how its file is read, where its frame
+    is not that of T_BS if they say another. Raises NoTruthError where there is none, TrajectoryError or SequenceError
+    where it cannot be read."""
     path = folder / EUROC_TRUTH
     if not path.is_file():
         raise NoTruthError(f"{folder} has no ground truth: {path} is absent")
-    states, sensor = read_trajectory(path), path.with_name("sensor.yaml")
-    T_body_sensor = _read_sensor(sensor, _pose_if_given) if sensor.is_file() else np.eye(4)
+    states, sensor = read_trajectory(path, options), path.with_name("sensor.yaml")
+    framed = options is not None and (options.T_body_estimate is not None or options.frame is not None)
+    T_body_sensor = _read_sensor(sensor, _pose_if_given) if sensor.is_file() and not framed else np.eye(4)
     if np.array_equal(T_body_sensor, np.eye(4)):
         return states
     # The poses are those of the sensor that measured them, such as a marker: p_RS_R, q_RS.
     told = (
-        f"{folder.name}: the true poses are those of a sensor apart from the body, by T_BS of {sensor.name} beside them"
+        "the true poses are those of a sensor apart from the body, by T_BS of sensor.yaml beside them, and were taken"
     )
     moved = poses_of_body(states, T_body_sensor)
-    return replace(moved, T_body_estimate=None, notes=(*moved.notes, f"{told}, and were taken to the body"))
+    note = f"{as_unicode(folder.resolve().name)}: {told} to the body"
+    return replace(moved, T_body_estimate=None, notes=(*moved.notes, note))
 
 
 def _within(stamp_ns: int, start_ns: int | None, end_ns: int | None) -> bool:

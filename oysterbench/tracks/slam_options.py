@@ -123,19 +123,13 @@ def read_options(given: Mapping[str, Any], truth_file: Path, estimate_file: Path
     )
 
 
-def said_of_file(options: ReadOptions | None) -> list[str]:
-    """Names of the options that say how the file of the ground truth is read. The times of KITTI's poses are those of
-    the estimate, too."""
-    if options is None:
-        return []
-    default = type(options)()
-    return [name for name in OF_BOTH if getattr(options, key := name.replace("-", "_")) != getattr(default, key)]
-
-
 def check_not_read(options: ReadOptions | None) -> None:
     """Raise OptionError where options say how the file of the ground truth is read, and it is a sequence: they would
-    have no effect."""
-    names = said_of_file(options)
+    have no effect. The times of KITTI's poses are those of the estimate, too."""
+    if options is None:
+        return
+    default = type(options)()
+    names = [name for name in OF_BOTH if getattr(options, key := name.replace("-", "_")) != getattr(default, key)]
     if names:
         raise OptionError(
             f"{', '.join(f'--truth-{name}' for name in names)}: it says how a file is read, and the ground truth is a "

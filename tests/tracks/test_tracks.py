@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -168,7 +170,8 @@ def test_a_ground_truth_against_which_nothing_can_be_scored_is_refused_before_an
     check_truth(sequence, [])
     for align in ("none", "sim3") if len(sequence.truth) > 4 else ():  # to one of these, it may mean something
         check_truth(sequence, [SlamSettings(), SlamSettings(align=align)])
-    check_truth(SlamSequence("dive", tmp_path / "absent"), [SlamSettings()])
+    sequence.truth = None
+    check_truth(sequence, [SlamSettings()])
 
 
 def test_files_are_scored_under_their_names(truth, tmp_path):
@@ -180,12 +183,18 @@ def test_files_are_scored_under_their_names(truth, tmp_path):
     assert run.record.metrics["ate_rmse_m"] == pytest.approx(np.sqrt(14.0), abs=1e-6)
 
 
-def test_a_folder_is_scored_against_by_its_true_poses_alone_and_by_their_file(tmp_path):
-    """Whatever its inertial columns are called; and where a marker was measured, by the poses of the body."""
+def test_a_split_of_which_a_ground_truth_cannot_be_read_is_refused_before_anything_runs(tiny_split, tmp_path):
+    (tmp_path / "tiny-01.mcap").write_bytes(b"cut")
+    damaged = SlamSequence("tiny-01", tmp_path / "tiny-01.mcap", tiny_split)
+    with pytest.raises(SequenceError, match=r"tiny-01\.mcap"):
+        finished_of(TRACK, [damaged], ["dead_reckoning"], SlamSettings(), tmp_path / "out", split=tiny_split)
+    assert not (tmp_path / "out" / "runs").exists()
+
+
+@pytest.fixture
+def marked(tmp_path):
+    """A folder whose true poses are those of a marker apart from the body, and mine.tum, the body's, beside it."""
     folder = Folder(tmp_path / "dive")
-    folder.change("imu0/data.csv", "w_x,w_y,w_z", "w_x [deg s^-1],w_y,w_z")
-    with pytest.raises(SequenceError, match="has no ground truth: "):
-        true_poses_of(folder.path, None)
     truth = survey(duration_s=20)
     measured = truth.positions + Rotation.from_quat(truth.quaternions).apply([0.3, 0.0, 0.1])
     write_tum(tmp_path / "mine.tum", truth)
@@ -197,12 +206,52 @@ def test_a_folder_is_scored_against_by_its_true_poses_alone_and_by_their_file(tm
     )
     lever = "T_BS: [1, 0, 0, 0.3, 0, 1, 0, 0, 0, 0, 1, 0.1, 0, 0, 0, 1]"
     folder.write("state_groundtruth_estimate0/sensor.yaml", lever)
-    file = folder.root / "state_groundtruth_estimate0" / "data.csv"
-    for place in (folder.path, file):
+    return folder
+
+
+def test_a_folder_is_scored_against_by_its_true_poses_alone_and_by_their_file(marked, tmp_path):
+    """Whatever its inertial columns are called; and where a marker was measured, by the poses of the body."""
+    marked.change("imu0/data.csv", "w_x,w_y,w_z", "w_x [deg s^-1],w_y,w_z")
+    file = marked.root / "state_groundtruth_estimate0" / "data.csv"
+    for place in (marked.path, file):
         run = score_files(place, tmp_path / "mine.tum", SlamSettings())
         assert run.record.metrics["ate_rmse_m"] < 1e-6
-    assert true_poses_of(file, ReadOptions(time_unit="ns")) == file, "read as it is said to be"
     assert any("taken to the body" in note for note in run.record.notes)
-    folder.write("state_groundtruth_estimate0/sensor.yaml", "T_BS: [0]")
-    with pytest.raises(SequenceError, match=r"state_groundtruth_estimate0/sensor\.yaml: T_BS, data: expected 16"):
-        true_poses_of(folder.path, None)
+    marked.write("state_groundtruth_estimate0/sensor.yaml", "T_BS: [0]")
+    for place in (marked.path, file):
+        with pytest.raises(SequenceError, match=r"state_groundtruth_estimate0/sensor\.yaml: T_BS, data: expected 16"):
+            true_poses_of(place, None)
+    file.unlink()
+    with pytest.raises(SequenceError, match="has no ground truth: "):
+        true_poses_of(marked.path, None)
+
+
+@pytest.mark.parametrize(
+    ("cwd", "place"),
+    [
+        ("", "link.csv"),
+        ("dive", "."),
+        ("dive/mav0", "state_groundtruth_estimate0/data.csv"),
+        ("dive/mav0/state_groundtruth_estimate0", "data.csv"),
+        ("dive/mav0/imu0", "../state_groundtruth_estimate0/data.csv"),
+    ],
+)
+def test_true_poses_are_taken_to_the_body_from_wherever_they_are_given(marked, tmp_path, monkeypatch, cwd, place):
+    (tmp_path / "link.csv").symlink_to(marked.root / "state_groundtruth_estimate0" / "data.csv")
+    monkeypatch.chdir(tmp_path / cwd)
+    run = score_files(Path(place), tmp_path / "mine.tum", SlamSettings())
+    assert any(re.match("dive: .* taken to the body", note) for note in run.record.notes)
+    for found in (run.record, oysterbench.score(place, tmp_path / "mine.tum")):
+        assert found.metrics["ate_rmse_m"] < 1e-6
+
+
+def test_true_poses_are_taken_to_the_body_however_their_file_is_read_or_stored(marked, tmp_path):
+    file, mine = marked.root / "state_groundtruth_estimate0" / "data.csv", tmp_path / "mine.tum"
+    for said in (ReadOptions(format="euroc"), ReadOptions(time_unit="ns")):
+        assert score_files(file, mine, SlamSettings(), said).record.metrics["ate_rmse_m"] < 1e-6
+    stored = tmp_path / "stored.csv"
+    file.rename(stored)
+    file.symlink_to(stored)
+    assert score_files(file, mine, SlamSettings()).record.metrics["ate_rmse_m"] < 1e-6
+    assert true_poses_of(stored, None) == stored, "no folder has a file of that name"
+    assert oysterbench.score(file, mine, truth_frame="body").metrics["ate_rmse_m"] > 0.01, "as it is said to be"

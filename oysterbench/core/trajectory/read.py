@@ -67,6 +67,15 @@ def file_format(path: Path, magic: bytes) -> Format | None:
     return "npz" if magic.startswith(ZIP_MAGIC) else None
 
 
+def euroc_folder(path: Path) -> Path | None:
+    """Folder in EuRoC layout whose true poses are in a file, from wherever and by whichever link it is given; None for
+    another file."""
+    for file in (path.absolute(), Path(os.path.realpath(path))):
+        if file.parts[-len(EUROC_TRUTH.parts) :] == EUROC_TRUTH.parts:
+            return file.parents[len(EUROC_TRUTH.parts) - 1]
+    return None
+
+
 def holds_kitti(path: Path) -> bool:
     """Whether `read_trajectory` takes what is at a path for KITTI's poses by its content; not where it cannot be read,
     which reading says. What can be read only once, a pipe, is left unread and taken for another format."""
