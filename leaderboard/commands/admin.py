@@ -294,13 +294,14 @@ def rescore_command(
     for before in wanted:
         try:
             record = index.store.record(before.digest)
+            if not again and not is_outdated(record) and not (digests and record.track not in SCORED):
+                continue
+            why_not = withdrawn_with(before, record.estimates, withdrawn, index.store)
         except OysterbenchError as error:
             message(f"{before.digest[:8]} ({before.method} by {before.team}) was not rescored: {error}")
             damaged = True
             continue
-        if not again and not is_outdated(record) and not (digests and record.track not in SCORED):
-            continue
-        if why_not := withdrawn_with(before, record.estimates, withdrawn):
+        if why_not:
             message(f"{before.digest[:8]} ({before.method} by {before.team}) was not rescored: {why_not}")
             skipped = True
             continue

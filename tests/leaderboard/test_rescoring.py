@@ -214,6 +214,21 @@ def test_what_is_withdrawn_does_not_come_back_by_being_scored_again(tmp_path, mo
     assert "scored from the same estimates" in CliRunner().invoke(main, words).stderr
 
 
+def test_what_is_withdrawn_does_not_come_back_where_its_record_cannot_be_read(tmp_path, monkeypatch):
+    """It may have been scored from the same estimates."""
+    store, old, words = board_of_one(tmp_path, monkeypatch)
+    made = json.loads(CliRunner().invoke(main, words).stdout)[0]["after"]["record"]
+    done = CliRunner().invoke(main, ["leaderboard", "withdraw", made, "--reason", "made from the truth"])
+    assert done.exit_code == 0, done.output
+    with open(tmp_path / "board" / "records" / f"{made}.json", "ab") as file:
+        file.write(b" ")
+    done = CliRunner().invoke(main, words)
+    assert (done.exit_code, json.loads(done.stdout)) == (3, []), done.output
+    assert f"{old.digest[:8]} (carp by reef lab) was not rescored: {made[:8]}, which superseded it" in done.stderr
+    assert "its bytes do not match its name" in done.stderr
+    assert len(store.digests()) == 2
+
+
 def test_a_record_of_a_track_that_is_not_scored_again_is_told_so_by_its_name(tmp_path, monkeypatch):
     monkeypatch.setenv("OYSTERBENCH_BOARD", str(tmp_path / "board"))
     monkeypatch.setattr("oysterbench_leaderboard.submissions.catalogue.SCORED", ("slam",))
