@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
 import tarfile
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench.core.text import in_one_line
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.boards.database import open_engine
-from oysterbench_leaderboard.submissions.database import SubmissionDatabase, metadata, sessions
+from oysterbench_leaderboard.submissions.database import SubmissionDatabase, metadata, sessions, submissions
 from oysterbench_leaderboard.submissions.estimates import Estimates, Upload
 from oysterbench_leaderboard.submissions.migrations import upgrade
 from oysterbench_leaderboard.submissions.settings import FILE, SubmissionSettings, load_settings
@@ -51,18 +52,18 @@ BATCH = 1000
 @dataclass(frozen=True)
 class Backup:
     """Contents of a backup: the number of rows of each table, of files, and of the board's records among them; damaged:
-    paths of files that were left out, as their bytes do not match their names."""
+    paths of files that it lacks, as they are damaged or not there, and what is wrong with each."""
 
     rows: dict[str, int]
     files: int
     records: int
-    damaged: tuple[str, ...] = ()
+    damaged: dict[str, str] = field(default_factory=dict)
 
 
 def backup(settings: SubmissionSettings, file: Path, board: Path | None = None) -> Backup:
     """Write a whole server into a file that only its owner can read. board: folder of records to include. Files that
-    are damaged are left out: with one of them, nothing could be restored. Raises ResultError where the folder is no
-    board's, before anything is written."""
+    are damaged or cannot be read are left out: with one of them, nothing could be restored. Raises ResultError where
+    the folder is no board's, before anything is written."""
     if board is not None and not (board / "records").is_dir():
         raise ResultError(
             f"--board {board}: expected the folder of a board, got {'one' if board.is_dir() else 'none'} without "
@@ -71,9 +72,10 @@ def backup(settings: SubmissionSettings, file: Path, board: Path | None = None) 
     database = SubmissionDatabase(settings)
     rows: Counter[str] = Counter()
     files = records = 0
-    damaged = []
+    damaged: dict[str, str] = {}
+    estimates = Estimates(settings.place).folder
     try:
-        with appearing(file, mode=0o600) as output, tarfile.open(fileobj=output, mode="w") as archive:
+        with appearing(file, mode=0o600) as output, tarfile.open(fileobj=output, mode="w", dereference=True) as archive:
             with database.reading() as connection:
                 if connection.dialect.name == "postgresql":
                     connection.execute(text("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ"))
@@ -82,13 +84,16 @@ def backup(settings: SubmissionSettings, file: Path, board: Path | None = None) 
                 for table in metadata.sorted_tables:
                     if table is sessions:
                         continue
-                    found = connection.execute(select(table).order_by(*table.primary_key)).mappings()
+                    found = connection.execute(select(table).order_by(*table.primary_key)).mappings().all()
                     lines = [json.dumps(dict(row)) for row in found]
                     rows[table.name] = len(lines)
+                    if table is submissions and estimates:
+                        named = sorted({estimates / row["digest"] for row in found})
+                        damaged |= {str(path): "it is not there" for path in named if not os.path.lexists(path)}
                     _add(archive, f"rows/{table.name}.jsonl", "\n".join(lines).encode())
             for name, path in _files(settings, board):
-                if not _is_whole(path):
-                    damaged.append(str(path))
+                if wrong := _fault(path):
+                    damaged[str(path)] = wrong
                     continue
                 archive.add(path, name)
                 files += 1
@@ -96,15 +101,18 @@ def backup(settings: SubmissionSettings, file: Path, board: Path | None = None) 
             _add(archive, END, json.dumps({"members": len(archive.getmembers()) + 1}).encode())
     finally:
         database.close()
-    return Backup(dict(rows), files, records, tuple(damaged))
+    return Backup(dict(rows), files, records, damaged)
 
 
-def _is_whole(path: Path) -> bool:
-    """Whether a file's bytes match its name, if that is a SHA-256."""
-    if not re.fullmatch(HASH, path.stem):
-        return True
-    with open(path, "rb") as file:
-        return file_digest(file, "sha256").hexdigest() == path.stem
+def _fault(path: Path) -> str:
+    """What is wrong with a file: it cannot be read, or its bytes do not match its name, if that is a SHA-256; empty
+    where nothing is."""
+    try:
+        with open(path, "rb") as file:
+            digest = file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        return f"it cannot be read: {error.strerror}"
+    return "its bytes do not match its name" if re.fullmatch(HASH, path.stem) and digest != path.stem else ""
 
 
 def _add(archive: tarfile.TarFile, name: str, data: bytes) -> None:

@@ -207,7 +207,7 @@ def retry(id: str, folder: Path, as_json: bool) -> None:
 def backup_command(context: click.Context, file: Path, folder: Path, as_json: bool) -> None:
     """Write database, estimates and records into a file that only its owner can read; the server may keep running. With
     `leaderboard --board DIR` or OYSTERBENCH_BOARD, the board's records are included. Damaged files are named and left
-    out, with exit code 3.
+    out, as are estimates that are gone, with exit code 3.
 
     \b
     Examples:
@@ -221,10 +221,8 @@ def backup_command(context: click.Context, file: Path, folder: Path, as_json: bo
     board = find_place(context).folder
     made = backup(load_settings(folder), file, board)
     _show_backup(file, made, as_json, board is not None)
-    for path in made.damaged:
-        message(
-            f"{path} is damaged, and not in the backup: its bytes do not match its name; restore it from an older one"
-        )
+    for path, wrong in made.damaged.items():
+        message(f"{path} is damaged, and not in the backup: {wrong}; restore it from an older one")
     if made.damaged:
         sys.exit(DAMAGED)
 

@@ -202,6 +202,40 @@ def test_a_damaged_file_is_named_and_spoils_no_backup(saved, tmp_path):
     assert set(all_of(tmp_path / "again" / "private")) == {"carp", "tench"}
 
 
+def test_files_that_cannot_be_read_or_are_gone_are_named_and_spoil_no_backup(saved, tmp_path):
+    for name in ("private", "board"):
+        shutil.copytree(saved[0] / name, tmp_path / name)
+    (record,), (upload, gone) = ((tmp_path / name).iterdir() for name in ("board/records", "private/estimates"))
+    record.unlink()
+    record.symlink_to(tmp_path / "failed disk" / record.name)
+    upload.unlink()
+    upload.mkdir()
+    gone.unlink()
+    done = run(
+        "leaderboard", "--board", tmp_path / "board", "submissions", "backup", tmp_path / "a.tar", "--json",
+        "--submissions", tmp_path / "private",
+    )  # fmt: skip
+    assert done.returncode == 3
+    assert json.loads(done.stdout)["damaged"] == {
+        str(gone): "it is not there",
+        str(upload): "it cannot be read: Is a directory",
+        str(record): "it cannot be read: No such file or directory",
+    }
+    assert done.stderr.count("is damaged, and not in the backup: it ") == 3
+    restore(tmp_path / "a.tar", tmp_path / "again" / "private", tmp_path / "again" / "board")
+    assert set(all_of(tmp_path / "again" / "private")) == {"carp", "tench"}
+
+
+def test_files_on_another_disk_are_saved_themselves_and_not_the_links_to_them(saved, tmp_path):
+    for name in ("private", "board"):
+        shutil.copytree(saved[0] / name, tmp_path / name)
+    for path in [*(tmp_path / "board" / "records").iterdir(), *(tmp_path / "private" / "estimates").iterdir()]:
+        path.symlink_to(shutil.move(path, tmp_path / f"moved-{path.name}"))
+    made = backup(load_settings(tmp_path / "private"), tmp_path / "a.tar", tmp_path / "board")
+    assert (made.records, made.damaged) == (1, {})
+    assert restore(tmp_path / "a.tar", tmp_path / "again" / "private", tmp_path / "again" / "board") == made
+
+
 def test_it_is_done_by_commands(saved, tmp_path):
     folder, *_ = saved
     file, private = tmp_path / "again.tar", tmp_path / "private"
