@@ -14,6 +14,7 @@ from oysterbench.core.geometry import GRAVITY, Array
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import LightRecipe
 from oysterbench.render.light import build_light
+from oysterbench.render.noise import key_of
 from oysterbench.render.optics import Caustics
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.water import DEPTHS, IMAGE_CONE_RAD, Water, forward_share
@@ -65,6 +66,7 @@ class Waves:
         self.light.on = int(recipe.wind_m_s > 0)
         self.light.tile = wp.ones((CELLS, CELLS), dtype=wp.float32, device=device)
         self.light.period = PERIOD_M
+        self.light.seed = key_of(0, appearance, "layers")
         depths = np.linspace(0.0, float(water.depths[-1]), DEPTHS)
         fade = (forward_share(IMAGE_CONE_RAD) - forward_share(PATTERN_CONE_RAD)) * float(water.scattering[1])
         self.light.fade = self._floats(np.exp(-fade * depths / build_light(recipe).sun_direction[2]))

@@ -23,6 +23,7 @@ from oysterbench.render.casting import (
 )
 from oysterbench.render.ground import seabed
 from oysterbench.render.looks import Looks, needs_shadow_ray, openness
+from oysterbench.render.noise import instances_key
 from oysterbench.render.occlusion import gathered, same_surface
 from oysterbench.render.optics import (
     Optics,
@@ -36,7 +37,7 @@ from oysterbench.render.optics import (
 )
 from oysterbench.render.tables import look_up, look_up_pair
 from oysterbench.render.target import KERNEL_OPTIONS
-from oysterbench.render.texture import Material, instance_material, scramble
+from oysterbench.render.texture import Material, instance_material
 from oysterbench.render.view import CameraView, pixel_ray, pixel_start
 from oysterbench.render.way import Way, way_to
 
@@ -161,7 +162,7 @@ def shade_material(
     else:
         it = world.placed[i]
         q = wp.transpose(it.rotation) * (p - it.position)
-        seed = wp.vec2ui(scramble(looks.seed[0] + wp.uint32(i)), looks.seed[1])
+        seed = instances_key(looks.seed, i)
         mark = blend(world.marks, world.corners, it.first_corner + 3 * hit.face, hit.u, hit.v)
         material = instance_material(
             it.kind, q, mark, it.scale[0], smooth, it.rotation, it.colour, it.silt, looks.ground, footprint, seed

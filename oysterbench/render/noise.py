@@ -13,9 +13,12 @@ from oysterbench.render.arithmetic import clamped, greater, lesser
 
 MIX_1 = wp.constant(wp.uint32(0x7FEB352D))
 MIX_2 = wp.constant(wp.uint32(0x846CA68B))
+MIX_3 = wp.constant(wp.uint64(0xBF58476D1CE4E5B9))
+MIX_4 = wp.constant(wp.uint64(0x94D049BB133111EB))
 PRIME_X = wp.constant(wp.uint32(0x9E3779B1))
 PRIME_Y = wp.constant(wp.uint32(0x85EBCA77))
 PRIME_Z = wp.constant(wp.uint32(0xC2B2AE3D))
+OWN = wp.constant(2**30)  # a lattice point that no pattern comes to
 
 
 @wp.func
@@ -28,11 +31,21 @@ def scramble(h: wp.uint32):
     return h ^ (h >> wp.uint32(16))
 
 
+@wp.func
+def scramble64(h: wp.uint64):
+    """Hash of 64 bits with full avalanche (of SplitMix64: Steele, Lea & Flood, OOPSLA 2014)."""
+    h = (h ^ (h >> wp.uint64(30))) * MIX_3
+    h = (h ^ (h >> wp.uint64(27))) * MIX_4
+    return h ^ (h >> wp.uint64(31))
+
+
 def key_of(first: int, appearance: Streams, *name: Name) -> wp.vec2ui:
-    """Key of a pattern: 32 bits, and with a salt another 32 from the stream of this name. Who knew the pattern on the
-    ground of a hidden reef would know where each image of it was taken, and 32 bits can all be tried."""
-    second = int(appearance.generator(*name, "key").integers(1, 2**32)) if appearance.salt else 0
-    return wp.vec2ui(wp.uint32(first), wp.uint32(second))
+    """Key of a pattern: these 32 bits; with a salt, 64 from the stream of this name instead. Who knew the pattern on
+    the ground of a hidden reef would know where each image of it was taken, and 32 bits can all be tried."""
+    words = (first, 0)
+    if appearance.salt:
+        words = tuple(appearance.generator(*name, "key").integers((0, 1), 2**32).tolist())
+    return wp.vec2ui(*map(wp.uint32, words))
 
 
 @wp.func
@@ -42,13 +55,30 @@ def nth(seed: wp.vec2ui, n: int):
 
 
 @wp.func
+def instances_key(seed: wp.vec2ui, i: int):
+    """Key of instance i in the patterns of a key."""
+    return wp.vec2ui(scramble(seed[0] + wp.uint32(i)), seed[1])
+
+
+@wp.func
 def lattice(x: int, y: int, z: int, seed: wp.vec2ui):
-    """Hash of a lattice point."""
-    mixed = (wp.uint32(x) * PRIME_X) ^ (wp.uint32(y) * PRIME_Y)
-    h = scramble(mixed ^ (wp.uint32(z) * PRIME_Z) ^ seed[0])
+    """Hash of a lattice point. All of a key of 64 bits enters before, between and after its rounds, in each of which
+    every bit changes every other: were its words mixed in one after the other, each could be looked for alone."""
+    third = wp.uint32(z) * PRIME_Z
     if seed[1] != wp.uint32(0):
-        h = scramble(h ^ seed[1])
-    return h
+        key = (wp.uint64(seed[0]) << wp.uint64(32)) | wp.uint64(seed[1])
+        point = (wp.uint64(wp.uint32(x) ^ third) << wp.uint64(32)) | wp.uint64(wp.uint32(y))
+        h = scramble64(scramble64(scramble64(point ^ key) + key) ^ key)
+        return wp.uint32(h >> wp.uint64(32))
+    return scramble((wp.uint32(x) * PRIME_X) ^ (wp.uint32(y) * PRIME_Y) ^ third ^ seed[0])
+
+
+@wp.func
+def own_hash(seed: wp.vec2ui):
+    """Hash of a key itself."""
+    if seed[1] != wp.uint32(0):
+        return lattice(0, 0, OWN, seed)
+    return seed[0]
 
 
 @wp.func

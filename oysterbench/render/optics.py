@@ -18,12 +18,14 @@ LEAST_TRANSMISSION = wp.constant(0.02)  # transmission in green below which a sh
 class Caustics:
     """Sunlight focused by waves: relative irradiance (N, N) on a level plane, mean 1, repeated every `period` m.
 
-    on: 0 for a flat surface. fade: contrast that is left at depths fade_step m apart.
+    on: 0 for a flat surface. seed: key of what mixes two layers of it. fade: contrast that is left at depths fade_step
+    m apart.
     """
 
     tile: wp.array2d(dtype=wp.float32)
     on: wp.int32
     period: wp.float32
+    seed: wp.vec2ui
     fade: wp.array(dtype=wp.float32)
     fade_step: wp.float32
 
@@ -152,7 +154,7 @@ def caustic(optics: Optics, p: wp.vec3):
         u = (LAYER_COSINE * x - LAYER_SINE * y) * cells + 0.37 * float(optics.caustics.tile.shape[0])
         v = (LAYER_SINE * x + LAYER_COSINE * y) * cells
         two = look_up_wrapped(optics.caustics.tile, u, v) - 1.0
-        mix = noise2(x / LAYER_PATCH_M, y / LAYER_PATCH_M, wp.vec2ui(wp.uint32(0), optics.shade_seed[1]))
+        mix = noise2(x / LAYER_PATCH_M, y / LAYER_PATCH_M, optics.caustics.seed)
         first = step_smoothly(-0.6, 0.6, mix[0])
         second = 1.0 - first
         wave = (first * one + second * two) / wp.sqrt(first * first + second * second)

@@ -14,6 +14,7 @@ from oysterbench.core.streams import Streams
 from oysterbench.recipe import CameraRecipe
 from oysterbench.render.lamps import phase
 from oysterbench.render.lens import project
+from oysterbench.render.noise import key_of, lattice
 from oysterbench.render.optics import Optics, beam_light, lamp_irradiance, veiling
 from oysterbench.render.passage import STILL, Passage
 from oysterbench.render.tables import look_up, look_up_pair
@@ -54,7 +55,7 @@ class Snow:
         self.camera = camera
         self.device = device
         generator = appearance.generator("snow")
-        self._salt = np.uint32(generator.integers(0, 2**32))
+        self._seed = key_of(int(generator.integers(0, 2**32)), appearance, "snow")
         heading = 2 * np.pi * generator.random()
         self._velocity = np.array([DRIFT_M_S * np.cos(heading), DRIFT_M_S * np.sin(heading), -SINKING_M_S])
         self.cell = float((PER_CELL / max(per_m3, 1e-9)) ** (1 / 3))
@@ -88,7 +89,7 @@ class Snow:
         near = (z > -margin) & (x**2 + y**2 + z**2 < (self._reach + margin) ** 2)
         near &= (np.abs(x) < ahead * tangent[0] + slack[0]) & (np.abs(y) < ahead * tangent[1] + slack[1])
         cells = np.argwhere(near) + [axis[0] for axis in axes]
-        key = _hash(cells[:, 0], cells[:, 1], cells[:, 2], self._salt)
+        key = self._hash(cells)
         count = np.searchsorted(self._cumulative, _unit(key))
         owner = np.repeat(np.arange(len(cells)), count)
         first = np.cumsum(count) - count
@@ -106,6 +107,17 @@ class Snow:
         distance2 = (places**2).sum(axis=1)
         seen = (places[:, 2] > NEAREST_M) & (distance2 < self._reach**2)
         return places[seen], sizes[seen]
+
+    def _hash(self, cells: NDArray[np.int64]) -> NDArray[np.uint32]:
+        """Hashes (N,) of cells (N, 3) of the grid; with a salt, those of the points of other patterns: who knew where
+        flakes hang over a hidden reef would know where each image of them was taken."""
+        if self._seed[1] == 0:
+            x, y, z = (cells & 0xFFFFFFFF).astype(np.uint32).T
+            return _scramble(_scramble(_scramble(x + np.uint32(self._seed[0])) + y) + z)
+        found = wp.zeros(len(cells), dtype=wp.uint32, device=self.device)
+        points = wp.array(cells.astype(np.int32), dtype=wp.vec3i, device=self.device)
+        wp.launch(hash_cells, len(cells), inputs=[points, self._seed], outputs=[found], device=self.device)
+        return np.asarray(found.numpy())
 
     def fall(
         self,
@@ -191,13 +203,16 @@ def _scramble(x: NDArray[np.uint32]) -> NDArray[np.uint32]:
     return np.asarray(x ^ (x >> np.uint32(16)))
 
 
-def _hash(x: NDArray, y: NDArray, z: NDArray, salt: np.uint32) -> NDArray[np.uint32]:
-    a, b, c = ((v & 0xFFFFFFFF).astype(np.uint32) for v in (x, y, z))
-    return _scramble(_scramble(_scramble(a + salt) + b) + c)
-
-
 def _unit(x: NDArray[np.uint32]) -> Array:
     return (x.astype(float) + 0.5) / 2.0**32
+
+
+@wp.kernel
+def hash_cells(cells: wp.array(dtype=wp.vec3i), seed: wp.vec2ui, found: wp.array(dtype=wp.uint32)):
+    """Hash cells of the grid of flakes."""
+    k = wp.tid()
+    cell = cells[k]
+    found[k] = lattice(cell[0], cell[1], cell[2], seed)
 
 
 @wp.kernel

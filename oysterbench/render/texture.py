@@ -12,10 +12,10 @@ from oysterbench.render.arithmetic import clamped, greater
 from oysterbench.render.coats import fish_coat, mottle
 from oysterbench.render.ground import Ground, Material
 from oysterbench.render.growth import BARNACLE, FLUFF, SMOOTHED, SPECK, barnacle, foul, fur, lying, speck
-from oysterbench.render.noise import kept, noise2, noise3, nth, scramble, step_smoothly, unit
+from oysterbench.render.noise import kept, noise2, noise3, nth, own_hash, step_smoothly, unit
 from oysterbench.scene.instances import CLASS_NUMBERS
 
-__all__ = ["Material", "instance_material", "scramble"]
+__all__ = ["Material", "instance_material"]
 
 OYSTER = wp.constant(wp.uint8(CLASS_NUMBERS["oyster"]))
 HASH = wp.constant(wp.uint8(CLASS_NUMBERS["hash"]))
@@ -96,7 +96,7 @@ def shell(
     outer = outer * (1.0 + 0.45 * step_smoothly(0.90, 1.0, mark[0]))
     film = step_smoothly(0.1, 0.8, 1.3 * coarse[2] - 0.5 * value + 0.3 * fine + 0.4 * normal[2])
     outer = outer + (FILM * (1.0 + 0.4 * fine) - outer) * (0.55 * film)
-    if outside > 0.5 and footprint < 0.0035 and unit(seed[0], 8) < 0.4:
+    if outside > 0.5 and footprint < 0.0035 and unit(own_hash(seed), 8) < 0.4:
         cell = barnacle(q[0], q[1], 0.014, footprint, seed)
         weight = cell[0] * step_smoothly(0.05, 0.35, coarse[0]) * kept(0.007, footprint)
         outer = outer + (BARNACLE * (1.0 - 0.85 * cell[3]) - outer) * (0.85 * weight)

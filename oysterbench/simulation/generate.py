@@ -60,7 +60,7 @@ Progress = Callable[[int, int], None]
 """Called with the number of frames done, and the total."""
 
 
-SALTED = 2
+SALTED = 3
 """Generation of what a salt draws, beside GENERATION: raised where only renders with a salt change."""
 
 
