@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ from oysterbench.mapping.settings import MapSettings
 
 CLOSED_M = 0.05  # smaller gaps in the cover lie between pixels, or behind single shells
 MOST = 60_000_000  # squares of a raster: 0.7 GB
+MOST_PARTS = 8  # of a square along its edge: a map of MOST squares takes another 0.5 GB
+BLOCK = 256  # parts along the edge of the blocks in which gaps between parts are closed
 DIVERGED = "has the trajectory diverged? If it is right, cut it into parts, and map each"
 
 Squares = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -190,7 +193,9 @@ class Cover:
         self.views: NDArray[np.uint16] = np.zeros(shape, dtype=np.uint16)
         self.colours: NDArray[np.uint8] = np.zeros((*shape, 3), dtype=np.uint8)
         self._nearest = np.full(shape, np.inf, dtype=np.float32)
-        self._shares: NDArray[np.float32] | None = None  # seen of each square, where these are larger than the tiles'
+        # Where squares are larger than those of the tiles: parts along an edge, and a bit for each part that is seen.
+        self._parts = 1
+        self._bits: NDArray[np.uint8] | None = None
 
     def lay(self, tile: Tile, move: Array) -> Squares:
         """Add an image's tile after a move (4, 4) about the vertical. Returns the squares that it shows.
@@ -218,13 +223,12 @@ class Cover:
         return at
 
     def _measure(self, tile: Tile, move: Array) -> None:
-        """Note how much of each square a tile shows whose own squares are smaller. Of several images, that which shows
-        most counts: along a path, they have the sides of the ground seen in common."""
-        often = round(self.raster.edge_m / tile.raster.edge_m)
+        """Note which parts of each square a tile shows whose own squares are smaller."""
+        often = min(round(self.raster.edge_m / tile.raster.edge_m), MOST_PARTS)
         if often < 2 or not tile.raster.rows:
             return
-        if self._shares is None:
-            self._shares = np.zeros(self.views.shape, dtype=np.float32)
+        if self._bits is None:
+            self._parts, self._bits = often, np.zeros((*self.views.shape, -(-(often**2) // 8)), dtype=np.uint8)
         among, along = self.raster.touching(*tile.raster.bounds(move))
         step = self.raster.edge_m / often
         x = self.raster.west_m + self.raster.edge_m * along.start + step * (np.arange(often * _length(along)) + 0.5)
@@ -234,8 +238,8 @@ class Cover:
         rows, columns, inside = tile.raster.index(middles.reshape(-1, 2))
         shown = np.zeros(len(rows), dtype=bool)
         shown[inside] = seen[rows[inside], columns[inside]]
-        shares = shown.reshape(_length(among), often, _length(along), often).mean(axis=(1, 3), dtype=np.float32)
-        self._shares[among, along] = np.maximum(self._shares[among, along], shares)
+        parts = shown.reshape(_length(among), often, _length(along), often).swapaxes(1, 2)
+        self._bits[among, along] |= np.packbits(parts.reshape(_length(among), _length(along), often**2), axis=2)
 
     def closed(self) -> NDArray[np.bool_]:
         """Mask (rows, columns) of the squares that count as seen: small gaps are closed."""
@@ -244,7 +248,22 @@ class Cover:
     def seen(self) -> NDArray[Any]:
         """How much of each square was seen (rows, columns): all or nothing; shares where squares are larger than
         those of the tiles, and the edge of a strip would be off by half of one."""
-        return self.closed() if self._shares is None else self._shares
+        if self._bits is None:
+            return self.closed()
+        shares, parts = np.zeros(self.views.shape, dtype=np.float32), self._parts
+        size, step = BLOCK // parts, self.raster.edge_m / parts
+        beside = -(-2 * _closings(step) // parts)  # squares around a block that what is closed in it depends on
+        for top, left in product(*(range(0, int(n), size) for n in self.views.shape)):
+            first, start = max(0, top - beside), max(0, left - beside)
+            bits = self._bits[first : top + size + beside, start : left + size + beside]
+            if not bits.any():
+                continue
+            rows, columns, _ = bits.shape
+            shown = np.unpackbits(bits, axis=2, count=parts**2).reshape(rows, columns, parts, parts).swapaxes(1, 2)
+            seen = _closed(shown.reshape(rows * parts, columns * parts) > 0, step)
+            share = seen.reshape(rows, parts, columns, parts).mean(axis=(1, 3), dtype=np.float32)
+            shares[top : top + size, left : left + size] = share[top - first :, left - start :][:size, :size]
+        return shares
 
     def holds(self, xy: Array) -> NDArray[np.bool_]:
         """Whether each of the points (N, 2) m lies in the area seen, (N,)."""
@@ -254,9 +273,14 @@ class Cover:
         return found
 
 
+def _closings(edge_m: float) -> int:
+    """By how many squares of an edge what was seen grows, and shrinks again, for its small gaps to close."""
+    return max(1, round(CLOSED_M / edge_m / 2))
+
+
 def _closed(seen: NDArray[np.bool_], edge_m: float) -> NDArray[np.bool_]:
     """A mask of squares of an edge with its small gaps closed."""
-    times = max(1, round(CLOSED_M / edge_m / 2))
+    times = _closings(edge_m)
     padded = np.pad(seen, times)
     return np.asarray(binary_closing(padded, np.ones((3, 3), dtype=bool), iterations=times)[times:-times, times:-times])
 

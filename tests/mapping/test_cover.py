@@ -159,3 +159,34 @@ def test_the_area_seen_is_the_same_in_squares_of_another_edge(edge_m):
     assert units.sum() == pytest.approx(seen.sum() * edge_m**2)
     middle = (np.arange(130) + 0.5) * edge_m < 0.5, (np.arange(170) + 0.5) * edge_m < 0.5
     assert units[0, 0] == pytest.approx(seen[np.ix_(*middle)].sum() * edge_m**2)
+
+
+@pytest.mark.parametrize("often", [2, 3, 8, 10])
+def test_what_several_images_show_of_a_larger_square_is_what_was_seen_of_it(often):
+    """Where each lacks depths elsewhere, none shows all of it. Across a border of two blocks, too."""
+    larger = Raster(-50.0, 50.0, 0.01 * often, 10_000 // often, 10_000 // often)
+    west_m = -50.0 + 10 * (256 // often) * larger.edge_m - 0.5
+    lattice = Raster(west_m, 1.0, 0.01, 200, 200)
+    x, y = np.meshgrid(west_m + np.arange(0.055, 1.455, 0.01), np.arange(-0.295, 0.905, 0.01))
+    points = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
+    checks = (np.floor((x - west_m) / 0.1) + np.floor(y / 0.1)).ravel() % 2 > 0
+    both, one, whole = Cover(larger), Cover(larger), Cover(larger)
+    for shown in (checks, ~checks):
+        both.lay(tile_of(lattice, points[shown], np.ones(shown.sum())), STAYS)
+    one.lay(tile_of(lattice, points[checks], np.ones(checks.sum())), STAYS)
+    whole.lay(tile_of(lattice, points, np.ones(len(points))), STAYS)
+    area_m2 = [cover.seen().sum() * larger.edge_m**2 for cover in (both, one, whole)]
+    assert area_m2[0] == pytest.approx(1.4 * 1.2, rel=0.004)
+    assert area_m2[2] == pytest.approx(area_m2[0], rel=1e-6)
+    assert area_m2[1] == pytest.approx(0.7 * 1.2, rel=0.1)
+
+
+@pytest.mark.parametrize("often", [2, 8])
+def test_small_gaps_between_what_images_show_are_closed_in_larger_squares_too(often):
+    larger = Raster(-4.0, 4.0, 0.01 * often, 800 // often, 800 // often)
+    cover = Cover(larger)
+    for low in (0.105, 0.645):  # 4 cm are between them
+        x, y = np.meshgrid(np.arange(low, low + 0.499, 0.01), np.arange(0.105, 0.604, 0.01))
+        points = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
+        cover.lay(tile_of(Raster(-4.0, 4.0, 0.01, 800, 800), points, np.ones(len(points))), STAYS)
+    assert cover.seen().sum() * larger.edge_m**2 == pytest.approx(1.04 * 0.5, rel=1e-6)
