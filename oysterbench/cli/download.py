@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from oysterbench.hub.download import Hub
     from oysterbench.hub.manifest import FileEntry, Manifest
     from oysterbench.hub.model import Model
+    from oysterbench.hub.weights import Here
     from oysterbench.recipe import SplitRecipe
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -80,12 +81,22 @@ def download(
     found = None if check else find_here(split_name, version or None, patterns, out)
     vouched = found is None or not hub_at or is_offline() or is_trusted(found[1])
     here, unvouched = (found, None) if vouched or found is None else (None, found[0])
-    ours_do = not hub_at or is_offline()  # a hub may have newer ones, or others of the same version
-    if not (split or out) and ours_do and (ours := part_of_oysterbench(name, version)):
+    ours = None if split or out else part_of_oysterbench(name, version)
+    if ours and (not hub_at or is_offline()):  # a hub may have newer ones, or others of the same version
         message(f"nothing to download: {ours.described}, is part of oysterbench; a hub may have others: --from URL")
-        echo(json.dumps({"model": name, "file": str(ours.path), "sha256": ours.sha256}) if as_json else ours.path)
+        _print_ours(name, ours, as_json)
         return
-    if not (here or unvouched or split) and (model := _model(name, version, hub_at, key, out, connections)):
+    try:
+        model = None if here or unvouched or split else _model(name, version, hub_at, key, out, connections)
+    except IntegrityError:
+        raise
+    except HubError as error:
+        if ours is None:
+            raise
+        message(f"{error}; {ours.described}, is part of oysterbench, and methods run on it")
+        _print_ours(name, ours, as_json)
+        return
+    if model is not None:
         if patterns or topics:
             raise click.UsageError(f"--sequence and --topics apply to splits; {name} is trained weights")
         download_model(*model, out, dry_run, again, as_json)
@@ -111,6 +122,11 @@ def download(
         else:
             files = download(hub, manifest, folder, entries, check, progress)
     _print_files(files, manifest.split, as_json)
+
+
+def _print_ours(name: str, ours: Here, as_json: bool) -> None:
+    """Print the path of weights that are part of oysterbench."""
+    echo(json.dumps({"model": name, "file": str(ours.path), "sha256": ours.sha256}) if as_json else ours.path)
 
 
 @contextmanager

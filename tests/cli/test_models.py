@@ -316,6 +316,18 @@ def test_a_hub_that_is_named_is_asked_for_the_version_that_oysterbench_has_too(p
     assert own.is_file()
 
 
+def test_where_a_hub_lacks_them_or_does_not_answer_weights_of_oysterbench_are_named(place, part, tmp_path):
+    (path, home), key, tree = part, tmp_path / "other.pem", tmp_path / "tree"
+    public = place.run("keygen", key).stdout.strip()
+    words = ("publish-model", "unet_small", tree, "--key", key, "--version", "2.0", "--weights", place.weights)
+    place.run(*words)
+    for hub, why in ((tree, "the hub has no version '1.0' of unet_small; it has 2.0; "), (tmp_path / "none", "none")):
+        told = place.run("download", "unet_small@1.0", "--from", hub, "--key", public, home=home)
+        assert told.stdout == f"{path}\n"
+        assert why in told.stderr
+        assert "is part of oysterbench" in told.stderr
+
+
 def test_models_and_publishing_take_the_weights_that_a_variable_names(place, part, tmp_path):
     """As methods do, and not those of the package under their old card."""
     own = tmp_path / "own.pt"
