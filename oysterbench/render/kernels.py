@@ -48,8 +48,7 @@ SHADOW_M = wp.constant(1.5)  # longest shadow ray: nothing on the bottom is tall
 SHADED, LIT, SURELY_LIT = wp.constant(0), wp.constant(1), wp.constant(2)  # what is known about the sun in a pixel
 LEAST_SPREAD = wp.constant(0.02)  # of the sun's fan: narrower ones cast sharp shadows
 SKY_SPREAD = wp.constant(0.7)
-"""Spread of scattered light: a wall gets 0.32 and a ceiling 0.10 of what a floor gets, as discrete ordinates give for
-types 3C to 9C."""
+"""Spread of scattered light: a wall has 0.32 and a ceiling 0.10 of a floor's, by discrete ordinates in 3C to 9C."""
 LAMP_SHADOW_M = wp.constant(0.5)  # longest lamp shadow ray: whatever casts a lamp's shadow on a surface is close to it
 LEAST_SHADOW = wp.constant(0.03)  # share of a surface's light below which a shadow is invisible and no ray is cast
 FAINT = wp.constant(2.0e-5)  # irradiance of a lamp too faint to show in any image
