@@ -104,7 +104,7 @@ def learn_rounds(
         if count > 1:
             raise MethodError(f"reefs of the rounds: expected each name once, got {name!r} {count} times")
     folder = path.with_suffix(".rounds")
-    known: dict[str, Any] = {"examples": examples.digest()}
+    known: dict[str, Any] = {examples.name: examples.digest()}
     replaced = folder / "replaced.pt"  # what `again` was asked to replace
     if again:
         shutil.rmtree(folder, ignore_errors=True)
@@ -124,7 +124,7 @@ def learn_rounds(
     fit = dataclasses.replace(settings.fit, steps=plan.steps, learning_rate=plan.learning_rate)
     for number in range(1, plan.rounds + 1):
         parts += collect(reefs, checkpoint, folder, settings.network, plan, number, workers, bar)
-        known = {**known, f"round {number}": joined(parts[-len(reefs) :]).digest(), "begun": checkpoint.digest()}
+        known = {**known, f"rollouts of round {number}": joined(parts[-len(reefs) :]).digest()}
         changed = dataclasses.replace(settings, fit=fit)
         checkpoint = _trained(parts, folder / f"round-{number}.pt", changed, seed + number, checkpoint, known, bar)
     checkpoint.write(path)

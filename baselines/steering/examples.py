@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -32,6 +32,7 @@ class TrainingExamples:
     action_values: (N, Y, P) float32, oysters gained by the expert's best plan that starts with a class of yaw and one
         of pitch
     from_rollout: (N,) bool, whether the view is from a rollout rather than from the trajectory of a sequence
+    name: of the data, for what is said of a training
     """
 
     task: SteeringRecipe
@@ -40,6 +41,7 @@ class TrainingExamples:
     looked: NDArray[np.uint8]
     action_values: Floats
     from_rollout: NDArray[np.bool_]
+    name: str = "examples"
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -68,6 +70,7 @@ def joined(parts: Sequence[TrainingExamples]) -> TrainingExamples:
         np.concatenate([part.looked for part in parts]),
         np.concatenate([part.action_values for part in parts]),
         np.concatenate([part.from_rollout for part in parts]),
+        parts[0].name,
     )
 
 
@@ -183,11 +186,12 @@ def read_all(
     paths: Iterable[Path],
     settings: SteeringNetworkSettings,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    name: str = "examples",
 ) -> TrainingExamples:
-    """Read the labelled images of several files, in their order."""
+    """Read the labelled images of several files, in their order, as data of this name."""
     paths = list(paths)
     parts = []
     for done, path in enumerate(paths, start=1):
         parts.append(read_examples(path, settings))
         progress(done, len(paths))
-    return joined(parts)
+    return replace(joined(parts), name=name)

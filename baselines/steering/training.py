@@ -44,10 +44,15 @@ class SteeringSettings:
     fit: FitSettings = field(default_factory=lambda: FitSettings(steps=2000, learning_rate=2e-3))
 
 
-def identity(settings: SteeringSettings, data: Mapping[str, Any], seed: int) -> dict[str, Any]:
-    """Identity of a training, all that determines the weights, as plain values. data: digests of the data, by
-    purpose."""
-    return {"method": "steering", "settings": _plain(dataclasses.asdict(settings)), "data": dict(data), "seed": seed}
+def identity(
+    settings: SteeringSettings, data: Mapping[str, Any], seed: int, begun: Checkpoint | None = None
+) -> dict[str, Any]:
+    """Identity of a training, all that determines the weights, as plain values. data: digests of the data, by name;
+    begun: the training from whose weights it starts."""
+    found = {"method": "steering", "settings": _plain(dataclasses.asdict(settings)), "data": dict(data), "seed": seed}
+    if begun is None:
+        return found
+    return {**found, "begun": {**begun.identity, "steps": begun.step, "weights": begun.digest()}}
 
 
 def make_batch(examples: TrainingExamples, settings: SteeringSettings, streams: Streams, step: int) -> Batch:
@@ -127,7 +132,7 @@ def train(
         lambda step: make_batch(examples, settings, streams, step),
         loss,
         settings.fit,
-        identity(settings, data or {"examples": examples.digest()}, seed),
+        identity(settings, data or {examples.name: examples.digest()}, seed, begun),
         path,
         torch.device("cpu"),
         initial_seed(streams),

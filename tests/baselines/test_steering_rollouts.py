@@ -16,6 +16,7 @@ import oysterbench  # noqa: E402
 from oysterbench.core.errors import LabelError, MethodError, SequenceError  # noqa: E402
 from oysterbench.methods.steering import VehicleState  # noqa: E402
 from oysterbench.simulation.generate import generate_split  # noqa: E402
+from oysterbench_baselines.learning.card import all_data_of, origin_of  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.loop import FitSettings  # noqa: E402
 from oysterbench_baselines.steering import dagger  # noqa: E402
@@ -42,7 +43,7 @@ def files(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def examples(files):
-    return read_all(files, NETWORK)
+    return read_all(files, NETWORK, name="reefs")
 
 
 def equal(one, other) -> bool:
@@ -145,7 +146,13 @@ def test_finished_dives_are_read_and_those_of_another_policy_are_done_again(poli
 def test_rounds_that_are_stopped_go_on_to_the_same_weights(examples, tmp_path, monkeypatch):
     wanted = learn_rounds(examples, REEFS, tmp_path / "whole.pt", SETTINGS, PLAN, 0)
     assert read_checkpoint(tmp_path / "whole.pt").losses == wanted.losses
-    assert set(wanted.identity["data"]) == {"examples", "round 1", "round 2", "begun"}
+    assert list(all_data_of(wanted.identity)) == ["reefs", "rollouts of round 1", "rollouts of round 2"]
+    begun = origin_of(wanted.identity, "")
+    assert begun is not None
+    assert begun.what == (
+        f"weights of steering after {PLAN.steps} steps on reefs, rollouts of round 1, begun from weights of steering "
+        f"after {SETTINGS.fit.steps} steps on reefs"
+    )
     original, done = dagger.rollout, []
 
     def stopped(reef, **options):
