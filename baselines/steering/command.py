@@ -62,7 +62,7 @@ def command(
     path = out or checkpoint_path("steering")
     files = [file for name in names for file in files_of(name)]
     with frames_bar("reading", "sequences") as loading:
-        examples = read_all(files, settings.network, loading, "+".join(Path(name).stem for name in names))
+        examples = read_all(files, settings.network, loading)
     if rounds:
         reefs, plan = [reef_of(file) for file in files], Rounds(rounds, rollout_s)
         checkpoint = learn_rounds(examples, reefs, path, settings, plan, seed, workers, frames_bar, again)

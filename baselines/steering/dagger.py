@@ -127,8 +127,14 @@ def learn_rounds(
         known = {**known, f"rollouts of round {number}": joined(parts[-len(reefs) :]).digest()}
         changed = dataclasses.replace(settings, fit=fit)
         checkpoint = _trained(parts, folder / f"round-{number}.pt", changed, seed + number, checkpoint, known, bar)
-    checkpoint.write(path)
+    if not (path.is_file() and _same(read_checkpoint(path), checkpoint)):  # else results name the file that is there
+        checkpoint.write(path)
     return checkpoint
+
+
+def _same(one: Checkpoint, other: Checkpoint) -> bool:
+    """Whether two checkpoints are of one training, and hold the same weights."""
+    return one.identity == other.identity and one.digest() == other.digest()
 
 
 def _trained(

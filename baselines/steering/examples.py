@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -32,7 +32,7 @@ class TrainingExamples:
     action_values: (N, Y, P) float32, oysters gained by the expert's best plan that starts with a class of yaw and one
         of pitch
     from_rollout: (N,) bool, whether the view is from a rollout rather than from the trajectory of a sequence
-    name: of the data, for what is said of a training
+    name: of the splits, for what is said of a training
     """
 
     task: SteeringRecipe
@@ -70,7 +70,7 @@ def joined(parts: Sequence[TrainingExamples]) -> TrainingExamples:
         np.concatenate([part.looked for part in parts]),
         np.concatenate([part.action_values for part in parts]),
         np.concatenate([part.from_rollout for part in parts]),
-        parts[0].name,
+        "+".join(dict.fromkeys(part.name for part in parts)),
     )
 
 
@@ -122,7 +122,8 @@ def read_examples(path: Path, settings: SteeringNetworkSettings) -> TrainingExam
     """Read the labelled images of a sequence file. Raises LabelError where there are none."""
     sequence = open_sequence(path)
     table = sequence.steering()
-    task = task_of(path)
+    split = recipe_of(path)
+    task = task_of(split, path)
     rows: dict[int, int] = {stamp: k for k, stamp in enumerate(table["stamp_ns"].to_numpy(np.int64).tolist())}
     states = table[["heading_rad", "pitch_rad", "depth_m", "altitude_m"]].to_numpy(np.float64)
     pixels, senses, looked, kept = [], [], [], []
@@ -140,7 +141,13 @@ def read_examples(path: Path, settings: SteeringNetworkSettings) -> TrainingExam
         raise LabelError(f"{path}: expected images with labels of steering, got none")
     action_values = action_values_of(table, task, str(path))
     return TrainingExamples(
-        task, np.stack(pixels), np.stack(senses), np.stack(looked), action_values[kept], np.zeros(len(kept), dtype=bool)
+        task,
+        np.stack(pixels),
+        np.stack(senses),
+        np.stack(looked),
+        action_values[kept],
+        np.zeros(len(kept), dtype=bool),
+        split.name,
     )
 
 
@@ -153,14 +160,13 @@ def recipe_of(path: Path) -> SplitRecipe:
         raise SequenceError(f"{path} has no ground truth about steering: no attachment {error}") from None
 
 
-def task_of(path: Path) -> SteeringRecipe:
-    """Steering task of a sequence file. Raises LabelError where its split is not of the track steering."""
-    task = recipe_of(path).steering
-    if task is None:
+def task_of(split: SplitRecipe, path: Path) -> SteeringRecipe:
+    """Steering task of the split of a sequence file. Raises LabelError where it is not of the track steering."""
+    if split.steering is None:
         raise LabelError(
             f"{path}: expected a sequence of a split of the track steering; `oysterbench splits` lists them"
         )
-    return task
+    return split.steering
 
 
 def files_of(name: str) -> list[Path]:
@@ -186,12 +192,11 @@ def read_all(
     paths: Iterable[Path],
     settings: SteeringNetworkSettings,
     progress: Callable[[int, int], None] = lambda done, total: None,
-    name: str = "examples",
 ) -> TrainingExamples:
-    """Read the labelled images of several files, in their order, as data of this name."""
+    """Read the labelled images of several files, in their order."""
     paths = list(paths)
     parts = []
     for done, path in enumerate(paths, start=1):
         parts.append(read_examples(path, settings))
         progress(done, len(paths))
-    return replace(joined(parts), name=name)
+    return joined(parts)

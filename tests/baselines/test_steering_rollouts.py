@@ -43,7 +43,7 @@ def files(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def examples(files):
-    return read_all(files, NETWORK, name="reefs")
+    return read_all(files, NETWORK)
 
 
 def equal(one, other) -> bool:
@@ -146,12 +146,15 @@ def test_finished_dives_are_read_and_those_of_another_policy_are_done_again(poli
 def test_rounds_that_are_stopped_go_on_to_the_same_weights(examples, tmp_path, monkeypatch):
     wanted = learn_rounds(examples, REEFS, tmp_path / "whole.pt", SETTINGS, PLAN, 0)
     assert read_checkpoint(tmp_path / "whole.pt").losses == wanted.losses
-    assert list(all_data_of(wanted.identity)) == ["reefs", "rollouts of round 1", "rollouts of round 2"]
+    written = (tmp_path / "whole.pt").stat().st_ino
+    learn_rounds(examples, REEFS, tmp_path / "whole.pt", SETTINGS, PLAN, 0)
+    assert (tmp_path / "whole.pt").stat().st_ino == written, "results name it by its bytes"
+    assert list(all_data_of(wanted.identity)) == [SPLIT.name, "rollouts of round 1", "rollouts of round 2"]
     begun = origin_of(wanted.identity, "")
     assert begun is not None
     assert begun.what == (
-        f"weights of steering after {PLAN.steps} steps on reefs, rollouts of round 1, begun from weights of steering "
-        f"after {SETTINGS.fit.steps} steps on reefs"
+        f"weights of steering after {PLAN.steps} steps on {SPLIT.name}, rollouts of round 1, begun from weights of "
+        f"steering after {SETTINGS.fit.steps} steps on {SPLIT.name}"
     )
     original, done = dagger.rollout, []
 
