@@ -13,10 +13,12 @@ from tests.helpers.paths import ROOT
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
 RELEASED = sorted(path.stem for path in released_models().glob("*.pt"))
+MEASURED_ON = {"unet": "seg-val", "steering": "steer-val"}
+"""Split of the figures on the card of each."""
 
 
 def test_there_are_some():
-    assert "unet" in RELEASED
+    assert set(RELEASED) == set(MEASURED_ON)
 
 
 @pytest.mark.parametrize("name", RELEASED)
@@ -27,23 +29,23 @@ def test_released_weights_are_those_of_their_card(name):
     known = find_weights(name)
     assert (here.model.name, here.model.methods) == (name, known.methods)
     assert here.model.training == known.describe(here.path)
-    assert {figure.split for figure in here.model.figures} >= {"seg-val"}
+    assert {figure.split for figure in here.model.figures} == {MEASURED_ON[name]}
     assert here.path.stat().st_size < 12e6, "a file that everybody downloads with the code"
 
 
-@pytest.mark.parametrize("method", find_weights("unet").methods)
-def test_the_board_ranks_unet_with_the_weights_that_everybody_has(method):
+@pytest.mark.parametrize(("name", "method"), [(name, one) for name in RELEASED for one in find_weights(name).methods])
+def test_the_board_ranks_methods_with_the_weights_that_everybody_has(name, method):
     from oysterbench_leaderboard.storage.store import RecordStore
 
-    here = weights_here(released_models() / "unet.pt")
+    here = weights_here(released_models() / f"{name}.pt")
     assert here is not None
     found = dict(RecordStore(ROOT / "leaderboard").records_by("oysterbench", method))
     superseded = {record.supersedes for record in found.values()}
     newest = max(
-        (record for digest, record in found.items() if record.split == "seg-val" and digest not in superseded),
+        (one for digest, one in found.items() if one.split == MEASURED_ON[name] and digest not in superseded),
         key=lambda record: record.created,
     )
-    assert {str(result.method_settings["weights"]["unet"]) for result in newest.results} == {here.sha256}
+    assert {str(result.method_settings["weights"][name]) for result in newest.results} == {here.sha256}
 
 
 def test_released_weights_see_no_oyster_in_an_even_grey_and_that_no_reef_looks_like_it():
