@@ -14,6 +14,7 @@ from click.testing import CliRunner
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
 from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
+from oysterbench.core.places import released_models  # noqa: E402
 from oysterbench.core.streams import Streams, stream  # noqa: E402
 from oysterbench.methods import find_method  # noqa: E402
 from oysterbench.methods.adapters import PythonMethod  # noqa: E402
@@ -306,7 +307,8 @@ def test_a_training_on_other_lessons_is_not_gone_on_with(tmp_path):
 # What a user sees
 
 
-def test_without_a_training_one_line_says_how_to_make_one(home):
+def test_without_weights_one_line_says_how_to_make_some(tmp_path, monkeypatch):
+    monkeypatch.setenv("OYSTERBENCH_STEERING", str(tmp_path / "models" / "steering.pt"))
     with pytest.raises(MethodError, match=r"no trained weights at .*models/steering\.pt: `oysterbench train steering "):
         list(SteeringNet().run(Dive([])))
 
@@ -324,12 +326,15 @@ def test_a_release_says_what_a_checkpoint_has_learnt(checkpoint):
     assert json.loads(card_of(checkpoint, "steering", described).data)["training"]["data"] == described.data
 
 
-def test_two_trainings_are_told_apart_in_results(checkpoint, tmp_path, home):
+def test_two_trainings_are_told_apart_in_results(checkpoint, tmp_path, home, monkeypatch):
     train(toy(4), tmp_path / "a.pt", SMALL, 0)
     paths = (checkpoint, tmp_path / "a.pt")
     one, other = (PythonMethod(f"steering[checkpoint={path}]", ["steering"]).settings for path in paths)
     assert one == {"weights": {"steering": hashlib.sha256(checkpoint.read_bytes()).hexdigest()}}  # and not where it is
     assert one != other
+    released = hashlib.sha256((released_models() / "steering.pt").read_bytes()).hexdigest()
+    assert PythonMethod("steering", ["steering"]).settings == {"weights": {"steering": released}}
+    monkeypatch.setenv("OYSTERBENCH_STEERING", str(tmp_path / "none.pt"))
     assert PythonMethod("steering", ["steering"]).settings == {"weights": {"steering": ""}}
 
 
