@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 from oysterbench.core.pictures import decode_picture
@@ -53,13 +54,15 @@ def seeming_labels(pictures: Iterable[Path]) -> dict[Path, Path]:
     beside: dict[Path, list[Path]] = {}
     for folder in folders:
         beside.setdefault(folder.parent, []).append(folder)
+    # Where the first images of many folders have few colours, as black frames of videos, each is compared with all.
+    few = cache(_has_few_colours)
     found: dict[Path, Path] = {}
     for folder, own in folders.items():
         near = [one for one in (*beside[folder.parent], folder.parent) if one != folder and one in folders]
         alike = [one for one in near if own.keys() <= folders[one].keys()]
         first = min(own)
-        if alike and _has_few_colours(own[first]):
-            images = next((one for one in alike if not _has_few_colours(folders[one][first])), None)
+        if alike and few(own[first]):
+            images = next((one for one in alike if not few(folders[one][first])), None)
             found |= {} if images is None else {folder: images}
     return found
 

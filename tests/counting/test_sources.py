@@ -6,9 +6,11 @@ import os
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from oysterbench.core.errors import LabelError
+from oysterbench.core.pictures import decode_picture
 from oysterbench.counting.labels import seeming_labels
 from oysterbench.counting.sources import find_sources
 from tests.helpers.labelled_folders import oysters, picture, write_png
@@ -120,6 +122,19 @@ def test_folders_of_other_names_that_seem_to_hold_labels_are_told_by_their_names
     touch(tmp_path, "odd/a.png")
     found = seeming_labels(source.path for source in find_sources([tmp_path]).sources)
     assert found == {tmp_path / "gt": tmp_path / "photos", tmp_path / "right/truth": tmp_path / "right"}
+
+
+def test_the_first_images_of_many_folders_are_decoded_once_each_to_tell_labels(tmp_path, monkeypatch):
+    """All may have few colours, such as the black first frames of videos."""
+    pictures = [tmp_path / f"dive{k}" / "0.png" for k in range(5)]
+    for path in pictures:
+        write_png(path, np.zeros((4, 4, 3), np.uint8))
+    decoded = []
+    monkeypatch.setattr(
+        "oysterbench.counting.labels.decode_picture", lambda *args: decoded.append(args) or decode_picture(*args)
+    )
+    assert seeming_labels(pictures) == {}
+    assert len(decoded) == 5
 
 
 def test_hidden_folders_are_told_and_not_looked_into(tmp_path):
