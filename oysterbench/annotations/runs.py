@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from oysterbench.annotations.image import Entry
 
@@ -18,10 +20,12 @@ LABEL_STUDIO = re.compile(r"(?<![^/])(?P<drawn>[0-9a-f]{8})-(?=[^/]+$)")
 _SIDE = r"(?:cam(?:era)?\d{0,2}|left|right|l|r|port|starboard)"
 SIDE = re.compile(rf"(?<![^-_/]){_SIDE}(?![^-_/])", re.IGNORECASE)
 """Words for one of the cameras of a rig, such as a stereo camera: names that differ in them alone are of one instant,
-also where a camera stopped earlier, or took few images."""
+also where a camera stopped earlier, or took few images, unless their cameras number images each by itself
+(`_on_one_counter`)."""
 SIDE_LAST = re.compile(rf"(?<![^-_/])(\d+)[-_/]{_SIDE}$", re.IGNORECASE)
 APART = 0.1
-"""Cameras of one rig begin and end together, up to this share of their time; videos whose numbers restart do not."""
+"""Cameras of one rig begin and end together, up to this share of their time; videos whose numbers restart do not. Of
+cameras on one counter (`SIDE`), none begins earlier or ends later than the one of the longest time by more."""
 CAMERAS, FEW = 4, 30
 """Of more than this many prefixes with fewer than this many images each, none is taken for a camera: they are quadrats
 or sites, and their numbers are no times."""
@@ -45,11 +49,12 @@ def runs_of(entries: Iterable[Entry]) -> list[Run]:
     known (each is a clip of its own name, of which no other is) those of a folder of their names."""
     entries = list(entries)
     counts = Counter(entry.clip for entry in entries)
+    unknown = [entry.name for entry in entries if entry.clip == entry.name and counts[entry.clip] == 1]
+    folders = dict(zip(unknown, _folders(unknown), strict=True))
     groups: dict[tuple[str, bool], list[Entry]] = {}
     for entry in entries:
         known = entry.clip != entry.name or counts[entry.clip] > 1
-        folder = SIDE.sub("", entry.name.rpartition("/")[0])
-        groups.setdefault((entry.clip if known else folder, known), []).append(entry)
+        groups.setdefault((entry.clip if known else folders[entry.name], known), []).append(entry)
     return [Run(tuple(_in_time(group) if known else _by_name(group)), known) for (_, known), group in groups.items()]
 
 
@@ -71,9 +76,10 @@ def ends_of(entries: Sequence[Entry], share: float) -> list[Entry]:
 def taken_of(entries: Sequence[Entry]) -> list[tuple[str, Instant]]:
     """What took each image of a run, and when, as far as names say: frames of sequences are named
     SEQUENCE/CAMERA/STAMP, or with dashes or underscores in folders. Cameras that names tell apart by such words as left
-    and right (`SIDE`) are one; others of one rig (`_rigs`) that looked at the same time have the same instant; those of
-    others, such as videos whose numbers restart, have other ones. Where names do not say so, or cameras are too many,
-    the camera is empty, and the instant is the place in the run, of the first image of its camera and number."""
+    and right (`SIDE`) are one where they are on one counter; others of one rig (`_rigs`) that looked at the same time
+    have the same instant; those of others, such as videos whose numbers restart, have other ones. Where names do not
+    say so, or cameras are too many, the camera is empty, and the instant is the place in the run, of the first image of
+    its camera and number."""
     said = _said(_bare([entry.name for entry in entries]))
     count = len({camera for camera, _ in said})
     rigs = _rigs(said) if count <= CAMERAS or len(said) >= FEW * count else {}
@@ -98,8 +104,9 @@ def _bare(names: Sequence[str]) -> list[str]:
 
 def _said(names: Sequence[str]) -> list[tuple[str, Instant]]:
     """Camera and time of each image by its name: what stands before the number at the end of it, without words for one
-    of the cameras of a rig, and this number, or the numbers of a time in parts after their count; nothing for other
-    names."""
+    of the cameras of a rig where these are on one counter, and this number, or the numbers of a time in parts after
+    their count; nothing for other names."""
+    sides = [_side_of(name) for name in names]
     names = [SIDE_LAST.sub(r"\1", name) for name in names]
     timed = all(TIME.search(name) for name in names)
     said: list[tuple[str, Instant]] = []
@@ -110,7 +117,41 @@ def _said(names: Sequence[str]) -> list[tuple[str, Instant]]:
             said.append((SIDE.sub("", name[: found.start()]), (len(parts), *parts)))
         else:
             said.append((SIDE.sub("", camera), (int(number),)) if number.isdecimal() else ("", ()))
-    return said
+    taken = [(camera, side, numbers) for side, (camera, numbers) in zip(sides, said, strict=True)]
+    cameras = _on_one_counter(one for one in taken if one[2])
+    return [(cameras[camera, side] if numbers else "", numbers) for camera, side, numbers in taken]
+
+
+def _folders(names: Sequence[str]) -> list[str]:
+    """The folder of each image, without words for one of the cameras of a rig where these are on one counter."""
+    folders = [name.rpartition("/")[0] for name in names]
+    taken = [(SIDE.sub("", folder), _side_of(folder)) for folder in folders]
+    times = [_numbered(SIDE.sub("", name)) for name in _bare(names)]
+    cameras = _on_one_counter((*of, time) for of, time in zip(taken, times, strict=True))
+    return [cameras[of] for of in taken]
+
+
+def _side_of(name: str) -> str:
+    """The words for one of the cameras of a rig in a name."""
+    return "-".join(SIDE.findall(name))
+
+
+def _on_one_counter(taken: Iterable[tuple[str, str, Any]]) -> dict[tuple[str, str], str]:
+    """What to call the cameras of each name without the words of `SIDE`, and these words: by the name alone where all
+    took their images within the time of the one that took them for longest, up to `APART` of it; by both elsewhere, as
+    each numbers images by itself. taken: name, words, and number or time of each image."""
+    cameras: dict[str, dict[str, list[Any]]] = {}
+    for name, side, time in taken:
+        cameras.setdefault(name, {}).setdefault(side, []).append(time)
+    found: dict[tuple[str, str], str] = {}
+    for name, sides in cameras.items():
+        order = sorted(time for times in sides.values() for time in times)
+        spans = [(bisect_left(order, min(times)), bisect_left(order, max(times))) for times in sides.values()]
+        first, last = max(spans, key=lambda span: span[1] - span[0])
+        room = max(1, APART * (last - first))
+        one = all(first - room <= start and end <= last + room for start, end in spans)
+        found |= {(name, side): name if one else f"{name} {side}" for side in sides}
+    return found
 
 
 def _rigs(said: Sequence[tuple[str, Instant]]) -> dict[str, int]:

@@ -105,6 +105,22 @@ def test_images_of_a_stereo_pair_are_on_one_side(form, sides, clip, left, right)
     assert not {names[name] for name in held} & {names[name] for name in names.keys() - held}
 
 
+@pytest.mark.parametrize("sides", [("left", "right"), ("cam1", "cam2"), ("port", "starboard"), ("L", "R")])
+@pytest.mark.parametrize(
+    ("form", "clip"),
+    [
+        *((form, clip) for form in ("{}_{}", "dive_{1}_{0}", "2026/{}/f_{}", "GX-{}-00-{}") for clip in ("", "reef")),
+        ("{}/GOPR{}", ""),
+    ],
+)
+def test_of_cameras_that_number_images_each_by_itself_the_end_of_each_is_held_out(form, clip, sides):
+    """And not most of one alone, on the ground that the other shows."""
+    names = [
+        form.format(side, k) for side, first in zip(sides, (1000, 5000), strict=True) for k in range(first, first + 50)
+    ]
+    assert ends(entries_of(names, clip), 0.2) == [*names[40:50], *names[90:]]
+
+
 def test_numbers_after_a_word_for_a_camera_are_those_of_images():
     assert ends(entries_of([f"dive12_cam_{k:04}" for k in range(20)]), 0.1) == ["dive12_cam_0018", "dive12_cam_0019"]
     names = [f"cam-{year}-{k:03}" for year, count in ((2024, 100), (2025, 40)) for k in range(count)]
