@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -25,13 +25,13 @@ def classes_of(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
     """Names of the classes of a data set by number, and the file that gives them, if they are others than without one.
 
     Read are `FILES` in the folder, or else in the one above if this is called train, valid or test (`SIDES`), which
-    share them; a YAML file there also if it names this folder, or the name of this ends in such a word. Raises
-    LabelError where others are named elsewhere: here in a YAML file of another name, or above, with oysters among them,
-    by a file that may be of this data set or not.
+    share them; a YAML file there also if it names this folder, or the name of this ends in such a word and the file has
+    oysters and names no folders of other sets alone. Raises LabelError where others are named elsewhere: here in a YAML
+    file of another name, or above, with oysters among them, by a file that may be of this data set or not.
     """
     whole = folder.resolve()
     own = [folder / name for name in FILES]
-    above = [path for path in (whole.parent / name for name in FILES) if path.is_file() and _is_of(path, whole.name)]
+    above = [path for path in (whole.parent / name for name in FILES) if path.is_file() and _is_of(path, whole)]
     for path in (path for path in (*own, *above) if path.is_file()):
         if names := read_classes(path):
             return names, () if names == USUAL else (path,)
@@ -42,6 +42,8 @@ def classes_of(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
         if path.is_file() and _names_others(path, shared=True):
             if whole.name.casefold() in SIDES:
                 raise LabelError(f"{path}: expected the names of the classes in {FILES[0]}, got them here: rename it")
+            if _lists_others(path, whole):
+                continue
             raise LabelError(
                 f"{path}: expected the names of the classes of {whole.name}/ in {FILES[0]} there, got names here that "
                 "may be of it or not: copy them there, or write others there, such as `names: [oyster]`"
@@ -49,14 +51,34 @@ def classes_of(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
     return USUAL, ()
 
 
-def _is_of(path: Path, folder: str) -> bool:
+def _is_of(path: Path, folder: Path) -> bool:
     """Whether a file that names classes is of a folder beside it."""
-    if folder.casefold() in SIDES:
-        return True
+    if folder.name.casefold() in SIDES or path.suffix == ".txt":
+        return folder.name.casefold() in SIDES
     try:
-        return path.suffix != ".txt" and bool(side_in(folder) or keys_naming(path, folder))
+        unsaid = side_in(folder.name) and not _lists_others(path, folder)
+        return bool(keys_naming(path, folder.name) or (unsaid and read_classes(path)))
     except LabelError:
         return False
+
+
+def _lists_others(path: Path, folder: Path) -> bool:
+    """Whether a YAML file lists folders of other sets, and none that may be a folder beside it. Paths such as
+    train/images are of any set, and one that ends at the folder of the file may hold this one."""
+    content = {} if path.suffix == ".txt" else _mapping(path) or {}
+    base = next(_places(content.get("path")), PurePosixPath())
+    listed = [base / place for key in SIDES for place in _places(content.get(key)) if place.suffix != ".txt"] or [base]
+    generic = {"/", "..", "images", *SIDES}
+    named = [[part for part in map(str.casefold, place.parts) if part not in generic] for place in listed]
+    others = {parts[-1] for parts in named if parts} - {folder.parent.name.casefold()}
+    return bool(others) and not any(folder.name.casefold() in parts for parts in named)
+
+
+def _places(value: Any) -> Iterator[PurePosixPath]:
+    """Paths that are the value of a key of a YAML file, one or a list."""
+    for place in value if isinstance(value, list) else [value]:
+        if isinstance(place, str):
+            yield PurePosixPath(place.replace("\\", "/"))
 
 
 def _names_others(path: Path, shared: bool = False) -> bool:
@@ -93,8 +115,7 @@ def keys_naming(path: Path, folder: str) -> set[str]:
     for key, value in (_mapping(path) or {}).items():
         if key == "names":
             continue
-        for place in value if isinstance(value, list) else [value]:
-            parts = PurePosixPath(place.replace("\\", "/")).parts if isinstance(place, str) else ()
+        for parts in (place.parts for place in _places(value)):
             if parts[-1:] == (folder,) or parts[-2:] == (folder, "images"):
                 found.add(str(key))
     return found

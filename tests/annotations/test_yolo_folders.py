@@ -32,6 +32,12 @@ def test_classes_have_the_names_of_other_files_too(name, text, place, tmp_path):
         ("classes.txt", "oyster\n"),
         ("coco128.yaml", "names: [person]\n"),
         ("coco128.yaml", "names: {\n"),
+        ("data.yaml", "names: [fish]\n"),
+        ("data.yaml", "names: {\n"),
+        ("data.yaml", "names: fish\n"),
+        ("data.yaml", "path: other\ntrain: other/train/images\nval: images\nnames: [barnacle, oyster]\n"),
+        ("data.yaml", "path: ..\ntrain: [kelp/images, C:\\sets\\other\\images]\nnames: [barnacle, oyster]\n"),
+        ("other.yml", "train: other/images\nnames: [barnacle, oyster]\n"),
     ],
 )
 def test_class_names_beside_a_folder_that_is_no_part_of_an_export_are_of_other_sets(file, text, name, tmp_path):
@@ -46,12 +52,14 @@ def test_class_names_beside_a_folder_that_is_no_part_of_an_export_are_of_other_s
         ("classes.txt", "barnacle\noyster\n"),
         ("data.yaml", "names: [barnacle, oyster]\ntrain: train/images\n"),
         ("data.yaml", "names: [reef, oyster]\n"),
+        ("data.yaml", "names: [barnacle, oyster]\npath: other\ntrain: reef/2024/train\n"),
+        ("data.yaml", "names: [barnacle, oyster]\npath: /content/HERE\ntrain: images/train\n"),
         ("reef.yml", "names: [barnacle, oyster]\n"),
     ],
 )
 def test_class_names_beside_a_folder_that_may_be_of_it_or_not_are_refused(file, text, tmp_path):
     folder = yolo_folder(tmp_path / "reef", {"a": "0" + TRIANGLE})
-    (tmp_path / file).write_text(text)
+    (tmp_path / file).write_text(text.replace("HERE", tmp_path.name))
     with pytest.raises(LabelError, match=rf"{file}: expected the names of the classes of reef/ in data\.yaml there"):
         open_labelled(folder)
     (folder / "data.yaml").write_text("names: [oyster]\n")
@@ -63,6 +71,7 @@ def test_class_names_beside_a_folder_that_may_be_of_it_or_not_are_refused(file, 
     [
         ("reef-train", ""),
         ("train2", ""),
+        ("reef-test", "train: ../train/images\nval: ../valid/images\n"),
         ("training", "train: ../training/images\n"),
         ("fold0", "train: [fold1/images, fold0/images]\nval: fold2/images\n"),
         ("all", "val: C:\\sets\\all\\images\n"),
@@ -74,6 +83,14 @@ def test_a_data_yaml_above_is_of_a_folder_that_it_names_or_whose_name_ends_in_a_
     folder = yolo_folder(tmp_path / name, {"a": "0" + TRIANGLE})
     (tmp_path / "data.yaml").write_text(f"{text}names: [barnacle, oyster]\n")
     assert not open_labelled(folder)[0].oysters.any()
+
+
+@pytest.mark.parametrize(("name", "text"), [("train", "names: [fish]\n"), ("reef", "val: reef\nnames: [fish]\n")])
+def test_a_data_yaml_above_that_is_of_a_folder_must_name_oysters(name, text, tmp_path):
+    folder = yolo_folder(tmp_path / name, {"a": "0" + TRIANGLE})
+    (tmp_path / "data.yaml").write_text(text)
+    with pytest.raises(LabelError, match=r"data\.yaml: no class is named 'oyster'"):
+        open_labelled(folder)
 
 
 def sides_folder(root, *sides, prefix=""):
