@@ -6,6 +6,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,6 +88,23 @@ def _check_sides(path: Path, rows: Mapping[str, ManifestRow]) -> None:
     if any(row.split for row in rows.values()) and not all(row.split for row in rows.values()):
         name = next(name for name, row in rows.items() if not row.split)
         raise LabelError(f"{path}: {name!r} has no split, but others do; expected one for every image or for none")
+
+
+def scored_sides(side_of: Mapping[str, str]) -> tuple[frozenset[str], str]:
+    """Names of the images that are not scored, as they are not on the side test where there is one, and a note on the
+    sides. side_of: side of each image, by its name; empty where it has none."""
+    counts = Counter(side or "no side" for side in side_of.values())
+    if not counts or set(counts) in ({"no side"}, {TEST}):
+        return frozenset(), ""
+    if TEST not in counts:
+        found = ", ".join(f"{count} of {side}" for side, count in counts.items())
+        return (
+            frozenset(),
+            f"no image is on a side {TEST}, so all are scored, {found}: a method may have learnt from them",
+        )
+    others = ", ".join(f"{count} of {side}" for side, count in counts.items() if side != TEST)
+    note = f"only images of the side {TEST} are scored, {counts[TEST]} in all, and not {others}"
+    return frozenset(name for name, side in side_of.items() if side != TEST), note
 
 
 def images_with(

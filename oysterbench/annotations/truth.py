@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from oysterbench.annotations.coco import CocoFile, read_coco
 from oysterbench.annotations.coco_set import coco_files, picture_file, read_coco_picture
 from oysterbench.annotations.image import Entry, is_colour, planes_of
-from oysterbench.annotations.manifest import FILE, TEST, read_manifest
+from oysterbench.annotations.manifest import FILE, read_manifest, scored_sides
 from oysterbench.annotations.masks import as_mask, read_png
 from oysterbench.annotations.opening import NONE, got_at, kinds_at, open_labelled
 from oysterbench.annotations.yolo_boxes import boxes_at
@@ -233,7 +232,7 @@ def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = Non
 
 def _labelled_clips(place: Path) -> list[LabelledSequence]:
     found = open_labelled(place)
-    unscored, sides = _sides({entry.name: entry.split for entry in found.entries})
+    unscored, sides = scored_sides({entry.name: entry.split for entry in found.entries})
     found = found.where(lambda entry: entry.name not in unscored)
     if all(entry.clip == entry.name for entry in found.entries):  # no clips are known
         groups = {found.name: list(found.entries)}
@@ -261,28 +260,11 @@ def _labelled_clips(place: Path) -> list[LabelledSequence]:
     ]
 
 
-def _sides(side_of: Mapping[str, str]) -> tuple[frozenset[str], str]:
-    """Names of the images that are not scored, as they are not on the side test where there is one, and a note on the
-    sides. side_of: side of each image, by its name; empty where it has none."""
-    counts = Counter(side or "no side" for side in side_of.values())
-    if not counts or set(counts) in ({"no side"}, {TEST}):
-        return frozenset(), ""
-    if TEST not in counts:
-        found = ", ".join(f"{count} of {side}" for side, count in counts.items())
-        return (
-            frozenset(),
-            f"no image is on a side {TEST}, so all are scored, {found}: a method may have learnt from them",
-        )
-    others = ", ".join(f"{count} of {side}" for side, count in counts.items() if side != TEST)
-    note = f"only images of the side {TEST} are scored, {counts[TEST]} in all, and not {others}"
-    return frozenset(name for name, side in side_of.items() if side != TEST), note
-
-
 def _coco_clips(file: CocoFile, beside: Mapping[str, Path], whole: str, labelled: list[Path]) -> list[LabelledSequence]:
     """The clips of annotations; without any, all is one, named `whole`. beside: image files by the names of the images,
     of those that are there; labelled: the files of the annotations."""
     own = {image.name: image for image in file.images.values()}
-    unscored, sides = _sides({name: image.split for name, image in own.items()})
+    unscored, sides = scored_sides({name: image.split for name, image in own.items()})
     digest = _digest(labelled)
     groups: dict[str, list[str]] = {}
     for name in (name for name in own if name not in unscored):
@@ -337,7 +319,7 @@ def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Lab
     for name in files:
         if listed and name not in listed:
             raise LabelError(f"{place / FILE}: does not assign a clip to {name}")
-    unscored, sides = _sides({name: row.split for name, row in listed.items()})
+    unscored, sides = scored_sides({name: row.split for name, row in listed.items()})
     for name in listed:
         if name not in files and name not in unscored:
             raise LabelError(f"{place / FILE}: lists {name!r}, but there is no {name}.png; every image needs its mask")

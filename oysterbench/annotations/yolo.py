@@ -98,15 +98,19 @@ def read_yolo(path: Path, classes: Mapping[int, str]) -> list[NDArray[np.float64
     return [one.corners for one in found]
 
 
+def label_lines(path: Path) -> list[str]:
+    """Lines of a label file. Raises LabelError if it cannot be read as text."""
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise LabelError(f"{path}: cannot be read as text: {error}") from None
+
+
 def read_outlines(path: Path, classes: Mapping[int, str]) -> list[Outline]:
     """Read the oysters of a label file, polygons and boxes (centre x y, width, height); other classes with a name are
     skipped, as in COCO files. Raises LabelError naming file and line."""
     found = []
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise LabelError(f"{path}: cannot be read as text: {error}") from None
-    for number, line in enumerate(lines, start=1):
+    for number, line in enumerate(label_lines(path), start=1):
         if not line.strip():
             continue
         where = f"{path}:{number}"

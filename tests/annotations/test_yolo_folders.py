@@ -188,9 +188,30 @@ def test_yolo_folders_with_boxes_are_a_truth_with_their_clips_and_sides(tmp_path
     assert not digests & {clip.digest for clip in open_truth(tmp_path)}
 
 
+@pytest.mark.parametrize("other", ["0 0.5 0.5 0.25 0.5\n", "3 0.5 0.5 0.25 0.5\n", "a word\n"])
+def test_labels_of_a_side_that_is_not_scored_change_nothing(other, tmp_path):
+    folder = yolo_folder(tmp_path, {"a": "0" + TRIANGLE, "b": ""}, "id,clip,split\na,one,test\nb,two,train\n")
+    (before,) = open_truth(folder)
+    (folder / "labels" / "b.txt").write_text(other)
+    (clip,) = open_truth(folder)
+    assert (clip.digest, clip.coco, clip.notes) == (before.digest, None, ())
+    ((_, seen),) = clip.single()
+    assert seen is not None
+    (folder / "labels" / "a.txt").write_text("0 0.5 0.5 0.5 0.5\n")
+    (boxes,) = open_truth(folder)
+    assert [len(one.instances) for one, _ in boxes.single()] == [1]
+
+
 @pytest.mark.parametrize(
     ("line", "said"), [("0 0.5 0.5 -0.1 0.2", "a box of centre, width and"), ("0 20 20 9 9", "corners as fractions")]
 )
 def test_a_wrong_box_is_refused_by_file_and_line(line, said, tmp_path):
     with pytest.raises(LabelError, match=rf"labels/a\.txt:2: expected {said}"):
         open_truth(yolo_folder(tmp_path, {"a": f"0 0.5 0.5 0.1 0.1\n{line}\n"}))
+
+
+def test_polygons_are_not_read_to_see_that_there_are_no_boxes(tmp_path, monkeypatch):
+    """They are read once, with their images."""
+    folder = yolo_folder(tmp_path, {"a": "0" + TRIANGLE, "b": "\n0" + TRIANGLE})
+    monkeypatch.setattr("oysterbench.annotations.yolo_boxes.read_outlines", lambda *_: pytest.fail("read"))
+    assert open_truth(folder)[0].coco is None
