@@ -58,14 +58,16 @@ class CocoItem(NamedTuple):
     @property
     def state(self) -> str:
         """State given under `state`, or there among the `attributes` that CVAT writes: live, dead or unknown; empty
-        where none is. Raises LabelError for other texts."""
+        where none is, as where an attribute of this name says something else. Raises LabelError for other texts under
+        the key itself."""
         value, further = self.values.get("state"), self.values.get("attributes")
-        if value in (None, "") and isinstance(further, dict):
-            value = further.get("state")
-        found = "" if value in (None, "") else str(value).strip().casefold()
-        if found not in ("live", "dead", "unknown", ""):
-            raise LabelError(f"{self.where}: expected 'state', live, dead or unknown, got {value!r:.60}")
-        return found
+        if value not in (None, ""):
+            found = str(value).strip().casefold()
+            if found not in ("live", "dead", "unknown", ""):
+                raise LabelError(f"{self.where}: expected 'state', live, dead or unknown, got {value!r:.60}")
+            return found
+        beside = str(further.get("state")).strip().casefold() if isinstance(further, dict) else ""
+        return beside if beside in ("live", "dead", "unknown") else ""
 
 
 def check_px(path: Path, items: Sequence[CocoItem]) -> None:

@@ -112,9 +112,16 @@ def test_cvat_says_states_among_its_attributes(tmp_path):
     said = ({"attributes": {"state": "Dead"}}, {"attributes": {"state": "dead"}, "state": "live"}, {"attributes": []})
     path = coco_file(tmp_path / "a.json", *({"segmentation": [SQUARE], **one} for one in said))
     assert read_coco(path).living("a") == {1: False, 2: True}
-    path = coco_file(tmp_path / "a.json", {"segmentation": [SQUARE], "attributes": {"state": "alive"}})
-    with pytest.raises(LabelError, match=r"annotations\[0\]: expected 'state', live, dead or unknown, got 'alive'"):
-        read_coco(path).living("a")
+
+
+@pytest.mark.parametrize("state", ["alive", "open", True, "__undefined__", ["live"], None])
+def test_an_attribute_of_cvat_called_state_may_say_something_else(state, tmp_path):
+    """Such as open or closed; CVAT itself writes __undefined__ where nothing was chosen."""
+    said = ({"category_id": 1}, {"category_id": 2}, {"category_id": 2, "live": 0.8})
+    categories = named(("oyster", "none"), ("oyster", "shell"), ("dead oyster", "shell"))
+    items = ({"segmentation": [SQUARE], "attributes": {"state": state}, **one} for one in said)
+    path = coco_file(tmp_path / "a.json", *items, categories=categories)
+    assert read_coco(path).living("a") == {2: False, 3: True}
 
 
 def named(*categories):
