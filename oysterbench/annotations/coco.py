@@ -111,9 +111,10 @@ class CocoFile:
         return {number: one >= ALIVE for number, one in enumerate(live, start=1) if not math.isnan(one)}
 
 
-def read_coco(path: Path, truth: CocoFile | None = None) -> CocoFile:
-    """Read a document, or a list of results on the images of `truth`, of which only the oysters are kept. Raises
-    LabelError naming the item that is wrong.
+def read_coco(path: Path, truth: CocoFile | None = None, oysters_alone: bool = False) -> CocoFile:
+    """Read a document, or a list of results on the images of `truth`, of which only the oysters are kept.
+    oysters_alone: live and dead are of oysters whatever categories stand beside them. Raises LabelError naming the item
+    that is wrong.
 
     In a list of results, `category_id` means what it means in `truth`. Where that has a single category, results of a
     single number are of it, since programs number a single class from 0 or from 1; of several numbers, only those of
@@ -139,7 +140,7 @@ def read_coco(path: Path, truth: CocoFile | None = None) -> CocoFile:
     for key in ("images", "annotations", "categories"):
         if not isinstance(content, dict) or not isinstance(content.get(key), list):
             raise LabelError(f"{path}: expected a list of results, or an object with the list {key!r}")
-    categories = _categories(path, content["categories"])
+    categories = _categories(path, content["categories"], oysters_alone)
     own = _images(path, content["images"])
     kept = []
     for item in _checked(path, "annotations", content["annotations"], own, categories.names):
@@ -155,7 +156,7 @@ def read_coco(path: Path, truth: CocoFile | None = None) -> CocoFile:
     return _sorted(path, own, kept, categories)
 
 
-def _categories(path: Path, content: list[Any]) -> Categories:
+def _categories(path: Path, content: list[Any], oysters_alone: bool) -> Categories:
     """Categories of a document. Raises LabelError where two have one id, or none is of oysters."""
     seen: set[Any] = set()
     for one in (one for one in content if isinstance(one, dict)):
@@ -163,7 +164,7 @@ def _categories(path: Path, content: list[Any]) -> Categories:
         if number in seen:
             raise LabelError(f"{path}: categories: id {number!r} is used twice")
         seen.add(number)
-    found = categories_of(content)
+    found = categories_of(content, oysters_alone)
     if not found.states:
         raise LabelError(
             f"{path}: no category is named 'oyster'; its categories: {', '.join(found.names.values()) or 'none'}; name "

@@ -130,8 +130,8 @@ def map_command(
     Masks as read by `oysterbench eval --estimate`, named after their images (SEQUENCE/CAMERA/STAMP):
       a folder or .npz   masks, probabilities, classes (each connected part is an oyster; specks are not), or
                          instance numbers
-      .json              COCO annotations; categories live and dead, or oyster with a `state`,
-                         distinguish the two
+      .json              COCO annotations; categories live and dead, live oyster and dead oyster, or oyster
+                         with a `state`, distinguish the two; others are left out
 
     An image without oysters needs an empty mask, or no annotation: images that are missing are left out.
 

@@ -162,7 +162,7 @@ def _told(live: float) -> str:
 
 
 def _coco(place: Path, sequence: Sequence, camera: str, threshold: float, several: bool) -> Iterator[Seen]:
-    file = read_coco(place)
+    file = read_coco(place, oysters_alone=True)  # as a map is
     return _annotated(_stamps(place, file.names, sequence, camera, several), file, camera, threshold)
 
 

@@ -305,6 +305,10 @@ def test_annotations_tell_live_from_dead(once, tmp_path):
     (tmp_path / "a.json").write_text(json.dumps(document))
     found = map_of(once, seen=lambda: read_seen(tmp_path / "a.json", once, "cam", "auto", 0.5))
     assert (found.total.live, found.total.dead, found.total.unknown) == (1, 1, 0)
+    document["categories"] += [{"id": 3, "name": "oyster"}, {"id": 4, "name": "rock"}]  # a map is of oysters alone
+    (tmp_path / "a.json").write_text(json.dumps(document))
+    (seen,) = read_seen(tmp_path / "a.json", once, "cam", "auto", 0.5)
+    assert seen.states == {1: "live", 2: "dead"}
     # As `oysterbench segment` says it: one category, and how likely an oyster is alive.
     document["categories"] = [{"id": 1, "name": "oyster"}]
     for annotation, live in zip(document["annotations"], (0.9, 0.2), strict=True):
