@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from functools import partial
 from pathlib import Path
 
@@ -17,12 +18,22 @@ from oysterbench.core.places import leads_out, shown
 
 ANNOTATIONS = "annotations"
 """Folder beside those of images in which COCO itself and CVAT put the file."""
+IMAGES = re.compile(rb'"images"\s*:\s*\[')
+"""What is in a COCO document, told without parsing it: those of COCO itself have 450 MB."""
 
 
 def coco_files(folder: Path) -> list[Path]:
-    """Files of a folder that may be COCO annotations: JSON files in it or, without any, in annotations/ there."""
+    """Files of a folder that may be COCO annotations: JSON files in it or, without any, those in annotations/ there
+    that have a list of images."""
     own = [path for path in shown(folder, "*.json") if path.is_file()]
-    return own or [path for path in shown(folder / ANNOTATIONS, "*.json") if path.is_file()]
+    return own or [path for path in shown(folder / ANNOTATIONS, "*.json") if path.is_file() and _has_images(path)]
+
+
+def _has_images(path: Path) -> bool:
+    try:
+        return IMAGES.search(path.read_bytes()) is not None
+    except OSError:
+        return True  # to be refused where it is read, with the reason
 
 
 def coco_set(path: Path, whole: bool = False) -> LabelledSet:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -211,13 +211,16 @@ def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = Non
     with or without their images, or a plain folder of PNG files, masks or (labels="classes") class numbers.
 
     Clips of a plain folder are its subfolders, or as given in its manifest.csv (id, clip). Of data with a side
-    test, only that is opened. ignore_value: value of pixels to be ignored; for classes 255 by default.
+    test, only that is opened. ignore_value: value of pixels to be ignored; for classes 255 by default. Raises
+    LabelError where a folder could be one of masks or of COCO annotations.
     """
     kinds = kinds_at(place)
     if kinds == ["coco"]:
         (path,) = [place] if place.is_file() else coco_files(place)
         file = read_coco(path)
         beside = {image.name: found for image in file.images.values() if (found := picture_file(path, image))}
+        if place.is_dir() and path.parent != place and not (place / "images").is_dir():
+            _check_no_masks(place, path, beside.values())
         return _coco_clips(file, beside, place.stem if place.is_file() else place.resolve().name, [path])
     if kinds == ["yolo"] and (boxes := boxes_at(place)):
         file, beside, labelled = boxes
@@ -228,6 +231,18 @@ def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = Non
     if sequences:
         return [labelled_sequence(path) for path in sequences]
     return _labelled_clips(place)
+
+
+def _check_no_masks(place: Path, path: Path, pictures: Iterable[Path]) -> None:
+    """Refuse a folder with a COCO file in a folder below that could be one of masks, too: its first PNG file that is
+    none of the pictures is a mask."""
+    known = {picture.resolve() for picture in pictures}
+    first = next((one for one in _png_files(place) if one.resolve() not in known), None)
+    if first is not None and not is_colour(first):
+        raise LabelError(
+            f"{place}: expected masks or COCO annotations, got both, such as {first} and {path}: give the COCO file "
+            "itself if it is meant, else move it elsewhere"
+        )
 
 
 def _labelled_clips(place: Path) -> list[LabelledSequence]:
@@ -298,7 +313,7 @@ def _coco_clips(file: CocoFile, beside: Mapping[str, Path], whole: str, labelled
 
 
 def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[LabelledSequence]:
-    found = sorted(path for path in place.rglob("*") if path.suffix.lower() == ".png" and not is_hidden(path, place))
+    found = _png_files(place)
     files = {path.relative_to(place).with_suffix("").as_posix(): path for path in found}
     if len(files) < len(found):
         twice = next(path for path in found if path not in files.values())
@@ -343,6 +358,10 @@ def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Lab
         )
         for clip, names in groups.items()
     ]
+
+
+def _png_files(place: Path) -> list[Path]:
+    return sorted(path for path in place.rglob("*") if path.suffix.lower() == ".png" and not is_hidden(path, place))
 
 
 def _plain_truth(name: str, path: Path, labels: str, ignore_value: int | None) -> TruthImage:

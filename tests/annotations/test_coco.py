@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 
+import numpy as np
 import pytest
 
 from oysterbench.annotations import joined, open_labelled, open_truth, read_coco
@@ -270,6 +271,30 @@ def test_an_image_in_two_places_is_refused(tmp_path):
     for opened in (open_labelled, open_truth):
         with pytest.raises(LabelError, match=r"a\.png could be .*images/a\.png or .*default/a\.png: rename or remove"):
             opened(path)
+
+
+@pytest.mark.parametrize("text", ["{}", '{"images": 3}', "[]", "no JSON"])
+@pytest.mark.parametrize("folder", ["dive", "annotations"])
+def test_masks_are_read_whatever_else_lies_in_annotations(folder, text, tmp_path):
+    write_png(tmp_path / folder / "a.png", np.zeros((HEIGHT, WIDTH), np.uint8))
+    (tmp_path / "annotations").mkdir(exist_ok=True)
+    (tmp_path / "annotations" / "meta.json").write_text(text)
+    assert [(one.name, one.names) for one in open_truth(tmp_path)] == [(folder, (f"{folder}/a",))]
+
+
+def test_a_folder_of_masks_with_a_coco_file_in_annotations_is_refused(tmp_path):
+    """Their clips differ, and the masks may have been corrected since."""
+    path = laid(tmp_path, "annotations/instances_default.json", "dive")
+    path.write_text(path.read_text().replace("a.png", "dive/a.png"))
+    assert open_truth(tmp_path)[0].coco is not None
+    write_png(tmp_path / "dive" / "a-mask.png", np.zeros((HEIGHT, WIDTH), np.uint8))
+    with pytest.raises(
+        LabelError, match=r"expected masks or COCO annotations, got both, such as .*a-mask\.png and .*def"
+    ):
+        open_truth(tmp_path)
+    assert open_truth(path)[0].coco is not None
+    write_png(tmp_path / "dive" / "a-mask.png", picture(2))
+    assert open_truth(tmp_path)[0].coco is not None
 
 
 def test_of_several_files_one_is_asked_for(tmp_path):
