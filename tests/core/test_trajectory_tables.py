@@ -118,6 +118,7 @@ def echoed(k):
         (f"__time,{plotted('gt')},{plotted('sd_slam')}", "/gt/pose/position/x", "/sd_slam/pose/position/x"),
         (f"t,{pose('gt_p', 'gt_q')},{pose('sd_p', 'sd_q')}", "gt_p_x", "sd_p_x"),
         (f"sec,nsec,stamp_sec,stamp_nsec,{pose('p', 'q')}", "sec", "stamp_sec"),
+        (f"sec,nsec,time_sec,time_nsec,{pose('p', 'q')}", "sec", "time_sec"),
         (
             f"/vio/header/stamp,/vio/odom/header/stamp,{plotted('vio/odom')}",
             "/vio/header/stamp",
@@ -160,6 +161,25 @@ def test_a_table_of_two_poses_is_refused_with_a_column_of_each(tmp_path, header,
         (f"__time,/vio/header/stamp/sec,/vio/header/stamp/nanosec,{plotted('vio')}", "9,1,500000000,1,2,3,0,0,0,1"),
         (f"__time,/vio/header/stamp,stamp,{plotted('vio')}", "9,8,1.5,1,2,3,0,0,0,1"),
         (f"time [\u00b5s],{pose('p', 'q')}", "1500000,1,2,3,0,0,0,1"),
+        (f"t,sd_px,sd_py,sd_pz,{pose('p', 'q')}", "1.5,9,9,9,1,2,3,0,0,0,1"),
+        (f"t,pos_sd_x,pos_sd_y,pos_sd_z,{pose('pos', 'q')}", "1.5,9,9,9,1,2,3,0,0,0,1"),
+        (f"t,{pose('pos_sd', 'q_sd')},{pose('pos', 'q')}", "1.5,9,9,9,9,9,9,9,1,2,3,0,0,0,1"),
+        (f"t,{pose('sd_p', 'sd_q')},{pose('p', 'q')}", "1.5,9,9,9,9,9,9,9,1,2,3,0,0,0,1"),
+        (f"t,std_dev_px,std_dev_py,std_dev_pz,{pose('p', 'q')}", "1.5,9,9,9,1,2,3,0,0,0,1"),
+        (
+            f"t,{pose('error.pose.position', 'q').replace(',q', ',r')},{pose('p', 'q')}",
+            "1.5" + ",9" * 7 + ",1,2,3,0,0,0,1",
+        ),
+        (f"timestamp,time.sec,time.nanosec,{pose('p', 'q')}", "9,1,500000000,1,2,3,0,0,0,1"),
+        (f"timestamp,t_sec,t_nsec,{pose('p', 'q')}", "9,1,500000000,1,2,3,0,0,0,1"),
+        (f"t,time_ms,{pose('p', 'q')}", "1.5,9000,1,2,3,0,0,0,1"),
+        (f"timestamp_ns,header.stamp,{pose('p', 'q')}", "9000000000,1.5,1,2,3,0,0,0,1"),
+        (f"sec,nanosec,header.stamp.sec,header.stamp.nanosec,{pose('p', 'q')}", "9,9,1,500000000,1,2,3,0,0,0,1"),
+        ("t,x,y,z,pose_x,pose_y,pose_z,qx,qy,qz,qw", "1.5,1,2,3,9,9,9,0,0,0,1"),
+        (
+            "t,pose_x,pose_y,pose_z,pose.position.x,pose.position.y,pose.position.z,qx,qy,qz,qw",
+            "1.5,9,9,9,1,2,3,0,0,0,1",
+        ),
     ],
 )
 def test_columns_that_belong_to_no_second_pose_are_left_aside(tmp_path, header, line):
@@ -175,7 +195,18 @@ def test_a_topic_may_be_called_as_a_spread(tmp_path, topic, comment):
     np.testing.assert_array_equal(np.hstack([read.positions, read.quaternions]), [[1, 2, 3, 0.6, 0, 0, 0.8]])
 
 
-@pytest.mark.parametrize("header", [pose("p_std", "q"), pose("sigma_p", "sigma_q"), pose("est", "q") + ",pos_std_x"])
+@pytest.mark.parametrize(
+    "header",
+    [
+        pose("p_std", "q"),
+        pose("sigma_p", "sigma_q"),
+        pose("est", "q") + ",pos_std_x",
+        pose("est", "q") + ",pos_sd_x,pos_sd_y,pos_sd_z",
+        pose("utm", "q") + ",std_dev_px,std_dev_py,std_dev_pz",
+        pose("map", "q") + ",error.pose.position.x,error.pose.position.y,error.pose.position.z",
+        pose("est", "est_q") + "," + pose("sd_p", "sd_q"),
+    ],
+)
 def test_the_spread_of_a_position_is_no_position(tmp_path, header):
     line = ",".join(["0.5"] * (1 + len(header.split(","))))
     with pytest.raises(TrajectoryError, match="expected a header that names a column for each of t, x, y, z"):

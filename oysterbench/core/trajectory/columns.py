@@ -34,9 +34,10 @@ OTHER_LENGTHS = {"um", "cm", "dm", "km", "ft", "inch"} | {
     for word in (one, f"{one}s")
 }
 """Words of units that positions are not read in, so that a name that ends in one is known to be that of a position."""
-SPREAD_WORDS = {"std", "stddev", "stdev", "sigma", "var", "variance", "err", "error", "rms", "rmse"}
-"""Words in the names of columns that say how far off a pose is, and are no pose: beside the axis, or the word for a
-position or an attitude. In a topic before, as `/error_state_kf/pose/position/x`, they are part of a name."""
+SPREAD_WORDS = {"std", "stddev", "stdev", "sd", "sigma", "var", "variance", "err", "error", "rms", "rmse"}
+"""Words in the names of columns that say how far off a pose is, and are no pose. In a topic that has a whole pose, as
+`/error_state_kf/pose/position/x`, they are part of its name."""
+POSE_ROLES = {"px", "py", "pz", "qx", "qy", "qz", "qw"}
 LONGEST_FRAMES = 3
 """Letters of a word that is taken for those of frames."""
 COVARIANCE_WORDS = {"cov", "covariance", "covariances"}
@@ -124,10 +125,10 @@ class _Time:
 
     @property
     def rank(self) -> tuple[int, bool]:
-        """The lowest is the stamp of the poses: one called so, or in two columns, as tools for ROS write them; else
+        """The lowest is the stamp of the poses: in two columns, as tools for ROS write them, or one called so; else
         that of the poses' own topic in a recording of several; else a time, which may be that of the recording."""
-        called = STAMP_WORDS & set(self.words) or not self.bare
-        return (2 if not called else 1 if self.topic else 0), self.beyond is None
+        called = self.beyond is not None or STAMP_WORDS & set(self.words)
+        return (1 if self.topic else 0 if called else 2), self.beyond is None
 
     @property
     def bare(self) -> list[str]:
@@ -146,7 +147,7 @@ def named_columns(names: list[str], two_parts: bool = True, time_unit: str | Non
             covariance.setdefault(cell, k)
         elif role := _role(words):
             found.setdefault(role[0], {}).setdefault(role[1], []).append((k, role[2]))
-    pose = _pose({prefix: _consistent(columns) for prefix, columns in found.items()})
+    pose = _pose(_poses_alone(found))
     if pose is None:
         return None
     whose, position, quaternion, of_pose = pose
@@ -179,6 +180,28 @@ def named_quaternion(names: list[str]) -> dict[int, int]:
     return found
 
 
+def _poses_alone(found: dict[Prefix, dict[str, list[tuple[int, str]]]]) -> dict[Prefix, dict[str, list[int]]]:
+    """Columns of each prefix and role, from those with the words that say it, without those of spreads. Names such as
+    pose_x are of a position where their topic has no other."""
+    named = {_topic(prefix) for prefix, of in found.items() if {word for _, word in of.get("px", ())} - {"pose"}}
+    alone: dict[Prefix, dict[str, list[int]]] = {}
+    for prefix, columns in found.items():
+        kept = {
+            role: [(k, word) for k, word in of if word != "pose" or _topic(prefix) not in named]
+            for role, of in columns.items()
+        }
+        alone[prefix] = _consistent({role: of for role, of in kept.items() if of})
+    whole = {prefix for prefix, columns in alone.items() if columns.keys() >= POSE_ROLES}
+    return {prefix: columns for prefix, columns in alone.items() if not _of_spreads(prefix, whole)}
+
+
+def _of_spreads(prefix: Prefix, whole: set[Prefix]) -> bool:
+    """Whether a prefix is of the spreads of another's pose. With a word of them it is a topic only where it has a whole
+    pose, and no pose has its name without them. whole: prefixes that have a whole pose"""
+    others = tuple(word for word in prefix if word not in SPREAD_WORDS)
+    return others != prefix and (prefix not in whole or others in whole)
+
+
 def _consistent(found: dict[str, list[tuple[int, str]]]) -> dict[str, list[int]]:
     """Columns of each role, from columns and the words that say it: where one word has all axes, those of another that
     lacks some are no part of the pose, as Euler's angles rot_x, rot_y, rot_z beside qx to qw."""
@@ -200,6 +223,8 @@ def _pose(found: dict[Prefix, dict[str, list[int]]]) -> tuple[Prefix, list[int],
     if not positions or not attitudes:
         return None
     first = positions[0]
+    if (topic := _topic(first)) and SPREAD_WORDS.issuperset(topic):
+        return None  # sd_px and sd_qx may be the spreads of a pose whose names are not known
     # Of EuRoC's names, those of a position, p_RS_R, have one frame more than those of an attitude, q_RS.
     attitude = first if first in attitudes else next((one for one in attitudes if _nested(one, first)), attitudes[0])
     position = [found[first][f"p{axis}"] for axis in "xyz"]
@@ -237,11 +262,18 @@ def _times(named: list[tuple[list[str], str]], two_parts: bool) -> list[_Time]:
 
 def _stamp(times: list[_Time], unit: str | None) -> tuple[_Time, list[int]]:
     """Which of several times is the stamp: the first of the lowest rank, among those in the unit that is asked for if a
-    name has it; and two columns that may be it, where their names differ in more than the unit."""
+    name has it, or else those that say no unit; and two columns that may be it, where their names differ in more than
+    the unit."""
     if unit is not None and any(one.unit == unit and one.beyond is None for one in times):
         times = [one for one in times if one.unit == unit or one.beyond is not None]
+    # Beside the stamp of a message, a time in two columns that are not called so is that of the recording.
+    if any({"stamp", "stamps"} & set(one.words) for one in times):
+        times = [one for one in times if one.beyond is None or STAMP_WORDS & set(one.words) or not one.bare]
     lowest = min(one.rank for one in times)
-    stamp, *others = [one for one in times if one.rank == lowest]
+    times = [one for one in times if one.rank == lowest]
+    if any("header" in one.words for one in times):
+        times = [one for one in times if one.bare]
+    stamp, *others = [one for one in times if one.unit is None] or times
     other = next((one for one in others if one.bare != stamp.bare), None)
     return stamp, [] if other is None else [stamp.column, other.column]
 
@@ -289,10 +321,13 @@ def _role(words: list[str]) -> tuple[Prefix, str, str] | None:
 
 
 def _is_spread(before: list[str]) -> bool:
-    """Whether the words before an axis are those of a spread: of `pos_std_x`, `sigma_px` and `q_err_w`."""
+    """Whether the words before an axis are those of a spread, with a word of it just before that for a position or an
+    attitude, or after: of `pos_std_x`, `sigma_px`, `std_dev_qw` and `error.pose.position.x`. In `sd_px`, the first may
+    be the name of a method."""
+    words = [word for word in before if word not in ("field", "pose", "dev")]
     known = {*POSITION_WORDS, *QUATERNION_WORDS}
-    place = next((k for k in reversed(range(len(before))) if before[k] in known), len(before) - 1)
-    return bool(SPREAD_WORDS & {*before[-1:], *before[max(place - 1, 0) : place + 2]})
+    place = next((k for k in reversed(range(len(words))) if words[k] in known), len(words) - 1)
+    return bool(SPREAD_WORDS & set(words[place:]) or SPREAD_WORDS - {"sd"} & set(words[:place][-1:]))
 
 
 def _time_words(words: list[str]) -> tuple[Prefix, tuple[str, ...]] | None:
