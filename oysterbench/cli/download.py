@@ -13,7 +13,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.models import download_model, model_path, part_of_oysterbench
-from oysterbench.core.errors import HubError, IntegrityError
+from oysterbench.core.errors import HubError, IntegrityError, NotOnHubError, SilentError
 
 if TYPE_CHECKING:
     from oysterbench.hub.download import Hub
@@ -88,10 +88,8 @@ def download(
         return
     try:
         model = None if here or unvouched or split else _model(name, version, hub_at, key, out, connections)
-    except IntegrityError:
-        raise
-    except HubError as error:
-        if ours is None:
+    except (NotOnHubError, SilentError) as error:
+        if ours is None or patterns or topics:
             raise
         message(f"{error}; {ours.described}, is part of oysterbench, and methods run on it")
         _print_ours(name, ours, as_json)

@@ -59,6 +59,10 @@ class HubError(OysterbenchError):
     """A hub, an index or a manifest is not what it should be, or a request to one cannot be met."""
 
 
+class NotOnHubError(HubError):
+    """A hub has no split or weights of a name, or none of a version."""
+
+
 class IntegrityError(HubError):
     """Bytes or a signature are wrong: a damaged file, a hostile or broken mirror."""
 
@@ -69,6 +73,10 @@ class NetworkError(HubError):
     """No source could be reached, or none answered as it should."""
 
     exit_code = 4
+
+
+class SilentError(NetworkError):
+    """No source could be reached; where one answered, however wrongly, it is no such error."""
 
 
 class MissingExtraError(OysterbenchError, ImportError):

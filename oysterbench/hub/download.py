@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from oysterbench.core.atomic import naming, write_atomically
 from oysterbench.core.disk_space import free_bytes
-from oysterbench.core.errors import HubError, IntegrityError
+from oysterbench.core.errors import HubError, IntegrityError, NotOnHubError
 from oysterbench.core.locks import locked
 from oysterbench.core.names import instead
 from oysterbench.core.places import home
@@ -164,14 +164,14 @@ class Hub:
 
 
 def find_release(index: Index, releases: Mapping[str, Mapping[str, R]], name: str, version: str | None) -> R:
-    """Release of the requested version, or the newest. releases: splits or models of the index. Raises HubError where
-    there is none, with the names and versions that exist."""
+    """Release of the requested version, or the newest. releases: splits or models of the index. Raises NotOnHubError
+    where there is none, with the names and versions that exist."""
     versions = releases.get(name)
     if not versions:
         other = instead(name, sorted([*index.splits, *index.models]), "oysterbench splits --hub")
-        raise HubError(f"the hub has no split or model {name!r}; {other}")
+        raise NotOnHubError(f"the hub has no split or model {name!r}; {other}")
     if version is not None and version not in versions:
-        raise HubError(f"the hub has no version {version!r} of {name}; it has {', '.join(versions)}")
+        raise NotOnHubError(f"the hub has no version {version!r} of {name}; it has {', '.join(versions)}")
     return versions[version or list(versions)[-1]]
 
 

@@ -11,7 +11,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from oysterbench.core.errors import HubError, IntegrityError, NetworkError
+from oysterbench.core.errors import HubError, IntegrityError, NetworkError, SilentError
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.draft import Draft, drafts_left
 from oysterbench.hub.part import Part
@@ -59,7 +59,11 @@ def no_mirror_left(what: str, path: str, mirrors: Iterable[Mirror]) -> HubError:
     """Error to raise where no mirror can give a file."""
     mirrors = list(mirrors)
     reasons = "; ".join(f"{mirror.source.name}: {mirror.why_not(path)}" for mirror in mirrors)
-    kind = IntegrityError if any(mirror.lied for mirror in mirrors) else NetworkError
+    kind: type[HubError] = SilentError
+    if any(mirror.lied for mirror in mirrors):
+        kind = IntegrityError
+    elif any(path in mirror.refused for mirror in mirrors):
+        kind = NetworkError
     return kind(f"{what} could not be fetched: {reasons}")
 
 

@@ -322,11 +322,32 @@ def test_where_a_hub_lacks_them_or_does_not_answer_weights_of_oysterbench_are_na
     public = place.run("keygen", key).stdout.strip()
     words = ("publish-model", "unet_small", tree, "--key", key, "--version", "2.0", "--weights", place.weights)
     place.run(*words)
-    for hub, why in ((tree, "the hub has no version '1.0' of unet_small; it has 2.0; "), (tmp_path / "none", "none")):
+    lacks = "the hub has no version '1.0' of unet_small; it has 2.0; "
+    for hub, why in ((tree, lacks), ("http://127.0.0.1:9", "http://127.0.0.1:9: no answer")):
         told = place.run("download", "unet_small@1.0", "--from", hub, "--key", public, home=home)
         assert told.stdout == f"{path}\n"
         assert why in told.stderr
         assert "is part of oysterbench" in told.stderr
+
+
+def test_weights_of_oysterbench_are_not_named_in_place_of_a_hub_that_is_given_wrongly(place, published, part, tmp_path):
+    """A script that fetches newer ones would go on with those."""
+    empty, lost, key = tmp_path / "empty", tmp_path / "lost", ("--key", place.public)
+    empty.mkdir()
+    (lost / "blobs").mkdir(parents=True)
+    given = [
+        (1, "its public key is not known here", place.tree),
+        (1, "expected a hub's public key, 64 hex digits", place.tree, "--key", "abc"),
+        (1, "no such folder", tmp_path / "none", *key),
+        (1, "this folder holds no published tree", empty, *key),
+        (4, "index.json is not there", lost, *key),
+    ]
+    with oysterbench_serve(place.tree) as url:
+        given.append((4, "status 404", f"{url}/elsewhere", *key))
+        for code, why, *words in given:
+            told = place.run("download", "unet_small", "--from", *words, code=code, home=part[1])
+            assert why in " ".join(told.stderr.split())
+            assert told.stdout == ""
 
 
 def test_models_and_publishing_take_the_weights_that_a_variable_names(place, part, tmp_path):
