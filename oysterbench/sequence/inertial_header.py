@@ -21,6 +21,14 @@ UNITS = {RATE: {"", "rad/s", "rads-1", "1/s", "s-1"}, FORCE: {"", "m/s2", "ms-2"
 OTHER_UNITS = re.compile(r"deg.*|m?dps|rpm|mrad|[mu]?g|[cm]m(s|ps)?")
 """First word of the units that stand after the axis in the names of some tables, as in `gyro_x_deg_per_s`."""
 
+OTHER_TIMES = {"tick", "ticks", "counts", "cycles", "frames", "samples"} | {
+    *("min", "mins", "minute", "minutes", "h", "hr", "hrs", "hour", "hours", "day", "days", "ps", "picoseconds")
+}
+"""Words of units that stamps are not read in."""
+NANO = re.compile(r"(?:e|\^|\*\*)\s*[-+]?0?9(?!\d)|\u207b\u2079")
+"""The power of ten of nanoseconds, as in `[1e-9 s]`."""
+BRACKET = r"[\[(]([^\])]*)[\])]"
+
 PLAIN = str.maketrans({"\u207b": "-", "\u00b2": "2", "\u00b9": "1", **dict.fromkeys(" ^*.\u00b7")})
 SHORT = {"squared": "2", "per": "/", r"met(er|re)(s(?!-2))?": "m", r"radian(s(?!-1))?": "rad", r"sec(ond)?s?": "s"}
 """Words in the name of a unit, once its blanks are gone, and the short ones."""
@@ -48,11 +56,17 @@ def check_inertial_header(path: Path, names: list[str]) -> None:
 
 
 def _unit_of_stamps(name: str) -> str:
-    """Unit of stamps by the name of their column: ns where it says none, what is in brackets where it is unknown."""
-    words, unit = _parts(name.translate(MICRO))
-    said = re.findall(r"[a-z]+", unit.lower())
-    known = [UNIT_WORDS[one] for one in ("".join(said), *(said or words[-1:])) if one in UNIT_WORDS]
-    return (known or [repr(unit.strip()) if said else "ns"])[0]
+    """Unit of stamps by the name of their column: that in brackets, whatever else is there, as in `[ns] (UTC)`, or its
+    last word; ns where it says none."""
+    name = name.translate(MICRO).lower()
+    if NANO.search(name):
+        return "ns"
+    brackets = [re.findall(r"[a-z]+", text) for text in re.findall(BRACKET, name)]
+    said = [word for words in brackets for word in ("".join(words), *words)]
+    last = re.findall(r"[a-z]+|[0-9]+", re.sub(BRACKET, " ", name))[-1:]
+    units = {**{word: repr(word) for word in OTHER_TIMES}, **UNIT_WORDS}
+    known = [units[word] for word in said if word in units] or [UNIT_WORDS[word] for word in last if word in UNIT_WORDS]
+    return "ns" if "ns" in known or not known else known[0]
 
 
 def _parts(name: str) -> tuple[list[str], str]:

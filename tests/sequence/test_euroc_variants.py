@@ -27,9 +27,20 @@ POSE = """T_BS:
 """
 STAMPED = [
     *(("[us]", "us"), ("[milliseconds]", "ms"), ("[microseconds]", "us"), ("[\u00b5s]", "us")),
-    *(("(seconds)", "s"), ("[ticks]", "'ticks'")),
+    *(
+        ("(seconds)", "s"),
+        ("[ticks]", "'ticks'"),
+        ("[ms] (UTC)", "ms"),
+        ("[1e-6 s]", "s"),
+        ("[seconds since 1970]", "s"),
+    ),
 ]
 """What the name of a column says of stamps that are not in ns, and the unit."""
+CLOCKS = [
+    *("[ns] (UTC)", "(UTC)", "[unix]", "[epoch]", "[int64]", "(ROS)", "[TAI]", "[1e-9 s]", "[10^-9 s]", "[s*1e9]"),
+    *("[10\u207b\u2079 s]", "[GPS ns]", "_ns (UTC)"),
+]
+"""What the name of a column says of stamps in ns: the clock, the type, or the unit in other words."""
 DEGREES = ["deg_per_s", "deg_sec", "degps", "degree_per_second", "dps"]
 NUMBERS = "1.0, 0, 0, 0.1, 0, 1.0, 0, 0.2, 0, 0, 1.0, 0.3, 0, 0, 0, 1.0"
 
@@ -203,6 +214,7 @@ def test_inertial_columns_that_are_not_the_layouts_by_their_names_are_refused(fo
         "t [ns since 1970],gyro_rad[0],gyro_rad[1],gyro_rad[2],acc_m_s2[0],acc_m_s2[1],acc_m_s2[2]",
         "t [-],gyro_x_raw,gyro_y_raw,gyro_z_raw,acc_x,acc_y,acc_z",
         "# of a diver, in the bay",
+        *(f"timestamp {said},w_x,w_y,w_z,a_x,a_y,a_z" for said in CLOCKS),
     ],
 )
 def test_inertial_columns_may_be_spelled_in_many_ways(folder, names):
