@@ -242,7 +242,8 @@ def test_a_comment_that_has_the_quaternion_elsewhere_than_the_layout_is_refused(
         read_trajectory(path)
     found = [[0.1, 0.7, 0.1, 0.7], [0.7, 0.1, 0.7, 0.1]]
     expected = found if order == "xyzw" else found[::-1]
-    np.testing.assert_array_equal(read_trajectory(path, quaternion=order).quaternions, expected[:1])
+    for k, asked in enumerate(("xyzw", "wxyz")):
+        np.testing.assert_array_equal(read_trajectory(path, quaternion=asked).quaternions, [found[k]])
     layout = read_trajectory(path, format="euroc" if sign == "," else "tum")
     np.testing.assert_array_equal(layout.quaternions, expected[1:])
     other = comment.replace("u,v,h,", "u,v,h,w,").replace("u v h ", "u v h w ")

@@ -196,7 +196,7 @@ def _columns(head: _Head, path: Path, options: ReadOptions, parts: bool = True) 
     if options.quaternion is not None and sorted(columns.quaternion) == list(range(first, first + 4)):
         order = (0, 1, 2, 3) if options.quaternion == "xyzw" else (1, 2, 3, 0)
         columns = replace(columns, quaternion=tuple(first + k for k in order))
-    if options.format is None and not columns.named:
+    if options.format is None and options.quaternion is None and not columns.named:
         _check_comments(head, path, columns)
     return columns
 
