@@ -34,9 +34,11 @@ OTHER_LENGTHS = {"um", "cm", "dm", "km", "ft", "inch"} | {
     for word in (one, f"{one}s")
 }
 """Words of units that positions are not read in, so that a name that ends in one is known to be that of a position."""
-SPREAD_WORDS = {"std", "stddev", "stdev", "sd", "sigma", "var", "variance", "err", "error", "rms", "rmse"}
-"""Words in the names of columns that say how far off a pose is, and are no pose. In a topic that has a whole pose, as
-`/error_state_kf/pose/position/x`, they are part of its name."""
+SURE_SPREADS = {"std", "stddev", "stdev", "variance", "rms", "rmse"}
+"""Words in the names of columns that say how far off a pose is, and are no pose."""
+SPREAD_WORDS = SURE_SPREADS | {"sd", "sigma", "var", "err", "error"}
+"""All such words. Those that are not sure may be part of a topic's name where the topic has a whole pose, as
+`/error_state_kf/pose/position/x`."""
 POSE_ROLES = {"px", "py", "pz", "qx", "qy", "qz", "qw"}
 LONGEST_FRAMES = 3
 """Letters of a word that is taken for those of frames."""
@@ -183,7 +185,11 @@ def named_quaternion(names: list[str]) -> dict[int, int]:
 def _poses_alone(found: dict[Prefix, dict[str, list[tuple[int, str]]]]) -> dict[Prefix, dict[str, list[int]]]:
     """Columns of each prefix and role, from those with the words that say it, without those of spreads. Names such as
     pose_x are of a position where their topic has no other."""
-    named = {_topic(prefix) for prefix, of in found.items() if {word for _, word in of.get("px", ())} - {"pose"}}
+    named = {
+        _topic(prefix)
+        for prefix, of in found.items()
+        if all({word for _, word in of.get(role, ())} - {"pose"} for role in ("px", "py", "pz"))
+    }
     alone: dict[Prefix, dict[str, list[int]]] = {}
     for prefix, columns in found.items():
         kept = {
@@ -191,15 +197,15 @@ def _poses_alone(found: dict[Prefix, dict[str, list[tuple[int, str]]]]) -> dict[
             for role, of in columns.items()
         }
         alone[prefix] = _consistent({role: of for role, of in kept.items() if of})
-    whole = {prefix for prefix, columns in alone.items() if columns.keys() >= POSE_ROLES}
-    return {prefix: columns for prefix, columns in alone.items() if not _of_spreads(prefix, whole)}
+    return {prefix: columns for prefix, columns in alone.items() if not _of_spreads(prefix, alone)}
 
 
-def _of_spreads(prefix: Prefix, whole: set[Prefix]) -> bool:
+def _of_spreads(prefix: Prefix, found: dict[Prefix, dict[str, list[int]]]) -> bool:
     """Whether a prefix is of the spreads of another's pose. With a word of them it is a topic only where it has a whole
-    pose, and no pose has its name without them. whole: prefixes that have a whole pose"""
-    others = tuple(word for word in prefix if word not in SPREAD_WORDS)
-    return others != prefix and (prefix not in whole or others in whole)
+    pose, and no position has its name without them. found: the roles of each prefix"""
+    plain = tuple(word for word in prefix if word not in SPREAD_WORDS)
+    beside = any("px" in of and _topic(one) == _topic(plain) for one, of in found.items() if one != prefix)
+    return plain != prefix and (beside or not found[prefix].keys() >= POSE_ROLES)
 
 
 def _consistent(found: dict[str, list[tuple[int, str]]]) -> dict[str, list[int]]:
@@ -320,14 +326,16 @@ def _role(words: list[str]) -> tuple[Prefix, str, str] | None:
     return None if before else ((), "qw" if last == "w" else f"p{last}", "")
 
 
-def _is_spread(before: list[str]) -> bool:
+def _is_spread(words: list[str]) -> bool:
     """Whether the words before an axis are those of a spread, with a word of it just before that for a position or an
-    attitude, or after: of `pos_std_x`, `sigma_px`, `std_dev_qw` and `error.pose.position.x`. In `sd_px`, the first may
-    be the name of a method."""
-    words = [word for word in before if word not in ("field", "pose", "dev")]
+    attitude, or after: of `pos_std_x`, `sigma_px`, `std_dev_qw` and `error.pose.position.x`. Alone, as in `sd_px`,
+    sd may be the name of a method."""
+    words = [word for word in words if word not in ("field", "pose", "dev")]
     known = {*POSITION_WORDS, *QUATERNION_WORDS}
     place = next((k for k in reversed(range(len(words))) if words[k] in known), len(words) - 1)
-    return bool(SPREAD_WORDS & set(words[place:]) or SPREAD_WORDS - {"sd"} & set(words[:place][-1:]))
+    before = words[:place]
+    beside = SPREAD_WORDS & {*words[place:], *(before[-1:] if before != ["sd"] else [])}
+    return bool(beside or SURE_SPREADS & set(words))
 
 
 def _time_words(words: list[str]) -> tuple[Prefix, tuple[str, ...]] | None:
