@@ -124,7 +124,9 @@ def test_every_page_is_in_the_navigation():
 
 def test_links_between_folders_become_links_between_pages():
     wanted = []
-    text = "[a](../unet/README.md#how) [b](../learning/novelty.py) `[c](d.md)` ![f](../../datasets/pictures/rollouts.jpg)"
+    text = (
+        "[a](../unet/README.md#how) [b](../learning/novelty.py) `[c](d.md)` ![f](../../datasets/pictures/rollouts.jpg)"
+    )
     got = site_links(text, "baselines/gtsam_vi/README.md", wanted.append)
     assert got.startswith("[a](../unet/README.md#how) b (`baselines/learning/novelty.py`) `[c](d.md)` ")
     assert wanted == ["datasets/pictures/rollouts.jpg"]
