@@ -27,6 +27,15 @@ def run(*arguments, home=None):
     return subprocess.CompletedProcess(arguments, done.exit_code, done.stdout, done.stderr)
 
 
+def run_bare(*arguments, home, code=0, **environment):
+    """The command in this process, with nothing set but its home and the variables given; its exit status is `code`."""
+    clean = {key: None for key in os.environ if key.startswith("OYSTERBENCH")}
+    env = clean | {"OYSTERBENCH_HOME": str(home)} | environment
+    done = CliRunner().invoke(main, [str(argument) for argument in arguments], env=env)
+    assert done.exit_code == code, done.stderr
+    return done
+
+
 def assert_one_line(result, pattern, code=1):
     """That a command ended with this code, and one line on stderr that has the pattern."""
     assert result.returncode == code, result.stderr

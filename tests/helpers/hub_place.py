@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import os
-
-from click.testing import CliRunner
-
-from oysterbench.cli.main import main
 from oysterbench.recipe import load_split
 from oysterbench.simulation.generate import digest
+from tests.helpers.command import run_bare
 from tests.helpers.hand_made_dive import SENSORS
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 from tests.helpers.trees import FACTS, TEXTS, write_sequence
@@ -40,11 +36,4 @@ class Place:
 
     def run(self, *arguments, code=0, home=None, **environment):
         """Type a command; its exit status is `code`."""
-        clean = {key: None for key in os.environ if key.startswith("OYSTERBENCH")}
-        done = CliRunner().invoke(
-            main,
-            [str(argument) for argument in arguments],
-            env=clean | {"OYSTERBENCH_HOME": str(home or self.home)} | environment,
-        )
-        assert done.exit_code == code, done.stderr
-        return done
+        return run_bare(*arguments, home=home or self.home, code=code, **environment)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import os
 
 import torch
-from click.testing import CliRunner
 
-from oysterbench.cli.main import main
 from oysterbench_baselines.unet.training import train
+from tests.helpers.command import run_bare
 from tests.helpers.small_trainings import SMALL, small_set
 
 
@@ -26,14 +24,7 @@ class Place:
         self.public = self.run("keygen", folder / "key.pem").stdout.strip()
 
     def run(self, *arguments, code=0, home=None, **environment):
-        clean = {key: None for key in os.environ if key.startswith("OYSTERBENCH")}
-        done = CliRunner().invoke(
-            main,
-            [str(argument) for argument in arguments],
-            env=clean | {"OYSTERBENCH_HOME": str(home or self.home)} | environment,
-        )
-        assert done.exit_code == code, done.stderr
-        return done
+        return run_bare(*arguments, home=home or self.home, code=code, **environment)
 
     def publish(self, *arguments, tree=None, **options):
         words = ("publish-model", "unet_small", tree or self.tree, "--key", self.folder / "key.pem")
