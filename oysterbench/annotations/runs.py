@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -20,12 +19,10 @@ LABEL_STUDIO = re.compile(r"(?<![^/])(?P<drawn>[0-9a-f]{8})-(?=[^/]+$)")
 _SIDE = r"(?:cam(?:era)?\d{0,2}|left|right|l|r|port|starboard)"
 SIDE = re.compile(rf"(?<![^-_/]){_SIDE}(?![^-_/])", re.IGNORECASE)
 """Words for one of the cameras of a rig, such as a stereo camera: names that differ in them alone are of one instant,
-also where a camera stopped earlier, or took few images, unless their cameras number images each by itself
-(`_on_one_counter`)."""
+also where a camera stopped earlier, or took few images, unless they looked at other times (`_by_time`)."""
 SIDE_LAST = re.compile(rf"(?<![^-_/])(\d+)[-_/]{_SIDE}$", re.IGNORECASE)
 APART = 0.1
-"""Cameras of one rig begin and end together, up to this share of their time; videos whose numbers restart do not. Of
-cameras on one counter (`SIDE`), none begins earlier or ends later than the one of the longest time by more."""
+"""Cameras of one rig begin and end together, up to this share of their time; videos whose numbers restart do not."""
 CAMERAS, FEW = 4, 30
 """Of more than this many prefixes with fewer than this many images each, none is taken for a camera: they are quadrats
 or sites, and their numbers are no times."""
@@ -76,7 +73,7 @@ def ends_of(entries: Sequence[Entry], share: float) -> list[Entry]:
 def taken_of(entries: Sequence[Entry]) -> list[tuple[str, Instant]]:
     """What took each image of a run, and when, as far as names say: frames of sequences are named
     SEQUENCE/CAMERA/STAMP, or with dashes or underscores in folders. Cameras that names tell apart by such words as left
-    and right (`SIDE`) are one where they are on one counter; others of one rig (`_rigs`) that looked at the same time
+    and right (`SIDE`) are one where their times overlap; others of one rig (`_rigs`) that looked at the same time
     have the same instant; those of others, such as videos whose numbers restart, have other ones. Where names do not
     say so, or cameras are too many, the camera is empty, and the instant is the place in the run, of the first image of
     its camera and number."""
@@ -104,7 +101,7 @@ def _bare(names: Sequence[str]) -> list[str]:
 
 def _said(names: Sequence[str]) -> list[tuple[str, Instant]]:
     """Camera and time of each image by its name: what stands before the number at the end of it, without words for one
-    of the cameras of a rig where these are on one counter, and this number, or the numbers of a time in parts after
+    of the cameras of a rig where their times overlap, and this number, or the numbers of a time in parts after
     their count; nothing for other names."""
     sides = [_side_of(name) for name in names]
     names = [SIDE_LAST.sub(r"\1", name) for name in names]
@@ -118,16 +115,16 @@ def _said(names: Sequence[str]) -> list[tuple[str, Instant]]:
         else:
             said.append((SIDE.sub("", camera), (int(number),)) if number.isdecimal() else ("", ()))
     taken = [(camera, side, numbers) for side, (camera, numbers) in zip(sides, said, strict=True)]
-    cameras = _on_one_counter(one for one in taken if one[2])
+    cameras = _by_time(one for one in taken if one[2])
     return [(cameras[camera, side] if numbers else "", numbers) for camera, side, numbers in taken]
 
 
 def _folders(names: Sequence[str]) -> list[str]:
-    """The folder of each image, without words for one of the cameras of a rig where these are on one counter."""
+    """The folder of each image, without words for one of the cameras of a rig where their times overlap."""
     folders = [name.rpartition("/")[0] for name in names]
     taken = [(SIDE.sub("", folder), _side_of(folder)) for folder in folders]
-    times = [_numbered(SIDE.sub("", name)) for name in _bare(names)]
-    cameras = _on_one_counter((*of, time) for of, time in zip(taken, times, strict=True))
+    times = [tuple(map(int, re.findall(r"\d+", SIDE.sub("", name)))) for name in _bare(names)]
+    cameras = _by_time((*of, time) for of, time in zip(taken, times, strict=True))
     return [cameras[of] for of in taken]
 
 
@@ -136,21 +133,20 @@ def _side_of(name: str) -> str:
     return "-".join(SIDE.findall(name))
 
 
-def _on_one_counter(taken: Iterable[tuple[str, str, Any]]) -> dict[tuple[str, str], str]:
-    """What to call the cameras of each name without the words of `SIDE`, and these words: by the name alone where all
-    took their images within the time of the one that took them for longest, up to `APART` of it; by both elsewhere, as
-    each numbers images by itself. taken: name, words, and number or time of each image."""
+def _by_time(taken: Iterable[tuple[str, str, Any]]) -> dict[tuple[str, str], str]:
+    """What to call the cameras of each name without the words of `SIDE`, and these words: by the name and a number,
+    which those share whose times overlap. Others number images each by itself, or looked at other ground: what one
+    shows at its end is not shown by another at the same time. taken: name, words, and number or time of each image."""
     cameras: dict[str, dict[str, list[Any]]] = {}
     for name, side, time in taken:
         cameras.setdefault(name, {}).setdefault(side, []).append(time)
     found: dict[tuple[str, str], str] = {}
     for name, sides in cameras.items():
-        order = sorted(time for times in sides.values() for time in times)
-        spans = [(bisect_left(order, min(times)), bisect_left(order, max(times))) for times in sides.values()]
-        first, last = max(spans, key=lambda span: span[1] - span[0])
-        room = max(1, APART * (last - first))
-        one = all(first - room <= start and end <= last + room for start, end in spans)
-        found |= {(name, side): name if one else f"{name} {side}" for side in sides}
+        group, last = 0, None
+        for start, end, side in sorted((min(times), max(times), side) for side, times in sides.items()):
+            group += last is not None and start > last
+            last = end if last is None else max(last, end)
+            found[name, side] = f"{name}\0{group}" if group else name
     return found
 
 

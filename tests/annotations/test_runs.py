@@ -105,6 +105,37 @@ def test_images_of_a_stereo_pair_are_on_one_side(form, sides, clip, left, right)
     assert not {names[name] for name in held} & {names[name] for name in names.keys() - held}
 
 
+@pytest.mark.parametrize("form", ["{side}/{k}", "dive1_{side}_{k}"])
+@pytest.mark.parametrize("clip", ["", "reef"])
+@pytest.mark.parametrize("first", [0, 1_700_000_000])
+@pytest.mark.parametrize(
+    "taken",
+    [
+        (range(100), range(50, 150)),
+        (range(60), range(30, 100)),
+        (range(10), range(2, 12)),
+        ((3, 9, 15, 22, 31, 40, 47, 52, 60, 66), (31, 40, 47, 52, 60, 66, 71, 80, 88, 95)),
+        (range(100), range(60), range(5000, 5100)),
+        (range(100), range(150, 250)),
+    ],
+)
+def test_what_one_camera_shows_at_its_end_is_not_learnt_from_by_another(form, clip, first, taken):
+    """Cameras whose numbers overlap are on one clock in doubt, as in records of which a camera began later, and others
+    beside them, on counters of their own, change nothing in that."""
+    names = {form.format(side=f"cam{n}", k=first + k): k for n, of in enumerate(taken) for k in of}
+    held = set(ends(entries_of(names, clip), 0.2))
+    assert held
+    assert not {names[name] for name in held} & {names[name] for name in names.keys() - held}
+
+
+@pytest.mark.parametrize("clip", ["", "reef"])
+def test_cameras_that_name_their_images_after_themselves_are_on_one_clock(clip):
+    """And not apart, as imgR comes after imgL."""
+    names = [f"{side}/img{side[0]}_{k}" for side, count in (("left", 100), ("right", 96)) for k in range(count)]
+    held = ends(entries_of(names, clip), 0.2)
+    assert {name for name in held if name[0] == "l"} == {f"left/imgl_{k}" for k in range(77, 100)}
+
+
 @pytest.mark.parametrize("sides", [("left", "right"), ("cam1", "cam2"), ("port", "starboard"), ("L", "R")])
 @pytest.mark.parametrize(
     ("form", "clip"),
