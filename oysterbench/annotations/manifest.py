@@ -20,6 +20,8 @@ TRAIN, VAL, TEST = "train", "val", "test"
 """Sides on which images are put; where there is a test side, it alone is scored."""
 SIDES = {TRAIN: TRAIN, VAL: VAL, "valid": VAL, "validation": VAL, TEST: TEST}
 """Side by what programs call it."""
+SIDE_LAST = re.compile(rf"(?<![^\W_])({'|'.join(SIDES)})\d*$", re.IGNORECASE)
+"""A side as the last word of a name, with or without a number."""
 PICTURES = (".jpg", ".jpeg", ".png")
 
 
@@ -30,8 +32,8 @@ def side_in(name: str) -> str:
     >>> side_in("reef-valid"), side_in("test2017"), side_in("contest")
     ('val', 'test', '')
     """
-    found = re.search(rf"(?<![^\W_])({'|'.join(SIDES)})\d*$", name.casefold())
-    return SIDES[found[1]] if found else ""
+    found = SIDE_LAST.search(name)
+    return SIDES[found[1].casefold()] if found else ""
 
 
 @dataclass(frozen=True)

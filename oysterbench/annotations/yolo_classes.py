@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from oysterbench.annotations.manifest import SIDES, side_in
+from oysterbench.annotations.manifest import SIDE_LAST, SIDES, side_in
 from oysterbench.core.errors import LabelError
 from oysterbench.core.places import shown
 
@@ -25,9 +25,9 @@ def classes_of(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
     """Names of the classes of a data set by number, and the file that gives them, if they are others than without one.
 
     Read are `FILES` in the folder, or else in the one above if this is called train, valid or test (`SIDES`), which
-    share them; a YAML file there also if it names this folder, or the name of this ends in such a word and the file has
-    oysters and names no folders of other sets alone. Raises LabelError where others are named elsewhere: here in a YAML
-    file of another name, or above, with oysters among them, by a file that may be of this data set or not.
+    share them; a YAML file there also if it names this folder, or the name of this ends in such a word and the file
+    names no folders of other sets alone. Raises LabelError where others are named elsewhere: here in a YAML file of
+    another name, or above, with oysters among them, by a file that may be of this data set or not.
     """
     whole = folder.resolve()
     own = [folder / name for name in FILES]
@@ -42,8 +42,6 @@ def classes_of(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
         if path.is_file() and _names_others(path, shared=True):
             if whole.name.casefold() in SIDES:
                 raise LabelError(f"{path}: expected the names of the classes in {FILES[0]}, got them here: rename it")
-            if _lists_others(path, whole):
-                continue
             raise LabelError(
                 f"{path}: expected the names of the classes of {whole.name}/ in {FILES[0]} there, got names here that "
                 "may be of it or not: copy them there, or write others there, such as `names: [oyster]`"
@@ -56,22 +54,21 @@ def _is_of(path: Path, folder: Path) -> bool:
     if folder.name.casefold() in SIDES or path.suffix == ".txt":
         return folder.name.casefold() in SIDES
     try:
-        unsaid = side_in(folder.name) and not _lists_others(path, folder)
-        return bool(keys_naming(path, folder.name) or (unsaid and read_classes(path)))
+        return bool(keys_naming(path, folder.name) or (side_in(folder.name) and _may_be_of(path, folder)))
     except LabelError:
-        return False
+        return bool(side_in(folder.name))  # to be refused where it is read, with the reason
 
 
-def _lists_others(path: Path, folder: Path) -> bool:
-    """Whether a YAML file lists folders of other sets, and none that may be a folder beside it. Paths such as
-    train/images are of any set, and one that ends at the folder of the file may hold this one."""
-    content = {} if path.suffix == ".txt" else _mapping(path) or {}
+def _may_be_of(path: Path, folder: Path) -> bool:
+    """Whether a YAML file may list the set of which a folder beside it is a side: if it lists another side of it, as
+    reef-train of reef-test, or paths that are of any set, as train/images, or that end at the folder of the file."""
+    content = _mapping(path) or {}
     base = next(_places(content.get("path")), PurePosixPath())
     listed = [base / place for key in SIDES for place in _places(content.get(key)) if place.suffix != ".txt"] or [base]
-    generic = {"/", "..", "images", *SIDES}
-    named = [[part for part in map(str.casefold, place.parts) if part not in generic] for place in listed]
-    others = {parts[-1] for parts in named if parts} - {folder.parent.name.casefold()}
-    return bool(others) and not any(folder.name.casefold() in parts for parts in named)
+    wholes = [[SIDE_LAST.sub("", part).casefold() for part in place.parts] for place in listed]
+    named = {next((part for part in parts[::-1] if part not in ("", "images", "..", "/")), "") for parts in wholes}
+    whole = SIDE_LAST.sub("", folder.name).casefold()
+    return any(whole in parts for parts in wholes if whole) or named <= {"", folder.parent.name.casefold()}
 
 
 def _places(value: Any) -> Iterator[PurePosixPath]:

@@ -32,12 +32,6 @@ def test_classes_have_the_names_of_other_files_too(name, text, place, tmp_path):
         ("classes.txt", "oyster\n"),
         ("coco128.yaml", "names: [person]\n"),
         ("coco128.yaml", "names: {\n"),
-        ("data.yaml", "names: [fish]\n"),
-        ("data.yaml", "names: {\n"),
-        ("data.yaml", "names: fish\n"),
-        ("data.yaml", "path: other\ntrain: other/train/images\nval: images\nnames: [barnacle, oyster]\n"),
-        ("data.yaml", "path: ..\ntrain: [kelp/images, C:\\sets\\other\\images]\nnames: [barnacle, oyster]\n"),
-        ("other.yml", "train: other/images\nnames: [barnacle, oyster]\n"),
     ],
 )
 def test_class_names_beside_a_folder_that_is_no_part_of_an_export_are_of_other_sets(file, text, name, tmp_path):
@@ -55,6 +49,8 @@ def test_class_names_beside_a_folder_that_is_no_part_of_an_export_are_of_other_s
         ("data.yaml", "names: [barnacle, oyster]\npath: other\ntrain: reef/2024/train\n"),
         ("data.yaml", "names: [barnacle, oyster]\npath: /content/HERE\ntrain: images/train\n"),
         ("reef.yml", "names: [barnacle, oyster]\n"),
+        ("data.yaml", "names: [barnacle, oyster]\ntrain: images/train2017\n"),
+        ("data.yaml", "names: [barnacle, oyster]\ntrain: [reef1/images, reef2/images]\nval: reef3/images\n"),
     ],
 )
 def test_class_names_beside_a_folder_that_may_be_of_it_or_not_are_refused(file, text, tmp_path):
@@ -66,11 +62,33 @@ def test_class_names_beside_a_folder_that_may_be_of_it_or_not_are_refused(file, 
     assert open_labelled(folder)[0].oysters.any()
 
 
+@pytest.mark.parametrize("name", ["reef", "reef-test"])
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("data.yaml", "path: other\ntrain: other/train/images\nval: images\n"),
+        ("data.yaml", "path: /content/datasets/oysters-3\ntrain: train/images\n"),
+        ("data.yaml", "path: ..\ntrain: [kelp/images, C:\\sets\\other\\images]\n"),
+        ("data.yaml", "train: kelp-train/images\n"),
+        ("other.yml", "train: other/images\n"),
+    ],
+)
+def test_class_names_that_may_be_of_another_set_are_refused_whatever_the_folder_is_called(file, text, name, tmp_path):
+    """The folder may be of a set that was moved, or be beside one of other classes: either is wrong without a word."""
+    folder = yolo_folder(tmp_path / name, {"a": "0" + TRIANGLE})
+    (tmp_path / file).write_text(f"{text}names: [barnacle, oyster]\n")
+    with pytest.raises(LabelError, match=rf"{file}: expected the names of the classes of {name}/ in data\.yaml there"):
+        open_labelled(folder)
+
+
 @pytest.mark.parametrize(
     ("name", "text"),
     [
         ("reef-train", ""),
         ("train2", ""),
+        ("reef-test", "train: reef-train/images\nval: reef-valid/images\n"),
+        ("test2017", "train: train2017\nval: val2017\n"),
+        ("reef_2024_test", "path: /home/bob/sets\ntrain: Reef_2024_train/images\n"),
         ("reef-test", "train: ../train/images\nval: ../valid/images\n"),
         ("training", "train: ../training/images\n"),
         ("fold0", "train: [fold1/images, fold0/images]\nval: fold2/images\n"),
@@ -85,11 +103,22 @@ def test_a_data_yaml_above_is_of_a_folder_that_it_names_or_whose_name_ends_in_a_
     assert not open_labelled(folder)[0].oysters.any()
 
 
-@pytest.mark.parametrize(("name", "text"), [("train", "names: [fish]\n"), ("reef", "val: reef\nnames: [fish]\n")])
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("train", "names: [fish]\n"), ("reef", "val: reef\nnames: [fish]\n"), ("reef-test", "names: [fish]\n")],
+)
 def test_a_data_yaml_above_that_is_of_a_folder_must_name_oysters(name, text, tmp_path):
     folder = yolo_folder(tmp_path / name, {"a": "0" + TRIANGLE})
     (tmp_path / "data.yaml").write_text(text)
     with pytest.raises(LabelError, match=r"data\.yaml: no class is named 'oyster'"):
+        open_labelled(folder)
+
+
+@pytest.mark.parametrize("name", ["train", "reef-test"])
+def test_a_data_yaml_above_a_side_that_cannot_be_read_is_refused(name, tmp_path):
+    folder = yolo_folder(tmp_path / name, {"a": "0" + TRIANGLE})
+    (tmp_path / "data.yaml").write_text("names: {\n")
+    with pytest.raises(LabelError, match=r"data\.yaml: not YAML"):
         open_labelled(folder)
 
 
