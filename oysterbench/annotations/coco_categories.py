@@ -27,9 +27,9 @@ def categories_of(content: list[Any], oysters_alone: bool = False) -> Categories
 
     Oysters are those named oyster or oysters, alone or with live or dead, in any case and order; live or dead alone,
     too, if the supercategory is oysters, or the file has no others, but for one above all, as Roboflow writes, or is
-    about oysters alone. Elsewhere these are of something else beside a category called oyster, and doubtful without.
-    Others with the supercategory of oysters are doubtful, as a project called oysters may have anything below it,
-    unless oysters have a category of their own beside them or with another supercategory.
+    about oysters alone, unless oysters beside them have another supercategory. Elsewhere these are doubtful, and so are
+    others with the supercategory of oysters, as a project called oysters may have anything below it, unless oysters
+    have a category of their own beside them.
     """
     known = [one for one in content if isinstance(one, dict)]
     names = {one.get("id"): str(one.get("name")) for one in known}
@@ -37,15 +37,16 @@ def categories_of(content: list[Any], oysters_alone: bool = False) -> Categories
     states = {number: _state(name) for number, name in names.items() if _only(name, OYSTERS | STATES, OYSTERS)}
     bare = {number for number, name in names.items() if _only(name, STATES, STATES)}
     own = {groups[number] for number in states}  # groups in which oysters have a category of their own
-    apart = any(_words(group) - {"none"} and not _only(group, OYSTERS, OYSTERS) for group in own)
     within = {k for k, group in groups.items() if k not in states and _only(group, OYSTERS, OYSTERS)}
     below = Counter(groups.values())
     whole = {k for k, name in names.items() if below[name] - (groups[k] == name) == len(names) - 1}
-    if oysters_alone or names.keys() - whole <= bare | states.keys():
-        within |= bare
-    unlike = set() if any(_only(names[number], OYSTERS, OYSTERS) for number in states) else bare
+    alone = names.keys() - whole <= bare | states.keys()
+    known_groups = own | {names[k] for k in whole}
+    alike = {k for k in bare if groups[k] in known_groups or _words(groups[k]) <= OYSTERS | STATES | {"none"}}
+    if alone or oysters_alone:
+        within |= alike if states or not alone else bare
     states |= {number: _state(names[number]) for number in bare & within}
-    doubtful = (unlike | {number for number in within if not apart and groups[number] not in own}) - states.keys()
+    doubtful = (bare | {number for number in within if groups[number] not in own}) - states.keys()
     return Categories(names, states, frozenset(doubtful))
 
 

@@ -131,7 +131,8 @@ def map_command(
       a folder or .npz   masks, probabilities, classes (each connected part is an oyster; specks are not), or
                          instance numbers
       .json              COCO annotations; categories live and dead, live oyster and dead oyster, or oyster
-                         with a `state`, distinguish the two; others are left out
+                         with a `state`, distinguish the two; others are left out, or refused if
+                         they may be oysters, such as spat with the supercategory oyster
 
     An image without oysters needs an empty mask, or no annotation: images that are missing are left out.
 

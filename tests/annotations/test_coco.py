@@ -156,7 +156,9 @@ def test_oysters_are_named_in_either_case_and_number(name, tmp_path):
     assert open_labelled(path)[0].oysters.any()
 
 
-@pytest.mark.parametrize(("other", "above"), [("spat", "oyster"), ("barnacle", "Oysters")])
+@pytest.mark.parametrize(
+    ("other", "above"), [("spat", "oyster"), ("barnacle", "Oysters"), ("live", "coral"), ("dead", "")]
+)
 def test_a_category_that_may_be_of_oysters_is_refused_where_it_is_annotated(other, above, tmp_path):
     categories = named(("oyster", "none"), (other, above), ("stone", ""))
     assert len(read_coco(coco_file(tmp_path / "a.json", categories=categories)).items["a"]) == 0
@@ -166,24 +168,30 @@ def test_a_category_that_may_be_of_oysters_is_refused_where_it_is_annotated(othe
         read_coco(path)
 
 
-@pytest.mark.parametrize(("name", "above"), [("dead", ""), ("Live", "coral")])
-def test_a_state_alone_is_of_something_else_beside_oysters_and_doubtful_without(name, above, tmp_path):
-    for first, known in (("oyster", True), ("live oyster", False)):
-        categories = named((first, "none"), (name, above), ("stone", ""))
-        annotations = ({"segmentation": [SQUARE], "category_id": k} for k in (0, 1))
-        path = coco_file(tmp_path / "a.json", *annotations, categories=categories)
-        if known:
-            assert [item.values["category_id"] for item in read_coco(path).items["a"]] == [0]
-        else:
-            with pytest.raises(LabelError, match=rf"annotations\[1\]: its category, '{name}', could be of oysters"):
-                read_coco(path)
-
-
-def test_an_oyster_drill_beside_oysters_with_a_supercategory_of_their_own_is_something_else(tmp_path):
-    categories = named(("oyster", "bivalve"), ("oyster drill", "oysters"))
-    annotations = ({"segmentation": [SQUARE], "category_id": k} for k in (0, 1))
+@pytest.mark.parametrize(
+    "categories",
+    [
+        named(("oyster", ""), ("live", ""), ("dead", ""), ("rock", "")),
+        named(("live oyster", "none"), ("oyster", "none"), ("Dead", "none"), ("rock", "none")),
+        named(("oyster", "bivalve"), ("dead", "coral")),
+        named(("oyster", "shellfish"), ("adult", "oyster"), ("juvenile oyster", "oyster")),
+        named(("oyster", "bivalve"), ("oyster drill", "oysters")),
+    ],
+)
+def test_what_may_be_oysters_beside_others_is_never_left_out_without_a_word(categories, tmp_path):
+    """Nor counted as oysters: also where they have a category or a supercategory of their own."""
+    annotations = ({"segmentation": [SQUARE], "category_id": one["id"]} for one in categories)
     path = coco_file(tmp_path / "a.json", *annotations, categories=categories)
-    assert len(read_coco(path).items["a"]) == 1
+    with pytest.raises(LabelError, match=r"annotations\[[12]\]: its category, .* could be of oysters or not"):
+        read_coco(path)
+
+
+@pytest.mark.parametrize("above", ["", "none", "shell", "oyster", "live"])
+def test_states_alone_beside_oysters_and_nothing_else_are_oysters(above, tmp_path):
+    categories = named(("oyster", above), ("live", above), ("dead", above))
+    annotations = ({"segmentation": [SQUARE], "category_id": k} for k in (0, 1, 2))
+    path = coco_file(tmp_path / "a.json", *annotations, categories=categories)
+    assert read_coco(path).living("a") == {2: True, 3: False}
 
 
 def test_what_is_beside_oysters_in_a_project_of_oysters_is_something_else(tmp_path):
