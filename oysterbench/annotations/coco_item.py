@@ -19,6 +19,9 @@ PACKED = re.compile(rb"([P-o]{0,6}[0-O])+")
 """Compressed run lengths: each number is characters of 5 bits from '0' on, all but its last with a sixth bit set. Seven
 hold any run of an image; pycocotools trusts that no number has more."""
 
+UNSAID = (None, "", "__undefined__")
+"""States of an oyster of which none was chosen; the last is CVAT's."""
+
 ROUNDING = 0.01
 """By how much a fraction of width or height may be off 0 to 1."""
 
@@ -58,16 +61,17 @@ class CocoItem(NamedTuple):
     @property
     def state(self) -> str:
         """State given under `state`, or there among the `attributes` that CVAT writes: live, dead or unknown; empty
-        where none is, as where an attribute of this name says something else. Raises LabelError for other texts under
-        the key itself."""
+        where none is. Raises LabelError for other texts."""
         value, further = self.values.get("state"), self.values.get("attributes")
-        if value not in (None, ""):
-            found = str(value).strip().casefold()
-            if found not in ("live", "dead", "unknown", ""):
-                raise LabelError(f"{self.where}: expected 'state', live, dead or unknown, got {value!r:.60}")
-            return found
-        beside = str(further.get("state")).strip().casefold() if isinstance(further, dict) else ""
-        return beside if beside in ("live", "dead", "unknown") else ""
+        if value in UNSAID and isinstance(further, dict):
+            value = further.get("state")
+        found = "" if value in UNSAID else str(value).strip().casefold()
+        if found not in ("live", "dead", "unknown", ""):
+            raise LabelError(
+                f"{self.where}: expected 'state', live, dead or unknown, got {value!r:.60}: write one of these, or "
+                "rename an attribute that says something else"
+            )
+        return found
 
 
 def check_px(path: Path, items: Sequence[CocoItem]) -> None:

@@ -115,14 +115,24 @@ def test_cvat_says_states_among_its_attributes(tmp_path):
     assert read_coco(path).living("a") == {1: False, 2: True}
 
 
-@pytest.mark.parametrize("state", ["alive", "open", True, "__undefined__", ["live"], None])
-def test_an_attribute_of_cvat_called_state_may_say_something_else(state, tmp_path):
-    """Such as open or closed; CVAT itself writes __undefined__ where nothing was chosen."""
+@pytest.mark.parametrize("state", ["__undefined__", "", None])
+def test_a_state_that_was_not_chosen_in_cvat_is_none(state, tmp_path):
     said = ({"category_id": 1}, {"category_id": 2}, {"category_id": 2, "live": 0.8})
     categories = named(("oyster", "none"), ("oyster", "shell"), ("dead oyster", "shell"))
     items = ({"segmentation": [SQUARE], "attributes": {"state": state}, **one} for one in said)
     path = coco_file(tmp_path / "a.json", *items, categories=categories)
     assert read_coco(path).living("a") == {2: False, 3: True}
+
+
+@pytest.mark.parametrize("state", ["alive", "Living", "open", True, ["live"]])
+def test_another_state_in_cvat_is_refused(state, tmp_path):
+    """Beside some that are dead, the others would be left out without a word."""
+    items = ({"segmentation": [SQUARE], "attributes": {"state": one}} for one in ("dead", state))
+    path = coco_file(tmp_path / "a.json", *items)
+    with pytest.raises(
+        LabelError, match=r"annotations\[1\]: expected 'state', live, dead or unknown, got .* or rename"
+    ):
+        read_coco(path).living("a")
 
 
 def named(*categories):
