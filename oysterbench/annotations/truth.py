@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from oysterbench.annotations.coco import CocoFile, read_coco
 from oysterbench.annotations.coco_set import coco_files, picture_file, read_coco_picture
-from oysterbench.annotations.image import Entry, is_colour, planes_of
+from oysterbench.annotations.image import Entry, is_colour, is_mask, planes_of
 from oysterbench.annotations.manifest import FILE, read_manifest, scored_sides
 from oysterbench.annotations.masks import as_mask, read_png
 from oysterbench.annotations.opening import NONE, got_at, kinds_at, open_labelled
@@ -234,13 +234,16 @@ def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = Non
 
 
 def _check_no_masks(place: Path, path: Path, pictures: Iterable[Path]) -> None:
-    """Refuse a folder with a COCO file in a folder below that could be one of masks, too: its first PNG file that is
-    none of the pictures is a mask."""
+    """Refuse a folder with a COCO file in a folder below that could be one of masks, too: all PNG files that are its
+    pictures by their names, or one that is none, have as few colours as masks."""
     known = {picture.resolve() for picture in pictures}
-    first = next((one for one in _png_files(place) if one.resolve() not in known), None)
-    if first is not None and not is_colour(first):
+    files = _png_files(place)
+    named = [file for file in files if file.resolve() in known]
+    others = (file for file in files if file.resolve() not in known and is_mask(file))
+    found = named[0] if named and all(map(is_mask, named)) else next(others, None)
+    if found is not None:
         raise LabelError(
-            f"{place}: expected masks or COCO annotations, got both, such as {first} and {path}: give the COCO file "
+            f"{place}: expected masks or COCO annotations, got both, such as {found} and {path}: give the COCO file "
             "itself if it is meant, else move it elsewhere"
         )
 

@@ -12,6 +12,11 @@ if TYPE_CHECKING:
 LARGEST_IMAGE_PX = 1 << 26
 """Pixel limit: a file that claims more is no image, and no memory of that size is allocated to find out."""
 
+FEW = 32
+"""Labels have at most so many different colours, and photographs have more."""
+SAMPLE_PX = 100_000
+"""So many evenly spaced pixels of an image are looked at to count its colours."""
+
 # OpenCV reads this once, when it is loaded, and nothing loads it before this module; its own limit is 16 times larger.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(LARGEST_IMAGE_PX))
 
@@ -26,6 +31,14 @@ def decode_picture(data: bytes | NDArray[np.uint8], flags: int) -> NDArray[Any] 
         return cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags) if len(data) else None
     except cv2.error:
         return None
+
+
+def has_few_colours(pixels: NDArray[Any]) -> bool:
+    """Whether an image of any shape (H, W, ...) has as few colours as labels have."""
+    import numpy as np
+
+    colours = pixels.reshape(pixels.shape[0] * pixels.shape[1], -1)
+    return len(np.unique(colours[:: 1 + len(colours) // SAMPLE_PX], axis=0)) <= FEW
 
 
 def upper_bits(pixels: NDArray[np.uint16]) -> NDArray[np.uint8]:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
-from oysterbench.core.pictures import decode_picture
+from oysterbench.core.pictures import decode_picture, has_few_colours
 
 IMAGES = ("images", "image", "imgs", "img", "jpegimages")
 """Names of folders of images that have labels beside them; in any case, as those of labels."""
@@ -19,10 +19,6 @@ as CVAT and Labelme write it (SegmentationClass, SegmentationObject, Segmentatio
 MASK = "_mask"
 """What Roboflow puts after the name of an image to name its mask, which lies beside it."""
 LOSSLESS = (".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm")
-FEW = 32
-"""Labels have at most so many different colours, and photographs have more."""
-SAMPLE_PX = 100_000
-"""So many evenly spaced pixels of an image are looked at."""
 
 
 def folders_of_labels(names: Iterable[str]) -> set[str]:
@@ -70,7 +66,6 @@ def seeming_labels(pictures: Iterable[Path]) -> dict[Path, Path]:
 def _has_few_colours(path: Path) -> bool:
     """Whether an image is stored without loss in few colours. False where it cannot be read."""
     import cv2
-    import numpy as np
 
     if path.suffix.lower() not in LOSSLESS:
         return False
@@ -78,7 +73,4 @@ def _has_few_colours(path: Path) -> bool:
         pixels = decode_picture(path.read_bytes(), cv2.IMREAD_UNCHANGED)
     except OSError:
         return False
-    if pixels is None:
-        return False
-    colours = pixels.reshape(pixels.shape[0] * pixels.shape[1], -1)
-    return len(np.unique(colours[:: 1 + len(colours) // SAMPLE_PX], axis=0)) <= FEW
+    return pixels is not None and has_few_colours(pixels)

@@ -315,6 +315,28 @@ def test_a_folder_of_masks_with_a_coco_file_in_annotations_is_refused(tmp_path):
     assert open_truth(tmp_path)[0].coco is not None
 
 
+@pytest.mark.parametrize("overview", [False, True])
+def test_masks_that_have_the_names_of_their_images_are_not_taken_for_these(overview, tmp_path):
+    """As is usual; also where another picture lies before them."""
+    path = laid(tmp_path, "annotations/instances_default.json", ".")
+    for name in "ab":
+        write_png(tmp_path / f"{name}.png", np.zeros((HEIGHT, WIDTH), np.uint8))
+    if overview:
+        write_png(tmp_path / "_overview.png", picture(2))
+    with pytest.raises(LabelError, match=r"expected masks or COCO annotations, got both, such as .*a\.png and .*def"):
+        open_truth(tmp_path)
+    assert open_truth(path)[0].coco is not None
+
+
+def test_grey_images_that_are_not_annotated_and_depths_are_no_masks(tmp_path):
+    laid(tmp_path, "annotations/instances_val2017.json", "val2017")
+    write_png(tmp_path / "val2017" / "b.png", picture(1)[..., 0])
+    write_png(tmp_path / "depth" / "a.png", np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH))
+    assert [clip.names for clip in open_truth(tmp_path)] == [("a",)]
+    write_png(tmp_path / "val2017" / "a.png", np.repeat(picture(1)[..., :1], 3, axis=2))
+    assert [clip.names for clip in open_truth(tmp_path)] == [("a",)]
+
+
 def test_of_several_files_one_is_asked_for(tmp_path):
     for side in ("train", "val"):
         path = tmp_path / "annotations" / f"instances_{side}2017.json"
