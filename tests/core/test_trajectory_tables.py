@@ -94,6 +94,13 @@ def echoed(k):
     return pose(f"field.poses{k}.pose.position", f"field.poses{k}.pose.orientation", ".")
 
 
+TIMES = [
+    *(("timestamp", stamp) for stamp in ("header.stamp_ns", "header_stamp_ns", "stamp_ms", "stamp_usecs")),
+    *(("timestamp_ns", "header.stamp"), ("t", "time_ms")),
+]
+"""Names of times of which either may be the stamp, though one has a unit: refused in both orders."""
+
+
 @pytest.mark.parametrize(
     ("header", "one", "other"),
     [
@@ -124,6 +131,8 @@ def echoed(k):
             "/vio/header/stamp",
             "/vio/odom/header/stamp",
         ),
+        *((f"{one},{other},{pose('p', 'q')}", one, other) for one, other in TIMES),
+        *((f"{other},{one},{pose('p', 'q')}", other, one) for one, other in TIMES),
     ],
 )
 @pytest.mark.parametrize("comment", ["", "# "])
@@ -175,8 +184,6 @@ def test_a_table_of_two_poses_is_refused_with_a_column_of_each(tmp_path, header,
         (f"t,x,y,{pose('pose', 'q')}", "1.5,9,9,1,2,3,0,0,0,1"),
         (f"timestamp,time.sec,time.nanosec,{pose('p', 'q')}", "9,1,500000000,1,2,3,0,0,0,1"),
         (f"timestamp,t_sec,t_nsec,{pose('p', 'q')}", "9,1,500000000,1,2,3,0,0,0,1"),
-        (f"t,time_ms,{pose('p', 'q')}", "1.5,9000,1,2,3,0,0,0,1"),
-        (f"timestamp_ns,header.stamp,{pose('p', 'q')}", "9000000000,1.5,1,2,3,0,0,0,1"),
         (f"sec,nanosec,header.stamp.sec,header.stamp.nanosec,{pose('p', 'q')}", "9,9,1,500000000,1,2,3,0,0,0,1"),
         ("t,x,y,z,pose_x,pose_y,pose_z,qx,qy,qz,qw", "1.5,1,2,3,9,9,9,0,0,0,1"),
         (
@@ -253,6 +260,16 @@ def test_a_comment_that_has_the_quaternion_elsewhere_than_the_layout_is_refused(
     other = comment.replace("u,v,h,", "u,v,h,w,").replace("u v h ", "u v h w ")
     more = written(tmp_path, f"# {other}\n{row}\n".encode())
     assert len(read_trajectory(more)) == 1, "a comment on other columns says nothing"
+
+
+@pytest.mark.parametrize("names", ["timestamp_s,timestamp", "timestamp,timestamp_s"])
+def test_of_two_columns_of_one_time_the_one_that_says_its_unit_is_read(tmp_path, names):
+    """As in tables of PX4's logs, whose `timestamp` is in us."""
+    stamps = {"timestamp_s": "12.5", "timestamp": "12500000"}
+    line = ",".join(stamps[name] for name in names.split(","))
+    path = written(tmp_path, f"{names},{pose('p', 'q')}\n{line},1,2,3,0,0,0,1\n".encode())
+    for unit in (None, "s", "us"):
+        assert read_trajectory(path, time_unit=unit).stamps_ns.tolist() == [12_500_000_000]
 
 
 @pytest.mark.parametrize("unit", ["s", "ns"])

@@ -12,8 +12,8 @@ TIME_WORDS = {"t", "ts", "time", "times", "timestamp", "timestamps", "stamp", "s
 STAMP_WORDS = {"stamp", "stamps", "timestamp", "timestamps"}
 UNIT_WORDS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec", "millis", "millisec", "millisecond", "milliseconds"), "ms"),
-    **dict.fromkeys(("us", "usec", "micros", "microsec", "microsecond", "microseconds"), "us"),
+    **dict.fromkeys(("ms", "msec", "msecs", "millis", "millisec", "millisecond", "milliseconds"), "ms"),
+    **dict.fromkeys(("us", "usec", "usecs", "micros", "microsec", "microsecond", "microseconds"), "us"),
     **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecs", "nanosecond", "nanoseconds"), "ns"),
 }
 MICRO = str.maketrans(dict.fromkeys("\u00b5\u03bc", "u"))
@@ -268,8 +268,8 @@ def _times(named: list[tuple[list[str], str]], two_parts: bool) -> list[_Time]:
 
 def _stamp(times: list[_Time], unit: str | None) -> tuple[_Time, list[int]]:
     """Which of several times is the stamp: the first of the lowest rank, among those in the unit that is asked for if a
-    name has it, or else those that say no unit; and two columns that may be it, where their names differ in more than
-    the unit."""
+    name has it, or one that says its unit where none is asked for; and two columns that may be it, where their names
+    differ in more than the unit."""
     if unit is not None and any(one.unit == unit and one.beyond is None for one in times):
         times = [one for one in times if one.unit == unit or one.beyond is not None]
     # Beside the stamp of a message, a time in two columns that are not called so is that of the recording.
@@ -279,9 +279,9 @@ def _stamp(times: list[_Time], unit: str | None) -> tuple[_Time, list[int]]:
     times = [one for one in times if one.rank == lowest]
     if any("header" in one.words for one in times):
         times = [one for one in times if one.bare]
-    stamp, *others = [one for one in times if one.unit is None] or times
-    other = next((one for one in others if one.bare != stamp.bare), None)
-    return stamp, [] if other is None else [stamp.column, other.column]
+    stamp = next((one for one in times if (one.unit is None) == (unit is not None)), times[0])
+    other = next((one for one in times if one.bare != times[0].bare), None)
+    return stamp, [] if other is None else [times[0].column, other.column]
 
 
 def _time_unit(words: tuple[str, ...], unit: str) -> str | None:
