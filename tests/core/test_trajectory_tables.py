@@ -262,6 +262,14 @@ def test_a_comment_that_has_the_quaternion_elsewhere_than_the_layout_is_refused(
     assert len(read_trajectory(more)) == 1, "a comment on other columns says nothing"
 
 
+def test_an_order_that_is_asked_for_is_not_read_from_columns_that_a_comment_gives_to_others(tmp_path):
+    path = written(tmp_path, b"# clock qx qy qz qw x y z\n1.5 0 0.6 0 0.8 0.01 0.6 0.03\n")
+    for order in (None, "xyzw", "wxyz"):
+        with pytest.raises(TrajectoryError, match=r"expected a comment that names .* got 'clock,qx,qy,qz,qw,x,y,z'"):
+            read_trajectory(path, quaternion=order)
+    assert len(read_trajectory(path, format="tum")) == 1
+
+
 @pytest.mark.parametrize("names", ["timestamp_s,timestamp", "timestamp,timestamp_s"])
 def test_of_two_columns_of_one_time_the_one_that_says_its_unit_is_read(tmp_path, names):
     """As in tables of PX4's logs, whose `timestamp` is in us."""

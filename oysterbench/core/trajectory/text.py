@@ -196,21 +196,25 @@ def _columns(head: _Head, path: Path, options: ReadOptions, parts: bool = True) 
     if options.quaternion is not None and sorted(columns.quaternion) == list(range(first, first + 4)):
         order = (0, 1, 2, 3) if options.quaternion == "xyzw" else (1, 2, 3, 0)
         columns = replace(columns, quaternion=tuple(first + k for k in order))
-    if options.format is None and options.quaternion is None and not columns.named:
-        _check_comments(head, path, columns)
+    if options.format is None and not columns.named:
+        _check_comments(head, path, columns, options.quaternion is not None)
     return columns
 
 
-def _check_comments(head: _Head, path: Path, columns: Columns) -> None:
+def _check_comments(head: _Head, path: Path, columns: Columns, asked: bool) -> None:
     """Refuse a comment that names the quaternion, in other columns than a layout without names has it: it is known to
-    be another layout, though not which."""
+    be another layout, though not which. asked: whether the order is, so that it is not the comment's that counts"""
     for names in head.comments:
-        elsewhere = any(columns.quaternion[axis : axis + 1] != (k,) for axis, k in named_quaternion(names).items())
+        found = named_quaternion(names).items()
+        elsewhere = any(
+            k not in (columns.quaternion if asked else columns.quaternion[axis : axis + 1]) for axis, k in found
+        )
         if elsewhere and len(names) == len(head.first):
+            order = "" if asked else " or the order (--quaternion xyzw or wxyz)"
             raise TrajectoryError(
                 f"{path}: expected a comment that names a column for each of t, x, y, z, qx, qy, qz, qw, or columns "
-                f"`{columns.kind}`, got {','.join(names)[:80]!r}; correct it, or name the format (--format tum or "
-                "euroc) or the order (--quaternion xyzw or wxyz)"
+                f"`{columns.kind}`, got {','.join(names)[:80]!r}; correct it, or name the format "
+                f"(--format tum or euroc){order}"
             )
 
 
@@ -249,8 +253,7 @@ def _layout(head: _Head, path: Path, options: ReadOptions, parts: bool) -> Colum
             )
         raise TrajectoryError(
             f"{path}: expected a header that names a column for each of t, x, y, z, qx, qy, qz, qw, got "
-            f"{','.join(head.names)[:80] or 'none'!r} over {len(head.first)} columns; correct it, or name the format "
-            "(--format tum or euroc)"
+            f"{','.join(head.names)[:80] or 'none'!r} over {len(head.first)} columns; correct it, or name the format (--format tum or euroc)"
         )
     if head.commas:
         return EUROC
