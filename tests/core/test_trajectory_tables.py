@@ -133,6 +133,15 @@ TIMES = [
         ),
         *((f"{one},{other},{pose('p', 'q')}", one, other) for one, other in TIMES),
         *((f"{other},{one},{pose('p', 'q')}", other, one) for one, other in TIMES),
+        ("t,x,y,z,pose_x,pose_y,pose_z,qx,qy,qz,qw", "x", "pose_x"),
+        (f"t,{pose('pose', 'pose_q')},x,y,z", "pose_x", "x"),
+        (f"t,{pose('pose', 'pose_rot')},tx,ty,tz", "pose_x", "tx"),
+        (f"t,x,y,z,qx,qy,qz,qw,{pose('pose', 'pose_q')}", "x", "pose_x"),
+        (f"t,pose_x,pose_y,pose_z,{pose('pose_position', 'q')}", "pose_x", "pose_position_x"),
+        *(
+            (f"t,{plotted(topic)},{plotted('gt')}", f"/{topic}/pose/position/x", "/gt/pose/position/x")
+            for topic in ("std_slam", "sigma", "vio/error", "error_gt")
+        ),
     ],
 )
 @pytest.mark.parametrize("comment", ["", "# "])
@@ -175,6 +184,7 @@ def test_a_table_of_two_poses_is_refused_with_a_column_of_each(tmp_path, header,
         (f"t,{pose('pos_sd', 'q_sd')},{pose('pos', 'q')}", "1.5,9,9,9,9,9,9,9,1,2,3,0,0,0,1"),
         (f"t,{pose('sd_p', 'sd_q')},{pose('p', 'q')}", "1.5,9,9,9,9,9,9,9,1,2,3,0,0,0,1"),
         (f"t,{pose('sd_p', 'sd_q')},{pose('pose.position', 'q')}", "1.5,9,9,9,9,9,9,9,1,2,3,0,0,0,1"),
+        (f"t,{plotted('vio/error')},{plotted('vio')}", "1.5,9,9,9,9,9,9,9,1,2,3,0,0,0,1"),
         (f"t,{pose('vio_sd_p', 'vio_sd_q')},{pose('p', 'q')}", "1.5,9,9,9,9,9,9,9,1,2,3,0,0,0,1"),
         (f"t,std_dev_px,std_dev_py,std_dev_pz,{pose('p', 'q')}", "1.5,9,9,9,1,2,3,0,0,0,1"),
         (
@@ -185,11 +195,6 @@ def test_a_table_of_two_poses_is_refused_with_a_column_of_each(tmp_path, header,
         (f"timestamp,time.sec,time.nanosec,{pose('p', 'q')}", "9,1,500000000,1,2,3,0,0,0,1"),
         (f"timestamp,t_sec,t_nsec,{pose('p', 'q')}", "9,1,500000000,1,2,3,0,0,0,1"),
         (f"sec,nanosec,header.stamp.sec,header.stamp.nanosec,{pose('p', 'q')}", "9,9,1,500000000,1,2,3,0,0,0,1"),
-        ("t,x,y,z,pose_x,pose_y,pose_z,qx,qy,qz,qw", "1.5,1,2,3,9,9,9,0,0,0,1"),
-        (
-            "t,pose_x,pose_y,pose_z,pose.position.x,pose.position.y,pose.position.z,qx,qy,qz,qw",
-            "1.5,9,9,9,1,2,3,0,0,0,1",
-        ),
     ],
 )
 def test_columns_that_belong_to_no_second_pose_are_left_aside(tmp_path, header, line):
@@ -209,6 +214,7 @@ def test_a_topic_may_be_called_as_a_spread(tmp_path, topic, comment):
     "header",
     [
         pose("p_std", "q"),
+        pose("p_sigma_map", "q_sigma_map"),
         pose("sigma_p", "sigma_q"),
         pose("est", "q") + ",pos_std_x",
         pose("est", "q") + ",pos_sd_x,pos_sd_y,pos_sd_z",
@@ -222,6 +228,15 @@ def test_the_spread_of_a_position_is_no_position(tmp_path, header):
     line = ",".join(["0.5"] * (1 + len(header.split(","))))
     with pytest.raises(TrajectoryError, match="expected a header that names a column for each of t, x, y, z"):
         read_trajectory(written(tmp_path, f"t,{header}\n{line}\n".encode()))
+
+
+@pytest.mark.parametrize("topic", ["std_slam", "variance_filter", "sigma", "vio/error"])
+@pytest.mark.parametrize("comment", ["", "# "])
+def test_where_a_word_of_a_spread_is_why_a_pose_is_refused_it_is_named(tmp_path, topic, comment):
+    path = written(tmp_path, f"{comment}t,{plotted(topic)}\n1.5,1,2,3,0.6,0,0,0.8\n".encode())
+    word = next(word for word in ("std", "variance", "sigma", "error") if word in topic)
+    with pytest.raises(TrajectoryError, match=rf"where '{word}' in '/{topic}/pose/position/x' says .* \(rename it if"):
+        read_trajectory(path)
 
 
 @pytest.mark.parametrize("comment", ["", "# "])

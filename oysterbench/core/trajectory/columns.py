@@ -37,7 +37,7 @@ OTHER_LENGTHS = {"um", "cm", "dm", "km", "ft", "inch"} | {
 SURE_SPREADS = {"std", "stddev", "stdev", "variance", "rms", "rmse"}
 """Words in the names of columns that say how far off a pose is, and are no pose."""
 SPREAD_WORDS = SURE_SPREADS | {"sd", "sigma", "var", "err", "error"}
-"""All such words. Those that are not sure may be part of a topic's name where the topic has a whole pose, as
+"""All such words. Those that are not sure may be part of a topic's name where it alone has a whole pose, as
 `/error_state_kf/pose/position/x`."""
 POSE_ROLES = {"px", "py", "pz", "qx", "qy", "qz", "qw"}
 LONGEST_FRAMES = 3
@@ -149,7 +149,8 @@ def named_columns(names: list[str], two_parts: bool = True, time_unit: str | Non
             covariance.setdefault(cell, k)
         elif role := _role(words):
             found.setdefault(role[0], {}).setdefault(role[1], []).append((k, role[2]))
-    pose = _pose(_poses_alone(found))
+    alone = {prefix: _consistent(columns) for prefix, columns in found.items()}
+    pose = _pose({prefix: columns for prefix, columns in alone.items() if not _of_spreads(prefix, alone)})
     if pose is None:
         return None
     whose, position, quaternion, of_pose = pose
@@ -182,30 +183,29 @@ def named_quaternion(names: list[str]) -> dict[int, int]:
     return found
 
 
-def _poses_alone(found: dict[Prefix, dict[str, list[tuple[int, str]]]]) -> dict[Prefix, dict[str, list[int]]]:
-    """Columns of each prefix and role, from those with the words that say it, without those of spreads. Names such as
-    pose_x are of a position where their topic has no other."""
-    named = {
-        _topic(prefix)
-        for prefix, of in found.items()
-        if all({word for _, word in of.get(role, ())} - {"pose"} for role in ("px", "py", "pz"))
-    }
-    alone: dict[Prefix, dict[str, list[int]]] = {}
-    for prefix, columns in found.items():
-        kept = {
-            role: [(k, word) for k, word in of if word != "pose" or _topic(prefix) not in named]
-            for role, of in columns.items()
-        }
-        alone[prefix] = _consistent({role: of for role, of in kept.items() if of})
-    return {prefix: columns for prefix, columns in alone.items() if not _of_spreads(prefix, alone)}
+def spread_word(names: list[str]) -> tuple[str, str] | None:
+    """Word of a spread, and the name that has it, for which a header names no pose; None where that is not why."""
+    split = [_words(name)[0] for name in names]
+    plain = ["_".join(word for word in words if word not in SPREAD_WORDS) for words in split]
+    if named_columns(names) is not None or named_columns(plain) is None:
+        return None
+    of_poses = ((words, name) for words, name in zip(split, names, strict=True) if _role(words))
+    return next(((word, name) for words, name in of_poses for word in words if word in SPREAD_WORDS), None)
 
 
 def _of_spreads(prefix: Prefix, found: dict[Prefix, dict[str, list[int]]]) -> bool:
-    """Whether a prefix is of the spreads of another's pose. With a word of them it is a topic only where it has a whole
-    pose, and no position has its name without them. found: the roles of each prefix"""
-    plain = tuple(word for word in prefix if word not in SPREAD_WORDS)
-    beside = any("px" in of and _topic(one) == _topic(plain) for one, of in found.items() if one != prefix)
-    return plain != prefix and (beside or not found[prefix].keys() >= POSE_ROLES)
+    """Whether a prefix is of the spreads of another's pose: with a word of them just before or after that for a
+    position or an attitude, as `pos_std_x`. A whole pose may be of a topic called so, as `/sigma/pose/position/x`, or
+    of a method, as `sd_px`, but for one that has its name without the word beside it. found: the roles of each"""
+    if not _ends_as_spread(prefix):
+        return False
+    plain = _topic(word for word in prefix if word not in SPREAD_WORDS)
+    beside = any(_topic(one) == plain and {"px", "py", "pz"} <= found[one].keys() for one in found if one != prefix)
+    return beside or not found[prefix].keys() >= POSE_ROLES or ("pose" not in prefix and prefix != ("sd",))
+
+
+def _ends_as_spread(prefix: Prefix) -> bool:
+    return bool(SPREAD_WORDS.intersection([word for word in prefix if word not in ("field", "pose", "dev")][-1:]))
 
 
 def _consistent(found: dict[str, list[tuple[int, str]]]) -> dict[str, list[int]]:
@@ -229,8 +229,6 @@ def _pose(found: dict[Prefix, dict[str, list[int]]]) -> tuple[Prefix, list[int],
     if not positions or not attitudes:
         return None
     first = positions[0]
-    if (topic := _topic(first)) and SPREAD_WORDS.issuperset(topic):
-        return None  # sd_px and sd_qx may be the spreads of a pose whose names are not known
     # Of EuRoC's names, those of a position, p_RS_R, have one frame more than those of an attitude, q_RS.
     attitude = first if first in attitudes else next((one for one in attitudes if _nested(one, first)), attitudes[0])
     position = [found[first][f"p{axis}"] for axis in "xyz"]
@@ -242,6 +240,10 @@ def _pose(found: dict[Prefix, dict[str, list[int]]]) -> tuple[Prefix, list[int],
         rivals = [found[one]["qx"][0] for one in attitudes[:2]]
     elif not _nested(attitude, first):
         rivals = [position[0][0], quaternion[0][0]]
+    elif SPREAD_WORDS & {*first, *attitude} and (
+        attitude != first or _ends_as_spread(first) or SURE_SPREADS & set(first)
+    ):
+        return None  # sd_px and sd_qx may be the spreads of a pose whose names are not known
     return first, [k for k, *_ in position], [k for k, *_ in quaternion], rivals
 
 
@@ -315,27 +317,17 @@ def _role(words: list[str]) -> tuple[Prefix, str, str] | None:
     *before, last = words
     if re.fullmatch(r"q[xyzw]|[pt][xyz]", last):
         before, last = [*before, last[0]], last[1]
-    if last not in ("x", "y", "z", "w") or _is_spread(before):
+    if last not in ("x", "y", "z", "w"):
         return None
     for letter, known in (("q", QUATERNION_WORDS), ("p", POSITION_WORDS)):
-        said = [word for word in before if word in known]
+        said = [k for k, word in enumerate(before) if word in known]
         if said and (letter, last) != ("p", "w"):
-            return tuple(word for word in before if word not in known), f"{letter}{last}", said[-1]
+            after = sorted(before[said[-1] + 1 :], key=SPREAD_WORDS.__contains__)  # p_std_map as p_map_std
+            whose = tuple(word for word in before[: said[-1]] if word not in known)
+            return (*whose, *after), f"{letter}{last}", before[said[-1]]
     if before[-1:] == ["pose"] and last != "w":
         return tuple(before[:-1]), f"p{last}", "pose"
     return None if before else ((), "qw" if last == "w" else f"p{last}", "")
-
-
-def _is_spread(words: list[str]) -> bool:
-    """Whether the words before an axis are those of a spread, with a word of it just before that for a position or an
-    attitude, or after: of `pos_std_x`, `sigma_px`, `std_dev_qw` and `error.pose.position.x`. Alone, as in `sd_px`,
-    sd may be the name of a method."""
-    words = [word for word in words if word not in ("field", "pose", "dev")]
-    known = {*POSITION_WORDS, *QUATERNION_WORDS}
-    place = next((k for k in reversed(range(len(words))) if words[k] in known), len(words) - 1)
-    before = words[:place]
-    beside = SPREAD_WORDS & {*words[place:], *(before[-1:] if before != ["sd"] else [])}
-    return bool(beside or SURE_SPREADS & set(words))
 
 
 def _time_words(words: list[str]) -> tuple[Prefix, tuple[str, ...]] | None:

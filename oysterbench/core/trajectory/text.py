@@ -21,6 +21,7 @@ from oysterbench.core.trajectory.columns import (
     Columns,
     named_columns,
     named_quaternion,
+    spread_word,
 )
 from oysterbench.core.trajectory.frames import METRES, scaled
 from oysterbench.core.trajectory.options import EXPECTED, ReadOptions
@@ -213,9 +214,15 @@ def _check_comments(head: _Head, path: Path, columns: Columns, asked: bool) -> N
             order = "" if asked else " or the order (--quaternion xyzw or wxyz)"
             raise TrajectoryError(
                 f"{path}: expected a comment that names a column for each of t, x, y, z, qx, qy, qz, qw, or columns "
-                f"`{columns.kind}`, got {','.join(names)[:80]!r}; correct it, or name the format "
+                f"`{columns.kind}`, got {','.join(names)[:80]!r}{_of_spreads(names)}; correct it, or name the format "
                 f"(--format tum or euroc){order}"
             )
+
+
+def _of_spreads(names: list[str]) -> str:
+    """What to add to an error on names, where a word in them is why they are those of no pose."""
+    found = spread_word(names)
+    return f", where {found[0]!r} in {found[1]!r} says that it is a spread (rename it if it is not)" if found else ""
 
 
 def _layout(head: _Head, path: Path, options: ReadOptions, parts: bool) -> Columns:
@@ -253,7 +260,8 @@ def _layout(head: _Head, path: Path, options: ReadOptions, parts: bool) -> Colum
             )
         raise TrajectoryError(
             f"{path}: expected a header that names a column for each of t, x, y, z, qx, qy, qz, qw, got "
-            f"{','.join(head.names)[:80] or 'none'!r} over {len(head.first)} columns; correct it, or name the format (--format tum or euroc)"
+            f"{','.join(head.names)[:80] or 'none'!r} over {len(head.first)} columns{_of_spreads(head.names)}; correct "
+            "it, or name the format (--format tum or euroc)"
         )
     if head.commas:
         return EUROC
