@@ -21,15 +21,20 @@ UNITS = {RATE: {"", "rad/s", "rads-1", "1/s", "s-1"}, FORCE: {"", "m/s2", "ms-2"
 OTHER_UNITS = re.compile(r"deg.*|m?dps|rpm|mrad|[mu]?g|[cm]m(s|ps)?")
 """First word of the units that stand after the axis in the names of some tables, as in `gyro_x_deg_per_s`."""
 
-OTHER_TIMES = {"tick", "ticks", "counts", "cycles", "frames", "samples"} | {
-    *("min", "mins", "minute", "minutes", "h", "hr", "hrs", "hour", "hours", "day", "days", "ps", "picoseconds")
+NANO_WORDS = {word for word, unit in UNIT_WORDS.items() if unit == "ns"} | {"nano"}
+CLOCKS = {"utc", "unix", "posix", "epoch", "ros", "tai", "gps", "ptp", "clock", "time", "since", "in", "int", "uint"}
+CLOCK_NUMBERS = {"64", "1970"}
+"""What else may be in brackets after the name of stamps in ns: their clock, its start, and their type."""
+NANO = re.compile(r"(1e|10)-0?9s(ec(ond)?s?)?|s(ec(ond)?s?)?(1e|10)-?0?9")
+"""Nanoseconds as a power of ten of seconds, as `_is_nano` writes them."""
+OTHER_TIMES = {
+    *("tick", "ticks", "count", "counts", "cycles", "frames", "samples", "ps", "picoseconds"),
+    *("min", "mins", "minute", "minutes", "h", "hr", "hrs", "hour", "hours", "day", "days", "week", "weeks"),
 }
-"""Words of units that stamps are not read in."""
-NANO = re.compile(r"(?:e|\^|\*\*)\s*[-+]?0?9(?!\d)|\u207b\u2079")
-"""The power of ten of nanoseconds, as in `[1e-9 s]`."""
+"""Words of units in the name itself, but for `UNIT_WORDS`."""
 BRACKET = r"[\[(]([^\])]*)[\])]"
 
-PLAIN = str.maketrans({"\u207b": "-", "\u00b2": "2", "\u00b9": "1", **dict.fromkeys(" ^*.\u00b7")})
+PLAIN = str.maketrans({"\u207b": "-", "\u00b2": "2", "\u00b9": "1", "\u2079": "9", **dict.fromkeys(" ^*.\u00b7")})
 SHORT = {"squared": "2", "per": "/", r"met(er|re)(s(?!-2))?": "m", r"radian(s(?!-1))?": "rad", r"sec(ond)?s?": "s"}
 """Words in the name of a unit, once its blanks are gone, and the short ones."""
 
@@ -40,7 +45,8 @@ def check_inertial_header(path: Path, names: list[str]) -> None:
     layout = [(kind, axis) for kind in (RATE, FORCE) for axis in "xyz"]
     if names and (unit := _unit_of_stamps(names[0])) != "ns":
         raise SequenceError(
-            f"{path}: expected stamps in ns, got {unit}, by the name {names[0]!r:.60}; convert them, and correct it"
+            f"{path}: expected stamps in ns, got {unit}, by the name {names[0]!r:.60}; convert them, and name them "
+            "`timestamp [ns]`"
         )
     for column, (name, (kind, axis)) in enumerate(zip(names[1:], layout, strict=False), start=2):
         words, unit = _parts(name)
@@ -56,17 +62,30 @@ def check_inertial_header(path: Path, names: list[str]) -> None:
 
 
 def _unit_of_stamps(name: str) -> str:
-    """Unit of stamps by the name of their column: that in brackets, whatever else is there, as in `[ns] (UTC)`, or its
-    last word; ns where it says none."""
-    name = name.translate(MICRO).lower()
-    if NANO.search(name):
-        return "ns"
-    brackets = [re.findall(r"[a-z]+", text) for text in re.findall(BRACKET, name)]
-    said = [word for words in brackets for word in ("".join(words), *words)]
-    last = re.findall(r"[a-z]+|[0-9]+", re.sub(BRACKET, " ", name))[-1:]
-    units = {**{word: repr(word) for word in OTHER_TIMES}, **UNIT_WORDS}
-    known = [units[word] for word in said if word in units] or [UNIT_WORDS[word] for word in last if word in UNIT_WORDS]
-    return "ns" if "ns" in known or not known else known[0]
+    """Unit of stamps by the name of their column: ns where all in brackets is known to go with it and no word beside
+    them is another unit; else that unit, or what is not known."""
+    name = name.translate(MICRO)
+    for text in re.findall(BRACKET, name):
+        if not _is_nano(text):
+            words = re.findall(r"[a-z]+", text.lower())
+            said = [UNIT_WORDS[word] for word in ("".join(words), *words) if word in UNIT_WORDS]
+            return next((unit for unit in said if unit != "ns"), repr(text.strip()))
+    words = re.findall(r"[a-z]+", re.sub(BRACKET, " ", name).lower())
+    units = {**UNIT_WORDS, **{word: repr(word) for word in OTHER_TIMES}}
+    return next((units[word] for word in words if units.get(word, "ns") != "ns"), "ns")
+
+
+def _is_nano(text: str) -> bool:
+    """Whether what is in brackets says nothing but nanoseconds, and what clock they are of.
+
+    >>> [_is_nano(text) for text in ("ns since 1970", "UTC", "10^-9 s", "nano seconds", "100 ns", "index")]
+    [True, True, True, True, False, False]
+    """
+    words, numbers = re.findall(r"[a-z]+", text.lower()), re.findall(r"[0-9.]+", text)
+    squeezed = text.lower().translate(PLAIN)
+    if squeezed in NANO_WORDS or ("." not in text and NANO.fullmatch(squeezed)):
+        return True
+    return set(words) <= NANO_WORDS | CLOCKS and set(numbers) <= CLOCK_NUMBERS
 
 
 def _parts(name: str) -> tuple[list[str], str]:

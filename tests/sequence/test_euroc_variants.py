@@ -33,12 +33,22 @@ STAMPED = [
         ("[ms] (UTC)", "ms"),
         ("[1e-6 s]", "s"),
         ("[seconds since 1970]", "s"),
+        ("[s since 1.6e9]", "s"),
+        ("[s] (offset 1.6e9)", "s"),
+        ("[usecs]", "us"),
+        ("[msecs]", "ms"),
+        ("[ns in 1 us steps]", "us"),
+        ("_usecs", "us"),
+        ("_us_utc", "us"),
+        ("_us_since_boot", "us"),
+        ("_ticks", "'ticks'"),
     ),
+    *((f"[{said}]", f"'{said}'") for said in ("100 ns", "micro", "weeks", "MJD", "hh:mm:ss", "ksec", "count", "index")),
 ]
 """What the name of a column says of stamps that are not in ns, and the unit."""
 CLOCKS = [
     *("[ns] (UTC)", "(UTC)", "[unix]", "[epoch]", "[int64]", "(ROS)", "[TAI]", "[1e-9 s]", "[10^-9 s]", "[s*1e9]"),
-    *("[10\u207b\u2079 s]", "[GPS ns]", "_ns (UTC)"),
+    *("[10\u207b\u2079 s]", "[GPS ns]", "_ns (UTC)", "[ns since epoch]", "[Unix time]", "[nano]", "[uint64]"),
 ]
 """What the name of a column says of stamps in ns: the clock, the type, or the unit in other words."""
 DEGREES = ["deg_per_s", "deg_sec", "degps", "degree_per_second", "dps"]
@@ -185,7 +195,7 @@ def test_an_image_that_cannot_be_read_is_told_from_one_that_is_absent_or_empty(f
         ("t,gyro_z,gyro_y,gyro_x,accX,accY,accZ", "column 2 the x of the angular rate in rad/s, .*, got 'gyro_z'"),
         ("t,temperature,wx,wy,wz,ax,ay,az", "column 3 the y of the angular rate in rad/s, .*, got 'wx'"),
         *(
-            (f"#t {said},w_x,w_y,w_z,a_x,a_y,a_z", f"stamps in ns, got {unit}, by the name 't ")
+            (f"#t {said},w_x,w_y,w_z,a_x,a_y,a_z", f"stamps in ns, got {re.escape(unit)}, by the name 't ")
             for said, unit in STAMPED
         ),
         *((f"t,gyro_x_{unit},gyro_y,gyro_z,acc_x,acc_y,acc_z", "column 2 .*, got 'gyro_x_d") for unit in DEGREES),
