@@ -76,7 +76,8 @@ class NetworkError(HubError):
 
 
 class SilentError(NetworkError):
-    """No source could be reached; where one answered, however wrongly, it is no such error."""
+    """No server of a hub could be reached to ask for its index; where one answered, however wrongly, it is no such
+    error, nor where a folder cannot be read."""
 
 
 class MissingExtraError(OysterbenchError, ImportError):

@@ -24,7 +24,7 @@ from oysterbench.hub.manifest import FileEntry, Manifest, read_manifest, release
 from oysterbench.hub.model import Model, read_model
 from oysterbench.hub.part import Part
 from oysterbench.hub.pieces import Pieced
-from oysterbench.hub.sources import Patience, Refusal, Setback, is_offline, open_source
+from oysterbench.hub.sources import Patience, Refusal, Setback, Silence, is_offline, open_source
 from oysterbench.hub.transfer import Mirror, Transfer, no_mirror_left, pause_s
 from oysterbench.hub.trusted import remember, remember_folder, was_filled_here
 from oysterbench.hub.verify import DAMAGED, MANIFEST, RIGHT, Check, check_file, claims, kept_manifest
@@ -144,8 +144,10 @@ class Hub:
                 except IntegrityError as error:
                     mirror.fail(str(error), lied=True)
                 except Refusal as refusal:
+                    mirror.answered = True
                     mirror.refused[path] = str(refusal)
                 except Setback as setback:
+                    mirror.answered |= not isinstance(setback, Silence)
                     if attempt >= self.patience.first_contact or setback.wait_s > self.patience.longest_wait_s:
                         mirror.fail(f"{setback}, {attempt} times in a row")
                     else:
@@ -156,6 +158,7 @@ class Hub:
     def _read(mirror: Mirror, path: str, largest: int) -> bytes:
         data = bytearray()
         with mirror.source.open(path) as body:
+            mirror.answered = True
             while more := body.read():
                 data += more
                 if len(data) > largest:

@@ -39,6 +39,10 @@ class Setback(Exception):
         self.wait_s = wait_s
 
 
+class Silence(Setback):
+    """A server to which no connection could be made."""
+
+
 class Refusal(Exception):
     """A request that this source will not fulfil, however often it is retried."""
 
@@ -157,7 +161,8 @@ class Web:
         try:
             response = self._pool.request("GET", f"{self.url}/{path}", headers=headers, preload_content=False)
         except (urllib3.exceptions.HTTPError, OSError, ValueError) as error:
-            raise Setback(f"no answer: {_cause(error)}") from None
+            silent = isinstance(getattr(error, "reason", None), urllib3.exceptions.ConnectTimeoutError)
+            raise (Silence if silent else Setback)(f"no answer: {_cause(error)}") from None
         try:
             begins = _check(response, start, end)
             yield HttpBody(response, begins)

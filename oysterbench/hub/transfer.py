@@ -42,6 +42,7 @@ class Mirror:
         self.source = source
         self.failure: str | None = None
         self.lied = False  # it gave wrong bytes
+        self.answered = False  # however wrongly, when asked for a document
         self.refused: dict[str, str] = {}  # path -> why
         self.whole = False  # it ignores ranges
         self.sweeping = threading.Lock()  # held by the one connection that reads a whole file from it
@@ -56,14 +57,14 @@ class Mirror:
 
 
 def no_mirror_left(what: str, path: str, mirrors: Iterable[Mirror]) -> HubError:
-    """Error to raise where no mirror can give a file."""
+    """Error to raise where no mirror can give a file; a SilentError only where none ever answered, to the index."""
     mirrors = list(mirrors)
     reasons = "; ".join(f"{mirror.source.name}: {mirror.why_not(path)}" for mirror in mirrors)
-    kind: type[HubError] = SilentError
+    kind: type[HubError] = NetworkError
     if any(mirror.lied for mirror in mirrors):
         kind = IntegrityError
-    elif any(path in mirror.refused for mirror in mirrors):
-        kind = NetworkError
+    elif path == "index.json" and not any(mirror.answered for mirror in mirrors):
+        kind = SilentError
     return kind(f"{what} could not be fetched: {reasons}")
 
 

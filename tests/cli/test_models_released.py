@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 
 import pytest
 
@@ -12,6 +13,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip insta
 from oysterbench_baselines.unet.training import train  # noqa: E402
 from tests.helpers.small_trainings import SMALL  # noqa: E402
 from tests.helpers.trees import oysterbench_serve  # noqa: E402
+from tests.helpers.web import misbehaving  # noqa: E402
 from tests.helpers.weights_place import Place  # noqa: E402
 
 
@@ -86,17 +88,25 @@ def test_where_a_hub_lacks_them_or_does_not_answer_weights_of_oysterbench_are_na
 
 def test_weights_of_oysterbench_are_not_named_in_place_of_a_hub_that_is_given_wrongly(place, published, part, tmp_path):
     """A script that fetches newer ones would go on with those."""
-    empty, lost, key = tmp_path / "empty", tmp_path / "lost", ("--key", place.public)
+    empty, lost, barred, key = *(tmp_path / name for name in ("empty", "lost", "barred")), ("--key", place.public)
     empty.mkdir()
     (lost / "blobs").mkdir(parents=True)
+    (barred / "index.json").mkdir(parents=True)
+    shutil.copytree(place.tree, tmp_path / "cardless")
+    for card in (tmp_path / "cardless" / "models").glob("*.json"):
+        card.unlink()
+        card.mkdir()
     given = [
         (1, "its public key is not known here", place.tree),
         (1, "expected a hub's public key, 64 hex digits", place.tree, "--key", "abc"),
         (1, "no such folder", tmp_path / "none", *key),
         (1, "this folder holds no published tree", empty, *key),
         (4, "index.json is not there", lost, *key),
+        (4, "barred/index.json: Is a directory", barred, *key),
+        (4, "the card of unet_small 1.0 could not be fetched", tmp_path / "cardless", *key),
     ]
-    with oysterbench_serve(place.tree) as url:
+    with oysterbench_serve(place.tree) as url, misbehaving("unavailable", {"index.json": b"{}"}, 1, 1.0) as broken:
+        given.append((4, f"{broken.url}: status ", broken.url, *key))
         given.append((4, "status 404", f"{url}/elsewhere", *key))
         for code, why, *words in given:
             told = place.run("download", "unet_small", "--from", *words, code=code, home=part[1])
