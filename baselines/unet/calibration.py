@@ -184,7 +184,7 @@ def _found(
         oyster, depth = one.logits[:2].astype(np.float32)
         numbers = np.where(one.known, one.numbers, 0)
         count += len(np.unique(numbers[numbers > 0]))
-        division = Division(rise=rise).closer(one.zoom)
+        division = Division(rise=rise).zoomed(one.zoom)
         found = find_instances(probability(calibration.applied(oyster)), probability(depth), division)
         judged = means(found, one.known) > 0.5
         scores += found.scores[judged].tolist()

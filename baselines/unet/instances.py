@@ -40,8 +40,9 @@ class Division:
     large: float = 15.0
     sure: float = 0.5
 
-    def closer(self, zoom: float) -> Division:
-        """Division for an image that was enlarged by `zoom` for the network, in which finer details are separated."""
+    def zoomed(self, zoom: float) -> Division:
+        """Division for an image that was enlarged by `zoom` for the network, in which finer details are separated; or
+        reduced, below 1, in which coarser ones are."""
         return replace(self, smooth=self.smooth / zoom, area=self.area / zoom**2)
 
 

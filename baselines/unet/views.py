@@ -1,7 +1,9 @@
-"""Views of an image: several, whose predictions are averaged, and closer ones where oysters are small."""
+"""Views of an image: several, whose predictions are averaged, closer ones where oysters are small, and views from
+farther away where they are large."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +26,10 @@ VIEWS = (View(1.0), View(1.4, turns=1), View(1.0, mirrored=True), View(1.4, turn
 CLOSER = (View(2.0, turns=1), View(2.0, turns=1, mirrored=True))
 """Views of an image of small oysters, each in place of two of `VIEWS`: the network knows oysters of twice that size
 best."""
+LARGE, FARTHEST = 32.0, 0.5
+"""Size at which the network knows oysters best, px, for an image whose longer side is `instances.SIDE` px: an image of
+larger ones is reduced until they have it, at most to a share FARTHEST. The size is the root of the mean area of
+oysters, weighted by area: at a first glance, large oysters come out in pieces, whose number says nothing."""
 SMALL = 18.0
 """Size below which oysters count as small: median square root of their areas, px, for an image whose longer side is
 `instances.SIDE` px."""
@@ -38,21 +44,26 @@ they were real, and 0.14 where silt was taken for oysters."""
 
 class Look(NamedTuple):
     """Prediction for an image: logits (K, H, W) float32 of `network.OUTPUTS` at its own size, and the zoom of a closer
-    look, 1 without one."""
+    or a farther look, 1 without one."""
 
     logits: Floats
     zoom: float = 1.0
 
 
-def shows_small_oysters(logits: Floats) -> bool:
-    """Whether an image shows small oysters, given the logits (K, H, W) of a first glance. These are subsampled, which
-    takes a quarter of the time and gives the same answer for all images but one in 78."""
+def fitting_zoom(logits: Floats) -> float:
+    """Zoom at which to look at an image, by the size of its oysters, given the logits (K, H, W) of a first glance:
+    below 1 where they are large, that of `CLOSER` where they are small, and 1 otherwise. The logits are subsampled,
+    which takes a quarter of the time and gives the same answer for all images but one in 78."""
     step = max(1, max(logits.shape[1:]) // SIDE)
     oyster, depth = (probability(plane[::step, ::step]) for plane in logits[:2])
     found = find_instances(oyster, depth, Division(sure=LIKELY))
-    areas = found.areas[found.scores >= 0.5]
     unit = max(oyster.shape) / SIDE
-    return len(areas) >= MANY and float(np.median(np.sqrt(areas))) < SMALL * unit
+    areas = found.areas / unit**2
+    size = math.sqrt(np.square(areas).sum() / max(areas.sum(), 1.0))
+    if size > LARGE:
+        return max(LARGE / size, FARTHEST)
+    areas = areas[found.scores >= 0.5]
+    return CLOSER[0].zoom if len(areas) >= MANY and float(np.median(np.sqrt(areas))) < SMALL else 1.0
 
 
 def shows_the_same(closer: Floats, glance: Floats) -> bool:

@@ -1,4 +1,4 @@
-"""Pictures of small oysters are looked at more closely than others."""
+"""Pictures of small oysters are looked at more closely than others, and those of large ones from farther away."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ torch = pytest.importorskip("torch")
 from oysterbench_baselines.unet.instances import Division  # noqa: E402
 from oysterbench_baselines.unet.model import UNetModel  # noqa: E402
 from oysterbench_baselines.unet.network import PretrainedUNetwork  # noqa: E402
-from oysterbench_baselines.unet.views import shows_small_oysters  # noqa: E402
+from oysterbench_baselines.unet.views import fitting_zoom  # noqa: E402
 
 
 def reef(radius, count, side=640):
@@ -25,10 +25,26 @@ def logits(grey):
     return np.stack([8.0 * (grey > 0) - 4.0, grey / 32.0 - 2.0]).astype(np.float32)
 
 
-@pytest.mark.parametrize(("radius", "count", "small"), [(8, 40, True), (30, 40, False), (8, 10, False), (8, 0, False)])
-def test_oysters_are_small_where_many_are(radius, count, small):
-    assert shows_small_oysters(logits(reef(radius, count))) is small
-    assert shows_small_oysters(logits(reef(radius / 2, count, side=320))) is small, "whatever the size of the picture"
+@pytest.mark.parametrize(
+    ("radius", "count", "zoom"),
+    [(8, 40, 2.0), (30, 40, 1.0), (8, 10, 1.0), (8, 0, 1.0), (120, 1, 0.5)],
+)
+def test_the_zoom_is_that_at_which_oysters_have_the_size_that_is_known_best(radius, count, zoom):
+    assert fitting_zoom(logits(reef(radius, count))) == zoom
+    assert fitting_zoom(logits(reef(radius / 2, count, side=320))) == zoom, "whatever the size of the picture"
+
+
+def test_the_zoom_has_no_steps_towards_large_oysters():
+    for radius in (58, 62, 70):
+        grey = reef(radius, 1)
+        size = np.sqrt((grey > 0).sum()) / 2
+        assert fitting_zoom(logits(grey)) == pytest.approx(32 / size, rel=0.01)
+
+
+def test_large_oysters_that_come_out_in_pieces_are_large():
+    crumbs = np.maximum(reef(8, 40), np.roll(reef(120, 1), 160, axis=0))
+    assert fitting_zoom(logits(reef(8, 40))) == 2.0
+    assert fitting_zoom(logits(crumbs)) < 0.7
 
 
 class Seeing(PretrainedUNetwork):
@@ -67,7 +83,19 @@ def test_a_closer_look_that_shows_other_oysters_is_not_believed():
     assert ((look.logits[0] > 0) == (grey > 0)).mean() > 0.95
 
 
-def test_finer_things_are_told_apart_in_what_was_enlarged():
+@pytest.mark.parametrize(
+    ("views", "zoom", "shown"), [(1, 1.0, [320]), (2, 0.5, [320, 160, 224]), (4, 0.5, [320, 160, 224, 160, 224])]
+)
+def test_a_picture_of_large_oysters_is_looked_at_from_farther_away(views, zoom, shown):
+    grey, network = reef(120, 1), Seeing()
+    look = UNetModel(network, 1.0, 1, torch.device("cpu"), side=320, views=views).look(np.stack([grey] * 3, axis=-1))
+    assert (look.zoom, network.shown) == (zoom, shown)
+    assert look.logits.shape == (2, *grey.shape)
+    assert ((look.logits[0] > 0) == (grey > 0)).mean() > 0.95, "laid over the picture as it is"
+
+
+def test_finer_things_are_told_apart_in_what_was_enlarged_and_coarser_ones_in_what_was_reduced():
     division = Division(smooth=1.0, area=12.0, rise=0.08, sure=0.3)
-    assert division.closer(2.0) == Division(smooth=0.5, area=3.0, rise=0.08, sure=0.3)
-    assert division.closer(1.0) == division
+    assert division.zoomed(2.0) == Division(smooth=0.5, area=3.0, rise=0.08, sure=0.3)
+    assert division.zoomed(0.5) == Division(smooth=2.0, area=48.0, rise=0.08, sure=0.3)
+    assert division.zoomed(1.0) == division
