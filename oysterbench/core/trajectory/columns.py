@@ -39,6 +39,8 @@ SURE_SPREADS = {"std", "stddev", "stdev", "variance", "rms", "rmse"}
 SPREAD_WORDS = SURE_SPREADS | {"sd", "sigma", "var", "err", "error"}
 """All such words. Those that are not sure may be part of a topic's name where it alone has a whole pose, as
 `/error_state_kf/pose/position/x`."""
+COLUMN_SPREADS = SPREAD_WORDS | {"dev", "deviation", "uncertainty", "cov", "covariance", "covariances"}
+"""Such words outside a topic's name, where some say nothing, as in `/pose_with_covariance/pose/position/x`."""
 POSE_ROLES = {"px", "py", "pz", "qx", "qy", "qz", "qw"}
 LONGEST_FRAMES = 3
 """Letters of a word that is taken for those of frames."""
@@ -186,26 +188,36 @@ def named_quaternion(names: list[str]) -> dict[int, int]:
 def spread_word(names: list[str]) -> tuple[str, str] | None:
     """Word of a spread, and the name that has it, for which a header names no pose; None where that is not why."""
     split = [_words(name)[0] for name in names]
-    plain = ["_".join(word for word in words if word not in SPREAD_WORDS) for words in split]
+    plain = ["_".join(word for word in words if word not in COLUMN_SPREADS) for words in split]
     if named_columns(names) is not None or named_columns(plain) is None:
         return None
     of_poses = ((words, name) for words, name in zip(split, names, strict=True) if _role(words))
-    return next(((word, name) for words, name in of_poses for word in words if word in SPREAD_WORDS), None)
+    return next(((word, name) for words, name in of_poses for word in words if word in COLUMN_SPREADS), None)
 
 
 def _of_spreads(prefix: Prefix, found: dict[Prefix, dict[str, list[int]]]) -> bool:
-    """Whether a prefix is of the spreads of another's pose: with a word of them just before or after that for a
-    position or an attitude, as `pos_std_x`. A whole pose may be of a topic called so, as `/sigma/pose/position/x`, or
-    of a method, as `sd_px`, but for one that has its name without the word beside it. found: the roles of each"""
-    if not _ends_as_spread(prefix):
+    """Whether a prefix is of the spreads of a pose, which are none and stand in the way of none: with a word of them
+    anywhere but in the topic of a whole pose, as `/sigma/pose/position/x`, or in sd_px, which may be of a method. Where
+    the word is the last there, a pose of the name without it may not be beside it. found: the roles of each"""
+    if prefix != ("sd",) and COLUMN_SPREADS & set(prefix[len(_path(prefix)) :]):
+        return True
+    if not SPREAD_WORDS & set(prefix):
         return False
+    whole = found[prefix].keys() >= POSE_ROLES
     plain = _topic(word for word in prefix if word not in SPREAD_WORDS)
     beside = any(_topic(one) == plain and {"px", "py", "pz"} <= found[one].keys() for one in found if one != prefix)
-    return beside or not found[prefix].keys() >= POSE_ROLES or ("pose" not in prefix and prefix != ("sd",))
+    return not whole or (beside and _ends_as_spread(prefix))
 
 
 def _ends_as_spread(prefix: Prefix) -> bool:
-    return bool(SPREAD_WORDS.intersection([word for word in prefix if word not in ("field", "pose", "dev")][-1:]))
+    """Whether the last word of a topic, or of a prefix without one, is that of a spread."""
+    said = [word for word in _path(prefix) or prefix if word not in ("field", "pose")]
+    return bool(SPREAD_WORDS.intersection(said[-1:]))
+
+
+def _path(prefix: Prefix) -> Prefix:
+    """Words of the topic of a message's pose: those before the last `pose`; empty where there is none."""
+    return prefix[: max((k for k, word in enumerate(prefix) if word == "pose"), default=0)]
 
 
 def _consistent(found: dict[str, list[tuple[int, str]]]) -> dict[str, list[int]]:
@@ -322,9 +334,8 @@ def _role(words: list[str]) -> tuple[Prefix, str, str] | None:
     for letter, known in (("q", QUATERNION_WORDS), ("p", POSITION_WORDS)):
         said = [k for k, word in enumerate(before) if word in known]
         if said and (letter, last) != ("p", "w"):
-            after = sorted(before[said[-1] + 1 :], key=SPREAD_WORDS.__contains__)  # p_std_map as p_map_std
             whose = tuple(word for word in before[: said[-1]] if word not in known)
-            return (*whose, *after), f"{letter}{last}", before[said[-1]]
+            return (*whose, *before[said[-1] + 1 :]), f"{letter}{last}", before[said[-1]]
     if before[-1:] == ["pose"] and last != "w":
         return tuple(before[:-1]), f"p{last}", "pose"
     return None if before else ((), "qw" if last == "w" else f"p{last}", "")

@@ -1,0 +1,106 @@
+"""Columns that a header names: which are those of the pose beside its spreads, and how programs call them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.trajectory import read_trajectory
+from tests.core.test_trajectory_tables import echoed, plotted, pose
+from tests.helpers.trajectory_files import written
+
+WORDS = ["std", "sigma", "err", "error", "var", "cov", "sd", "std_dev"]
+"""Words that columns of the spread of a pose have in their names."""
+
+
+def spreads(word, position, quaternion):
+    """Names of such columns, with the word before and after those of a pose."""
+    return [pose(f"{word}_{position}", f"{word}_{quaternion}"), pose(f"{position}_{word}", f"{quaternion}_{word}")]
+
+
+def read(tmp_path, header, line, **options):
+    """The stamps and poses of a table of one line, (N,) and (N, 7)."""
+    table = read_trajectory(written(tmp_path, f"{header}\n{line}\n".encode()), **options)
+    return table.stamps_ns.tolist(), np.hstack([table.positions, table.quaternions])
+
+
+@pytest.mark.parametrize("word", WORDS)
+@pytest.mark.parametrize(
+    ("position", "quaternion"),
+    [("p_RS_R", "q_RS"), ("p_map", "q_map"), ("pos_enu", "quat_enu"), ("p_W", "q_WB"), ("vio_p", "vio_q"), ("p", "q")],
+)
+def test_spreads_stand_in_the_way_of_no_pose_wherever_their_word_stands(tmp_path, word, position, quaternion):
+    plain = pose(position, quaternion)
+    for spread in spreads(word, position, quaternion):
+        for header, line in (
+            (f"t,{plain},{spread}", "1.5,1,2,3,0,0,0,1" + ",9" * 7),
+            (f"t,{spread},{plain}", "1.5" + ",9" * 7 + ",1,2,3,0,0,0,1"),
+            (f"t,{','.join(spread.split(',')[:3])},{plain}", "1.5" + ",9" * 3 + ",1,2,3,0,0,0,1"),
+        ):
+            assert read(tmp_path, header, line)[0] == [1_500_000_000]
+            np.testing.assert_array_equal(read(tmp_path, header, line)[1], [[1, 2, 3, 0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize("word", WORDS)
+@pytest.mark.parametrize("beside", ["", "PosX,PosY,PosZ,QuatX,QuatY,QuatZ,QuatW,"])
+@pytest.mark.parametrize(("position", "quaternion"), [("p_W", "q_W"), ("p_RS_R", "q_RS"), ("W_p", "W_q")])
+def test_spreads_are_no_pose_wherever_their_word_stands(tmp_path, word, beside, position, quaternion):
+    for spread in spreads(word, position, quaternion):
+        line = ",".join(["0.5"] * (1 + len(f"{beside}{spread}".split(","))))
+        with pytest.raises(
+            TrajectoryError, match=r"expected a header .* says that it is a spread \(rename it if it is"
+        ):
+            read(tmp_path, f"t,{beside}{spread}", line)
+
+
+def test_positions_alone_in_a_topic_called_as_a_spread_are_no_second_pose(tmp_path):
+    header = f"t,{pose('odom.pose.position', 'odom.pose.orientation')},sigma_odom.pose.position_"
+    line = "1.5,1,2,3,0,0,0,1,9,9,9"
+    np.testing.assert_array_equal(
+        read(tmp_path, ",sigma_odom.pose.position_".join([header + "x", "y", "z"]), line)[1], [[1, 2, 3, 0, 0, 0, 1]]
+    )
+
+
+ROS = "pose.pose.position", "pose.pose.orientation"
+EUROC = "p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []"
+
+
+@pytest.mark.parametrize("sign", ["", "#", "# "])
+@pytest.mark.parametrize(
+    ("header", "line"),
+    [
+        ("timestamp tx ty tz qx qy qz qw", "1.5 1 2 3 0.6 0 0 0.8"),  # TUM, evo, ORB-SLAM3
+        ("timestamp(s) tx ty tz qx qy qz qw Pr11 Pr12 Pr13 Pt11", "1.5 1 2 3 0.6 0 0 0.8 9 9 9 9"),  # OpenVINS
+        ("timestamp(s),tx,ty,tz,qx,qy,qz,qw", "1.5,1,2,3,0.6,0,0,0.8"),
+        ("timestamp,p_x,p_y,p_z,q_w,q_x,q_y,q_z,v_x,v_y,v_z", "1500000000000000000,1,2,3,0.8,0.6,0,0,9,9,9"),  # VINS
+        (
+            f"timestamp,{EUROC},v_RS_R_x [m s^-1],b_w_RS_S_x [rad s^-1],b_a_RS_S_x [m s^-2]",
+            "1500000000000000000,1,2,3,0.8,0.6,0,0,9,9,9",
+        ),
+        (
+            f"%time,field.header.seq,field.header.stamp,field.header.frame_id,{pose(*(f'field.{a}' for a in ROS), '.')}"
+            ",field.pose.covariance0,field.twist.twist.linear.x",
+            "1500000000900000000,4,1500000000000000000,map,1,2,3,0.6,0,0,0.8,0.1,9",  # rostopic echo -p
+        ),
+        (
+            f"header.stamp.sec,header.stamp.nanosec,header.frame_id,child_frame_id,{pose(*ROS, '.')},pose.covariance_0",
+            "1500000000,0,map,base,1,2,3,0.6,0,0,0.8,0.1",  # ros2 topic echo --csv, with names
+        ),
+        (
+            f"Time,header.seq,header.stamp.secs,header.stamp.nsecs,{pose(*ROS, '.')}",
+            "9,4,1500000000,0,1,2,3,0.6,0,0,0.8",
+        ),
+        (
+            f"__time,/odom/header/stamp,{plotted('odom/pose')},/odom/pose/covariance/[0;0]",
+            "9,1500000000,1,2,3,0.6,0,0,0.8,0.1",  # PlotJuggler
+        ),
+        (f"__time,{plotted('zed/pose_with_covariance/pose')}", "1500000000,1,2,3,0.6,0,0,0.8"),
+        (f"%time,{echoed(0)}", "1500000000000000000,1,2,3,0.6,0,0,0.8"),
+        (f"__time,{plotted('mavros/vision_pose/pose_cov/pose')}", "1500000000,1,2,3,0.6,0,0,0.8"),
+    ],
+)
+def test_tables_of_programs_in_wide_use_are_read(tmp_path, sign, header, line):
+    stamps, poses = read(tmp_path, f"{sign}{header}", line)
+    assert stamps[0] in (1_500_000_000, 1_500_000_000_000_000_000)
+    np.testing.assert_array_equal(poses, [[1, 2, 3, 0.6, 0, 0, 0.8]])
