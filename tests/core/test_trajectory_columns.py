@@ -95,6 +95,7 @@ EUROC = "p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_
             f"__time,/odom/header/stamp,{plotted('odom/pose')},/odom/pose/covariance/[0;0]",
             "9,1500000000,1,2,3,0.6,0,0,0.8,0.1",  # PlotJuggler
         ),
+        (f"__time,{plotted('mavros/local_position')}", "1500000000,1,2,3,0.6,0,0,0.8"),
         (f"__time,{plotted('zed/pose_with_covariance/pose')}", "1500000000,1,2,3,0.6,0,0,0.8"),
         (f"%time,{echoed(0)}", "1500000000000000000,1,2,3,0.6,0,0,0.8"),
         (f"__time,{plotted('mavros/vision_pose/pose_cov/pose')}", "1500000000,1,2,3,0.6,0,0,0.8"),

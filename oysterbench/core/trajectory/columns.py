@@ -334,7 +334,7 @@ def _role(words: list[str]) -> tuple[Prefix, str, str] | None:
     for letter, known in (("q", QUATERNION_WORDS), ("p", POSITION_WORDS)):
         said = [k for k, word in enumerate(before) if word in known]
         if said and (letter, last) != ("p", "w"):
-            whose = tuple(word for word in before[: said[-1]] if word not in known)
+            whose = tuple(word for word in before[: said[-1]] if word not in QUATERNION_WORDS | POSITION_WORDS)
             return (*whose, *before[said[-1] + 1 :]), f"{letter}{last}", before[said[-1]]
     if before[-1:] == ["pose"] and last != "w":
         return tuple(before[:-1]), f"p{last}", "pose"
