@@ -69,6 +69,8 @@ class Columns:
     named:      whether a header named the columns
     euroc:      whether it is EuRoC's own layout, in which whole stamps are ns
     rivals:     names of two columns of which a header does not say which one is meant; empty where there are none
+    clocks:     other columns of times that the stamps can be held against: each with its unit, None where its name
+                does not say it, and whether it is of the stamp's name but for the unit
     """
 
     kind: str
@@ -83,6 +85,7 @@ class Columns:
     named: bool = False
     euroc: bool = False
     rivals: tuple[str, ...] = ()
+    clocks: tuple[tuple[int, str | None, bool], ...] = ()
 
     @property
     def numbers(self) -> list[int]:
@@ -172,6 +175,7 @@ def named_columns(names: list[str], two_parts: bool = True, time_unit: str | Non
         " and ".join(lengths),
         named=True,
         rivals=tuple(names[k] for k in of_pose or of_stamps),
+        clocks=_clocks(stamp, times),
     )
 
 
@@ -296,6 +300,13 @@ def _stamp(times: list[_Time], unit: str | None) -> tuple[_Time, list[int]]:
     stamp = next((one for one in times if (one.unit is None) == (unit is not None)), times[0])
     other = next((one for one in times if one.bare != times[0].bare), None)
     return stamp, [] if other is None else [times[0].column, other.column]
+
+
+def _clocks(stamp: _Time, times: list[_Time]) -> tuple[tuple[int, str | None, bool], ...]:
+    """`Columns.clocks`: the times of the stamp's name but for the unit, and where that says no unit, those that do."""
+    single = [one for one in times if one is not stamp and stamp.beyond is None and one.beyond is None]
+    clocks = ((one.column, one.unit, one.bare == stamp.bare) for one in single)
+    return tuple((k, unit, same) for k, unit, same in clocks if same or (unit is not None and stamp.unit is None))
 
 
 def _time_unit(words: tuple[str, ...], unit: str) -> str | None:

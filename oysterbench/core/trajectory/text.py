@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from oysterbench.core.errors import NoStampsError, TrajectoryError
 from oysterbench.core.geometry import RIGID_TOLERANCE, Array
 from oysterbench.core.trajectory.checks import checked_poses, others
+from oysterbench.core.trajectory.clocks import held_against_clocks
 from oysterbench.core.trajectory.columns import (
     EUROC,
     KITTI,
@@ -64,6 +65,8 @@ def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
             f"{path}: expected no unit of the stamps, which are in two columns, {head.names[columns.stamp]!r} and "
             f"{head.names[columns.beyond]!r}, of s and ns; leave --time-unit {options.time_unit} out"
         )
+    if options.time_unit is None:
+        columns = held_against_clocks(columns, text, head.begin, head.names, path)
     place = {column: k for k, column in enumerate(columns.numbers)}
     notes: list[str] = []
     trajectory = Trajectory(
