@@ -24,7 +24,7 @@ from oysterbench.core.trajectory.frames import poses_of_body
 from oysterbench.core.trajectory.read import EUROC_TRUTH
 from oysterbench.sensors.camera import KIND as CAMERA
 from oysterbench.sensors.imu import KIND as IMU
-from oysterbench.sequence.inertial_header import check_inertial_header
+from oysterbench.sequence.inertial_table import check_inertial_table
 from oysterbench.sequence.state import sensor_folders
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
@@ -61,14 +61,14 @@ class EurocSequence(Sequence):
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
-        root = self.folder / "mav0"
-        self._root = root
+        self._root = root = self.folder / "mav0"
         self._bits: dict[str, int] = {}
         self.name = as_unicode(self.folder.resolve().name)
         self.metadata = {"sequence": self.name, "format": "euroc"}
-        if not (root / "imu0" / "data.csv").is_file():
+        samples = root / "imu0" / "data.csv"
+        if not samples.is_file():
             raise SequenceError(f"{self.folder}: expected an EuRoC folder with mav0/imu0/data.csv, found none")
-        check_inertial_header(root / "imu0" / "data.csv", _header(root / "imu0" / "data.csv"))
+        check_inertial_table(samples, _header(samples), _stamps(samples))
         self.cameras = {
             path.name: _read_sensor(path / "sensor.yaml", _camera) for path in sensor_folders(self.folder)[1:]
         }
@@ -208,10 +208,14 @@ def _count(path: Path) -> int:
 
 def _rate(path: Path) -> float | None:
     """Mean number of rows of a data.csv per second; None where all are of one instant, or there are none."""
-    fields = _fields(path) if path.exists() else ()
-    stamps = [int(first) for _, (first, *_) in fields if STAMP.fullmatch(first)]
+    stamps = list(_stamps(path)) if path.exists() else []
     span_s = 1e-9 * (stamps[-1] - stamps[0]) if stamps else 0.0
     return (len(stamps) - 1) / span_s if span_s > 0 else None
+
+
+def _stamps(path: Path) -> Iterator[int]:
+    """Yield the stamps of a data.csv that are whole numbers."""
+    return (int(first) for _, (first, *_) in _fields(path) if STAMP.fullmatch(first))
 
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str], str]]:
@@ -252,7 +256,8 @@ def _header(path: Path) -> list[str]:
         text = line.strip()
         if text and not text.startswith("#") and not (number == 0 and text[0].isalpha()):
             break
-        fields = text.lstrip("# ").split(next((mark for mark in SEPARATORS if mark in text), ","))
+        mark = next((mark for mark in SEPARATORS if mark in text), ",")
+        fields = re.split(mark + r"(?![^\[(]*[\])])", text.lstrip("# "))  # at none in brackets, as in [ns, UTC]
         if len(fields) > 6:
             return [field.strip() for field in fields]
     return []

@@ -42,13 +42,26 @@ STAMPED = [
         ("_us_utc", "us"),
         ("_us_since_boot", "us"),
         ("_ticks", "'ticks'"),
+        ("_100ns", "'t _100ns'"),
     ),
-    *((f"[{said}]", f"'{said}'") for said in ("100 ns", "micro", "weeks", "MJD", "hh:mm:ss", "ksec", "count", "index")),
+    *(
+        (f"[{said}]", f"'{said}'")
+        for said in ("100 ns", "64 ns", "ns/100", "micro", "weeks", "MJD", "hh:mm:ss", "ksec", "count", "index")
+    ),
 ]
 """What the name of a column says of stamps that are not in ns, and the unit."""
 CLOCKS = [
     *("[ns] (UTC)", "(UTC)", "[unix]", "[epoch]", "[int64]", "(ROS)", "[TAI]", "[1e-9 s]", "[10^-9 s]", "[s*1e9]"),
     *("[10\u207b\u2079 s]", "[GPS ns]", "_ns (UTC)", "[ns since epoch]", "[Unix time]", "[nano]", "[uint64]"),
+    *(
+        "[ns since boot]",
+        "[ns since 1970-01-01 00:00:00]",
+        "[ns from epoch]",
+        "[nano-seconds]",
+        "[1 ns]",
+        "[ns (system)]",
+    ),
+    *("[ns, device time]", "(imu) [ns]", "[ns] (global time)", "of week [ns]", "in nano seconds"),
 ]
 """What the name of a column says of stamps in ns: the clock, the type, or the unit in other words."""
 DEGREES = ["deg_per_s", "deg_sec", "degps", "degree_per_second", "dps"]
@@ -230,6 +243,43 @@ def test_inertial_columns_that_are_not_the_layouts_by_their_names_are_refused(fo
 def test_inertial_columns_may_be_spelled_in_many_ways(folder, names):
     folder.change("imu0/data.csv", "#timestamp [ns],w_x,w_y,w_z,a_x,a_y,a_z", f"# {names}")
     assert folder.read() == sorted(SAMPLES + FRAMES)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "timestamp [UTC]",
+        "t [unix]",
+        "[int64] t",
+        "timestamp",
+        "timestamp [ns]",
+        "timestampUs",
+        "TimeUS",
+        "t_micro",
+        None,
+    ],
+)
+@pytest.mark.parametrize(
+    ("factor", "rates"),
+    [(1000, "2e+05 Hz (200 Hz if they are in us)"), (10**6, "2e+08 Hz (200 Hz if they are in ms)")],
+)
+def test_inertial_stamps_in_another_unit_are_refused_whatever_their_name(folder, name, factor, rates):
+    """By the rate of the samples, which no inertial unit has."""
+    rows = "".join(f"{stamp // factor},0,0,0,0,0,9.8\n" for stamp in SAMPLES)
+    folder.write("imu0/data.csv", (f"#{name},w_x,w_y,w_z,a_x,a_y,a_z\n" if name else "") + rows)
+    wanted = f"imu0/data.csv: expected inertial samples at 1 to 5000 Hz by their stamps in ns, got {rates}; convert the"
+    with pytest.raises(SequenceError, match=re.escape(wanted)):
+        oysterbench.open(folder.path)
+
+
+@pytest.mark.parametrize("step", [200_000, 10**9])
+def test_inertial_samples_may_be_as_slow_and_as_fast_as_any(folder, step):
+    """With gaps, and a few that are closer."""
+    stamps = [10**18 + k * step for k in range(20) if k not in (5, 6, 7)] + [10**18 + 20 * step + 1]
+    folder.write("imu0/data.csv", "".join(f"{stamp},0,0,0,0,0,9.8\n" for stamp in stamps))
+    assert [sample.stamp_ns for sample in oysterbench.open(folder.path).imu()] == stamps
+    folder.write("imu0/data.csv", f"{stamps[0]},0,0,0,0,0,9.8\n")
+    assert len(list(oysterbench.open(folder.path).imu())) == 1
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif"])

@@ -1,12 +1,16 @@
-"""The header of a table of inertial samples in EuRoC layout: whether its columns are those of the layout."""
+"""A table of inertial samples in EuRoC layout: whether its columns and stamps are those of the layout."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from itertools import islice, pairwise
 from pathlib import Path
+from statistics import median
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.trajectory.columns import MICRO, UNIT_WORDS
+from oysterbench.core.trajectory.stamps import SHIFTS
 
 RATE, FORCE = "angular rate in rad/s", "specific force in m/s^2"
 WORDS = {
@@ -21,17 +25,23 @@ UNITS = {RATE: {"", "rad/s", "rads-1", "1/s", "s-1"}, FORCE: {"", "m/s2", "ms-2"
 OTHER_UNITS = re.compile(r"deg.*|m?dps|rpm|mrad|[mu]?g|[cm]m(s|ps)?")
 """First word of the units that stand after the axis in the names of some tables, as in `gyro_x_deg_per_s`."""
 
-NANO_WORDS = {word for word, unit in UNIT_WORDS.items() if unit == "ns"} | {"nano"}
+LEAST_HZ, MOST_HZ = 1.0, 5000.0
+"""Rates of inertial samples between which those of all inertial units in use are."""
+RATED = 1000
+"""Number of samples, the first of a file, whose rate is checked."""
+
 CLOCKS = {"utc", "unix", "posix", "epoch", "ros", "tai", "gps", "ptp", "clock", "time", "since", "in", "int", "uint"}
 CLOCK_NUMBERS = {"64", "1970"}
-"""What else may be in brackets after the name of stamps in ns: their clock, its start, and their type."""
+"""What may be in brackets after the name of stamps and says no unit: their clock, its start, and their type."""
 NANO = re.compile(r"(1e|10)-0?9s(ec(ond)?s?)?|s(ec(ond)?s?)?(1e|10)-?0?9")
-"""Nanoseconds as a power of ten of seconds, as `_is_nano` writes them."""
+"""Nanoseconds as a power of ten of seconds, as `_plain_nano` writes them."""
+MULTIPLE = re.compile(r"(?<![a-z0-9.])(?!1\s*n)[\d.]+\s*(ns|nano)|\bns\s*[*/x\u00d7]\s*\d", re.IGNORECASE)
+"""A number of nanoseconds, or a part of one, as the unit."""
 OTHER_TIMES = {
     *("tick", "ticks", "count", "counts", "cycles", "frames", "samples", "ps", "picoseconds"),
     *("min", "mins", "minute", "minutes", "h", "hr", "hrs", "hour", "hours", "day", "days", "week", "weeks"),
 }
-"""Words of units in the name itself, but for `UNIT_WORDS`."""
+"""Words of units where the name has none of `UNIT_WORDS`."""
 BRACKET = r"[\[(]([^\])]*)[\])]"
 
 PLAIN = str.maketrans({"\u207b": "-", "\u00b2": "2", "\u00b9": "1", "\u2079": "9", **dict.fromkeys(" ^*.\u00b7")})
@@ -39,9 +49,14 @@ SHORT = {"squared": "2", "per": "/", r"met(er|re)(s(?!-2))?": "m", r"radian(s(?!
 """Words in the name of a unit, once its blanks are gone, and the short ones."""
 
 
-def check_inertial_header(path: Path, names: list[str]) -> None:
-    """Check the names of the columns, the stamp's first, as far as they say what the columns hold; those that say
-    nothing are taken for the layout's. Raises SequenceError for another order or unit."""
+def check_inertial_table(path: Path, names: list[str], stamps_ns: Iterable[int]) -> None:
+    """Check the names of the columns, the stamp's first, as far as they say what the columns hold, and the rate of the
+    samples. Raises SequenceError for another order or unit, and for stamps that cannot be ns, whatever their name."""
+    _check_names(path, names)
+    _check_rate(path, list(islice(stamps_ns, RATED)))
+
+
+def _check_names(path: Path, names: list[str]) -> None:
     layout = [(kind, axis) for kind in (RATE, FORCE) for axis in "xyz"]
     if names and (unit := _unit_of_stamps(names[0])) != "ns":
         raise SequenceError(
@@ -61,31 +76,47 @@ def check_inertial_header(path: Path, names: list[str]) -> None:
             )
 
 
+def _check_rate(path: Path, stamps_ns: list[int]) -> None:
+    steps = [after - before for before, after in pairwise(stamps_ns) if after > before]
+    rates = {unit: 10**9 / (median(steps) * 10**shift) for unit, shift in SHIFTS.items() if steps}
+    fits = {unit: rate for unit, rate in rates.items() if LEAST_HZ <= rate <= MOST_HZ}
+    if rates and "ns" not in fits:
+        others = ", ".join(f"{rate:.4g} Hz if they are in {unit}" for unit, rate in fits.items())
+        raise SequenceError(
+            f"{path}: expected inertial samples at {LEAST_HZ:g} to {MOST_HZ:g} Hz by their stamps in ns, got "
+            f"{rates['ns']:.4g} Hz ({others or 'and no such rate in s, ms or us'}); convert the stamps to ns"
+        )
+
+
 def _unit_of_stamps(name: str) -> str:
-    """Unit of stamps by the name of their column: ns where all in brackets is known to go with it and no word beside
-    them is another unit; else that unit, or what is not known."""
-    name = name.translate(MICRO)
-    for text in re.findall(BRACKET, name):
-        if not _is_nano(text):
-            words = re.findall(r"[a-z]+", text.lower())
-            said = [UNIT_WORDS[word] for word in ("".join(words), *words) if word in UNIT_WORDS]
-            return next((unit for unit in said if unit != "ns"), repr(text.strip()))
-    words = re.findall(r"[a-z]+", re.sub(BRACKET, " ", name).lower())
-    units = {**UNIT_WORDS, **{word: repr(word) for word in OTHER_TIMES}}
-    return next((units[word] for word in words if units.get(word, "ns") != "ns"), "ns")
+    """Unit of stamps by the name of their column: ns where it says so, or says nothing but their clock; else another
+    unit, or what is not known.
 
-
-def _is_nano(text: str) -> bool:
-    """Whether what is in brackets says nothing but nanoseconds, and what clock they are of.
-
-    >>> [_is_nano(text) for text in ("ns since 1970", "UTC", "10^-9 s", "nano seconds", "100 ns", "index")]
-    [True, True, True, True, False, False]
+    >>> [_unit_of_stamps(f"t [{text}]") for text in ("ns since boot", "UTC", "10^-9 s", "nano-seconds", "index", "ms")]
+    ['ns', 'ns', 'ns', 'ns', "'index'", 'ms']
     """
+    name = re.sub(r"(?i)(nano|micro|milli)[\s_-]+(?=s)", r"\1", name.translate(MICRO))
+    brackets = [_plain_nano(text) for text in re.findall(BRACKET, name)]
+    plain = re.sub(BRACKET, " ", name)
+    said = [word for text in (*brackets, plain) for word in re.findall(r"[a-z]+", text.lower())]
+    units = {"ns" if word == "nano" else UNIT_WORDS[word] for word in said if word in {*UNIT_WORDS, "nano"}}
+    if units - {"ns"}:
+        return next(unit for unit in SHIFTS if unit in units)
+    if units:
+        unknown = [text for text in (*brackets, plain) if MULTIPLE.search(text)]
+    else:
+        unknown = [text for text in brackets if not _is_clock(text)] + [word for word in said if word in OTHER_TIMES]
+    return repr(unknown[0].strip()) if unknown else "ns"
+
+
+def _plain_nano(text: str) -> str:
+    """Text in brackets, `ns` where it is a power of ten of seconds that means it."""
+    return "ns" if "." not in text and NANO.fullmatch(text.lower().translate(PLAIN)) else text
+
+
+def _is_clock(text: str) -> bool:
     words, numbers = re.findall(r"[a-z]+", text.lower()), re.findall(r"[0-9.]+", text)
-    squeezed = text.lower().translate(PLAIN)
-    if squeezed in NANO_WORDS or ("." not in text and NANO.fullmatch(squeezed)):
-        return True
-    return set(words) <= NANO_WORDS | CLOCKS and set(numbers) <= CLOCK_NUMBERS
+    return set(words) <= CLOCKS and set(numbers) <= CLOCK_NUMBERS
 
 
 def _parts(name: str) -> tuple[list[str], str]:
