@@ -40,7 +40,7 @@ class Setback(Exception):
 
 
 class Silence(Setback):
-    """A server to which no connection could be made."""
+    """A server to which no connection could be made, or none to the proxy that leads to it."""
 
 
 class Refusal(Exception):
@@ -161,7 +161,9 @@ class Web:
         try:
             response = self._pool.request("GET", f"{self.url}/{path}", headers=headers, preload_content=False)
         except (urllib3.exceptions.HTTPError, OSError, ValueError) as error:
-            silent = isinstance(getattr(error, "reason", None), urllib3.exceptions.ConnectTimeoutError)
+            reason = getattr(error, "reason", None)
+            cause = getattr(reason, "original_error", reason)  # what is wrong with a proxy, where there is one
+            silent = isinstance(cause, urllib3.exceptions.ConnectTimeoutError)
             raise (Silence if silent else Setback)(f"no answer: {_cause(error)}") from None
         try:
             begins = _check(response, start, end)

@@ -6,8 +6,9 @@ import pytest
 
 from oysterbench.core.errors import HubError
 from oysterbench.hub.pool import open_pool
-from oysterbench.hub.sources import Patience, open_source
+from oysterbench.hub.sources import Patience, Refusal, Setback, Silence, open_source
 from oysterbench_leaderboard.submissions.sending.client import Client
+from tests.helpers.web import misbehaving
 
 
 @pytest.mark.parametrize(
@@ -35,3 +36,22 @@ def test_a_proxy_that_cannot_be_used_is_named_by_its_variable_without_its_passwo
     with pytest.raises(HubError, match=r"^https_proxy: expected the address of an HTTP proxy, such as ") as refused:
         open_pool("https://hub.example", 1, Patience())
     assert "word" not in str(refused.value)
+
+
+@pytest.mark.parametrize("address", ["http://hub.invalid", "https://hub.invalid"])
+def test_behind_a_proxy_that_is_down_no_server_is_reached(address, monkeypatch):
+    """Unlike behind one that answers, though it be with an error."""
+    monkeypatch.delenv("no_proxy", raising=False)
+
+    def failed(proxy):
+        for scheme in ("http", "https"):
+            monkeypatch.setenv(f"{scheme}_proxy", proxy)
+        with pytest.raises((Setback, Refusal)) as failure, open_source(address).open("index.json"):
+            pass
+        return failure.value
+
+    down = failed("http://127.0.0.1:9")
+    assert isinstance(down, Silence)
+    assert str(down) == "no answer: Connection refused"
+    with misbehaving("unavailable", {"index.json": b"{}"}, 1, 1.0) as answering:
+        assert not isinstance(failed(answering.url), Silence)
