@@ -62,6 +62,13 @@ def test_positions_alone_in_a_topic_called_as_a_spread_are_no_second_pose(tmp_pa
     )
 
 
+def test_a_transform_may_be_of_a_topic_called_as_a_spread(tmp_path):
+    moved = pose("/error_state_kf/transform/translation", "/error_state_kf/transform/rotation", "/")
+    np.testing.assert_array_equal(read(tmp_path, f"t,{moved}", "1.5,1,2,3,0,0,0,1")[1], [[1, 2, 3, 0, 0, 0, 1]])
+    with pytest.raises(TrajectoryError, match="which may be of several"):
+        read(tmp_path, f"t,{moved},{plotted('gt')}", "1.5" + ",0.5" * 14)
+
+
 ROS = "pose.pose.position", "pose.pose.orientation"
 EUROC = "p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []"
 

@@ -220,8 +220,8 @@ def _ends_as_spread(prefix: Prefix) -> bool:
 
 
 def _path(prefix: Prefix) -> Prefix:
-    """Words of the topic of a message's pose: those before the last `pose`; empty where there is none."""
-    return prefix[: max((k for k, word in enumerate(prefix) if word == "pose"), default=0)]
+    """Words of the topic of a message: those before the last `pose` or `transform`; empty where there is none."""
+    return prefix[: max((k for k, word in enumerate(prefix) if word in ("pose", "transform")), default=0)]
 
 
 def _consistent(found: dict[str, list[tuple[int, str]]]) -> dict[str, list[int]]:
