@@ -69,7 +69,8 @@ def test_a_transform_may_be_of_a_topic_called_as_a_spread(tmp_path):
         read(tmp_path, f"t,{moved},{plotted('gt')}", "1.5" + ",0.5" * 14)
 
 
-ROS = "pose.pose.position", "pose.pose.orientation"
+ROS = pose("pose.pose.position", "pose.pose.orientation", ".")
+ECHOED = pose("field.pose.pose.position", "field.pose.pose.orientation", ".")
 EUROC = "p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []"
 
 
@@ -86,16 +87,16 @@ EUROC = "p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_
             "1500000000000000000,1,2,3,0.8,0.6,0,0,9,9,9",
         ),
         (
-            f"%time,field.header.seq,field.header.stamp,field.header.frame_id,{pose(*(f'field.{a}' for a in ROS), '.')}"
+            f"%time,field.header.seq,field.header.stamp,field.header.frame_id,{ECHOED}"
             ",field.pose.covariance0,field.twist.twist.linear.x",
             "1500000000900000000,4,1500000000000000000,map,1,2,3,0.6,0,0,0.8,0.1,9",  # rostopic echo -p
         ),
         (
-            f"header.stamp.sec,header.stamp.nanosec,header.frame_id,child_frame_id,{pose(*ROS, '.')},pose.covariance_0",
+            f"header.stamp.sec,header.stamp.nanosec,header.frame_id,child_frame_id,{ROS},pose.covariance_0",
             "1500000000,0,map,base,1,2,3,0.6,0,0,0.8,0.1",  # ros2 topic echo --csv, with names
         ),
         (
-            f"Time,header.seq,header.stamp.secs,header.stamp.nsecs,{pose(*ROS, '.')}",
+            f"Time,header.seq,header.stamp.secs,header.stamp.nsecs,{ROS}",
             "9,4,1500000000,0,1,2,3,0.6,0,0,0.8",
         ),
         (
