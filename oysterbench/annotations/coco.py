@@ -149,7 +149,7 @@ def read_coco(path: Path, truth: CocoFile | None = None, oysters_alone: bool = F
             raise LabelError(
                 f"{item.where}: its category, {categories.names[number]!r}, could be of oysters or not: expected a "
                 "name such as oyster, 'live oyster' or 'dead oyster' if it is, else a supercategory other than oyster, "
-                "and no name that is a state alone"
+                "and a name without this word that is no state alone: rename it"
             )
         if number in categories.states:
             kept.append(item)

@@ -10,6 +10,10 @@ from typing import Any
 
 OYSTERS = frozenset(("oyster", "oysters"))
 STATES = frozenset(("live", "dead"))
+DOUBTFUL = STATES | {"alive", "living", "unknown", "undefined", "spat", "juvenile", "juveniles", "adult", "adults"}
+"""Words of which a name alone may be of oysters or of anything else."""
+NOTHING = frozenset(("null", "root", "object", "thing", "type", "class", "category"))
+"""Supercategories that programs write where none was given, or by which VIA divides objects: they are of nothing."""
 
 
 @dataclass(frozen=True)
@@ -26,40 +30,35 @@ def categories_of(content: list[Any], oysters_alone: bool = False) -> Categories
     """Read the list of categories of a file. oysters_alone: of one about nothing else, whatever categories it lists.
 
     Oysters are those named oyster or oysters, alone or with live or dead, in any case and order; live or dead alone,
-    too, if the supercategory is oysters, or the file has no others, but for one above all, as Roboflow writes, or is
-    about oysters alone, unless oysters beside them have another supercategory. Elsewhere these are doubtful, and so are
-    others with the supercategory of oysters, as a project called oysters may have anything below it, unless oysters
-    have a category of their own beside them.
+    too, if their supercategory is oysters; or, where the file has no others but one above all, as Roboflow writes, or
+    is about oysters alone, if it has this word among others, says nothing, or is that of oysters beside them. Elsewhere
+    these are doubtful, and so are all other names that have the word oyster, such as juvenile oyster, or are a state
+    alone (`DOUBTFUL`); and what has the supercategory oysters, as a project of this name may have anything below it,
+    unless oysters have a category of their own beside it.
     """
     known = [one for one in content if isinstance(one, dict)]
     names = {one.get("id"): str(one.get("name")) for one in known}
-    groups = {one.get("id"): str(one.get("supercategory")) for one in known}
-    states = {number: _state(name) for number, name in names.items() if _only(name, OYSTERS | STATES, OYSTERS)}
-    bare = {number for number, name in names.items() if _only(name, STATES, STATES)}
-    own = {groups[number] for number in states}  # groups in which oysters have a category of their own
-    within = {k for k, group in groups.items() if k not in states and _only(group, OYSTERS, OYSTERS)}
+    groups = {one.get("id"): str(one.get("supercategory") or "") for one in known}
     below = Counter(groups.values())
     whole = {k for k, name in names.items() if below[name] - (groups[k] == name) == len(names) - 1}
-    alone = names.keys() - whole <= bare | states.keys()
-    known_groups = own | {names[k] for k in whole}
-    alike = {k for k in bare if groups[k] in known_groups or _words(groups[k]) <= OYSTERS | STATES | {"none"}}
-    if alone or oysters_alone:
-        within |= alike if states or not alone else bare
-    states |= {number: _state(names[number]) for number in bare & within}
-    doubtful = (bare | {number for number in within if groups[number] not in own}) - states.keys()
-    return Categories(names, states, frozenset(doubtful))
-
-
-def _only(name: str, known: frozenset[str], wanted: frozenset[str]) -> bool:
-    """Whether a name has no other words than known ones, and one that is wanted."""
-    words = _words(name)
-    return words <= known and bool(words & wanted)
+    words, above = ({k: _words(name) for k, name in of.items()} for of in (names, groups))
+    oysters = {k for k, said in words.items() if said & OYSTERS and said <= OYSTERS | STATES}
+    bare = {k for k, said in words.items() if said and said <= STATES}
+    own = {groups[k] for k in oysters}  # groups in which oysters have a category of their own
+    within = {k for k in names.keys() - oysters if above[k] and above[k] <= OYSTERS}
+    found = oysters | (bare & within)
+    if oysters_alone or names.keys() - whole <= bare | oysters:
+        silent = STATES | {"none"} | (frozenset() if oysters else NOTHING)
+        found |= {k for k in bare if groups[k] in own or above[k] & OYSTERS or above[k] <= silent}
+    named = {k for k, said in words.items() if said & OYSTERS or (said and said <= DOUBTFUL)}
+    doubtful = (named | {k for k in within if groups[k] not in own}) - found
+    return Categories(names, {k: _state(words[k]) for k in found}, frozenset(doubtful))
 
 
 def _words(name: str) -> set[str]:
     return set(re.split(r"[\W_]+", name.casefold())) - {""}
 
 
-def _state(name: str) -> str:
-    said = _words(name) & STATES
+def _state(words: set[str]) -> str:
+    said = words & STATES
     return said.pop() if len(said) == 1 else "unknown"

@@ -132,7 +132,7 @@ def map_command(
                          instance numbers
       .json              COCO annotations; categories live and dead, live oyster and dead oyster, or oyster
                          with a `state`, distinguish the two; others are left out, or refused if
-                         they may be oysters, such as spat with the supercategory oyster
+                         they may be oysters, such as spat or juvenile oyster
 
     An image without oysters needs an empty mask, or no annotation: images that are missing are left out.
 

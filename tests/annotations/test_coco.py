@@ -196,8 +196,49 @@ def test_what_may_be_oysters_beside_others_is_never_left_out_without_a_word(cate
         read_coco(path)
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("oyster", "alive", "dead"),
+        ("oyster", "living oyster", "dead oyster"),
+        ("oyster_alive", "oyster_dead"),
+        ("live oyster", "dead oyster", "Oyster (unknown)"),
+        ("dead oyster", "Pacific oyster"),
+        ("oyster", "spat"),
+        ("oyster", "oyster-shell"),
+    ],
+)
+@pytest.mark.parametrize("above", ["", "none", "oysters", "reef"])
+def test_a_name_with_the_word_oyster_or_of_a_state_that_is_not_known_is_not_left_out_without_a_word(
+    names, above, tmp_path
+):
+    categories = named(*((name, above) for name in names))
+    annotations = ({"segmentation": [SQUARE], "category_id": one["id"]} for one in categories)
+    path = coco_file(tmp_path / "a.json", *annotations, categories=categories)
+    with pytest.raises(LabelError, match=r"its category, .* could be of oysters or not: expected .*: rename it$"):
+        read_coco(path)
+
+
+@pytest.mark.parametrize("above", ["coral", "mussels", "shell"])
+@pytest.mark.parametrize("below_all", [False, True])
+def test_states_alone_of_something_else_are_no_oysters(above, below_all, tmp_path):
+    """Also where the file has nothing else, but the supercategory, as of Roboflow."""
+    categories = named(("live", above), ("dead", above), *([(above, "none")] if below_all else []))
+    path = coco_file(tmp_path / "a.json", {"segmentation": [SQUARE], "category_id": 0}, categories=categories)
+    with pytest.raises(LabelError, match=r"no category is named 'oyster'; its categories: live, dead"):
+        read_coco(path)
+
+
+@pytest.mark.parametrize("above", ["", "none", "type", "oyster-health", "live", None])
+def test_states_alone_and_nothing_else_are_oysters(above, tmp_path):
+    categories = named(("live", above), ("dead", above))
+    annotations = ({"segmentation": [SQUARE], "category_id": k} for k in (0, 1))
+    path = coco_file(tmp_path / "a.json", *annotations, categories=categories)
+    assert read_coco(path).living("a") == {1: True, 2: False}
+
+
 @pytest.mark.parametrize("above", ["", "none", "shell", "oyster", "live"])
-def test_states_alone_beside_oysters_and_nothing_else_are_oysters(above, tmp_path):
+def test_states_alone_beside_beside_oysters_and_nothing_else_are_oysters(above, tmp_path):
     categories = named(("oyster", above), ("live", above), ("dead", above))
     annotations = ({"segmentation": [SQUARE], "category_id": k} for k in (0, 1, 2))
     path = coco_file(tmp_path / "a.json", *annotations, categories=categories)
