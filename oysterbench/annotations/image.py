@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError
-from oysterbench.core.pictures import decode_picture, has_few_colours, jpeg_end, upper_bits
+from oysterbench.core.pictures import decode_picture, jpeg_end, upper_bits
 from oysterbench.recipe import OYSTER
 
 
@@ -225,22 +225,11 @@ def read_plane(path: Path) -> NDArray[Any]:
 
 def is_colour(path: Path) -> bool:
     """Whether an image file has several channels that are not equal. False for a file that cannot be read."""
-    pixels = _shown(path)
-    return pixels is not None and pixels.ndim == 3 and bool((pixels[..., :3] != pixels[..., :1]).any())
-
-
-def is_mask(path: Path) -> bool:
-    """Whether an image file has few colours, as masks have, and photographs not. False for a file that cannot be
-    read."""
-    pixels = _shown(path)
-    return pixels is not None and has_few_colours(pixels)
-
-
-def _shown(path: Path) -> NDArray[Any] | None:
     try:
-        return decode_picture(path.read_bytes(), cv2.IMREAD_UNCHANGED)
+        pixels = decode_picture(path.read_bytes(), cv2.IMREAD_UNCHANGED)
     except OSError:
-        return None
+        return False
+    return pixels is not None and pixels.ndim == 3 and bool((pixels[..., :3] != pixels[..., :1]).any())
 
 
 def _decoded(path: Path, flags: int) -> NDArray[Any]:

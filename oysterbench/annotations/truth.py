@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from oysterbench.annotations.coco import CocoFile, read_coco
 from oysterbench.annotations.coco_set import coco_files, picture_file, read_coco_picture
-from oysterbench.annotations.image import Entry, is_colour, is_mask, planes_of
+from oysterbench.annotations.image import Entry, is_colour, planes_of
+from oysterbench.annotations.label_images import check_no_masks, png_files
 from oysterbench.annotations.manifest import FILE, read_manifest, scored_sides
 from oysterbench.annotations.masks import as_mask, read_png
 from oysterbench.annotations.opening import NONE, got_at, kinds_at, open_labelled
 from oysterbench.annotations.yolo_boxes import boxes_at
 from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import Array
-from oysterbench.core.places import is_hidden, shown
+from oysterbench.core.places import shown
 from oysterbench.evaluate.detection import ImageInstances
 from oysterbench.evaluate.detection.instances import from_planes
 from oysterbench.evaluate.segmentation import TruthImage
@@ -220,7 +221,7 @@ def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = Non
         file = read_coco(path)
         beside = {image.name: found for image in file.images.values() if (found := picture_file(path, image))}
         if place.is_dir() and path.parent != place and not (place / "images").is_dir():
-            _check_no_masks(place, path, beside.values())
+            check_no_masks(place, path, (image.file_name for image in file.images.values()), beside.values())
         return _coco_clips(file, beside, place.stem if place.is_file() else place.resolve().name, [path])
     if kinds == ["yolo"] and (boxes := boxes_at(place)):
         file, beside, labelled = boxes
@@ -231,21 +232,6 @@ def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = Non
     if sequences:
         return [labelled_sequence(path) for path in sequences]
     return _labelled_clips(place)
-
-
-def _check_no_masks(place: Path, path: Path, pictures: Iterable[Path]) -> None:
-    """Refuse a folder with a COCO file in a folder below that could be one of masks, too: all PNG files that are its
-    pictures by their names, or one that is none, have as few colours as masks."""
-    known = {picture.resolve() for picture in pictures}
-    files = _png_files(place)
-    named = [file for file in files if file.resolve() in known]
-    others = (file for file in files if file.resolve() not in known and is_mask(file))
-    found = named[0] if named and all(map(is_mask, named)) else next(others, None)
-    if found is not None:
-        raise LabelError(
-            f"{place}: expected masks or COCO annotations, got both, such as {found} and {path}: give the COCO file "
-            "itself if it is meant, else move it elsewhere"
-        )
 
 
 def _labelled_clips(place: Path) -> list[LabelledSequence]:
@@ -316,7 +302,7 @@ def _coco_clips(file: CocoFile, beside: Mapping[str, Path], whole: str, labelled
 
 
 def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[LabelledSequence]:
-    found = _png_files(place)
+    found = png_files(place)
     files = {path.relative_to(place).with_suffix("").as_posix(): path for path in found}
     if len(files) < len(found):
         twice = next(path for path in found if path not in files.values())
@@ -361,10 +347,6 @@ def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Lab
         )
         for clip, names in groups.items()
     ]
-
-
-def _png_files(place: Path) -> list[Path]:
-    return sorted(path for path in place.rglob("*") if path.suffix.lower() == ".png" and not is_hidden(path, place))
 
 
 def _plain_truth(name: str, path: Path, labels: str, ignore_value: int | None) -> TruthImage:
