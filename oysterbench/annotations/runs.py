@@ -16,11 +16,15 @@ ROBOFLOW = re.compile(r"_(?:jpe?g|png|bmp|webp|tiff?)\.rf\.\w+$", re.IGNORECASE)
 """What Roboflow adds to names; copies of an image by augmentation differ in it."""
 LABEL_STUDIO = re.compile(r"(?<![^/])(?P<drawn>[0-9a-f]{8})-(?=[^/]+$)")
 """What Label Studio puts before names: eight random hex digits."""
-_SIDE = r"(?:cam(?:era)?\d{0,2}|left|right|l|r|port|starboard)"
+_WORDS = r"(?:left|right|l|r|port|starboard)"
+_SIDE = rf"(?:cam(?:era)?\d{{0,2}}|{_WORDS})"
+GLUED = re.compile(rf"(?<![^-_/]){_WORDS}(?=\d+$)|\d(?={_WORDS}$)", re.IGNORECASE)
+"""Ends of what is written in one with a number: left0001, 0001R."""
 SIDE = re.compile(rf"(?<![^-_/]){_SIDE}(?![^-_/])", re.IGNORECASE)
 """Words for one of the cameras of a rig, such as a stereo camera: names that differ in them alone are of one instant,
 also where a camera stopped earlier, or took few images, unless they looked at other times (`_by_time`)."""
-SIDE_LAST = re.compile(rf"(?<![^-_/])(\d+)[-_/]{_SIDE}$", re.IGNORECASE)
+SIDE_LAST = re.compile(rf"(\d+)[-_/]{_SIDE}$", re.IGNORECASE)
+NUMBER = re.compile(r"\d+$")
 APART = 0.1
 """Cameras of one rig begin and end together, up to this share of their time; videos whose numbers restart do not."""
 CAMERAS, FEW = 4, 30
@@ -91,8 +95,8 @@ def taken_of(entries: Sequence[Entry]) -> list[tuple[str, Instant]]:
 
 def _bare(names: Sequence[str]) -> list[str]:
     """The names of a run without what programs add to them, which is random: it would be what they are sorted by, or
-    hide the number at their ends."""
-    names = [ROBOFLOW.sub("", name) for name in names]
+    hide the number at their ends; and with a mark between this and a word of `SIDE`."""
+    names = [GLUED.sub(r"\g<0>-", ROBOFLOW.sub("", name)) for name in names]
     drawn = [found["drawn"] for name in names if (found := LABEL_STUDIO.search(name))]
     # Dates have no letters, and numbers of videos are those of many images.
     random = len(drawn) == len(names) and 2 * len(set(drawn)) > len(set(names)) and not "".join(drawn).isdecimal()
@@ -100,31 +104,38 @@ def _bare(names: Sequence[str]) -> list[str]:
 
 
 def _said(names: Sequence[str]) -> list[tuple[str, Instant]]:
-    """Camera and time of each image by its name: what stands before the number at the end of it, without words for one
-    of the cameras of a rig where their times overlap, and this number, or the numbers of a time in parts after
-    their count; nothing for other names."""
-    sides = [_side_of(name) for name in names]
-    names = [SIDE_LAST.sub(r"\1", name) for name in names]
-    timed = all(TIME.search(name) for name in names)
-    said: list[tuple[str, Instant]] = []
-    for name in names:
-        camera, _, number = name.replace("/", "-").replace("_", "-").rpartition("-")
-        if timed and (found := TIME.search(name)):
-            parts = tuple(map(int, re.findall(r"\d+", found.group())))
-            said.append((SIDE.sub("", name[: found.start()]), (len(parts), *parts)))
-        else:
-            said.append((SIDE.sub("", camera), (int(number),)) if number.isdecimal() else ("", ()))
-    taken = [(camera, side, numbers) for side, (camera, numbers) in zip(sides, said, strict=True)]
+    """Camera and time of each image by its name: what stands before its time (`_times`), without words for one of the
+    cameras of a rig where their times overlap, and this time; nothing for names without one."""
+    sides, times = [_side_of(name) for name in names], _times(names)
+    said = [(SIDE.sub("", name), time) for name, time in times]
+    prefixes = {(side, name) for side, (name, _) in zip(sides, said, strict=True)}
+    if all(sides) and len(prefixes) == len(set(sides)) and len(set(_rigs(said).values())) > 1:
+        # Each camera has a prefix of its own, such as its serial number, which says no more than its word.
+        said = [("-", time) for _, time in said]
+    taken = [(name, side, time) for side, (name, time) in zip(sides, said, strict=True)]
     cameras = _by_time(one for one in taken if one[2])
-    return [(cameras[camera, side] if numbers else "", numbers) for camera, side, numbers in taken]
+    return [(cameras[name, side], time) if time else ("", ()) for name, side, time in taken]
+
+
+def _times(names: Sequence[str]) -> list[tuple[str, Instant]]:
+    """What stands before the time at the end of each name, with dashes for other marks, and this time: a number or,
+    where all names have them, the numbers of a time in parts after their count; nothing where there is none."""
+    names = [SIDE_LAST.sub(r"\1", name) for name in names]
+    in_parts = all(TIME.search(name) for name in names)
+    found: list[tuple[str, Instant]] = []
+    for name in names:
+        end = (TIME if in_parts else NUMBER).search(name)
+        time = tuple(map(int, re.findall(r"\d+", end.group()))) if end else ()
+        before = re.sub("[_/]", "-", name[: end.start()] if end else name)
+        found.append((before, (len(time), *time) if in_parts else time))
+    return found
 
 
 def _folders(names: Sequence[str]) -> list[str]:
     """The folder of each image, without words for one of the cameras of a rig where their times overlap."""
     folders = [name.rpartition("/")[0] for name in names]
     taken = [(SIDE.sub("", folder), _side_of(folder)) for folder in folders]
-    times = [tuple(map(int, re.findall(r"\d+", SIDE.sub("", name)))) for name in _bare(names)]
-    cameras = _by_time((*of, time) for of, time in zip(taken, times, strict=True))
+    cameras = _by_time((*of, time) for of, (_, time) in zip(taken, _times(_bare(names)), strict=True))
     return [cameras[of] for of in taken]
 
 

@@ -136,6 +136,32 @@ def test_cameras_that_name_their_images_after_themselves_are_on_one_clock(clip):
     assert {name for name in held if name[0] == "l"} == {f"left/imgl_{k}" for k in range(77, 100)}
 
 
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        ("left/left{:04}", "right/right{:04}"),
+        ("dive1/left/L{:04}", "dive1/right/R{:04}"),
+        ("L{}", "R{}"),
+        ("dive1_left{:04}", "dive1_right{:04}"),
+        ("{:04}L", "{:04}R"),
+        ("frame{:04}_left", "frame{:04}_right"),
+        ("left/frame{:04}", "right/frame{:04}"),
+        ("cam_left/a{:04}", "cam_right/b{:04}"),
+        ("left/22041234_{}", "right/22041235_{}"),
+        ("cam1/1_{}", "cam2/2_{}"),
+    ],
+)
+@pytest.mark.parametrize("clip", ["", "reef"])
+@pytest.mark.parametrize("taken", [range(1, 101), range(1, 61), range(20, 101), range(40, 150)])
+def test_cameras_are_on_one_clock_however_their_words_and_numbers_are_written(left, right, clip, taken):
+    """With the number right behind a word, the word in folder and name, or a prefix of each camera's own."""
+    names = {left.format(k): k for k in range(1, 101)} | {right.format(k): k for k in taken}
+    mixed = random.Random(1).sample(sorted(names), len(names))
+    held = set(ends(entries_of(mixed, clip), 0.2))
+    assert 0.1 * len(names) <= len(held) <= 0.4 * len(names)
+    assert not {names[name] for name in held} & {names[name] for name in names.keys() - held}
+
+
 @pytest.mark.parametrize("sides", [("left", "right"), ("cam1", "cam2"), ("port", "starboard"), ("L", "R")])
 @pytest.mark.parametrize(
     ("form", "clip"),
