@@ -27,7 +27,8 @@ def classes_of(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
     Read are `FILES` in the folder, or else in the one above if this is called train, valid or test (`SIDES`), which
     share them; a YAML file there also if it names this folder, or the name of this ends in such a word and the file
     names no folders of other sets alone. Raises LabelError where others are named elsewhere: here in a YAML file of
-    another name, or above, with oysters among them, by a file that may be of this data set or not.
+    another name, or above by a file that may be of this data set or not: one called data.yaml, that has oysters among
+    its classes, or that lists this folder.
     """
     whole = folder.resolve()
     own = [folder / name for name in FILES]
@@ -39,7 +40,7 @@ def classes_of(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
         if path.is_file() and _names_others(path):
             raise LabelError(f"{path}: expected the names of the classes in {FILES[0]}, got them here: rename it")
     for path in (*shown(whole.parent, "*.y*ml"), whole.parent / FILES[-1]):
-        if path.is_file() and _names_others(path, shared=True):
+        if path.is_file() and _names_others(path, whole):
             if whole.name.casefold() in SIDES:
                 raise LabelError(f"{path}: expected the names of the classes in {FILES[0]}, got them here: rename it")
             raise LabelError(
@@ -62,13 +63,24 @@ def _is_of(path: Path, folder: Path) -> bool:
 def _may_be_of(path: Path, folder: Path) -> bool:
     """Whether a YAML file may list the set of which a folder beside it is a side: if it lists another side of it, as
     reef-train of reef-test, or paths that are of any set, as train/images, or that end at the folder of the file."""
-    content = _mapping(path) or {}
-    base = next(_places(content.get("path")), PurePosixPath())
-    listed = [base / place for key in SIDES for place in _places(content.get(key)) if place.suffix != ".txt"] or [base]
-    wholes = [[SIDE_LAST.sub("", part).casefold() for part in place.parts] for place in listed]
+    wholes = [[SIDE_LAST.sub("", part).casefold() for part in place.parts] for place in _listed(path)] or [[]]
     named = {next((part for part in parts[::-1] if part not in ("", "images", "..", "/")), "") for parts in wholes}
     whole = SIDE_LAST.sub("", folder.name).casefold()
     return any(whole in parts for parts in wholes if whole) or named <= {"", folder.parent.name.casefold()}
+
+
+def _lists(path: Path, folder: Path) -> bool:
+    """Whether a YAML file lists paths with the name of a folder in them, with or without a side at its end."""
+    name = folder.name.casefold()
+    own = {name, SIDE_LAST.sub("", name).rstrip("-_. ")} - {""}
+    return any(part.casefold() in own for place in _listed(path) for part in place.parts)
+
+
+def _listed(path: Path) -> list[PurePosixPath]:
+    """Paths of images that a YAML file lists, or the one below which they are."""
+    content = _mapping(path) or {}
+    base = next(_places(content.get("path")), PurePosixPath())
+    return [base / place for key in SIDES for place in _places(content.get(key)) if place.suffix != ".txt"] or [base]
 
 
 def _places(value: Any) -> Iterator[PurePosixPath]:
@@ -78,17 +90,21 @@ def _places(value: Any) -> Iterator[PurePosixPath]:
             yield PurePosixPath(place.replace("\\", "/"))
 
 
-def _names_others(path: Path, shared: bool = False) -> bool:
-    """Whether a file names other classes than there are without one. shared: it may be of something else, such as
-    another data set, and is where it names no oysters. Raises LabelError where a file that is not shared names none."""
+def _names_others(path: Path, beside: Path | None = None) -> bool:
+    """Whether a file names other classes than there are without one. beside: a folder that it may be of or not; where
+    it names no oysters, or cannot be read, it is of something else unless it is called data.yaml or lists this folder.
+    Raises LabelError where a file that is of no other folder names none."""
     try:
         if path.suffix != ".txt" and not NAMES.search(path.read_bytes()):
             return False
         return read_classes(path) not in ({}, USUAL)
     except (LabelError, OSError):
-        if shared:
-            return False
-        raise
+        if beside is None:
+            raise
+    try:
+        return path.name in FILES[:2] or _lists(path, beside)
+    except LabelError:
+        return False
 
 
 def side_of(folder: Path, part: str) -> str:

@@ -82,6 +82,36 @@ def test_class_names_that_may_be_of_another_set_are_refused_whatever_the_folder_
 
 
 @pytest.mark.parametrize(
+    ("name", "file", "text"),
+    [
+        ("reef-test", "data.yaml", "path: reef\ntrain: images/train\n"),
+        ("reef-test", "data.yaml", "path: ../datasets/Reef\ntrain: images/train\n"),
+        ("reef_test", "barnacles.yaml", "path: /sets/reef\n"),
+        ("reef-test", "data.yml", "train: a-train/images\nval: b-val/images\n"),
+        ("reef", "data.yaml", "train: reef/images/train\nval: reef/images/val\n"),
+        ("reef", "reef.yaml", "path: .\ntrain: [kelp/images, C:\\sets\\reef\\images\\train]\n"),
+        ("reef", "data.yaml", "train: kelp/images\n"),
+        ("Train", "barnacles.yaml", "train: train/images\n"),
+    ],
+)
+def test_class_names_without_oysters_that_may_be_of_this_set_are_refused(name, file, text, tmp_path):
+    """They are of this very set where they list it, and data.yaml may be: barnacles were oysters without a word."""
+    folder = yolo_folder(tmp_path / name, {"a": "0" + TRIANGLE})
+    (tmp_path / file).write_text(f"{text}names: [barnacle, rock]\n")
+    with pytest.raises(LabelError, match=rf"{file}: expected the names of the classes .*in data\.yaml"):
+        open_labelled(folder)
+    (folder / "data.yaml").write_text("names: [oyster]\n")
+    assert open_labelled(folder)[0].oysters.any()
+
+
+@pytest.mark.parametrize("text", ["path: kelp\ntrain: images/train\n", "train: images/train\n", ""])
+def test_class_names_without_oysters_that_list_another_set_are_of_that(text, tmp_path):
+    folder = yolo_folder(tmp_path / "reef-test", {"a": "0" + TRIANGLE})
+    (tmp_path / "kelp.yaml").write_text(f"{text}names: [kelp]\n")
+    assert open_labelled(folder)[0].oysters.any()
+
+
+@pytest.mark.parametrize(
     ("name", "text"),
     [
         ("reef-train", ""),
