@@ -369,15 +369,6 @@ def test_masks_that_have_the_names_of_their_images_are_not_taken_for_these(overv
     assert open_truth(path)[0].coco is not None
 
 
-def test_grey_images_that_are_not_annotated_and_depths_are_no_masks(tmp_path):
-    laid(tmp_path, "annotations/instances_val2017.json", "val2017")
-    write_png(tmp_path / "val2017" / "b.png", picture(1)[..., 0])
-    write_png(tmp_path / "depth" / "a.png", np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH))
-    assert [clip.names for clip in open_truth(tmp_path)] == [("a",)]
-    write_png(tmp_path / "val2017" / "a.png", np.repeat(picture(1)[..., :1], 3, axis=2))
-    assert [clip.names for clip in open_truth(tmp_path)] == [("a",)]
-
-
 def test_of_several_files_one_is_asked_for(tmp_path):
     for side in ("train", "val"):
         path = tmp_path / "annotations" / f"instances_{side}2017.json"

@@ -82,6 +82,15 @@ def test_other_pictures_of_few_colours_beside_a_coco_file_are_in_the_way_of_noth
     assert [clip.names for clip in open_truth(tmp_path)] == [("a", "b")]
 
 
+def test_grey_images_that_are_not_annotated_and_depths_are_no_masks(tmp_path):
+    laid(tmp_path, "annotations/instances_val2017.json", "val2017")
+    write_png(tmp_path / "val2017" / "b.png", picture(1)[..., 0])
+    write_png(tmp_path / "depth" / "a.png", np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH))
+    assert [clip.names for clip in open_truth(tmp_path)] == [("a",)]
+    write_png(tmp_path / "val2017" / "a.png", np.repeat(picture(1)[..., :1], 3, axis=2))
+    assert [clip.names for clip in open_truth(tmp_path)] == [("a",)]
+
+
 def test_label_images_are_told_from_photographs(tmp_path):
     """Also where masks have soft edges, and photographs of turbid water are smooth, and were compressed."""
     rng = np.random.default_rng(1)
