@@ -88,7 +88,8 @@ def test_where_a_hub_lacks_them_or_does_not_answer_weights_of_oysterbench_are_na
 
 def test_weights_of_oysterbench_are_not_named_in_place_of_a_hub_that_is_given_wrongly(place, published, part, tmp_path):
     """A script that fetches newer ones would go on with those."""
-    empty, lost, barred, key = *(tmp_path / name for name in ("empty", "lost", "barred")), ("--key", place.public)
+    empty, lost, barred = (tmp_path / name for name in ("empty", "lost", "barred"))
+    key = ("--key", place.public)
     empty.mkdir()
     (lost / "blobs").mkdir(parents=True)
     (barred / "index.json").mkdir(parents=True)
