@@ -390,3 +390,10 @@ def test_folders_in_names_may_be_divided_as_on_windows(tmp_path):
     path.write_text(json.dumps(content))
     with pytest.raises(LabelError, match="leads out of it"):
         open_labelled(tmp_path)
+
+
+def test_states_of_something_else_are_no_oysters_of_a_map_either(tmp_path):
+    categories = named(("live", "coral"), ("oyster", ""), ("rock", ""))
+    path = coco_file(tmp_path / "a.json", {"segmentation": [SQUARE], "category_id": 0}, categories=categories)
+    with pytest.raises(LabelError, match="its category, 'live', could be of oysters or not"):
+        read_coco(path, oysters_alone=True)
