@@ -39,7 +39,12 @@ from oysterbench_baselines.learning.trained import device_option, trained
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home folder]"
 )
-@click.option("--sizes", default="5,10,20,40,all", show_default=True, help="Numbers of real training images.")
+@click.option(
+    "--sizes",
+    default="0,5,10,20,40,all",
+    show_default=True,
+    help="Numbers of real training images; 0, synthetic images alone, is always among them.",
+)
 @click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Training runs of each kind.")
 @click.option(
     "--steps",
@@ -147,8 +152,9 @@ def _file(weights: Path) -> Path:
 
 
 def _sizes(text: str) -> tuple[int, ...]:
-    """Parse the numbers of real images; 0 stands for all. Raises UsageError for anything else."""
+    """Parse the numbers of real images; in the result, 0 stands for all, and that of synthetic images alone, which are
+    trained on anyway, is left out. Raises UsageError for anything else."""
     words = [word.strip() for word in text.split(",")]
-    if not all(word == "all" or (word.isdecimal() and int(word) > 0) for word in words):
-        raise click.UsageError(f"--sizes: expected whole numbers from 1, and all, with commas, got {text!r}")
-    return tuple(dict.fromkeys(0 if word == "all" else int(word) for word in words))
+    if not all(word == "all" or word.isdecimal() for word in words):
+        raise click.UsageError(f"--sizes: expected whole numbers, and all, with commas, got {text!r}")
+    return tuple(dict.fromkeys(0 if word == "all" else int(word) for word in words if word.strip("0")))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from oysterbench.results.records import ResultRecord, write_results
 from oysterbench_baselines.sim2real.data import Real, real_data, site_data, sites_of
 from oysterbench_baselines.sim2real.report import report, table_of
 from oysterbench_baselines.sim2real.scoring import WHOLE, score
-from oysterbench_baselines.sim2real.settings import ALL, Cell, ExperimentSettings, cells_of
+from oysterbench_baselines.sim2real.settings import Cell, ExperimentSettings, cells_of
 from oysterbench_baselines.sim2real.sites import SiteRow, site_rows, sites_table
 from oysterbench_baselines.sim2real.table import VariantRow, variants
 from oysterbench_baselines.sim2real.trivial import TRIVIAL, predictions, settings_of
@@ -85,7 +84,7 @@ def run_sites(
         sites = sites_of(labelled, settings.similarity, progress)
     if len(sites) < 2:
         raise LabelError(f"{labelled.name}: expected clips of two sites at least, got {', '.join(sites)}")
-    settings = replace(settings, sizes=(ALL,))
+    settings = settings.for_other_sites()
     records: dict[str, list[ResultRecord]] = {}
     folders: list[Path] = []
     remarks = []

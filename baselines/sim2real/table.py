@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from oysterbench.core.geometry import Array
+from oysterbench.core.streams import stream
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
 from oysterbench.results.records import ResultRecord
 from oysterbench_baselines.sim2real.scoring import WHOLE
@@ -23,7 +24,7 @@ class VariantRow:
     """Results of one kind of training, or of a trivial method.
 
     size:     number of real images requested: None for none, 0 for all; images: how many there were
-    iou:      over all test pixels, mean of the seeds, with its interval over blocks of neighbouring test images
+    iou:      over all test pixels, mean of the seeds; its interval is over seeds and blocks of neighbouring test images
     by_clip:  IoU of each test clip, mean of the seeds; spread: smallest and largest IoU of a seed
     means:    further metrics (`MEANS`), mean of the seeds
     gain:     in IoU, against the same number of real images alone, with the paired interval; None where there is no
@@ -46,8 +47,8 @@ class VariantRow:
 def variants(records: Sequence[ResultRecord], block: int) -> list[VariantRow]:
     """Rows of all cells in the records, trivial methods first. block: neighbouring images that are resampled together.
 
-    Seeds differ in the real images they train on; the interval is over the test images, as another survey would change
-    them, and applies to the mean of these seeds. A gain is over the seeds that both rows have.
+    The interval is over the test images, as another survey would change them, and over the seeds, which draw other real
+    images to train on. A gain is over the seeds that both rows have.
     """
     groups: dict[tuple[str, int | None], list[ResultRecord]] = {}
     for record in records:
@@ -129,12 +130,20 @@ def ratios(sums: Array) -> Array:
 
 
 def _interval(sums: Array, other: Array | None) -> Interval:
-    """Interval of the mean IoU over seeds from sums (S, B, 2), minus that of `other`, over the same blocks."""
+    """Interval of the mean IoU over seeds from sums (S, B, 2), minus that of `other` where given: resamples the blocks,
+    and the seeds, which are the same for both."""
     blocks = sums.shape[1]
     drawn = resample_counts(blocks)
     if drawn is None:
         return Interval(np.nan, np.nan, too_few(blocks, "block"))
-    values = ratios(np.einsum("rb,sbk->rsk", drawn, sums)).mean(axis=1)
+    values = ratios(np.einsum("rb,sbk->rsk", drawn, sums))
     if other is not None:
-        values = values - ratios(np.einsum("rb,sbk->rsk", drawn, other)).mean(axis=1)
-    return resampled_interval(values, blocks)
+        values = values - ratios(np.einsum("rb,sbk->rsk", drawn, other))
+    return resampled_interval(over_seeds(values), blocks)
+
+
+def over_seeds(values: Array) -> Array:
+    """Means (R,) of values (R, S) over as many of their S seeds, drawn anew with replacement for each resample R."""
+    resamples, seeds = values.shape
+    chosen = stream(0, b"", "sim2real", "seeds").integers(0, seeds, (resamples, seeds))
+    return np.take_along_axis(values, chosen, axis=1).mean(axis=1)

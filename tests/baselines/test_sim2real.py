@@ -219,7 +219,10 @@ def test_networks_that_tell_live_oysters_from_dead_ones_are_tested_as_others_are
     strong = ExperimentSettings().with_encoder("lite0")
     assert strong.network.states
     begun, alone = Cell("rendered", 5, 0), Cell("rendered", None, 0)
-    assert (strong.fit_of(begun).start, strong.fit_of(alone).start) == (0.5, 0.0)
+    assert (strong.fit_of(begun).start, strong.fit_of(alone).start) == (0.0, 0.0)
+    elsewhere = strong.for_other_sites()
+    assert (elsewhere.fit_of(begun).start, elsewhere.fit_of(alone).start) == (0.5, 0.0)
+    assert ExperimentSettings().for_other_sites() == ExperimentSettings(sizes=(ALL,)), "no mean of small networks"
 
 
 def test_a_folder_of_another_experiment_is_refused_by_its_cell(real, synthetic, tmp_path):
@@ -288,9 +291,22 @@ def test_rows_pool_pixels_average_seeds_and_pair_gains_over_the_same_images():
     # The interval by hand: blocks of two images, drawn as often as the named stream says.
     blocks = np.array(base).reshape(2, 8, 2, 3).sum(axis=2)
     drawn_blocks = resample_counts(8)
-    values = np.mean([(drawn_blocks @ b[:, 0]) / (drawn_blocks @ b.sum(axis=1)) for b in blocks], axis=0)
+    each = np.array([(drawn_blocks @ b[:, 0]) / (drawn_blocks @ b.sum(axis=1)) for b in blocks])
+    values = np.concatenate([each.mean(axis=0), each.mean(axis=0), *each])  # of two seeds, both or twice the same
     assert np.quantile(values, 0.5) == pytest.approx(expected, abs=0.02)
     assert rows["real"].interval.high - rows["real"].interval.low < 6 * values.std()
+
+
+def test_seeds_that_differ_widen_the_interval_as_images_that_differ_do():
+    alike = [record("real", k, 10, [(10, 5, 5)] * 16) for k in range(4)]
+    apart = [record("real", k, 10, [(8 + k, 5, 7 - k)] * 16) for k in range(4)]
+    (one,), (other,) = variants(alike, block=2), variants(apart, block=2)
+    assert one.interval.low == one.interval.high == pytest.approx(0.5)
+    assert other.interval.low < other.iou - 0.01
+    assert other.interval.high > other.iou + 0.01
+    shifted = [record("real + made", k, 10, [(10 + k, 5, 5 - k)] * 16) for k in range(4)]
+    gain = next(row for row in variants([*apart, *shifted], block=2) if row.gain is not None)
+    assert gain.gain_interval.low == gain.gain_interval.high == pytest.approx(0.1), "gains are paired by seed"
 
 
 def test_too_few_blocks_have_no_interval_and_the_table_says_none():
@@ -339,6 +355,18 @@ def test_sizes_of_which_there_are_no_images_are_left_out_by_name(real, tmp_path)
     echoed.clear()
     experiment(real, {}, tmp_path, dataclasses.replace(SETTINGS, sizes=(5, ALL)), echoed, train=False)
     assert not any("left out: size" in str(line) for line in echoed)
+
+
+def test_size_0_trains_on_synthetic_images_alone(real, synthetic, tmp_path, monkeypatch):
+    monkeypatch.setattr(data, "near_duplicates", lambda *sets: [])
+    real, made = (Path(labelled.entries[0].files[0]).parents[1] for labelled in (real, synthetic))
+    for sizes, cells in (("0", 2), ("0,2", 6)):
+        options = [f"--real={real}", f"--synthetic=made={made}", f"--out={tmp_path / 'out'}", f"--sizes={sizes}"]
+        done = CliRunner().invoke(command, [*options, "--seeds=2", "--only-table"], catch_exceptions=False)
+        assert f"0 of {cells} trainings are finished" in done.stderr
+    done = CliRunner().invoke(command, [f"--real={real}", "--sizes=-1,x"])
+    assert done.exit_code == 2
+    assert "expected whole numbers, and all, with commas, got '-1,x'" in done.output
 
 
 def test_weights_are_given_by_a_name_of_their_own(real, tmp_path, monkeypatch):
