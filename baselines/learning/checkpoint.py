@@ -17,8 +17,10 @@ import torch
 
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import MethodError
+from oysterbench.core.names import did_you_mean, nearest
 from oysterbench.core.text import in_one_line
 from oysterbench.hub.verify import kept_card
+from oysterbench.methods.weights import weights_names
 from oysterbench.version import VERSION
 
 FORMAT = "oysterbench-checkpoint/1"
@@ -85,7 +87,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
             raise ValueError(f"expected {FORMAT}")
         return Checkpoint(**values)
     except FileNotFoundError:
-        raise MethodError(f"{path}: no such checkpoint; `oysterbench train` makes one") from None
+        meant = did_you_mean(nearest(str(path), weights_names()))
+        raise MethodError(f"{path}: no such checkpoint; {meant}`oysterbench train` makes one") from None
     except MethodError:
         raise
     except zipfile.BadZipFile:

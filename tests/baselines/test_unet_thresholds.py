@@ -60,9 +60,10 @@ def test_a_training_begins_with_the_weights_of_a_name(tmp_path, begun, monkeypat
     assert done.exit_code == 0, done.stderr
     first = read_checkpoint(begun).identity
     assert read_checkpoint(tmp_path / "mine.pt").identity["begun"] == {**first, "steps": ONE.fit.steps}
-    failed = CliRunner().invoke(main, [*words, "unet_larger", *out])
-    assert failed.exit_code != 0
-    assert "unet_larger: no such checkpoint" in failed.stderr
+    for name, meant in (("elsewhere", ""), ("unet_smal", "did you mean unet_small or unet? ")):
+        failed = CliRunner().invoke(main, [*words, name, *out])
+        assert failed.exit_code != 0
+        assert f"{name}: no such checkpoint; {meant}`oysterbench train` makes one" in failed.stderr
 
 
 @pytest.mark.parametrize("begin", ["begun.pt", "unet_small"])
