@@ -184,6 +184,26 @@ def test_numbers_after_a_word_for_a_camera_are_those_of_images():
     assert ends(entries_of(names), 0.1) == [*names[90:100], *names[136:]]
 
 
+@pytest.mark.parametrize("clip", ["", "reef"])
+@pytest.mark.parametrize(
+    "form",
+    [
+        "reef_2026-05-01T{h:02}h{m:02}m{s:02}",
+        "dive_{m:02}m{s:02}",
+        "2026-05-01 {h:02}:{m:02}:{s:02}",
+        "2026-05-01 at {h:02}.{m:02}.{s:02}",
+        "13050{k:05}.{s:02}6667",
+        "2026T{h:02}{m:02}{s:02}.033",
+        "IMG_{m:04}_crop{s:02}",
+        "IMG_{m:04}tile{s:02}",
+    ],
+)
+def test_the_last_part_of_a_longer_time_is_no_time_and_what_is_before_it_no_camera(form, clip):
+    """Else the end of each minute, or of each image that was cut up, would be held out, amid what was seen."""
+    names = [form.format(h=12, m=k // 60, s=k % 60, k=k) for k in range(240)]
+    assert ends(entries_of(names, clip), 0.25) == names[180:]
+
+
 def drawn(k, digits=8):
     return f"{random.Random(str(k)).getrandbits(4 * digits):0{digits}x}"
 
