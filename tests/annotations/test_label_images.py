@@ -43,6 +43,34 @@ def test_masks_with_the_numbers_of_many_oysters_beside_a_coco_file_are_refused(n
     assert [clip.names for clip in open_truth(path)] == [("a",)]
 
 
+@pytest.mark.parametrize("pixels", [NUMBERS, COLOURS])
+@pytest.mark.parametrize(
+    "name", ["site_depth4m_a-mask", "depth_03m/masks/1", "mask_0001", "label0001", "masks/0001", "masks/a/0", "amask"]
+)
+def test_masks_by_their_own_names_beside_a_coco_file_are_refused(name, pixels, tmp_path):
+    """Also in colours, as VOC and CVAT write them, where sites are named by their depths, and if some images are
+    missing."""
+    path = coco_2017(tmp_path, ["a", "site_depth4m_a", "c"])
+    (tmp_path / "val2017" / "c.png").unlink()
+    assert open_truth(path)[0].coco is not None
+    write_png(tmp_path / f"{name}.png", pixels)
+    with pytest.raises(LabelError, match=rf"got both, such as .*{name}\.png"):
+        open_truth(tmp_path)
+
+
+def test_few_dark_or_flat_frames_among_many_are_no_masks(tmp_path):
+    """Such as those of a monochrome camera at night, overexposed, or with a title."""
+    coco_2017(tmp_path, "abcdefghi")
+    dark = np.random.default_rng(0).poisson(0.02, (HEIGHT, WIDTH)).astype(np.uint8)
+    write_png(tmp_path / "val2017" / "h.png", dark)
+    title = cv2.rectangle(np.zeros((HEIGHT, WIDTH, 3), np.uint8), (2, 2), (WIDTH // 2, 4), (255, 255, 255), -1)
+    write_png(tmp_path / "val2017" / "i.png", title)
+    assert open_truth(tmp_path)[0].coco is not None
+    write_png(tmp_path / "val2017" / "g.png", NUMBERS)
+    with pytest.raises(LabelError, match="got both"):
+        open_truth(tmp_path)
+
+
 @pytest.mark.parametrize("pictures", ["b", "bc"])
 def test_a_mask_in_place_of_one_of_several_images_is_refused(pictures, tmp_path):
     coco_2017(tmp_path, f"a{pictures}")
