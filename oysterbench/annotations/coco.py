@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations.coco_categories import Categories, categories_of
+from oysterbench.annotations.categories import Categories, categories_of
 from oysterbench.annotations.coco_item import CocoItem, check_px, instance_of, live_of, run_lengths
 from oysterbench.core import text
 from oysterbench.core.errors import LabelError

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.annotations.categories import may_be_oysters
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
 from oysterbench.annotations.manifest import ManifestRow, images_with, parts_of
 from oysterbench.annotations.yolo_classes import classes_of, side_of
@@ -55,7 +56,8 @@ def yolo_set(folder: Path) -> LabelledSet:
 
     A line of a label file is `CLASS x1 y1 x2 y2 ...` in fractions of width and height. Classes have the names that
     data.yaml or a file like it gives them (`classes_of`); without one, 0 is oyster. An image without a label file or a
-    number without a name is refused, by file and line; objects of other classes than oyster are skipped. Polygons are
+    number without a name, or of a class that may be of oysters or not, is refused, by file and line; objects of other
+    classes are skipped. Polygons are
     clipped to the image. Where images/ and labels/ have folders alone, each is a side (`side_of`), and images are named
     FOLDER/NAME.
     """
@@ -121,7 +123,12 @@ def read_outlines(path: Path, classes: Mapping[int, str]) -> list[Outline]:
         if kind not in classes:
             known = ", ".join(f"{k} = {v}" for k, v in classes.items())
             raise LabelError(f"{where}: class {kind:g} is not an oyster; known classes: {known}")
-        if classes[int(kind)] != "oyster":
+        if (name := classes[int(kind)]) != "oyster":
+            if may_be_oysters(name):
+                raise LabelError(
+                    f"{where}: class {kind:g} is called {name!r}, which could be of oysters or not: where the classes "
+                    "are named, call it oyster, live oyster or dead oyster, or what else it is"
+                )
             continue
         box = len(values) == 4
         if not box and (len(values) < 6 or len(values) % 2):

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from oysterbench.annotations.categories import Categories
 from oysterbench.annotations.coco import CocoFile, CocoImage
-from oysterbench.annotations.coco_categories import Categories
 from oysterbench.annotations.coco_item import CocoItem
 from oysterbench.annotations.image import read_picture
 from oysterbench.annotations.manifest import scored_sides

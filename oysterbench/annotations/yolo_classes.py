@@ -7,18 +7,17 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from oysterbench.annotations.categories import categories_of
 from oysterbench.annotations.manifest import SIDE_LAST, SIDES, side_in
 from oysterbench.core.errors import LabelError
 from oysterbench.core.places import shown
 
 FILES = ("data.yaml", "data.yml", "classes.txt")
 """Files that may name the classes; the first that does is read. classes.txt has a name per line."""
-NAMES = re.compile(rb"^[\"']?names[\"']?\s*:", re.MULTILINE)
-"""What is in a YAML file that names classes."""
+NAMES = re.compile(rb"^(?:\xef\xbb\xbf)?[\"']?names[\"']?\s*:", re.MULTILINE)
+"""What is in a YAML file that names classes, also behind the byte order mark of Windows."""
 USUAL = {0: "oyster"}
 """Names of the classes where no file gives them."""
-OYSTERS = ("oyster", "oysters")
-"""Names of the class to be found, in any case."""
 
 
 def classes_of(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
@@ -70,17 +69,28 @@ def _may_be_of(path: Path, folder: Path) -> bool:
 
 
 def _lists(path: Path, folder: Path) -> bool:
-    """Whether a YAML file lists paths with the name of a folder in them, with or without a side at its end."""
+    """Whether a YAML file lists paths, or lists of images, that end at a folder, its name without a side, or at the
+    sides of a set beside the file or of the name of the folder above, where the folder is a side."""
     name = folder.name.casefold()
     own = {name, SIDE_LAST.sub("", name).rstrip("-_. ")} - {""}
-    return any(part.casefold() in own for place in _listed(path) for part in place.parts)
+    for place in _listed(path, lists=True):
+        parts = [part.casefold() for part in (place.parent if place.suffix == ".txt" else place).parts]
+        parts = [part for part in parts if part not in ("images", "..", "/")]
+        whole = parts[:-1] if parts and parts[-1] in SIDES else parts
+        if parts and name in SIDES and whole[-1:] in ([], [folder.parent.name.casefold()]):
+            return True
+        if name not in SIDES and whole and whole[-1] in own:
+            return True
+    return False
 
 
-def _listed(path: Path) -> list[PurePosixPath]:
-    """Paths of images that a YAML file lists, or the one below which they are."""
+def _listed(path: Path, lists: bool = False) -> list[PurePosixPath]:
+    """Paths of images that a YAML file lists, or the one below which they are. lists: those of text files, too, which
+    list images."""
     content = _mapping(path) or {}
     base = next(_places(content.get("path")), PurePosixPath())
-    return [base / place for key in SIDES for place in _places(content.get(key)) if place.suffix != ".txt"] or [base]
+    found = [base / place for key in SIDES for place in _places(content.get(key))]
+    return [place for place in found if lists or place.suffix != ".txt"] or [base]
 
 
 def _places(value: Any) -> Iterator[PurePosixPath]:
@@ -135,14 +145,15 @@ def keys_naming(path: Path, folder: str) -> set[str]:
 
 
 def read_classes(path: Path) -> dict[int, str]:
-    """Read the names of the classes from a file of `FILES`, by number; empty if it names none. Raises LabelError if it
-    cannot be read, or none of them is oyster."""
+    """Read the names of the classes from a file of `FILES`, by number, all that are of oysters as oyster
+    (`categories_of`); empty if it names none. Raises LabelError if it cannot be read, or no name says oyster."""
     names = _lines(path) if path.suffix == ".txt" else _names(path)
     if names is None:
         return {}
-    found = {number: "oyster" if name.lower() in OYSTERS else name for number, name in names.items()}
-    if "oyster" not in found.values():
-        known = ", ".join(f"{number} = {name}" for number, name in found.items())
+    oysters = categories_of([{"id": number, "name": name} for number, name in names.items()]).states
+    found = {number: "oyster" if number in oysters else name for number, name in names.items()}
+    if not any("oyster" in name.casefold() for number, name in names.items() if number in oysters):
+        known = ", ".join(f"{number} = {name}" for number, name in names.items())
         raise LabelError(f"{path}: no class is named 'oyster'; its classes: {known or 'none'}: rename the one meant")
     return found
 

@@ -24,6 +24,30 @@ def test_classes_have_the_names_of_other_files_too(name, text, place, tmp_path):
     assert found.digest() != before
 
 
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        ("oyster, dead oyster", [True, True]),
+        ("Live oyster, dead", [True, True]),
+        ("barnacle, Oysters", [False, True]),
+        ("juvenile oyster, oyster", "0"),
+        ("oyster, spat", "1"),
+        ("oyster, dead, barnacle", "1"),
+    ],
+)
+def test_classes_are_of_oysters_by_their_names_as_categories_of_coco_files_are(names, found, tmp_path):
+    """And refused where that is not sure, instead of left out, but only where they are drawn."""
+    folder = yolo_folder(tmp_path / "reef", {"a": "0" + TRIANGLE, "b": "1" + TRIANGLE})
+    (folder / "data.yaml").write_text(f"names: [{names}]\n")
+    if isinstance(found, list):
+        assert [bool(one.oysters.any()) for one in open_labelled(folder)] == found
+        return
+    with pytest.raises(LabelError, match=rf"\.txt:1: class {found} is called '.*', which could be of oysters or not"):
+        list(open_labelled(folder))
+    (folder / "labels" / f"{'ab'[int(found)]}.txt").write_text("")
+    assert sum(one.oysters.any() for one in open_labelled(folder)) == 1
+
+
 @pytest.mark.parametrize("name", ["reef", "reef-test"])
 @pytest.mark.parametrize(
     ("file", "text"),
@@ -92,21 +116,28 @@ def test_class_names_that_may_be_of_another_set_are_refused_whatever_the_folder_
         ("reef", "reef.yaml", "path: .\ntrain: [kelp/images, C:\\sets\\reef\\images\\train]\n"),
         ("reef", "data.yaml", "train: kelp/images\n"),
         ("Train", "barnacles.yaml", "train: train/images\n"),
+        ("reef", "barnacles.yaml", "train: reef/train.txt\n"),
+        ("reef", "barnacles.yaml", "path: .\ntrain: [reef/train.txt]\n"),
+        ("reef", "data.yaml", "\N{BYTE ORDER MARK}"),
+        ("val", "barnacles.yaml", "path: ../HERE\ntrain: images/train\nval: images/val\n"),
     ],
 )
 def test_class_names_without_oysters_that_may_be_of_this_set_are_refused(name, file, text, tmp_path):
     """They are of this very set where they list it, and data.yaml may be: barnacles were oysters without a word."""
     folder = yolo_folder(tmp_path / name, {"a": "0" + TRIANGLE})
-    (tmp_path / file).write_text(f"{text}names: [barnacle, rock]\n")
+    (tmp_path / file).write_text(f"{text}names: [barnacle, rock]\n".replace("HERE", tmp_path.name))
     with pytest.raises(LabelError, match=rf"{file}: expected the names of the classes .*in data\.yaml"):
         open_labelled(folder)
     (folder / "data.yaml").write_text("names: [oyster]\n")
     assert open_labelled(folder)[0].oysters.any()
 
 
-@pytest.mark.parametrize("text", ["path: kelp\ntrain: images/train\n", "train: images/train\n", ""])
-def test_class_names_without_oysters_that_list_another_set_are_of_that(text, tmp_path):
-    folder = yolo_folder(tmp_path / "reef-test", {"a": "0" + TRIANGLE})
+@pytest.mark.parametrize("name", ["reef-test", "train", "datasets"])
+@pytest.mark.parametrize(
+    "text", ["path: kelp\ntrain: images/train\n", "path: ../datasets/coco8\nval: images/val\n", ""]
+)
+def test_class_names_without_oysters_that_list_another_set_are_of_that(text, name, tmp_path):
+    folder = yolo_folder(tmp_path / name, {"a": "0" + TRIANGLE})
     (tmp_path / "kelp.yaml").write_text(f"{text}names: [kelp]\n")
     assert open_labelled(folder)[0].oysters.any()
 

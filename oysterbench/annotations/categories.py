@@ -1,4 +1,4 @@
-"""Categories of COCO files: which are of oysters, and alive or dead, by their names."""
+"""Categories of COCO files and classes of YOLO sets: which are of oysters, and alive or dead, by their names."""
 
 from __future__ import annotations
 
@@ -10,10 +10,27 @@ from typing import Any
 
 OYSTERS = frozenset(("oyster", "oysters"))
 STATES = frozenset(("live", "dead"))
-DOUBTFUL = STATES | {"alive", "living", "unknown", "undefined", "spat", "juvenile", "juveniles", "adult", "adults"}
-"""Words of which a name alone may be of oysters or of anything else."""
-NOTHING = frozenset(("null", "root", "object", "thing", "type", "class", "category"))
-"""Supercategories that programs write where none was given, or by which VIA divides objects: they are of nothing."""
+UNSURE = ("alive", "living", "dying", "recently", "unknown", "undefined", "unsure", "uncertain", "unidentified")
+AGES = ("spat", "juvenile", "juveniles", "adult", "adults")
+DOUBTFUL = STATES.union(UNSURE, AGES)
+"""Words of which a name alone, numbers aside, may be of oysters or of anything else."""
+KINDS = (
+    "object",
+    "objects",
+    "thing",
+    "things",
+    "type",
+    "class",
+    "category",
+    "label",
+    "labels",
+    "name",
+    "status",
+    "state",
+)
+NOTHING = frozenset(("null", "na", "n", "a", "default", "undefined", "root", *KINDS))
+"""Words of supercategories that programs write where none was given, or by which VIA divides objects: they are of
+nothing."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +67,15 @@ def categories_of(content: list[Any], oysters_alone: bool = False) -> Categories
     if oysters_alone or names.keys() - whole <= bare | oysters:
         silent = STATES | {"none"} | (frozenset() if oysters else NOTHING)
         found |= {k for k in bare if groups[k] in own or above[k] & OYSTERS or above[k] <= silent}
-    named = {k for k, said in words.items() if said & OYSTERS or (said and said <= DOUBTFUL)}
+    named = {k for k, name in names.items() if may_be_oysters(name)}
     doubtful = (named | {k for k in within if groups[k] not in own}) - found
     return Categories(names, {k: _state(words[k]) for k in found}, frozenset(doubtful))
+
+
+def may_be_oysters(name: str) -> bool:
+    """Whether a name has the word oyster, among any others, or says a state and not of what."""
+    said = {word for word in _words(name) if not word.isdecimal()}
+    return bool(said & OYSTERS or (said and said <= DOUBTFUL))
 
 
 def _words(name: str) -> set[str]:
