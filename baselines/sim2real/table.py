@@ -146,4 +146,4 @@ def over_seeds(values: Array) -> Array:
     """Means (R,) of values (R, S) over as many of their S seeds, drawn anew with replacement for each resample R."""
     resamples, seeds = values.shape
     chosen = stream(0, b"", "sim2real", "seeds").integers(0, seeds, (resamples, seeds))
-    return np.take_along_axis(values, chosen, axis=1).mean(axis=1)
+    return np.asarray(np.take_along_axis(values, chosen, axis=1).mean(axis=1))

@@ -72,7 +72,7 @@ def is_label_image(path: Path, blank: bool = True, coloured: bool = False) -> bo
     if least == most:
         return blank
     same = _same(pixels[..., None])
-    return np.count_nonzero(same) > FLAT * same.size or bool(((pixels == least) | (pixels == most)).all())
+    return bool(np.count_nonzero(same) > FLAT * same.size or ((pixels == least) | (pixels == most)).all())
 
 
 def _same(pixels: NDArray[Any]) -> NDArray[np.bool_]:
