@@ -9,7 +9,7 @@ from pathlib import Path
 from statistics import median
 
 from oysterbench.core.errors import SequenceError
-from oysterbench.core.trajectory.columns import MICRO, UNIT_WORDS
+from oysterbench.core.trajectory.names import MICRO, UNIT_WORDS
 from oysterbench.core.trajectory.stamps import SHIFTS
 
 RATE, FORCE = "angular rate in rad/s", "specific force in m/s^2"

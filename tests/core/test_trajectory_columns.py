@@ -69,6 +69,48 @@ def test_a_transform_may_be_of_a_topic_called_as_a_spread(tmp_path):
         read(tmp_path, f"t,{moved},{plotted('gt')}", "1.5" + ",0.5" * 14)
 
 
+TOPICS = [
+    *("pose_with_covariance", "odom_cov", "err_state_kf", "/error_state_kf/odom", "dev", "/uncertainty_aware_slam"),
+    *("/vio/pose_with_covariance", "pose_cov", "sigma_point_kf", "/attitude_estimator/odom/pose", "/q/pose/pose"),
+    *("imu_orientation/odom", "/mavros/local_position"),
+]
+"""Names of whole poses that have words of a spread, an attitude or a position."""
+
+
+@pytest.mark.parametrize("topic", TOPICS)
+@pytest.mark.parametrize("sign", ["_", ".", "/"])
+def test_words_in_the_name_of_a_whole_pose_are_of_the_name(tmp_path, topic, sign):
+    """It is read, and beside another, in either order, neither is chosen without a word."""
+    named = pose(f"{topic}{sign}position", f"{topic}{sign}orientation", sign)
+    np.testing.assert_array_equal(read(tmp_path, f"t,{named}", "1.5,1,2,3,0.6,0,0,0.8")[1], [[1, 2, 3, 0.6, 0, 0, 0.8]])
+    truth = pose(f"gt{sign}position", f"gt{sign}orientation", sign)
+    for one, other in ((named, truth), (truth, named)):
+        first, second = one.split(",")[0], other.split(",")[0]
+        with pytest.raises(TrajectoryError, match=f"got '{first}' and '{second}', which may be of several"):
+            read(tmp_path, f"t,{one},{other}", "1.5" + ",0.5" * 14)
+
+
+@pytest.mark.parametrize("spread", ["err_position", "position_cov", "sigma_p_W", "Position Uncertainty", "p_W_std"])
+def test_whole_spreads_of_a_name_that_is_not_the_poses_are_no_pose(tmp_path, spread):
+    """Where the word stands beside the field."""
+    attitude = spread.replace("position", "orientation").replace("Position", "Quaternion").replace("p_", "q_")
+    header = f"t,{pose(spread, attitude)},{pose('vio_p', 'vio_q')}"
+    line = "1.5" + ",9" * 7 + ",1,2,3,0,0,0,1"
+    np.testing.assert_array_equal(read(tmp_path, header, line)[1], [[1, 2, 3, 0, 0, 0, 1]])
+    with pytest.raises(TrajectoryError, match="says that it is a spread"):
+        read(tmp_path, f"t,{pose(spread, attitude)}", "1.5,1,2,3,0,0,0,1")
+
+
+def test_a_stamp_is_that_of_the_poses_topic_also_where_that_has_a_word_of_an_attitude(tmp_path):
+    header = f"__time,/attitude/odom/header/stamp,{plotted('attitude/odom/pose')}"
+    assert read(tmp_path, header, "9.5,1.5,1,2,3,0,0,0,1")[0] == [1_500_000_000]
+
+
+def test_a_letter_behind_a_word_of_an_attitude_is_of_a_frame(tmp_path):
+    header = f"t,{pose('p_T', 'q_T')}"
+    np.testing.assert_array_equal(read(tmp_path, header, "1.5,1,2,3,0.6,0,0,0.8")[1], [[1, 2, 3, 0.6, 0, 0, 0.8]])
+
+
 ROS = pose("pose.pose.position", "pose.pose.orientation", ".")
 ECHOED = pose("field.pose.pose.position", "field.pose.pose.orientation", ".")
 EUROC = "p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []"

@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-QUATERNION_WORDS = {"q", "quat", "quaternion", "orientation", "rotation", "rot", "attitude"}
-POSITION_WORDS = {"p", "pos", "position", "t", "trans", "translation", "location"}
-TIME_WORDS = {"t", "ts", "time", "times", "timestamp", "timestamps", "stamp", "stamps"}
-STAMP_WORDS = {"stamp", "stamps", "timestamp", "timestamps"}
-UNIT_WORDS = {
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec", "msecs", "millis", "millisec", "millisecond", "milliseconds"), "ms"),
-    **dict.fromkeys(("us", "usec", "usecs", "micros", "microsec", "microsecond", "microseconds"), "us"),
-    **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecs", "nanosecond", "nanoseconds"), "ns"),
-}
-MICRO = str.maketrans(dict.fromkeys("\u00b5\u03bc", "u"))
-"""The micro sign and the Greek letter, both of which are in use, and how units are spelled without them."""
+from oysterbench.core.trajectory.names import (
+    LENGTH_WORDS,
+    STAMP_WORDS,
+    UNIT_WORDS,
+    Prefix,
+    covariance_cell,
+    role_of,
+    time_unit_of,
+    time_words,
+    topic_of,
+    words_of,
+)
+
 PARTS = {
     **dict.fromkeys(("sec", "secs", "seconds"), "s"),
     **dict.fromkeys(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"), "ns"),
 }
 """Last words of the names of two columns that make up one stamp, as tools for ROS write its fields: whole seconds, and
 the nanoseconds beyond them."""
-LENGTH_WORDS = {
-    **dict.fromkeys(("", "m", "meter", "meters", "metre", "metres"), "m"),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
-}
-OTHER_LENGTHS = {"um", "cm", "dm", "km", "ft", "inch"} | {
-    word
-    for one in ("centimeter", "centimetre", "decimeter", "decimetre", "kilometer", "kilometre")
-    for word in (one, f"{one}s")
-}
-"""Words of units that positions are not read in, so that a name that ends in one is known to be that of a position."""
 SURE_SPREADS = {"std", "stddev", "stdev", "variance", "rms", "rmse"}
 """Words in the names of columns that say how far off a pose is, and are no pose."""
 SPREAD_WORDS = SURE_SPREADS | {"sd", "sigma", "var", "err", "error"}
@@ -41,16 +30,13 @@ SPREAD_WORDS = SURE_SPREADS | {"sd", "sigma", "var", "err", "error"}
 `/error_state_kf/pose/position/x`."""
 COLUMN_SPREADS = SPREAD_WORDS | {"dev", "deviation", "uncertainty", "cov", "covariance", "covariances"}
 """Such words outside a topic's name, where some say nothing, as in `/pose_with_covariance/pose/position/x`."""
+NAME_WORDS = {"dev", "cov", "covariance", "covariances"}
+"""Those that names of topics end in, as `pose_with_covariance`, and that say nothing there."""
+FIELDS = {"position", "orientation", "translation", "rotation"}
+"""Fields of the messages that hold poses: what precedes them is the name of a topic."""
 POSE_ROLES = {"px", "py", "pz", "qx", "qy", "qz", "qw"}
 LONGEST_FRAMES = 3
 """Letters of a word that is taken for those of frames."""
-COVARIANCE_WORDS = {"cov", "covariance", "covariances"}
-COVARIANCE_AXES = {name: k // 2 for k, name in enumerate(("x", "px", "y", "py", "z", "pz"))} | {
-    f"{prefix}{axis}": 3 + k for prefix in ("r", "rot") for k, axis in enumerate("xyz")
-}
-
-Prefix = tuple[str, ...]
-"""Words of a column's name that say whose it is: those of `vio_pos_x` and `vio.orientation.w` are the same."""
 
 
 @dataclass(frozen=True)
@@ -146,20 +132,28 @@ class _Time:
 def named_columns(names: list[str], two_parts: bool = True, time_unit: str | None = None) -> Columns | None:
     """Columns that a header names, or None where it does not name a stamp, a position and a quaternion. two_parts:
     whether a stamp may be in two columns; time_unit: of the one that is meant, where there are several."""
-    named = [_words(name) for name in names]
+    named = [words_of(name) for name in names]
     found: dict[Prefix, dict[str, list[tuple[int, str]]]] = {}
+    before: dict[Prefix, int] = {}
     covariance: dict[tuple[int, int], int] = {}
     for k, (words, _) in enumerate(named):
-        if cell := _covariance_cell(words):
+        if cell := covariance_cell(words):
             covariance.setdefault(cell, k)
-        elif role := _role(words):
-            found.setdefault(role[0], {}).setdefault(role[1], []).append((k, role[2]))
+        elif role := role_of(words):
+            found.setdefault(role.whose, {}).setdefault(role.role, []).append((k, role.word))
+            before.setdefault(role.whose, role.before)
     alone = {prefix: _consistent(columns) for prefix, columns in found.items()}
-    pose = _pose({prefix: columns for prefix, columns in alone.items() if not _of_spreads(prefix, alone)})
+    poses = {prefix: columns for prefix, columns in alone.items() if not _of_spreads(prefix, alone, before[prefix])}
+    topics = {
+        prefix
+        for prefix in poses
+        if before[prefix] == len(prefix) and {word for of in found[prefix].values() for _, word in of} <= FIELDS
+    }
+    pose = _pose(poses, topics)
     if pose is None:
         return None
     whose, position, quaternion, of_pose = pose
-    times = [one for one in _times(named, two_parts) if one.topic == _topic(whose)[: len(one.topic)]]
+    times = [one for one in _times(named, two_parts) if one.topic == topic_of(whose)[: len(one.topic)]]
     if not times:
         return None
     stamp, of_stamps = _stamp(times, time_unit)
@@ -183,34 +177,45 @@ def named_quaternion(names: list[str]) -> dict[int, int]:
     """Columns of the x, y, z, w of a quaternion, 0 to 3, as far as names say them, whatever the other columns are."""
     found: dict[int, int] = {}
     for k, name in enumerate(names):
-        role = _role([word for word in _words(name)[0] if word not in SPREAD_WORDS])
-        if role and role[1][0] == "q" and role[2]:
-            found.setdefault("xyzw".index(role[1][1]), k)
+        role = role_of([word for word in words_of(name)[0] if word not in SPREAD_WORDS])
+        if role and role.role[0] == "q" and role.word:
+            found.setdefault("xyzw".index(role.role[1]), k)
     return found
 
 
 def spread_word(names: list[str]) -> tuple[str, str] | None:
     """Word of a spread, and the name that has it, for which a header names no pose; None where that is not why."""
-    split = [_words(name)[0] for name in names]
+    split = [words_of(name)[0] for name in names]
     plain = ["_".join(word for word in words if word not in COLUMN_SPREADS) for words in split]
     if named_columns(names) is not None or named_columns(plain) is None:
         return None
-    of_poses = ((words, name) for words, name in zip(split, names, strict=True) if _role(words))
+    of_poses = ((words, name) for words, name in zip(split, names, strict=True) if role_of(words))
     return next(((word, name) for words, name in of_poses for word in words if word in COLUMN_SPREADS), None)
 
 
-def _of_spreads(prefix: Prefix, found: dict[Prefix, dict[str, list[int]]]) -> bool:
+def _of_spreads(prefix: Prefix, found: dict[Prefix, dict[str, list[int]]], before: int) -> bool:
     """Whether a prefix is of the spreads of a pose, which are none and stand in the way of none: with a word of them
-    anywhere but in the topic of a whole pose, as `/sigma/pose/position/x`, or in sd_px, which may be of a method. Where
-    the word is the last there, a pose of the name without it may not be beside it. found: the roles of each"""
-    if prefix != ("sd",) and COLUMN_SPREADS & set(prefix[len(_path(prefix)) :]):
-        return True
-    if not SPREAD_WORDS & set(prefix):
-        return False
+    outside the topic of a message, but for sd_px, which may be of a method. A whole pose is one only where the word is
+    sure or next to the field, as in sigma_p_W, or where the pose of the name without it is beside it.
+
+    found: the roles of each; before: how many of its words stand before the field
+    """
     whole = found[prefix].keys() >= POSE_ROLES
-    plain = _topic(word for word in prefix if word not in SPREAD_WORDS)
-    beside = any(_topic(one) == plain and {"px", "py", "pz"} <= found[one].keys() for one in found if one != prefix)
-    return not whole or (beside and _ends_as_spread(prefix))
+    outside = set() if prefix == ("sd",) else _outside(prefix)
+    next_to = (COLUMN_SPREADS - NAME_WORDS) & {*prefix[:before][-1:]} or COLUMN_SPREADS & {*prefix[before:]}
+    if outside and (not whole or SURE_SPREADS & outside or next_to):
+        return True
+    known = COLUMN_SPREADS if outside else SPREAD_WORDS
+    if not known & set(prefix):
+        return False
+    plain = topic_of(word for word in prefix if word not in known)
+    beside = any(topic_of(one) == plain and {"px", "py", "pz"} <= found[one].keys() for one in found if one != prefix)
+    return not whole or (beside and (bool(outside) or _ends_as_spread(prefix)))
+
+
+def _outside(prefix: Prefix) -> set[str]:
+    """Words of a spread outside the topic of a message."""
+    return COLUMN_SPREADS & set(prefix[len(_path(prefix)) :])
 
 
 def _ends_as_spread(prefix: Prefix) -> bool:
@@ -237,9 +242,11 @@ def _consistent(found: dict[str, list[tuple[int, str]]]) -> dict[str, list[int]]
     return {role: of for role, of in chosen.items() if of}
 
 
-def _pose(found: dict[Prefix, dict[str, list[int]]]) -> tuple[Prefix, list[int], list[int], list[int]] | None:
+def _pose(
+    found: dict[Prefix, dict[str, list[int]]], topics: set[Prefix]
+) -> tuple[Prefix, list[int], list[int], list[int]] | None:
     """Prefix of the position, its columns, those of the quaternion, and two that may be of several poses, from the
-    columns of each prefix and role; None where there is no whole pose."""
+    columns of each prefix and role; None where there is no whole pose. topics: prefixes that are a topic's name"""
     positions = [one for one in found if {"px", "py", "pz"} <= found[one].keys()]
     attitudes = [one for one in found if {"qx", "qy", "qz", "qw"} <= found[one].keys()]
     if not positions or not attitudes:
@@ -256,10 +263,12 @@ def _pose(found: dict[Prefix, dict[str, list[int]]]) -> tuple[Prefix, list[int],
         rivals = [found[one]["qx"][0] for one in attitudes[:2]]
     elif not _nested(attitude, first):
         rivals = [position[0][0], quaternion[0][0]]
+    elif first not in topics and first != ("sd",) and _outside(first):
+        return None  # cov_p_W and cov_q_W may be the spreads of a pose whose names are not known
     elif SPREAD_WORDS & {*first, *attitude} and (
         attitude != first or _ends_as_spread(first) or SURE_SPREADS & set(first)
     ):
-        return None  # sd_px and sd_qx may be the spreads of a pose whose names are not known
+        return None
     return first, [k for k, *_ in position], [k for k, *_ in quaternion], rivals
 
 
@@ -268,9 +277,9 @@ def _times(named: list[tuple[list[str], str]], two_parts: bool) -> list[_Time]:
     times: list[_Time] = []
     parts: dict[tuple[Prefix, tuple[str, ...]], dict[str, int]] = {}
     for k, (words, unit) in enumerate(named):
-        of = _time_words(words)
+        of = time_words(words)
         if of is not None:
-            times.append(_Time(*of, k, _time_unit(of[1], unit)))
+            times.append(_Time(*of, k, time_unit_of(of[1], unit)))
         elif len(words) == 1:
             of = (), tuple(words)
         if of is not None and of[1][-1] in PARTS:
@@ -309,74 +318,8 @@ def _clocks(stamp: _Time, times: list[_Time]) -> tuple[tuple[int, str | None, bo
     return tuple((k, unit, same) for k, unit, same in clocks if same or (unit is not None and stamp.unit is None))
 
 
-def _time_unit(words: tuple[str, ...], unit: str) -> str | None:
-    """Unit of stamps by the words of their name and what it has in brackets; None where they do not say."""
-    spelled = next((UNIT_WORDS[word] for word in words if word in UNIT_WORDS), None)
-    return UNIT_WORDS.get(unit, spelled)
-
-
 def _nested(one: Prefix, other: Prefix) -> bool:
     """Whether one of two prefixes begins with the other, as words or, of frames, as letters: W and WB of p_W, q_WB."""
     least = min(len(one), len(other))
     frames = len(one) == len(other) == 1 and max(len(one[0]), len(other[0])) <= LONGEST_FRAMES
     return one[:least] == other[:least] or (frames and (one[0].startswith(other[0]) or other[0].startswith(one[0])))
-
-
-def _words(name: str) -> tuple[list[str], str]:
-    """Lower-case words of a column's name, and its unit, if given in brackets or as the last word."""
-    name = name.translate(MICRO)
-    bracket = re.search(r"[\[(]\s*([a-zA-Z]*)\s*[\])]\s*$", name)
-    words = re.findall(r"[a-z]+|[0-9]+", (name[: bracket.start()] if bracket else name).lower())
-    if bracket:
-        return words, bracket.group(1).lower()
-    length = len(words) > 1 and (words[-1] in LENGTH_WORDS or words[-1] in OTHER_LENGTHS)
-    return (words[:-1], words[-1]) if length else (words, "")
-
-
-def _role(words: list[str]) -> tuple[Prefix, str, str] | None:
-    """Whose number a column's words name, its role, `px` to `pz` or `qx` to `qw`, and the word for it; or None."""
-    if not words:
-        return None
-    *before, last = words
-    if re.fullmatch(r"q[xyzw]|[pt][xyz]", last):
-        before, last = [*before, last[0]], last[1]
-    if last not in ("x", "y", "z", "w"):
-        return None
-    for letter, known in (("q", QUATERNION_WORDS), ("p", POSITION_WORDS)):
-        said = [k for k, word in enumerate(before) if word in known]
-        if said and (letter, last) != ("p", "w"):
-            whose = tuple(word for word in before[: said[-1]] if word not in QUATERNION_WORDS | POSITION_WORDS)
-            return (*whose, *before[said[-1] + 1 :]), f"{letter}{last}", before[said[-1]]
-    if before[-1:] == ["pose"] and last != "w":
-        return tuple(before[:-1]), f"p{last}", "pose"
-    return None if before else ((), "qw" if last == "w" else f"p{last}", "")
-
-
-def _time_words(words: list[str]) -> tuple[Prefix, tuple[str, ...]] | None:
-    """Topic and other words of a name that is that of a time: `t`, `timestamp_ns`, `field.header.stamp`, which have no
-    topic, and `/vio/header/stamp`; None for others."""
-    core = [word for word in words if word not in UNIT_WORDS and word not in ("field", "header")]
-    if len(core) == 1 and core[0] in TIME_WORDS:
-        return (), tuple(words)
-    header = next((k for k in range(len(words)) if words[k : k + 2] == ["header", "stamp"]), None)
-    if header is None or not UNIT_WORDS.keys() >= set(words[header + 2 :]):
-        return None
-    return _topic(words[:header]), tuple(words[header:])
-
-
-def _topic(words: Iterable[str]) -> Prefix:
-    """Words before a name by which the stamp of a message and its position are known to be of one topic."""
-    return tuple(word for word in words if word not in ("field", "pose") and word not in POSITION_WORDS)
-
-
-def _covariance_cell(words: list[str]) -> tuple[int, int] | None:
-    """Cell of the matrix that a name such as `cov_7`, `cov_x_ry` or `pose.covariance[7]` means, or None."""
-    place = next((k for k, word in enumerate(words) if word in COVARIANCE_WORDS), None)
-    if place is None:
-        return None
-    rest = words[place + 1 :]
-    if len(rest) == 1 and rest[0].isdigit() and int(rest[0][:9]) < 36:
-        return divmod(int(rest[0]), 6)
-    if len(rest) == 2 and all(word in COVARIANCE_AXES for word in rest):
-        return COVARIANCE_AXES[rest[0]], COVARIANCE_AXES[rest[1]]
-    return None
