@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 SHIFTS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Unit of a stamp -> power of ten that converts it to nanoseconds."""
 
+MIN_NANOSECONDS = 1e17
+"""A stamp above this is in nanoseconds: as microseconds it would be 3000 years after the epoch."""
+
 INT64_DIGITS = 19
 """A number with this many digits fits an int64 if its first digit is at most 8; one with fewer always does."""
 

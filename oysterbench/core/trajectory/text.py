@@ -27,7 +27,7 @@ from oysterbench.core.trajectory.columns import (
 from oysterbench.core.trajectory.frames import METRES, scaled
 from oysterbench.core.trajectory.options import EXPECTED, ReadOptions
 from oysterbench.core.trajectory.poses import Trajectory
-from oysterbench.core.trajectory.stamps import SHIFTS, scaled_integer, scaled_integers
+from oysterbench.core.trajectory.stamps import MIN_NANOSECONDS, SHIFTS, scaled_integer, scaled_integers
 from oysterbench.core.trajectory.table import NUMBER, NumberTable, is_comment, read_table, split
 
 MAX_SECONDS = 9e9
@@ -36,8 +36,6 @@ DECIMAL_COMMAS = re.compile(r"(?=.*,)([+-]?\d+(,\d+)?[;\s]+){5,}[+-]?\d+(,\d+)?;
 """Line of numbers separated by blanks or semicolons, as spreadsheets write it where the comma is the decimal sign."""
 MARKUP = {"{": "JSON", "[": "JSON", "<": "HTML or XML"}
 """First character of a file -> what it is instead of a trajectory."""
-MIN_NANOSECONDS = 1e17
-"""A stamp above this is in nanoseconds: as microseconds it would be 3000 years after the epoch."""
 
 
 def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
@@ -65,8 +63,7 @@ def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
             f"{path}: expected no unit of the stamps, which are in two columns, {head.names[columns.stamp]!r} and "
             f"{head.names[columns.beyond]!r}, of s and ns; leave --time-unit {options.time_unit} out"
         )
-    if options.time_unit is None:
-        columns = held_against_clocks(columns, text, head.begin, head.names, path)
+    columns = held_against_clocks(columns, text, head.begin, head.names, path, options.time_unit)
     place = {column: k for k, column in enumerate(columns.numbers)}
     notes: list[str] = []
     trajectory = Trajectory(
