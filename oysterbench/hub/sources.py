@@ -164,7 +164,9 @@ class Web:
             reason = getattr(error, "reason", None)
             cause = getattr(reason, "original_error", reason)  # what is wrong with a proxy, where there is one
             silent = isinstance(cause, urllib3.exceptions.ConnectTimeoutError)
-            raise (Silence if silent else Setback)(f"no answer: {_cause(error)}") from None
+            proxy = self._pool.proxy if isinstance(reason, urllib3.exceptions.ProxyError) else None
+            behind = f" through the proxy {proxy.netloc}" if proxy else ""
+            raise (Silence if silent else Setback)(f"no answer{behind}: {_cause(error)}") from None
         try:
             begins = _check(response, start, end)
             yield HttpBody(response, begins)

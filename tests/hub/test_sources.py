@@ -40,7 +40,7 @@ def test_a_proxy_that_cannot_be_used_is_named_by_its_variable_without_its_passwo
 
 @pytest.mark.parametrize("address", ["http://hub.invalid", "https://hub.invalid"])
 def test_behind_a_proxy_that_is_down_no_server_is_reached(address, monkeypatch):
-    """Unlike behind one that answers, though it be with an error."""
+    """Unlike behind one that answers, though it be with an error. It is named, without its password."""
     monkeypatch.delenv("no_proxy", raising=False)
 
     def failed(proxy):
@@ -50,8 +50,8 @@ def test_behind_a_proxy_that_is_down_no_server_is_reached(address, monkeypatch):
             pass
         return failure.value
 
-    down = failed("http://127.0.0.1:9")
+    down = failed("http://user:word@127.0.0.1:9")
     assert isinstance(down, Silence)
-    assert str(down) == "no answer: Connection refused"
+    assert str(down) == "no answer through the proxy 127.0.0.1:9: Connection refused"
     with misbehaving("unavailable", {"index.json": b"{}"}, 1, 1.0) as answering:
         assert not isinstance(failed(answering.url), Silence)
