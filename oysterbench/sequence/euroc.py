@@ -256,8 +256,8 @@ def _header(path: Path) -> list[str]:
         text = line.strip()
         if text and not text.startswith("#") and not (number == 0 and text[0].isalpha()):
             break
-        mark = next((mark for mark in SEPARATORS if mark in text), ",")
-        fields = re.split(mark + r"(?![^\[(]*[\])])", text.lstrip("# "))  # at none in brackets, as in [ns, UTC]
+        # At none in brackets, as in [ns, UTC], where another mark than between the names may be.
+        fields = max((re.split(mark + r"(?![^\[(]*[\])])", text.lstrip("# ")) for mark in SEPARATORS), key=len)
         if len(fields) > 6:
             return [field.strip() for field in fields]
     return []

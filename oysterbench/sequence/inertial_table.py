@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from itertools import islice, pairwise
+from itertools import islice
 from pathlib import Path
 from statistics import median
 
@@ -26,23 +26,27 @@ OTHER_UNITS = re.compile(r"deg.*|m?dps|rpm|mrad|[mu]?g|[cm]m(s|ps)?")
 """First word of the units that stand after the axis in the names of some tables, as in `gyro_x_deg_per_s`."""
 
 LEAST_HZ, MOST_HZ = 1.0, 5000.0
-"""Rates of inertial samples between which those of all inertial units in use are."""
+"""Rates of inertial samples. Some units are faster, up to 32 kHz, but so seem those at 5 Hz or more in us."""
 RATED = 1000
 """Number of samples, the first of a file, whose rate is checked."""
+STEPS = 64
+"""Most steps from one sample to another over which a rate is measured: more than there are in a burst."""
+YEAR_2000_NS = 946_684_800 * 10**9
+"""Since 1970. Stamps above it are in no larger unit, not even in the 100 ns of Windows since the year 1601 or 1."""
 
 CLOCKS = {"utc", "unix", "posix", "epoch", "ros", "tai", "gps", "ptp", "clock", "time", "since", "in", "int", "uint"}
 CLOCK_NUMBERS = {"64", "1970"}
 """What may be in brackets after the name of stamps and says no unit: their clock, its start, and their type."""
 NANO = re.compile(r"(1e|10)-0?9s(ec(ond)?s?)?|s(ec(ond)?s?)?(1e|10)-?0?9")
 """Nanoseconds as a power of ten of seconds, as `_plain_nano` writes them."""
-MULTIPLE = re.compile(r"(?<![a-z0-9.])(?!1\s*n)[\d.]+\s*(ns|nano)|\bns\s*[*/x\u00d7]\s*\d", re.IGNORECASE)
+MULTIPLE = re.compile(r"(?<![a-z0-9.])(?!(1|1970)\s*n)[\d.]+\s*(ns|nano)|\bns\s*[*/x\u00d7]\s*\d", re.IGNORECASE)
 """A number of nanoseconds, or a part of one, as the unit."""
 OTHER_TIMES = {
     *("tick", "ticks", "count", "counts", "cycles", "frames", "samples", "ps", "picoseconds"),
     *("min", "mins", "minute", "minutes", "h", "hr", "hrs", "hour", "hours", "day", "days", "week", "weeks"),
 }
 """Words of units where the name has none of `UNIT_WORDS`."""
-BRACKET = r"[\[(]([^\])]*)[\])]"
+BRACKET = r"[\[(]([^\[\]()]*)[\])]"
 
 PLAIN = str.maketrans({"\u207b": "-", "\u00b2": "2", "\u00b9": "1", "\u2079": "9", **dict.fromkeys(" ^*.\u00b7")})
 SHORT = {"squared": "2", "per": "/", r"met(er|re)(s(?!-2))?": "m", r"radian(s(?!-1))?": "rad", r"sec(ond)?s?": "s"}
@@ -69,7 +73,10 @@ def _check_names(path: Path, names: list[str]) -> None:
         axes = [word for word in words if word in ("x", "y", "z")]
         after = words[words.index(axes[-1]) + 1 :][:1] if axes else []
         other = held and (kind not in held or axes[-1:] not in ([], [axis]))
-        if other or _unit(unit) not in UNITS[kind] or any(map(OTHER_UNITS.fullmatch, after)):
+        # Behind the last name may be those of all, (rad/s, m/s^2), and behind any its axes, [m/s^2, FLU].
+        units = {_unit(one) for one in unit.split(",")}
+        unknown = [one for one in units - UNITS[RATE] - UNITS[FORCE] if not one.isalpha() or OTHER_UNITS.fullmatch(one)]
+        if other or unknown or not units & UNITS[kind] or any(map(OTHER_UNITS.fullmatch, after)):
             raise SequenceError(
                 f"{path}: expected in column {column} the {axis} of the {kind}, as in the layout, which has the rate "
                 f"before the force, got {name!r:.60}; reorder or convert the columns, and correct their names"
@@ -77,14 +84,20 @@ def _check_names(path: Path, names: list[str]) -> None:
 
 
 def _check_rate(path: Path, stamps_ns: list[int]) -> None:
-    steps = [after - before for before, after in pairwise(stamps_ns) if after > before]
-    rates = {unit: 10**9 / (median(steps) * 10**shift) for unit, shift in SHIFTS.items() if steps}
+    """Refuse samples that are too many in a second for stamps in ns, but not for those in another unit. Those that are
+    read in bursts, and stamped then, have their rate over several; a gap is in few of such spans."""
+    count = min(STEPS, max(1, (len(stamps_ns) - 1) // 3))
+    spans = [after - before for before, after in zip(stamps_ns, stamps_ns[count:], strict=False) if after > before]
+    if not spans or min(stamps_ns) >= YEAR_2000_NS:
+        return
+    rates = {unit: count * 10**9 / (median(spans) * 10**shift) for unit, shift in SHIFTS.items()}
     fits = {unit: rate for unit, rate in rates.items() if LEAST_HZ <= rate <= MOST_HZ}
-    if rates and "ns" not in fits:
-        others = ", ".join(f"{rate:.4g} Hz if they are in {unit}" for unit, rate in fits.items())
+    if rates["ns"] > MOST_HZ:
+        others = " or ".join(f"{rate:.4g} Hz if they are in {unit}" for unit, rate in fits.items())
         raise SequenceError(
-            f"{path}: expected inertial samples at {LEAST_HZ:g} to {MOST_HZ:g} Hz by their stamps in ns, got "
-            f"{rates['ns']:.4g} Hz ({others or 'and no such rate in s, ms or us'}); convert the stamps to ns"
+            f"{path}: expected inertial samples at up to {MOST_HZ:g} Hz by their stamps in ns, got "
+            f"{rates['ns']:.4g} Hz ({others}); convert the stamps to ns or, if they are, write them as ns since 1970, "
+            "which no other unit has"
         )
 
 
@@ -96,9 +109,13 @@ def _unit_of_stamps(name: str) -> str:
     ['ns', 'ns', 'ns', 'ns', "'index'", 'ms']
     """
     name = re.sub(r"(?i)(nano|micro|milli)[\s_-]+(?=s)", r"\1", name.translate(MICRO))
-    brackets = [_plain_nano(text) for text in re.findall(BRACKET, name)]
-    plain = re.sub(BRACKET, " ", name)
-    said = [word for text in (*brackets, plain) for word in re.findall(r"[a-z]+", text.lower())]
+    brackets, plain = [], name
+    while bracket := re.search(BRACKET, plain):  # the innermost, as in [nanoseconds (1e-9 s)]
+        brackets.append(_plain_nano(bracket[1]))
+        plain = f"{plain[: bracket.start()]} {plain[bracket.end() :]}"
+    # Beside a unit by itself in brackets, those beside other words, as (1 us resolution), are not that of the stamps.
+    alone = [text for text in brackets if text.strip().lower() in UNIT_WORDS]
+    said = [word for text in (*(alone or brackets), plain) for word in re.findall(r"[a-z]+", text.lower())]
     units = {"ns" if word == "nano" else UNIT_WORDS[word] for word in said if word in {*UNIT_WORDS, "nano"}}
     if units - {"ns"}:
         return next(unit for unit in SHIFTS if unit in units)

@@ -14,7 +14,6 @@ import oysterbench
 from oysterbench.core.errors import SequenceError
 from oysterbench.methods.interfaces.slam import write_input
 from oysterbench.sequence import describe
-from oysterbench.sequence.export.euroc import IMU_HEADER
 from oysterbench.sequence.state import file_digests
 from tests.helpers.command import run
 from tests.helpers.euroc import FRAMES, SAMPLES, Folder
@@ -25,46 +24,6 @@ POSE = """T_BS:
   data: [1.0, 0.0, 0.0, 0.1, 0.0, 1.0, 0.0, 0.2,
          0.0, 0.0, 1.0, 0.3, 0.0, 0.0, 0.0, 1.0]
 """
-STAMPED = [
-    *(("[us]", "us"), ("[milliseconds]", "ms"), ("[microseconds]", "us"), ("[\u00b5s]", "us")),
-    *(
-        ("(seconds)", "s"),
-        ("[ticks]", "'ticks'"),
-        ("[ms] (UTC)", "ms"),
-        ("[1e-6 s]", "s"),
-        ("[seconds since 1970]", "s"),
-        ("[s since 1.6e9]", "s"),
-        ("[s] (offset 1.6e9)", "s"),
-        ("[usecs]", "us"),
-        ("[msecs]", "ms"),
-        ("[ns in 1 us steps]", "us"),
-        ("_usecs", "us"),
-        ("_us_utc", "us"),
-        ("_us_since_boot", "us"),
-        ("_ticks", "'ticks'"),
-        ("_100ns", "'t _100ns'"),
-    ),
-    *(
-        (f"[{said}]", f"'{said}'")
-        for said in ("100 ns", "64 ns", "ns/100", "micro", "weeks", "MJD", "hh:mm:ss", "ksec", "count", "index")
-    ),
-]
-"""What the name of a column says of stamps that are not in ns, and the unit."""
-CLOCKS = [
-    *("[ns] (UTC)", "(UTC)", "[unix]", "[epoch]", "[int64]", "(ROS)", "[TAI]", "[1e-9 s]", "[10^-9 s]", "[s*1e9]"),
-    *("[10\u207b\u2079 s]", "[GPS ns]", "_ns (UTC)", "[ns since epoch]", "[Unix time]", "[nano]", "[uint64]"),
-    *(
-        "[ns since boot]",
-        "[ns since 1970-01-01 00:00:00]",
-        "[ns from epoch]",
-        "[nano-seconds]",
-        "[1 ns]",
-        "[ns (system)]",
-    ),
-    *("[ns, device time]", "(imu) [ns]", "[ns] (global time)", "of week [ns]", "in nano seconds"),
-]
-"""What the name of a column says of stamps in ns: the clock, the type, or the unit in other words."""
-DEGREES = ["deg_per_s", "deg_sec", "degps", "degree_per_second", "dps"]
 NUMBERS = "1.0, 0, 0, 0.1, 0, 1.0, 0, 0.2, 0, 0, 1.0, 0.3, 0, 0, 0, 1.0"
 
 
@@ -192,94 +151,6 @@ def test_an_image_that_cannot_be_read_is_told_from_one_that_is_absent_or_empty(f
     wanted = f"{picture}: expected an image, could not read one: {why}; restore it, or delete line 3 of cam0/data.csv"
     with pytest.raises(SequenceError, match=re.escape(wanted)):
         folder.read()
-
-
-@pytest.mark.parametrize(
-    ("names", "what"),
-    [
-        ("timestamp,ax,ay,az,gx,gy,gz", "column 2 the x of the angular rate in rad/s, .*, got 'ax'"),
-        ("#timestamp [ns],a_RS_S_x,a_RS_S_y,a_RS_S_z,w_RS_S_x,w_RS_S_y,w_RS_S_z", "column 2 .*, got 'a_RS_S_x'"),
-        (
-            "#timestamp [ns],w_x [deg s^-1],w_y [deg s^-1],w_z [deg s^-1],a_x,a_y,a_z",
-            "column 2 .* in rad/s, .*, got 'w_x ",
-        ),
-        ("#timestamp [ns],w_x,w_y,w_z,a_x [g],a_y [g],a_z [g]", "column 5 the x of the specific force in m/s.2, "),
-        ("t,gyro_x_deg_s,gyro_y_deg_s,gyro_z_deg_s,acc_x,acc_y,acc_z", "column 2 .*, got 'gyro_x_deg_s'"),
-        ("t,gyro_z,gyro_y,gyro_x,accX,accY,accZ", "column 2 the x of the angular rate in rad/s, .*, got 'gyro_z'"),
-        ("t,temperature,wx,wy,wz,ax,ay,az", "column 3 the y of the angular rate in rad/s, .*, got 'wx'"),
-        *(
-            (f"#t {said},w_x,w_y,w_z,a_x,a_y,a_z", f"stamps in ns, got {re.escape(unit)}, by the name 't ")
-            for said, unit in STAMPED
-        ),
-        *((f"t,gyro_x_{unit},gyro_y,gyro_z,acc_x,acc_y,acc_z", "column 2 .*, got 'gyro_x_d") for unit in DEGREES),
-        ("t,w_x,w_y,w_z,acc_x_cm_s2,acc_y_cm_s2,acc_z_cm_s2", "column 5 .*, got 'acc_x_cm_s2'"),
-        ("t,gyro_rad[1],gyro_rad[0],gyro_rad[2],acc[0],acc[1],acc[2]", "column 2 the x .*, got 'gyro_rad"),
-    ],
-)
-def test_inertial_columns_that_are_not_the_layouts_by_their_names_are_refused(folder, names, what):
-    folder.change("imu0/data.csv", "#timestamp [ns],w_x,w_y,w_z,a_x,a_y,a_z", names)
-    with pytest.raises(SequenceError, match=f"imu0/data.csv: expected (in )?{what}"):
-        oysterbench.open(folder.path)
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        IMU_HEADER,
-        "timestamp,omega_x,omega_y,omega_z,alpha_x,alpha_y,alpha_z",
-        "t;gx (rad/s);gy (rad/s);gz (rad/s);accX (m/s\u00b2);accY (m/s\u00b2);accZ (m/s\u00b2);temperature [C]",
-        "%time,field.angular_velocity.x,field.angular_velocity.y,field.angular_velocity.z,"
-        "field.linear_acceleration.x,field.linear_acceleration.y,field.linear_acceleration.z",
-        "t,w_x [radians/sec],w_y [rad s^-1],w_z [rad.s^-1],a_x [meters/s^2],a_y [m/sec^2],a_z [m per second squared]",
-        "t,w_x,w_y,w_z,f_w_x,f_w_y,f_w_z",
-        "t,gyro_x,gyro_y,gyro_z,specific_force_x,specific_force_y,specific_force_z",
-        "t [nano seconds],gyro_x_rad_per_s,gyro_y_rad_per_s,gyro_z_rad_per_s,acc_x_m_s2,acc_y_m_s2,acc_z_m_s2",
-        "t [ns since 1970],gyro_rad[0],gyro_rad[1],gyro_rad[2],acc_m_s2[0],acc_m_s2[1],acc_m_s2[2]",
-        "t [-],gyro_x_raw,gyro_y_raw,gyro_z_raw,acc_x,acc_y,acc_z",
-        "# of a diver, in the bay",
-        *(f"timestamp {said},w_x,w_y,w_z,a_x,a_y,a_z" for said in CLOCKS),
-    ],
-)
-def test_inertial_columns_may_be_spelled_in_many_ways(folder, names):
-    folder.change("imu0/data.csv", "#timestamp [ns],w_x,w_y,w_z,a_x,a_y,a_z", f"# {names}")
-    assert folder.read() == sorted(SAMPLES + FRAMES)
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "timestamp [UTC]",
-        "t [unix]",
-        "[int64] t",
-        "timestamp",
-        "timestamp [ns]",
-        "timestampUs",
-        "TimeUS",
-        "t_micro",
-        None,
-    ],
-)
-@pytest.mark.parametrize(
-    ("factor", "rates"),
-    [(1000, "2e+05 Hz (200 Hz if they are in us)"), (10**6, "2e+08 Hz (200 Hz if they are in ms)")],
-)
-def test_inertial_stamps_in_another_unit_are_refused_whatever_their_name(folder, name, factor, rates):
-    """By the rate of the samples, which no inertial unit has."""
-    rows = "".join(f"{stamp // factor},0,0,0,0,0,9.8\n" for stamp in SAMPLES)
-    folder.write("imu0/data.csv", (f"#{name},w_x,w_y,w_z,a_x,a_y,a_z\n" if name else "") + rows)
-    wanted = f"imu0/data.csv: expected inertial samples at 1 to 5000 Hz by their stamps in ns, got {rates}; convert the"
-    with pytest.raises(SequenceError, match=re.escape(wanted)):
-        oysterbench.open(folder.path)
-
-
-@pytest.mark.parametrize("step", [200_000, 10**9])
-def test_inertial_samples_may_be_as_slow_and_as_fast_as_any(folder, step):
-    """With gaps, and a few that are closer."""
-    stamps = [10**18 + k * step for k in range(20) if k not in (5, 6, 7)] + [10**18 + 20 * step + 1]
-    folder.write("imu0/data.csv", "".join(f"{stamp},0,0,0,0,0,9.8\n" for stamp in stamps))
-    assert [sample.stamp_ns for sample in oysterbench.open(folder.path).imu()] == stamps
-    folder.write("imu0/data.csv", f"{stamps[0]},0,0,0,0,0,9.8\n")
-    assert len(list(oysterbench.open(folder.path).imu())) == 1
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif"])
