@@ -49,7 +49,7 @@ from oysterbench_baselines.learning.trained import device_option, trained
 @click.option(
     "--steps",
     type=click.IntRange(min=1),
-    help="Optimiser steps of each training run.  [default: 1200, or with --encoder 350]",
+    help="Optimiser steps of each training run.  [default: 1200, or with --encoder 464]",
 )
 @click.option(
     "--schedule",
