@@ -155,3 +155,29 @@ def test_tables_of_programs_in_wide_use_are_read(tmp_path, sign, header, line):
     stamps, poses = read(tmp_path, f"{sign}{header}", line)
     assert stamps[0] in (1_500_000_000, 1_500_000_000_000_000_000)
     np.testing.assert_array_equal(poses, [[1, 2, 3, 0.6, 0, 0, 0.8]])
+
+
+@pytest.mark.parametrize("parts", ["", "/sec"])
+def test_the_stamp_of_a_message_about_the_attitude_is_not_that_of_the_poses(tmp_path, parts):
+    """Of one that is beside them, or on the same vehicle."""
+    header = f"__time,/attitude/header/stamp{parts},/auv/attitude/header/stamp{parts},/auv/odom/header/stamp{parts}"
+    columns = f"{header},{plotted('auv/odom/pose')}"
+    assert read(tmp_path, columns, "9,7.5,8.5,1.5,1,2,3,0,0,0,1")[0] == [1_500_000_000]
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        f"t,gt_x,gt_y,gt_z,gt_qx,gt_qy,gt_qz,gt_qw,{plotted('pose_with_covariance')}",
+        f"t,est_x,est_y,est_z,est_qx,est_qy,est_qz,est_qw,{pose('cov_position', 'cov_orientation')}",
+        f"t,{plotted('gt')},{plotted('pose_with_uncertainty')}",
+    ],
+)
+def test_a_pose_beside_another_quaternion_is_not_chosen_by_a_word_of_a_spread(tmp_path, header):
+    with pytest.raises(TrajectoryError, match="which may be of several"):
+        read(tmp_path, header, "1.5" + ",1,2,3,0,0,0,1" * 2)
+
+
+def test_a_temperature_beside_the_time_is_no_time(tmp_path):
+    stamps, _ = read(tmp_path, "t,x,y,z,qx,qy,qz,qw,T", "1.5,1,2,3,0,0,0,1,12.3", time_unit="s")
+    assert stamps == [1_500_000_000]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from oysterbench.core.trajectory.names import (
     LENGTH_WORDS,
+    POSITION_WORDS,
+    QUATERNION_WORDS,
     STAMP_WORDS,
     UNIT_WORDS,
     Prefix,
@@ -152,8 +155,11 @@ def named_columns(names: list[str], two_parts: bool = True, time_unit: str | Non
     pose = _pose(poses, topics)
     if pose is None:
         return None
-    whose, position, quaternion, of_pose = pose
-    times = [one for one in _times(named, two_parts) if one.topic == topic_of(whose)[: len(one.topic)]]
+    position, quaternion, of_pose = pose
+    of_message = topic_of(named[position[0]][0])
+    times = [one for one in _times(named, two_parts) if one.topic == of_message[: len(one.topic)]]
+    if "t" in names:  # beside which T is a temperature
+        times = [one for one in times if names[one.column] != "T"]
     if not times:
         return None
     stamp, of_stamps = _stamp(times, time_unit)
@@ -202,15 +208,21 @@ def _of_spreads(prefix: Prefix, found: dict[Prefix, dict[str, list[int]]], befor
     """
     whole = found[prefix].keys() >= POSE_ROLES
     outside = set() if prefix == ("sd",) else _outside(prefix)
-    next_to = (COLUMN_SPREADS - NAME_WORDS) & {*prefix[:before][-1:]} or COLUMN_SPREADS & {*prefix[before:]}
+    name = prefix[:before] if prefix[:before][-2:-1] != ("with",) else ()  # pose_with_uncertainty is the name of a pose
+    next_to = (COLUMN_SPREADS - NAME_WORDS) & {*name[-1:]} or COLUMN_SPREADS & {*prefix[before:]}
     if outside and (not whole or SURE_SPREADS & outside or next_to):
         return True
     known = COLUMN_SPREADS if outside else SPREAD_WORDS
     if not known & set(prefix):
         return False
-    plain = topic_of(word for word in prefix if word not in known)
-    beside = any(topic_of(one) == plain and {"px", "py", "pz"} <= found[one].keys() for one in found if one != prefix)
+    plain = _named(word for word in prefix if word not in known)
+    beside = any(_named(one) == plain and {"px", "py", "pz"} <= found[one].keys() for one in found if one != prefix)
     return not whole or (beside and (bool(outside) or _ends_as_spread(prefix)))
+
+
+def _named(words: Iterable[str]) -> Prefix:
+    """Words of a prefix by which a pose and its spreads are known to be of one name."""
+    return tuple(word for word in topic_of(words) if word not in POSITION_WORDS | QUATERNION_WORDS)
 
 
 def _outside(prefix: Prefix) -> set[str]:
@@ -244,9 +256,9 @@ def _consistent(found: dict[str, list[tuple[int, str]]]) -> dict[str, list[int]]
 
 def _pose(
     found: dict[Prefix, dict[str, list[int]]], topics: set[Prefix]
-) -> tuple[Prefix, list[int], list[int], list[int]] | None:
-    """Prefix of the position, its columns, those of the quaternion, and two that may be of several poses, from the
-    columns of each prefix and role; None where there is no whole pose. topics: prefixes that are a topic's name"""
+) -> tuple[list[int], list[int], list[int]] | None:
+    """Columns of the position, those of the quaternion, and two that may be of several poses, from the columns of each
+    prefix and role; None where there is no whole pose. topics: prefixes that are a topic's name"""
     positions = [one for one in found if {"px", "py", "pz"} <= found[one].keys()]
     attitudes = [one for one in found if {"qx", "qy", "qz", "qw"} <= found[one].keys()]
     if not positions or not attitudes:
@@ -259,7 +271,7 @@ def _pose(
     rivals = next((same[:2] for same in (*position, *quaternion) if len(same) > 1), [])
     if len(positions) > 1:
         rivals = [position[0][0], found[positions[1]]["px"][0]]
-    elif attitude != first and len(attitudes) > 1:
+    elif len(attitudes) > 1 and (attitude != first or (COLUMN_SPREADS & {*first} and first != ("sd",))):
         rivals = [found[one]["qx"][0] for one in attitudes[:2]]
     elif not _nested(attitude, first):
         rivals = [position[0][0], quaternion[0][0]]
@@ -269,7 +281,7 @@ def _pose(
         attitude != first or _ends_as_spread(first) or SURE_SPREADS & set(first)
     ):
         return None
-    return first, [k for k, *_ in position], [k for k, *_ in quaternion], rivals
+    return [k for k, *_ in position], [k for k, *_ in quaternion], rivals
 
 
 def _times(named: list[tuple[list[str], str]], two_parts: bool) -> list[_Time]:

@@ -99,8 +99,8 @@ def time_words(words: list[str]) -> tuple[Prefix, tuple[str, ...]] | None:
 
 
 def topic_of(words: Iterable[str]) -> Prefix:
-    """Words before a name by which the stamp of a message and its position are known to be of one topic."""
-    return tuple(word for word in words if word not in {"field", "pose", *POSITION_WORDS, *QUATERNION_WORDS})
+    """Words of a name without those of messages: the stamp of a message and its position begin with the same."""
+    return tuple(word for word in words if word not in ("field", "pose"))
 
 
 def covariance_cell(words: list[str]) -> tuple[int, int] | None:
