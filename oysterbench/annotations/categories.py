@@ -50,8 +50,9 @@ def categories_of(content: list[Any], oysters_alone: bool = False) -> Categories
     too, if their supercategory is oysters; or, where the file has no others but one above all, as Roboflow writes, or
     is about oysters alone, if it has this word among others, says nothing, or is that of oysters beside them. Elsewhere
     these are doubtful, and so are all other names that have the word oyster, such as juvenile oyster, or are a state
-    alone (`DOUBTFUL`); and what has the supercategory oysters, as a project of this name may have anything below it,
-    unless oysters have a category of their own beside it.
+    alone (`DOUBTFUL`), though not the ages, or what is not known, of something else, as of fish; and what has the
+    supercategory oysters, as a project of this name may have anything below it, unless oysters have a category of their
+    own beside it.
     """
     known = [one for one in content if isinstance(one, dict)]
     names = {one.get("id"): str(one.get("name")) for one in known}
@@ -65,16 +66,18 @@ def categories_of(content: list[Any], oysters_alone: bool = False) -> Categories
     within = {k for k in names.keys() - oysters if above[k] and above[k] <= OYSTERS}
     found = oysters | (bare & within)
     if oysters_alone or names.keys() - whole <= bare | oysters:
-        silent = STATES | {"none"} | (frozenset() if oysters else NOTHING)
-        found |= {k for k in bare if groups[k] in own or above[k] & OYSTERS or above[k] <= silent}
+        none = STATES | {"none"} | (frozenset() if oysters else NOTHING)
+        found |= {k for k in bare if groups[k] in own or above[k] & OYSTERS or above[k] <= none}
+    elsewhere = {k for k in names if groups[k] not in own and not above[k] & OYSTERS and above[k] - NOTHING - {"none"}}
     named = {k for k, name in names.items() if may_be_oysters(name)}
+    named -= {k for k in elsewhere if not words[k] & (OYSTERS | STATES)}
     doubtful = (named | {k for k in within if groups[k] not in own}) - found
     return Categories(names, {k: _state(words[k]) for k in found}, frozenset(doubtful))
 
 
 def may_be_oysters(name: str) -> bool:
     """Whether a name has the word oyster, among any others, or says a state and not of what."""
-    said = {word for word in _words(name) if not word.isdecimal()}
+    said = set(re.findall(r"[^\W\d_]+", name.casefold()))
     return bool(said & OYSTERS or (said and said <= DOUBTFUL))
 
 

@@ -18,10 +18,14 @@ from oysterbench.core.places import is_hidden
 FLAT = 0.9
 """Of pixels and those to the right of them, more are equal in label images, from 0.97 on in rendered ones, and
 fewer in photographs, 0.25 at most in rendered ones, 0.85 in smooth ones that were strongly compressed."""
-OTHERS = re.compile(r"panoptic|pixelmaps|stuffthingmaps|(?<![^-_./])(?:depth|disparity)(?=/|\.png$)", re.IGNORECASE)
+OTHERS = re.compile(
+    r"panoptic|pixelmaps|stuffthingmaps|(?<![^-_./])(?:depth|disparity)s?(?![-_]?\d+m)(?=[-_./])", re.IGNORECASE
+)
 """In paths of maps that have the names of images and are no masks of oysters: those of COCO, and depths, but not sites
-named by theirs, such as site_depth4m."""
-MASKS = re.compile(r"mask|label|segmentation", re.IGNORECASE)
+named by theirs, such as depth_03m."""
+MASKS = re.compile(
+    r"(?<![a-z])(?:masks?(?![a-z])|labels(?=/)|label[-_]?\d)|segmentation(?:class|object)", re.IGNORECASE
+)
 """In paths of label images whose names need not be those of images."""
 SHARE = 4
 """Of pictures of a COCO set, more than one in so many are label images where masks stand in their place, and fewer
@@ -40,8 +44,10 @@ def check_no_masks(place: Path, path: Path, names: Iterable[str], pictures: Iter
     files = png_files(place)
     own = _some([file for file in files if file.resolve() in known])
     rest = [file for file in files if file.resolve() not in known and not OTHERS.search(_below(place, file))]
-    named = [file for file in rest if MASKS.search(_below(place, file)) or _is_named_after(file, stems)]
-    found = next((file for file in _some(named if known else rest) if is_label_image(file, coloured=True)), None)
+    called = {file for file in rest if MASKS.search(_below(place, file))}
+    named = [file for file in rest if file in called or _is_named_after(file, stems)]
+    some = _some(named if known else rest)
+    found = next((file for file in some if is_label_image(file, coloured=file in called)), None)
     alike = [file for file in own if is_label_image(file)]
     if found is None and SHARE * len(alike) > len(own):
         # A photograph may be all black, as at the end of a video, and a mask too, where there is no oyster.

@@ -24,9 +24,11 @@ SIDE = re.compile(rf"(?<![^-_/]){_SIDE}(?![^-_/])", re.IGNORECASE)
 """Words for one of the cameras of a rig, such as a stereo camera: names that differ in them alone are of one instant,
 also where a camera stopped earlier, or took few images, unless they looked at other times (`_by_time`)."""
 SIDE_LAST = re.compile(rf"(\d+)[-_/]{_SIDE}$", re.IGNORECASE)
-NUMBER = re.compile(r"(?<![^-_/])(?!crop|tile|patch)(?P<word>[^\W\d_]*)(?P<number>\d+)$", re.IGNORECASE)
-"""Number at the end of a name, after a mark or a word: 000123, frame0001. Behind other numbers without a mark, as in
-12h30m05 or 1305031102.16, it is part of a longer time, and that of a crop is none."""
+NUMBER = re.compile(r"(?<!\d)(?<!\d\d[.:hms])\d+$", re.IGNORECASE)
+"""Number at the end of a name: 000123, frame0001, left.7; but for the last part of a longer time, as of 12h30m05,
+12:30:05 or 1305031102.16."""
+CUT_OUT = re.compile(r"(?:crop|tile|patch|part|slice|aug)[-_]?$", re.IGNORECASE)
+"""Ends of names before a number that counts pieces or copies of an image, and says no time."""
 APART = 0.1
 """Cameras of one rig begin and end together, up to this share of their time; videos whose numbers restart do not."""
 CAMERAS, FEW = 4, 30
@@ -127,8 +129,9 @@ def _times(names: Sequence[str]) -> list[tuple[str, Instant]]:
     found: list[tuple[str, Instant]] = []
     for name in names:
         end = (TIME if in_parts else NUMBER).search(name)
+        end = None if end and CUT_OUT.search(name[: end.start()]) else end
         time = tuple(map(int, re.findall(r"\d+", end.group()))) if end else ()
-        before = re.sub("[_/]", "-", name[: end.start() if in_parts else end.start("number")] if end else name)
+        before = re.sub("[_/]", "-", name[: end.start()] if end else name)
         found.append((before, (len(time), *time) if in_parts else time))
     return found
 

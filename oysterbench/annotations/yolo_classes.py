@@ -16,6 +16,8 @@ FILES = ("data.yaml", "data.yml", "classes.txt")
 """Files that may name the classes; the first that does is read. classes.txt has a name per line."""
 NAMES = re.compile(rb"^(?:\xef\xbb\xbf)?[\"']?names[\"']?\s*:", re.MULTILINE)
 """What is in a YAML file that names classes, also behind the byte order mark of Windows."""
+ANY = ("data", "dataset", "datasets", "images", "labels")
+"""Names of folders in the paths of any set."""
 USUAL = {0: "oyster"}
 """Names of the classes where no file gives them."""
 
@@ -69,28 +71,24 @@ def _may_be_of(path: Path, folder: Path) -> bool:
 
 
 def _lists(path: Path, folder: Path) -> bool:
-    """Whether a YAML file lists paths, or lists of images, that end at a folder, its name without a side, or at the
-    sides of a set beside the file or of the name of the folder above, where the folder is a side."""
+    """Whether a YAML file lists paths with the name of a folder in them, with or without a side at its end; of a folder
+    that is a side, whether it lists sides beside it, or of the name of the folder above. Names that any set may have
+    (`ANY`) say nothing."""
     name = folder.name.casefold()
-    own = {name, SIDE_LAST.sub("", name).rstrip("-_. ")} - {""}
-    for place in _listed(path, lists=True):
-        parts = [part.casefold() for part in (place.parent if place.suffix == ".txt" else place).parts]
-        parts = [part for part in parts if part not in ("images", "..", "/")]
-        whole = parts[:-1] if parts and parts[-1] in SIDES else parts
-        if parts and name in SIDES and whole[-1:] in ([], [folder.parent.name.casefold()]):
-            return True
-        if name not in SIDES and whole and whole[-1] in own:
-            return True
-    return False
+    listed = [[part.casefold() for part in place.parts if part not in ("images", "..", "/")] for place in _listed(path)]
+    if name in SIDES:
+        wholes = [parts[:-1] for parts in listed if parts and side_in(parts[-1])]
+        return any(parts[-1:] in ([], [folder.parent.name.casefold()]) for parts in wholes)
+    own = {name, SIDE_LAST.sub("", name).rstrip("-_. ")} - {"", *ANY}
+    return any(part in own for parts in listed for part in parts)
 
 
-def _listed(path: Path, lists: bool = False) -> list[PurePosixPath]:
-    """Paths of images that a YAML file lists, or the one below which they are. lists: those of text files, too, which
-    list images."""
+def _listed(path: Path) -> list[PurePosixPath]:
+    """Paths of images, or of files that list such, that a YAML file lists, or the one below which they are."""
     content = _mapping(path) or {}
     base = next(_places(content.get("path")), PurePosixPath())
-    found = [base / place for key in SIDES for place in _places(content.get(key))]
-    return [place for place in found if lists or place.suffix != ".txt"] or [base]
+    places = [base / place for key in SIDES for place in _places(content.get(key))]
+    return [place.parent if place.suffix == ".txt" else place for place in places] or [base]
 
 
 def _places(value: Any) -> Iterator[PurePosixPath]:

@@ -24,7 +24,7 @@ def test_live_and_dead_of_something_else_are_no_oysters(above):
 
 
 @pytest.mark.parametrize(
-    "name", ["recently dead", "dying", "live_2", "Dead 1", "unsure", "unidentified", "oyster-shell"]
+    "name", ["recently dead", "dying", "live_2", "dead1", "unsure", "unidentified", "oyster-shell"]
 )
 def test_a_state_or_an_age_of_nothing_named_may_be_of_oysters(name):
     assert may_be_oysters(name)
@@ -35,3 +35,10 @@ def test_a_state_or_an_age_of_nothing_named_may_be_of_oysters(name):
 def test_a_name_of_something_else_is_of_no_oysters(name):
     assert not may_be_oysters(name)
     assert not of("oyster", name).doubtful
+
+
+@pytest.mark.parametrize(("name", "above"), [("unknown", "fish"), ("juvenile", "crab"), ("unsure", "algae")])
+def test_the_ages_and_doubts_of_something_else_are_of_no_oysters(name, above):
+    content = [{"id": 0, "name": "oyster", "supercategory": "shell"}, {"id": 1, "name": name, "supercategory": above}]
+    assert not categories_of(content).doubtful
+    assert categories_of([content[0], {**content[1], "supercategory": "shell"}]).doubtful == {1}

@@ -45,7 +45,8 @@ def test_masks_with_the_numbers_of_many_oysters_beside_a_coco_file_are_refused(n
 
 @pytest.mark.parametrize("pixels", [NUMBERS, COLOURS])
 @pytest.mark.parametrize(
-    "name", ["site_depth4m_a-mask", "depth_03m/masks/1", "mask_0001", "label0001", "masks/0001", "masks/a/0", "amask"]
+    "name",
+    ["site_depth4m_a-mask", "depth_03m/masks/1", "mask_0001", "label0001", "masks/0001", "masks/a/0", "masks/amask"],
 )
 def test_masks_by_their_own_names_beside_a_coco_file_are_refused(name, pixels, tmp_path):
     """Also in colours, as VOC and CVAT write them, where sites are named by their depths, and if some images are
@@ -98,6 +99,13 @@ def test_masks_of_any_name_beside_a_coco_file_without_its_images_are_refused(tmp
         ("stuffthingmaps/val2017/a", NUMBERS),
         ("depth/a", np.zeros((HEIGHT, WIDTH), np.uint16)),
         ("logo", NUMBERS),
+        ("depth_maps/a", NUMBERS),
+        ("a_depth", NUMBERS),
+        ("runs/MaskPR_curve", COLOURS),
+        ("docs/label_distribution", COLOURS),
+        ("labelled/logo", NUMBERS),
+        ("unlabelled/dark", np.zeros((HEIGHT, WIDTH), np.uint8)),
+        ("plots/a_hist", COLOURS),
         ("thumbnails/a", picture(0)[::4, ::4]),
         ("val2017/black", np.zeros((HEIGHT, WIDTH, 3), np.uint8)),
         ("val2017/b", np.zeros((HEIGHT, WIDTH, 3), np.uint8)),

@@ -204,6 +204,19 @@ def test_the_last_part_of_a_longer_time_is_no_time_and_what_is_before_it_no_came
     assert ends(entries_of(names, clip), 0.25) == names[180:]
 
 
+@pytest.mark.parametrize("clip", ["", "reef"])
+@pytest.mark.parametrize("form", ["reef {}", "frame.{}", "dive2frame{}", "GX010123frame{}", "dive.mp4.{}"])
+def test_a_number_behind_any_mark_or_word_is_a_time(form, clip):
+    names = [form.format(k) for k in range(1, 41)]
+    assert ends(entries_of(sorted(names), clip), 0.1) == names[36:]
+
+
+@pytest.mark.parametrize("form", ["{}.{:04}", "{} {:04}", "{}cam0.{:04}", "{}-cam0frame{:04}", "{}_GoPro1f{:04}"])
+def test_two_cameras_are_on_one_clock_whatever_is_before_their_numbers(form):
+    names = [form.format(side, k) for side in ("left", "right") for k in range(100)]
+    assert sorted(ends(entries_of(names, "reef"), 0.1)) == [*names[90:100], *names[190:]]
+
+
 def drawn(k, digits=8):
     return f"{random.Random(str(k)).getrandbits(4 * digits):0{digits}x}"
 
