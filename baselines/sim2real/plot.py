@@ -49,7 +49,7 @@ def plot(rows: Sequence[VariantRow]) -> str:
     axes.set_xticks([none, *sizes], labels=["0", *map(str, sizes)])
     axes.set_xticks([], minor=True)
     axes.grid(alpha=0.3)
-    axes.legend()
+    figure.legend(loc="outside lower center", ncols=4)  # within the axes it would hide intervals
     text = io.StringIO()
     with rc_context({"svg.hashsalt": "sim2real", "svg.fonttype": "none"}):
         figure.savefig(text, format="svg", metadata={"Date": None})
