@@ -21,9 +21,16 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 @click.option("--data", type=FOLDER, help="Folder of the rendered files.  [default: under the home folder]")
 @click.option("--out", type=FOLDER, help="Folder of the manifest.  [default: that of the package]")
 @click.option("--reads", type=FOLDER, help="Folder of what was read.  [default: under the home folder, in `releases`]")
+@click.option("--so-far", is_flag=True, help="Write a partial manifest while not all sequences have been read.")
 @click.option("--again", is_flag=True, help="Read sequences again that have been read before.")
 def release(
-    split_name: str, names: tuple[str, ...], data: Path | None, out: Path | None, reads: Path | None, again: bool
+    split_name: str,
+    names: tuple[str, ...],
+    data: Path | None,
+    out: Path | None,
+    reads: Path | None,
+    so_far: bool,
+    again: bool,
 ) -> None:
     """Read a rendered split and write its manifest, for maintainers of splits: hashes of every file and of its decoded
     content, with the versions of the software that made them.
@@ -34,9 +41,12 @@ def release(
       oysterbench release slam-val --sequence val-03    one at a time
       oysterbench release slam-train --sequence train-01 \
         --reads /mnt/shared/slam-train    and others on other machines
+      oysterbench release slam-train --sequence train-01 --so-far
 
     What is read of a sequence is kept: its file may then be deleted. The manifest is written once all sequences have
-    been read. A release never changes: another manifest under its name is refused.
+    been read. With --so-far, those read until now make a partial one, with which renders of them are compared, and
+    which the next call with this option continues, on any machine. A release never changes: another manifest under its
+    name is refused.
     """
     from importlib import resources
 
@@ -44,7 +54,15 @@ def release(
     from oysterbench.core.errors import HubError
     from oysterbench.core.places import home
     from oysterbench.hub.publish import check_made_by
-    from oysterbench.hub.release import forget_read, keep_read, not_read, put_together, write_release
+    from oysterbench.hub.release import (
+        forget_read,
+        keep_read,
+        not_read,
+        put_together,
+        take_over,
+        write_partial,
+        write_release,
+    )
     from oysterbench.recipe import load_split
     from oysterbench.sequence.truth import rig_topics
     from oysterbench.simulation.generate import digest, sequence_files, split_folder
@@ -59,6 +77,8 @@ def release(
     known = [sequence.name for sequence in split.sequence]
     wanted = [split.find_sequence(name).name for name in names] or known
     files = sequence_files(split, data or split_folder(split))
+    folder = out or Path(str(resources.files("oysterbench_datasets"))) / "manifests"
+    take_over(kept, folder, split.name, split.version, made_by)
     todo = {name: files[name] for name in (wanted if again else not_read(kept, wanted))}
     check_made_by(todo, split.name, split.version, made_by, hidden=False, texts=split.texts)
     if again:
@@ -71,14 +91,15 @@ def release(
             done += path.stat().st_size
             progress(done, total)
     missing = not_read(kept, known)
+    read = [name for name in known if name not in missing]
     if missing:
         message(f"{split.name} {split.version}: {len(missing)} of {len(known)} to be read: {', '.join(missing)}")
+    if not read or (missing and not so_far):
         return
     facts = {"split": split.name, "version": split.version, "track": split.track, "summary": split.summary}
-    manifest = put_together(kept, {**facts, "rig": split.rig.name}, known, made_by, split.texts)
-    folder = out or Path(str(resources.files("oysterbench_datasets"))) / "manifests"
+    manifest = put_together(kept, {**facts, "rig": split.rig.name}, read, made_by, split.texts)
     message(f"{split.name} {split.version}: {counted(len(manifest.files), 'file')}, {manifest.size / 1e6:.1f} MB")
-    echo(write_release(manifest, folder))
+    echo((write_partial if missing else write_release)(manifest, folder))
 
 
 @click.command("release-model", short_help="Make trained weights, and their card, part of oysterbench.")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from oysterbench.cli.echo import echo, message
+from oysterbench.core.names import listed
 from oysterbench.notebook.progress import frames_bar, plain_progress
 from oysterbench.notebook.rendering import render_files
 
@@ -95,20 +96,25 @@ def render(
 def _compare(split: SplitRecipe, files: dict[str, Path], made_by: str) -> None:
     """Report whether the files are the same as those of the release."""
     from oysterbench.cli.progress import bytes_bar
-    from oysterbench.hub.manifest import released_manifest
+    from oysterbench.hub.manifest import partial_manifest, released_manifest
     from oysterbench.hub.verify import RIGHT, SMALLER, check_released
 
     name = f"{split.name} {split.version}"
-    manifest = released_manifest(split.name, split.version)
+    manifest = released_manifest(split.name, split.version) or partial_manifest(split.name, split.version)
     if manifest is None:
         message(f"{name}: no released manifest, so nothing was compared")
         return
     if manifest.recipe_digest != made_by:
         message(f"{name} was released with another recipe or generation than the one rendered here")
         return
-    done, total, checks = 0, sum(path.stat().st_size for path in files.values()), []
+    named = [path for sequence, path in files.items() if manifest.find(f"{sequence}.mcap")]
+    if missing := [sequence for sequence in files if manifest.find(f"{sequence}.mcap") is None]:
+        message(f"{name}: its manifest is not complete yet, so {listed(missing)} could not be compared")
+    if not named:
+        return
+    done, total, checks = 0, sum(path.stat().st_size for path in named), []
     with bytes_bar(f"comparing {split.name} with the release") as progress:
-        for path in files.values():
+        for path in named:
             check = check_released(path, manifest)
             checks.append(check)
             if check.state not in (RIGHT, SMALLER):
@@ -119,11 +125,11 @@ def _compare(split: SplitRecipe, files: dict[str, Path], made_by: str) -> None:
     wrong = sum(not check.good for check in checks)
     some = {f" ({check.detail})" for check in checks if check.state == SMALLER}
     if wrong:
-        message(f"{name}: {wrong} of {len(files)} files differ from the release: results from them cannot be compared")
+        message(f"{name}: {wrong} of {len(named)} files differ from the release: results from them cannot be compared")
     elif other:
-        message(f"{name}: {other} of {len(files)} files can be used, though they differ from the release as said above")
+        message(f"{name}: {other} of {len(named)} files can be used, though they differ from the release as said above")
     else:
-        message(f"{name}: as released, {len(files)} of {len(manifest.files)} files{' '.join(some)}")
+        message(f"{name}: as released, {len(named)} of {len(split.sequence)} files{' '.join(some)}")
 
 
 def _preview(split: SplitRecipe, names: tuple[str, ...], folder: Path) -> dict[str, Path]:

@@ -18,6 +18,9 @@ from oysterbench.version import VERSION
 
 LICENCE = "https://creativecommons.org/licenses/by/4.0/"
 
+PARTIAL = "partial"
+"""Folder, among the released manifests, of those that lack sequences still."""
+
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 VERSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
@@ -155,7 +158,18 @@ def read_manifest(data: bytes, what: str) -> Manifest:
 def released_manifest(split: str, version: str) -> Manifest | None:
     """Manifest of a released split that ships with oysterbench (`datasets/manifests`), a pin like a key; None where
     there is none."""
+    return _shipped(split, version, "manifests")
+
+
+def partial_manifest(split: str, version: str) -> Manifest | None:
+    """Manifest of those sequences of a large split that have been read so far (`datasets/manifests/partial`), while its
+    release is being made; None where there is none. Renders are compared with it, but nothing is published or
+    downloaded by it."""
+    return _shipped(split, version, f"manifests/{PARTIAL}")
+
+
+def _shipped(split: str, version: str, folder: str) -> Manifest | None:
     if not (NAME.fullmatch(split) and VERSION_NAME.fullmatch(version)):
         return None
-    entry = resources.files("oysterbench_datasets") / "manifests" / f"{split}-{version}.json"
+    entry = resources.files("oysterbench_datasets") / folder / f"{split}-{version}.json"
     return read_manifest(entry.read_bytes(), f"{split}-{version}.json of oysterbench") if entry.is_file() else None

@@ -1,7 +1,7 @@
 """Releasing a split: the manifest that ships with oysterbench, and with which everybody's render is compared.
 
 It is made sequence by sequence, so that a split need never be on one disk as a whole: the description of each is kept,
-and they are assembled once none is missing.
+and they are assembled once none is missing. Until then those of a large split can be shipped as a partial manifest.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import msgspec
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import HubError
 from oysterbench.hub.canonical import canonical, decode, sha256
-from oysterbench.hub.manifest import FileEntry, Manifest, describe_file
+from oysterbench.hub.manifest import PARTIAL, FileEntry, Manifest, describe_file, read_manifest
 from oysterbench.version import GENERATION, VERSION
 
 DECIDING = ("numpy", "scipy", "opencv-python-headless", "warp-lang", "trimesh", "mcap", "zstandard")
@@ -48,7 +48,23 @@ def keep_read(kept: Path, name: str, path: Path, topics: Collection[str]) -> Non
     absent = sorted({*topics} - {*read.entry.content})
     if absent:
         raise HubError(f"{path}: expected all topics of its rig, got none of {', '.join(absent)}; it was not accepted")
+    _keep(kept, name, read)
+
+
+def _keep(kept: Path, name: str, read: Read) -> None:
     write_atomically(kept / f"{name}.json", canonical(msgspec.to_builtins(read)))
+
+
+def take_over(kept: Path, folder: Path, split: str, version: str, recipe_digest: str) -> None:
+    """Keep the descriptions in the partial manifest of a split among `folder`'s releases as if they had been read here;
+    none where it has none, or one of another recipe."""
+    path = folder / PARTIAL / f"{split}-{version}.json"
+    if not path.is_file():
+        return
+    manifest = read_manifest(path.read_bytes(), str(path))
+    for entry in manifest.files if manifest.recipe_digest == recipe_digest else ():
+        if not_read(kept, [entry.sequence]):
+            _keep(kept, entry.sequence, Read(entry, manifest.made_with or {}))
 
 
 def not_read(kept: Path, names: Sequence[str]) -> list[str]:
@@ -91,9 +107,24 @@ def put_together(
     return Manifest(**facts, **made, recipe_digest=recipe_digest)  # type: ignore[arg-type]
 
 
+def write_partial(manifest: Manifest, folder: Path) -> Path:
+    """Write the manifest of the sequences read so far, in the folder `partial` of the released ones, instead of the one
+    of fewer. Raises HubError where that has another description of one of them: what was shipped never changes."""
+    path = folder / PARTIAL / f"{manifest.split}-{manifest.version}.json"
+    shipped = read_manifest(path.read_bytes(), str(path)).files if path.is_file() else ()
+    for entry in shipped:
+        if manifest.find(entry.name) != entry:
+            raise HubError(
+                f"{path}: {entry.sequence} is in it with another description than was read now; it was left unchanged: "
+                "raise the version in the split's recipe, or delete the file if it has not been distributed"
+            )
+    write_atomically(path, manifest.data)
+    return path
+
+
 def write_release(manifest: Manifest, folder: Path) -> Path:
-    """Write a manifest among the released ones. Raises HubError where a different one has its name: releases never
-    change."""
+    """Write a manifest among the released ones, and delete the partial one. Raises HubError where a different one has
+    its name: releases never change."""
     path = folder / f"{manifest.split}-{manifest.version}.json"
     if path.is_file() and path.read_bytes() != manifest.data:
         raise HubError(
@@ -101,6 +132,7 @@ def write_release(manifest: Manifest, folder: Path) -> Path:
             "left unchanged: raise the version in the split's recipe, or delete the file if it has not been distributed"
         )
     write_atomically(path, manifest.data)
+    (folder / PARTIAL / path.name).unlink(missing_ok=True)
     return path
 
 

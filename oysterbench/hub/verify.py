@@ -15,7 +15,15 @@ from oysterbench.core.mcap import MAGIC
 from oysterbench.core.places import home, models, released_models
 from oysterbench.hub.canonical import decode, sha256
 from oysterbench.hub.index import IndexBody, SignedIndex
-from oysterbench.hub.manifest import NAME, VERSION_NAME, FileEntry, Manifest, read_manifest, released_manifest
+from oysterbench.hub.manifest import (
+    NAME,
+    VERSION_NAME,
+    FileEntry,
+    Manifest,
+    partial_manifest,
+    read_manifest,
+    released_manifest,
+)
 from oysterbench.hub.model import Model, read_model
 from oysterbench.hub.release import made_with
 from oysterbench.hub.trusted import is_trusted
@@ -375,7 +383,8 @@ def check_alone(path: Path) -> Check:
         known = _metadata(path)
         if not known:
             return Check(path, FOREIGN, "an MCAP file of another program")
-        manifest = released_manifest(known.get("split", ""), known.get("split_version", ""))
+        named = known.get("split", ""), known.get("split_version", "")
+        manifest = released_manifest(*named) or partial_manifest(*named)
         return check_released(path, manifest) if manifest else check_unknown(path)
     except SequenceError as error:
         if _is_foreign(path):

@@ -17,7 +17,9 @@ from oysterbench.simulation.generate import digest
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 from tests.helpers.trees import FACTS, TEXTS, write_sequence
 
-RELEASED = sorted(Path(str(resources.files("oysterbench_datasets") / "manifests")).glob("*.json"))
+MANIFESTS = Path(str(resources.files("oysterbench_datasets") / "manifests"))
+RELEASED = sorted(MANIFESTS.glob("*.json"))
+PARTIAL = sorted(MANIFESTS.glob("partial/*.json"))
 
 
 @pytest.fixture
@@ -137,7 +139,40 @@ def test_render_ends_by_saying_whether_the_files_are_those_released(rendered, re
     assert "was released with another recipe or generation" in rendered().stderr
 
 
-@pytest.mark.parametrize("path", RELEASED, ids=lambda path: path.stem)
+def test_sequences_are_compared_with_a_partial_manifest_while_the_release_is_being_made(
+    rendered, recipe, tmp_path, monkeypatch
+):
+    block = recipe.read_text().partition("[[sequence]]")[2].replace("tiny-01", "tiny-02")
+    recipe.write_text(f"{recipe.read_text()}\n[[sequence]]{block}")
+    split = load_split(str(recipe))
+    monkeypatch.setattr("tests.helpers.trees.TEXTS", split.texts)
+    files = {name: tmp_path / "data" / f"{name}.mcap" for name in ("tiny-01", "tiny-02")}
+    for name, path in files.items():
+        write_sequence(path, name, 0.3, digest(split))
+    options = ("--data", tmp_path / "data", "--out", tmp_path / "manifests")
+    done = run("release", recipe, "--sequence", "tiny-01", *options, "--so-far")
+    assert "1 of 2 to be read: tiny-02" in done.stderr
+    partial = tmp_path / "manifests" / "partial" / "tiny-1.0.json"
+    assert done.stdout == f"{partial}\n"
+    shipped = read_manifest(partial.read_bytes(), "it")
+    monkeypatch.setattr(manifests, "partial_manifest", lambda *of: shipped)
+    told = rendered().stderr
+    assert told.endswith("tiny 1.0: as released, 1 of 2 files\n")
+    monkeypatch.setattr(rendering, "render_files", lambda *of, **more: files)
+    told = rendered().stderr
+    assert "its manifest is not complete yet, so tiny-02 could not be compared" in told
+    assert told.endswith("tiny 1.0: as released, 1 of 2 files\n")
+    monkeypatch.setattr("oysterbench.hub.verify.partial_manifest", lambda *of: shipped)
+    assert "right" in run("verify", files["tiny-01"]).stdout
+    assert "whether it is the released file is unknown" in run("verify", files["tiny-02"]).stdout
+    monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "another"))
+    files["tiny-01"].unlink()
+    done = run("release", recipe, *options)
+    assert done.stdout == f"{tmp_path / 'manifests' / 'tiny-1.0.json'}\n"
+    assert not partial.exists()
+
+
+@pytest.mark.parametrize("path", RELEASED + PARTIAL, ids=lambda path: path.stem)
 def test_a_released_manifest_is_of_the_whole_split_that_this_program_renders(path):
     manifest = read_manifest(path.read_bytes(), path.name)
     assert manifest.data == path.read_bytes()
@@ -147,7 +182,12 @@ def test_a_released_manifest_is_of_the_whole_split_that_this_program_renders(pat
     if split.version != manifest.version:
         return  # of before: it stays, and its recipe is another one now
     assert manifest.recipe_digest == digest(split)
-    assert [entry.sequence for entry in manifest.files] == sorted(sequence.name for sequence in split.sequence)
+    whole = sorted(sequence.name for sequence in split.sequence)
+    if path in PARTIAL:
+        assert path.name not in [released.name for released in RELEASED]
+        assert {entry.sequence for entry in manifest.files} < {*whole}
+    else:
+        assert [entry.sequence for entry in manifest.files] == whole
     assert manifest.made_with is not None
 
 

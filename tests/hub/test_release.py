@@ -8,7 +8,16 @@ import pytest
 
 from oysterbench.core.errors import HubError
 from oysterbench.hub.manifest import describe_file, read_manifest
-from oysterbench.hub.release import DECIDING, keep_read, made_with, not_read, put_together, write_release
+from oysterbench.hub.release import (
+    DECIDING,
+    keep_read,
+    made_with,
+    not_read,
+    put_together,
+    take_over,
+    write_partial,
+    write_release,
+)
 from oysterbench.version import GENERATION
 from tests.helpers.trees import DIGEST, FACTS, TEXTS, write_split
 
@@ -70,6 +79,35 @@ def test_a_release_never_changes(files, tmp_path):
     with pytest.raises(HubError, match="a release never changes"):
         write_release(put_together(tmp_path, FACTS, NAMES[:1], DIGEST, TEXTS), tmp_path)
     assert path.read_bytes() == manifest.data
+
+
+def test_a_partial_manifest_grows_on_any_machine_until_it_is_the_release(files, tmp_path):
+    place = ("fake-val", "1.0", DIGEST)
+    keep_read(tmp_path / "here", "dive-01", files["dive-01"], TOPICS)
+    partial = write_partial(put_together(tmp_path / "here", FACTS, NAMES[:1], DIGEST, TEXTS), tmp_path)
+    assert partial == tmp_path / "partial" / "fake-val-1.0.json"
+    take_over(tmp_path / "another recipe's", tmp_path, "fake-val", "1.0", "0" * 64)
+    assert not_read(tmp_path / "another recipe's", NAMES) == [*NAMES]
+    take_over(tmp_path / "there", tmp_path, *place)
+    assert not_read(tmp_path / "there", NAMES) == ["dive-02"]
+    keep_read(tmp_path / "there", "dive-02", files["dive-02"], TOPICS)
+    manifest = put_together(tmp_path / "there", FACTS, NAMES, DIGEST, TEXTS)
+    path = write_release(manifest, tmp_path)
+    assert [entry.sequence for entry in read_manifest(path.read_bytes(), "it").files] == [*NAMES]
+    assert not partial.exists()
+
+
+def test_what_a_partial_manifest_says_of_a_sequence_never_changes(files, tmp_path):
+    for name, path in files.items():
+        keep_read(tmp_path, name, path, TOPICS)
+    path = write_partial(put_together(tmp_path, FACTS, NAMES[:1], DIGEST, TEXTS), tmp_path)
+    before = path.read_bytes()
+    keep_read(tmp_path, "dive-01", files["dive-02"], TOPICS)
+    with pytest.raises(HubError, match="dive-01 is in it with another description than was read now"):
+        write_partial(put_together(tmp_path, FACTS, NAMES, DIGEST, TEXTS), tmp_path)
+    with pytest.raises(HubError, match="dive-01 is in it with another description"):
+        write_partial(put_together(tmp_path, FACTS, NAMES[1:], DIGEST, TEXTS), tmp_path)
+    assert path.read_bytes() == before
 
 
 @pytest.mark.parametrize("text", ["split.toml", "rig.toml"])
