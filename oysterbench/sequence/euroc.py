@@ -24,7 +24,7 @@ from oysterbench.core.trajectory.frames import poses_of_body
 from oysterbench.core.trajectory.read import EUROC_TRUTH
 from oysterbench.sensors.camera import KIND as CAMERA
 from oysterbench.sensors.imu import KIND as IMU
-from oysterbench.sequence.inertial_table import check_inertial_table
+from oysterbench.sequence.inertial_table import SEPARATORS, check_inertial_table, names_above
 from oysterbench.sequence.state import sensor_folders
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
@@ -32,9 +32,6 @@ C = TypeVar("C")
 
 STAMP = re.compile(r"-?[0-9]{1,18}|[1-8][0-9]{18}")
 """Stamp in ns, which fits an int64."""
-
-SEPARATORS = (",", ";", "\t")
-"""Marks between the fields of a row: a comma in the layout; semicolons and tabs as spreadsheets write them."""
 
 LENSES = {
     "radial-tangential": "plumb_bob",
@@ -68,7 +65,7 @@ class EurocSequence(Sequence):
         samples = root / "imu0" / "data.csv"
         if not samples.is_file():
             raise SequenceError(f"{self.folder}: expected an EuRoC folder with mav0/imu0/data.csv, found none")
-        check_inertial_table(samples, _header(samples), _stamps(samples))
+        check_inertial_table(samples, names_above(_lines(samples)), _stamps(samples))
         self.cameras = {
             path.name: _read_sensor(path / "sensor.yaml", _camera) for path in sensor_folders(self.folder)[1:]
         }
@@ -248,19 +245,6 @@ def _fields(path: Path) -> Iterator[tuple[int, list[str]]]:
             continue
         separator = separator or next((mark for mark in SEPARATORS if mark in line), ",")
         yield number, [field.strip() for field in line.split(separator)]
-
-
-def _header(path: Path) -> list[str]:
-    """Names of the columns of a data.csv of the IMU, from a line before its rows; empty where there is none."""
-    for number, line in enumerate(_lines(path)):
-        text = line.strip()
-        if text and not text.startswith("#") and not (number == 0 and text[0].isalpha()):
-            break
-        # At none in brackets, as in [ns, UTC], where another mark than between the names may be.
-        fields = max((re.split(mark + r"(?![^\[(]*[\])])", text.lstrip("# ")) for mark in SEPARATORS), key=len)
-        if len(fields) > 6:
-            return [field.strip() for field in fields]
-    return []
 
 
 def _read_sensor(path: Path, read: Callable[[Mapping[str, str]], C]) -> C:

@@ -9,8 +9,11 @@ from pathlib import Path
 from statistics import median
 
 from oysterbench.core.errors import SequenceError
-from oysterbench.core.trajectory.names import MICRO, UNIT_WORDS
+from oysterbench.core.trajectory.names import MICRO, TIME_WORDS, UNIT_WORDS, words_of
 from oysterbench.core.trajectory.stamps import SHIFTS
+
+SEPARATORS = (",", ";", "\t")
+"""Marks between the fields of a row: a comma in the layout; semicolons and tabs as spreadsheets write them."""
 
 RATE, FORCE = "angular rate in rad/s", "specific force in m/s^2"
 WORDS = {
@@ -46,6 +49,8 @@ OTHER_TIMES = {
     *("min", "mins", "minute", "minutes", "h", "hr", "hrs", "hour", "hours", "day", "days", "week", "weeks"),
 }
 """Words of units where the name has none of `UNIT_WORDS`."""
+FRAMES = {"body", "imu", "sensor", "flu", "frd", "rfu", "fwd", "ned", "enu", "nwu"}
+"""What may be in brackets after the name of an axis and says no unit: its frame."""
 BRACKET = r"[\[(]([^\[\]()]*)[\])]"
 
 PLAIN = str.maketrans({"\u207b": "-", "\u00b2": "2", "\u00b9": "1", "\u2079": "9", **dict.fromkeys(" ^*.\u00b7")})
@@ -53,11 +58,40 @@ SHORT = {"squared": "2", "per": "/", r"met(er|re)(s(?!-2))?": "m", r"radian(s(?!
 """Words in the name of a unit, once its blanks are gone, and the short ones."""
 
 
+def names_above(lines: Iterable[str]) -> list[str]:
+    """Names of the columns in the lines of a table, from the last one above its rows that gives a time and six others,
+    or the three axes twice; empty where none does. Units in a line of their own below are added to the names.
+
+    >>> names_above(["# of 2024, gyro, accel, IMU, site A, B, C", "#t,wx,wy,wz,ax,ay,az", "#[ns],,,,[g],[g],[g]"])[3:5]
+    ['wz', 'ax [g]']
+    """
+    names: list[str] = []
+    for number, line in enumerate(lines):
+        text = line.strip()
+        if text and not text.startswith("#") and not (number == 0 and text[0].isalpha()):
+            break
+        # At none in brackets, as in [ns, UTC], where another mark than between the names may be.
+        split = (re.split(mark + r"(?![^\[(]*[\])])", text.lstrip("# ")) for mark in SEPARATORS)
+        fields = [field.strip() for field in max(split, key=len)]
+        if len(fields) < 7:
+            continue
+        if names and not any(re.sub(BRACKET, "", field).strip() for field in fields):
+            names = [f"{name} {unit}".strip() for name, unit in zip(names, fields, strict=False)]
+        elif _is_time(fields[0]) or [_parts(name)[0][-1:] for name in fields[1:7]] == [["x"], ["y"], ["z"]] * 2:
+            names = fields
+    return names
+
+
 def check_inertial_table(path: Path, names: list[str], stamps_ns: Iterable[int]) -> None:
     """Check the names of the columns, the stamp's first, as far as they say what the columns hold, and the rate of the
     samples. Raises SequenceError for another order or unit, and for stamps that cannot be ns, whatever their name."""
     _check_names(path, names)
     _check_rate(path, list(islice(stamps_ns, RATED)))
+
+
+def _is_time(name: str) -> bool:
+    words, unit = words_of(name)
+    return bool({*words, unit} & {*TIME_WORDS, *UNIT_WORDS})
 
 
 def _check_names(path: Path, names: list[str]) -> None:
@@ -74,7 +108,7 @@ def _check_names(path: Path, names: list[str]) -> None:
         after = words[words.index(axes[-1]) + 1 :][:1] if axes else []
         other = held and (kind not in held or axes[-1:] not in ([], [axis]))
         # Behind the last name may be those of all, (rad/s, m/s^2), and behind any its axes, [m/s^2, FLU].
-        units = {_unit(one) for one in unit.split(",")}
+        units = {_unit(one) for one in re.split("[,;]", unit)}
         unknown = [one for one in units - UNITS[RATE] - UNITS[FORCE] if not one.isalpha() or OTHER_UNITS.fullmatch(one)]
         if other or unknown or not units & UNITS[kind] or any(map(OTHER_UNITS.fullmatch, after)):
             raise SequenceError(
@@ -139,6 +173,8 @@ def _is_clock(text: str) -> bool:
 def _parts(name: str) -> tuple[list[str], str]:
     """Lower-case words of a column's name, `gx` and `accx` as two, and its unit in brackets; a number there counts the
     axes, as in `gyro_rad[0]`."""
+    while (frame := re.search(BRACKET + r"\s*$", name)) and frame[1].strip().lower() in FRAMES:
+        name = name[: frame.start()]
     bracket = re.search(r"[\[(]([^\])]*)[\])]\s*$", name)
     words = re.findall(r"[a-z]+|[0-9]+", (name[: bracket.start()] if bracket else name).lower())
     known = "|".join(sorted(WORDS[RATE] | WORDS[FORCE], key=len, reverse=True))

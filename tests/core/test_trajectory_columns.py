@@ -171,6 +171,7 @@ def test_the_stamp_of_a_message_about_the_attitude_is_not_that_of_the_poses(tmp_
         f"t,gt_x,gt_y,gt_z,gt_qx,gt_qy,gt_qz,gt_qw,{plotted('pose_with_covariance')}",
         f"t,est_x,est_y,est_z,est_qx,est_qy,est_qz,est_qw,{pose('cov_position', 'cov_orientation')}",
         f"t,{plotted('gt')},{plotted('pose_with_uncertainty')}",
+        f"t,gt_x,gt_y,gt_z,gt_qx,gt_qy,gt_qz,gt_qw,{plotted('odom')}",
     ],
 )
 def test_a_pose_beside_another_quaternion_is_not_chosen_by_a_word_of_a_spread(tmp_path, header):
@@ -178,6 +179,18 @@ def test_a_pose_beside_another_quaternion_is_not_chosen_by_a_word_of_a_spread(tm
         read(tmp_path, header, "1.5" + ",1,2,3,0,0,0,1" * 2)
 
 
-def test_a_temperature_beside_the_time_is_no_time(tmp_path):
-    stamps, _ = read(tmp_path, "t,x,y,z,qx,qy,qz,qw,T", "1.5,1,2,3,0,0,0,1,12.3", time_unit="s")
+@pytest.mark.parametrize("topic", ["odom", "mavros/local_position/pose_cov", "rov_dev/odom", "error_state_kf/odom"])
+def test_a_pose_is_read_beside_the_orientation_of_an_inertial_unit(tmp_path, topic):
+    imu = ",".join(f"/imu/data/{name}" for name in ("header/stamp", *(f"orientation/{axis}" for axis in "xyzw")))
+    line = "9,1.5,1,2,3,0,0,0,1,8,0.6,0,0,0.8"
+    stamps, poses = read(tmp_path, f"__time,/{topic}/header/stamp,{plotted(topic)},{imu}", line)
+    assert stamps == [1_500_000_000]
+    np.testing.assert_array_equal(poses, [[1, 2, 3, 0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize("names", ["t,T", "t [s],T [degC]", "t_s,T", "t (s),T (K)", "t,T [C]"])
+def test_a_temperature_beside_the_time_is_no_time(tmp_path, names):
+    time, temperature = names.split(",")
+    header = f"{time},x,y,z,qx,qy,qz,qw,{temperature}"
+    stamps, _ = read(tmp_path, header, "1.5,1,2,3,0,0,0,1,12.3", time_unit="s")
     assert stamps == [1_500_000_000]

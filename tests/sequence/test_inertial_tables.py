@@ -197,3 +197,39 @@ def test_inertial_stamps_in_us_are_refused_also_with_a_gap(folder, gap):
     folder.write("imu0/data.csv", "".join(f"{k * 5000 + gap * (k > 9)},0,0,0,0,0,9.8\n" for k in range(40)))
     with pytest.raises(SequenceError, match=r"2e\+05 Hz \(200 Hz if they are in us\)"):
         oysterbench.open(folder.path)
+
+
+REMARK = "# IMU (VN-100) of the ROV, 200 Hz, gyro, accel, FLU, site A, 2024-05-01"
+NAMES = "#timestamp [ns],wx,wy,wz,ax,ay,az"
+
+
+@pytest.mark.parametrize(
+    "above", [f"{REMARK}\n{NAMES}", f"{NAMES}\n{REMARK}", "# Copyright (c) 2024, A, B, C, D, E, F"]
+)
+def test_a_remark_with_commas_names_no_columns(folder, above):
+    samples = folder.root / "imu0" / "data.csv"
+    text = samples.read_text().partition("\n")[2]
+    samples.write_text(f"{above}\n{text}")
+    assert len(list(oysterbench.open(folder.path).imu())) == len(SAMPLES)
+    samples.write_text(f"{above}\n#timestamp [ns],ax,ay,az,wx,wy,wz\n{text}")
+    with pytest.raises(SequenceError, match="expected in column 2 the x of the angular rate"):
+        oysterbench.open(folder.path)
+
+
+def test_units_in_a_line_of_their_own_are_those_of_the_columns(folder):
+    samples = folder.root / "imu0" / "data.csv"
+    text = samples.read_text().partition("\n")[2]
+    samples.write_text(f"{NAMES}\n#[ns],[rad/s],[rad/s],[rad/s],[m/s^2],[m/s^2],[m/s^2]\n{text}")
+    assert len(list(oysterbench.open(folder.path).imu())) == len(SAMPLES)
+    samples.write_text(f"#timestamp,wx,wy,wz,ax,ay,az\n#[ns],[deg/s],[deg/s],[deg/s],[g],[g],[g]\n{text}")
+    with pytest.raises(SequenceError, match=re.escape("got 'wx [deg/s]'")):
+        oysterbench.open(folder.path)
+
+
+@pytest.mark.parametrize("frame", [" (FRD)", " [rad/s] (body)", " [rad/s; FLU]", " (body) [rad/s]"])
+def test_a_frame_in_brackets_is_no_unit(folder, frame):
+    samples = folder.root / "imu0" / "data.csv"
+    text = samples.read_text().partition("\n")[2]
+    names = ",".join(f"w_{axis}{frame}" for axis in "xyz") + "," + ",".join(f"a_{axis}" for axis in "xyz")
+    samples.write_text(f"#timestamp [ns],{names}\n{text}")
+    assert len(list(oysterbench.open(folder.path).imu())) == len(SAMPLES)

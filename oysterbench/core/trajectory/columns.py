@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -120,11 +121,10 @@ class _Time:
     beyond: int | None = None
 
     @property
-    def rank(self) -> tuple[int, bool]:
-        """The lowest is the stamp of the poses: in two columns, as tools for ROS write them, or one called so; else
-        that of the poses' own topic in a recording of several; else a time, which may be that of the recording."""
-        called = self.beyond is not None or STAMP_WORDS & set(self.words)
-        return (1 if self.topic else 0 if called else 2), self.beyond is None
+    def rank(self) -> tuple[bool, bool]:
+        """The lowest is the stamp of the poses: in two columns, as tools for ROS write them, or one called so, as that
+        of the poses' own topic in a recording of several; else a time, which may be that of the recording."""
+        return self.beyond is None and not STAMP_WORDS & set(self.words), self.beyond is None
 
     @property
     def bare(self) -> list[str]:
@@ -152,14 +152,16 @@ def named_columns(names: list[str], two_parts: bool = True, time_unit: str | Non
         for prefix in poses
         if before[prefix] == len(prefix) and {word for of in found[prefix].values() for _, word in of} <= FIELDS
     }
-    pose = _pose(poses, topics)
+    bare = {tuple(words) for words, _ in named}
+    unknown = {one for one in poses if "px" not in poses[one] and all((*one, axis) in bare for axis in "xyz")}
+    pose = _pose(poses, topics, unknown)
     if pose is None:
         return None
     position, quaternion, of_pose = pose
     of_message = topic_of(named[position[0]][0])
     times = [one for one in _times(named, two_parts) if one.topic == of_message[: len(one.topic)]]
-    if "t" in names:  # beside which T is a temperature
-        times = [one for one in times if names[one.column] != "T"]
+    if any(_letter(name) == "t" for name in names):  # beside which T is a temperature
+        times = [one for one in times if _letter(names[one.column]) != "T" or one.unit]
     if not times:
         return None
     stamp, of_stamps = _stamp(times, time_unit)
@@ -255,10 +257,11 @@ def _consistent(found: dict[str, list[tuple[int, str]]]) -> dict[str, list[int]]
 
 
 def _pose(
-    found: dict[Prefix, dict[str, list[int]]], topics: set[Prefix]
+    found: dict[Prefix, dict[str, list[int]]], topics: set[Prefix], unknown: set[Prefix]
 ) -> tuple[list[int], list[int], list[int]] | None:
     """Columns of the position, those of the quaternion, and two that may be of several poses, from the columns of each
-    prefix and role; None where there is no whole pose. topics: prefixes that are a topic's name"""
+    prefix and role; None where there is no whole pose. topics: prefixes that are a topic's name; unknown: those of
+    columns such as gt_x, which are the position of a pose beside gt_qx, but have no role by themselves"""
     positions = [one for one in found if {"px", "py", "pz"} <= found[one].keys()]
     attitudes = [one for one in found if {"qx", "qy", "qz", "qw"} <= found[one].keys()]
     if not positions or not attitudes:
@@ -271,7 +274,7 @@ def _pose(
     rivals = next((same[:2] for same in (*position, *quaternion) if len(same) > 1), [])
     if len(positions) > 1:
         rivals = [position[0][0], found[positions[1]]["px"][0]]
-    elif len(attitudes) > 1 and (attitude != first or (COLUMN_SPREADS & {*first} and first != ("sd",))):
+    elif len(attitudes) > 1 and (attitude != first or (first != ("sd",) and not rivals and unknown & {*attitudes})):
         rivals = [found[one]["qx"][0] for one in attitudes[:2]]
     elif not _nested(attitude, first):
         rivals = [position[0][0], quaternion[0][0]]
@@ -328,6 +331,12 @@ def _clocks(stamp: _Time, times: list[_Time]) -> tuple[tuple[int, str | None, bo
     single = [one for one in times if one is not stamp and stamp.beyond is None and one.beyond is None]
     clocks = ((one.column, one.unit, one.bare == stamp.bare) for one in single)
     return tuple((k, unit, same) for k, unit, same in clocks if same or (unit is not None and stamp.unit is None))
+
+
+def _letter(name: str) -> str:
+    """The letter that a name is but for a unit, in brackets or after a mark; else the name."""
+    alone = re.fullmatch(rf"([a-zA-Z])([\s_]*[\[(][^\])]*[\])]|[\s_]+({'|'.join(UNIT_WORDS)}))?", name.strip())
+    return alone[1] if alone else name
 
 
 def _nested(one: Prefix, other: Prefix) -> bool:
