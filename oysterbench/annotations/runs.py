@@ -10,8 +10,9 @@ from typing import Any
 
 from oysterbench.annotations.image import Entry
 
-TIME = re.compile(r"(?<![^-_/])(?:\d+[-_T])*\d\d[-_][0-5]\d$")
-"""End of a name that is a time in parts, with or without a date: 2026-05-01_12-30-05, or 03-59 of a video."""
+TIME = re.compile(r"(?<![^-_/ ])(?:\d+[-_Th ])*\d(?:\d[-_]|\d? )[0-5]\d$")
+"""End of a name that is a time in parts, with or without a date: 2026-05-01_12-30-05, 2026-05-01 12-30-05, 12 30 05, or
+03-59 of a video."""
 ROBOFLOW = re.compile(r"_(?:jpe?g|png|bmp|webp|tiff?)\.rf\.\w+$", re.IGNORECASE)
 """What Roboflow adds to names; copies of an image by augmentation differ in it."""
 LABEL_STUDIO = re.compile(r"(?<![^/])(?P<drawn>[0-9a-f]{8})-(?=[^/]+$)")
@@ -24,9 +25,12 @@ SIDE = re.compile(rf"(?<![^-_/]){_SIDE}(?![^-_/])", re.IGNORECASE)
 """Words for one of the cameras of a rig, such as a stereo camera: names that differ in them alone are of one instant,
 also where a camera stopped earlier, or took few images, unless they looked at other times (`_by_time`)."""
 SIDE_LAST = re.compile(rf"(\d+)[-_/]{_SIDE}$", re.IGNORECASE)
-NUMBER = re.compile(r"(?<!\d)(?<!\d\d[.:hms])\d+$", re.IGNORECASE)
-"""Number at the end of a name: 000123, frame0001, left.7; but for the last part of a longer time, as of 12h30m05,
-12:30:05 or 1305031102.16."""
+NUMBER = re.compile(r"\d+$")
+"""Number at the end of a name: 000123, frame0001, left.7."""
+LONGER = re.compile(r"(?<!\d)(?<!cam)(?<!camera)(?<!mp)\d+(?:[hms]|min[-_ ]?|[^\w\s/-]\s*)$", re.IGNORECASE)
+"""Ends of names before a number that is the last part of a longer one, or of a longer time: digits, but those of a
+camera or of mp4, and a unit of time or any mark but dashes, underscores, spaces and slashes, as in 12h30m05, 12:30:05,
+00min_05, 3.96 or 1305031102.16."""
 CUT_OUT = re.compile(r"(?:crop|tile|patch|part|slice|aug)[-_]?$", re.IGNORECASE)
 """Ends of names before a number that counts pieces or copies of an image, and says no time."""
 APART = 0.1
@@ -129,7 +133,8 @@ def _times(names: Sequence[str]) -> list[tuple[str, Instant]]:
     found: list[tuple[str, Instant]] = []
     for name in names:
         end = (TIME if in_parts else NUMBER).search(name)
-        end = None if end and CUT_OUT.search(name[: end.start()]) else end
+        if end and not in_parts and any(other.search(name[: end.start()]) for other in (LONGER, CUT_OUT)):
+            end = None
         time = tuple(map(int, re.findall(r"\d+", end.group()))) if end else ()
         before = re.sub("[_/]", "-", name[: end.start()] if end else name)
         found.append((before, (len(time), *time) if in_parts else time))

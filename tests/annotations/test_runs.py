@@ -84,6 +84,13 @@ def test_of_names_without_a_mark_before_their_numbers_those_that_are_higher_come
 STEREO = ["dive{d}_{side}_{k:04}", "dive{d}/{side}/{k}", "{side}/dive{d}-{k:03}", "dive{d}_{k:03}_{side}"]
 
 
+@pytest.mark.parametrize("form", ["2026-05-01 {h:02}-{m:02}-{s:02}", "reef 2026-05-01 {h:02}_{m:02}_{s:02}"])
+def test_a_space_is_a_mark_between_date_and_time(form):
+    """Else the end of each hour would be held out."""
+    names = [form.format(h=12 + k // 180, m=k // 3 % 60, s=k % 3 * 20) for k in range(120, 240)]
+    assert ends(entries_of(names), 0.25) == names[90:]
+
+
 @pytest.mark.parametrize("form", STEREO)
 @pytest.mark.parametrize("sides", [("left", "right"), ("cam0", "cam1"), ("L", "R")])
 @pytest.mark.parametrize("clip", ["", "reef"])
@@ -190,9 +197,19 @@ def test_numbers_after_a_word_for_a_camera_are_those_of_images():
     [
         "reef_2026-05-01T{h:02}h{m:02}m{s:02}",
         "dive_{m:02}m{s:02}",
+        "dive_{m}m{s:02}",
+        "{m}min{s:02}",
+        "t_{m:02}min_{s:02}",
         "2026-05-01 {h:02}:{m:02}:{s:02}",
+        "{m}:{s:02}",
+        "dive {h:02} {m:02} {s:02}",
+        "2026-05-01 {h:02}h{m:02} {s:02}",
+        "reef {m} {s:02}",
+        "{h},{m:02},{s:02}",
         "2026-05-01 at {h:02}.{m:02}.{s:02}",
         "13050{k:05}.{s:02}6667",
+        "frame_{m}.{s:02}",
+        "t{m}.{s:02}3333",
         "2026T{h:02}{m:02}{s:02}.033",
         "IMG_{m:04}_crop{s:02}",
         "IMG_{m:04}tile{s:02}",
@@ -209,6 +226,14 @@ def test_the_last_part_of_a_longer_time_is_no_time_and_what_is_before_it_no_came
 def test_a_number_behind_any_mark_or_word_is_a_time(form, clip):
     names = [form.format(k) for k in range(1, 41)]
     assert ends(entries_of(sorted(names), clip), 0.1) == names[36:]
+
+
+@pytest.mark.parametrize(
+    "form", ["dive{} frame{}", "dive{}.mp4.{}", "reef{}_{:03}", "reef {} {:03}", "camera{}.{:04}", "1.{}m_{:04}"]
+)
+def test_a_number_behind_another_that_is_no_part_of_a_time_is_one_of_its_own(form):
+    names = [form.format(video, k) for video in (1, 2) for k in range(40)]
+    assert ends(entries_of(names), 0.1) == [*names[36:40], *names[76:]]
 
 
 @pytest.mark.parametrize("form", ["{}.{:04}", "{} {:04}", "{}cam0.{:04}", "{}-cam0frame{:04}", "{}_GoPro1f{:04}"])
