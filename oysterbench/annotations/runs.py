@@ -17,7 +17,7 @@ ROBOFLOW = re.compile(r"_(?:jpe?g|png|bmp|webp|tiff?)\.rf\.\w+$", re.IGNORECASE)
 """What Roboflow adds to names; copies of an image by augmentation differ in it."""
 LABEL_STUDIO = re.compile(r"(?<![^/])(?P<drawn>[0-9a-f]{8})-(?=[^/]+$)")
 """What Label Studio puts before names: eight random hex digits."""
-_WORDS = r"(?:left|right|l|r|port|starboard)"
+_WORDS = r"(?:left|right|l|r|port|starboard|stbd)"
 _SIDE = rf"(?:cam(?:era)?\d{{0,2}}|{_WORDS})"
 GLUED = re.compile(rf"(?<![^-_/]){_WORDS}(?=\d+$)|\d(?={_WORDS}$)", re.IGNORECASE)
 """Ends of what is written in one with a number: left0001, 0001R."""
@@ -35,9 +35,10 @@ CUT_OUT = re.compile(r"(?:crop|tile|patch|part|slice|aug)[-_]?$", re.IGNORECASE)
 """Ends of names before a number that counts pieces or copies of an image, and says no time."""
 APART = 0.1
 """Cameras of one rig begin and end together, up to this share of their time; videos whose numbers restart do not."""
-CAMERAS, FEW = 4, 30
-"""Of more than this many prefixes with fewer than this many images each, none is taken for a camera: they are quadrats
-or sites, and their numbers are no times."""
+CAMERAS, FEW, MANY = 4, 20, 30
+"""Up to 4 prefixes with fewer than 20 images each where no clip is known, or more with fewer than 30, are taken for no
+cameras: they are quadrats or sites, of each of which some ten photographs are usual, and their numbers are no times. Of
+a video, 20 frames are 20 s at one per second."""
 
 Instant = tuple[int, ...]
 """Instants of one rig are in order of time, and begin with its number."""
@@ -87,11 +88,13 @@ def taken_of(entries: Sequence[Entry]) -> list[tuple[str, Instant]]:
     SEQUENCE/CAMERA/STAMP, or with dashes or underscores in folders. Cameras that names tell apart by such words as left
     and right (`SIDE`) are one where their times overlap; others of one rig (`_rigs`) that looked at the same time
     have the same instant; those of others, such as videos whose numbers restart, have other ones. Where names do not
-    say so, or cameras are too many, the camera is empty, and the instant is the place in the run, of the first image of
-    its camera and number."""
+    say so, or cameras took too few images, the camera is empty, and the instant is the place in the run, of the first
+    image of its camera and number."""
     said = _said(_bare([entry.name for entry in entries]))
     count = len({camera for camera, _ in said})
-    rigs = _rigs(said) if count <= CAMERAS or len(said) >= FEW * count else {}
+    one = len({entry.clip for entry in entries}) == 1
+    least = MANY if count > CAMERAS else 0 if one else FEW
+    rigs = _rigs(said) if len(said) >= least * count else {}
     first: dict[tuple[str, Instant], int] = {}
     taken: list[tuple[str, Instant]] = []
     for place, (camera, numbers) in enumerate(said):

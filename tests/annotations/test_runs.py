@@ -33,6 +33,13 @@ def test_of_few_videos_of_some_images_the_end_of_each_is_held_out():
     assert ends(entries_of(names), 0.1) == last
 
 
+@pytest.mark.parametrize("form", ["site{}rep{}", "Q{}P{}", "Q{}_{}", "site{} {:02}"])
+def test_of_replicates_of_few_quadrats_the_last_quadrats_are_held_out(form):
+    """Else each quadrat would be held out by images of the very ground that the others of it show."""
+    names = [form.format(site, k) for site in range(1, 5) for k in range(1, 11)]
+    assert ends(entries_of(names), 0.25) == names[30:]
+
+
 def test_dives_of_two_cameras_each_are_divided_at_the_same_instants_of_both_cameras():
     """Also where a camera lost frames, and dives differ in length."""
     counts = {"dive0": 100, "dive1": 200}
@@ -92,7 +99,7 @@ def test_a_space_is_a_mark_between_date_and_time(form):
 
 
 @pytest.mark.parametrize("form", STEREO)
-@pytest.mark.parametrize("sides", [("left", "right"), ("cam0", "cam1"), ("L", "R")])
+@pytest.mark.parametrize("sides", [("left", "right"), ("cam0", "cam1"), ("L", "R"), ("port", "stbd")])
 @pytest.mark.parametrize("clip", ["", "reef"])
 @pytest.mark.parametrize(
     ("left", "right"),
