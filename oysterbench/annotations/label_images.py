@@ -22,11 +22,14 @@ OTHERS = re.compile(
     r"panoptic|pixelmaps|stuffthingmaps|(?<![^-_./])(?:depth|disparity)s?(?![-_]?\d+m)(?=[-_./])", re.IGNORECASE
 )
 """In paths of maps that have the names of images and are no masks of oysters: those of COCO, and depths, but not sites
-named by theirs, such as depth_03m."""
+named by theirs, such as depth_03m, nor where a word of `MASKS` says what they are."""
 MASKS = re.compile(
-    r"(?<![a-z])(?:masks?(?![a-z])|labels(?=/)|label[-_]?\d)|segmentation(?:class|object)", re.IGNORECASE
+    r"segmentation|(?:masks?|labels?|(?<![a-z])(?:gt|seg|ground[-_ ]?truth|annotation))(?![a-z])", re.IGNORECASE
 )
-"""In paths of label images whose names need not be those of images."""
+"""In paths of label images whose names need not be those of images: words that end so, such as trainmasks/,
+JsonToDataset/label.png or SegmentationClass/, and what Label Studio calls them, task-1-annotation-1."""
+PALETTE = b"\x03"
+"""Colour type of a PNG with a palette, at byte 25: numbers, with a colour for each."""
 SHARE = 4
 """Of pictures of a COCO set, more than one in so many are label images where masks stand in their place, and fewer
 where frames are dark, overexposed, or title cards."""
@@ -43,11 +46,11 @@ def check_no_masks(place: Path, path: Path, names: Iterable[str], pictures: Iter
     stems = {PurePosixPath(name).stem.casefold() for name in names}
     files = png_files(place)
     own = _some([file for file in files if file.resolve() in known])
-    rest = [file for file in files if file.resolve() not in known and not OTHERS.search(_below(place, file))]
-    called = {file for file in rest if MASKS.search(_below(place, file))}
+    others = [file for file in files if file.resolve() not in known]
+    called = {file for file in others if MASKS.search(_below(place, file))}
+    rest = [file for file in others if file in called or not OTHERS.search(_below(place, file))]
     named = [file for file in rest if file in called or _is_named_after(file, stems)]
-    some = _some(named if known else rest)
-    found = next((file for file in some if is_label_image(file, coloured=file in called)), None)
+    found = next((file for file in _some(named if known else rest) if is_label_image(file)), None)
     alike = [file for file in own if is_label_image(file)]
     if found is None and SHARE * len(alike) > len(own):
         # A photograph may be all black, as at the end of a video, and a mask too, where there is no oyster.
@@ -60,19 +63,20 @@ def check_no_masks(place: Path, path: Path, names: Iterable[str], pictures: Iter
         )
 
 
-def is_label_image(path: Path, blank: bool = True, coloured: bool = False) -> bool:
-    """Whether an image file is grey, and has two values or large areas of one, as masks and numbers of oysters have.
-    blank: what to say of one value alone; coloured: whether it may also have large areas of one colour each. False for
-    a file that cannot be read."""
+def is_label_image(path: Path, blank: bool = True) -> bool:
+    """Whether an image file is grey, or has a palette, and has two values or large areas of one, as masks and numbers
+    of oysters have; one in other colours, such as a plot, is never read as a mask. blank: what to say of one value
+    alone. False for a file that cannot be read."""
     try:
-        pixels = decode_picture(path.read_bytes(), cv2.IMREAD_UNCHANGED)
+        data = path.read_bytes()
     except OSError:
         return False
+    pixels = decode_picture(data, cv2.IMREAD_UNCHANGED)
     if pixels is None:
         return False
     if pixels.ndim == 3:
         if (pixels[..., :3] != pixels[..., :1]).any():
-            return coloured and bool(_same(pixels).mean() > FLAT)
+            return data[25:26] == PALETTE and bool(_same(pixels).mean() > FLAT)
         pixels = pixels[..., 0]
     least, most = pixels.min(), pixels.max()
     if least == most:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from oysterbench.annotations import open_truth
 from oysterbench.annotations.label_images import is_label_image
@@ -15,6 +16,13 @@ from tests.helpers.labelled_folders import HEIGHT, WIDTH, picture, write_png
 NUMBERS = (np.arange(HEIGHT * WIDTH) * 40 // (HEIGHT * WIDTH)).reshape(HEIGHT, WIDTH).astype(np.uint8)
 """Forty oysters."""
 COLOURS = np.stack((NUMBERS, NUMBERS // 2, NUMBERS // 3), axis=-1)
+
+
+def write_palette(path, pixels):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = Image.fromarray(pixels, "P")
+    image.putpalette([k * 37 % 256 for k in range(768)])
+    image.save(path)
 
 
 def coco_2017(root, names="a"):
@@ -43,18 +51,40 @@ def test_masks_with_the_numbers_of_many_oysters_beside_a_coco_file_are_refused(n
     assert [clip.names for clip in open_truth(path)] == [("a",)]
 
 
-@pytest.mark.parametrize("pixels", [NUMBERS, COLOURS])
+@pytest.mark.parametrize("write", [write_png, write_palette])
 @pytest.mark.parametrize(
     "name",
-    ["site_depth4m_a-mask", "depth_03m/masks/1", "mask_0001", "label0001", "masks/0001", "masks/a/0", "masks/amask"],
+    [
+        "site_depth4m_a-mask",
+        "depth_03m/masks/1",
+        "depth_10ft/masks/0",
+        "site_depth_1/mask_0",
+        "depth-5/labels/0",
+        "mask_0001",
+        "label0001",
+        "masks/0001",
+        "masks/a/0",
+        "masks/amask",
+        "segmentation/seg_0000",
+        "Segmentations/1",
+        "SegmentationClass/1",
+        "SegmentationMask/1",
+        "label/0",
+        "labels_png/l0",
+        "oystermask/m0",
+        "trainmasks/1",
+        "JsonToDataset/label",
+        "gt/gt_0000",
+        "seg/1",
+        "task-1-annotation-1-by-1-tag-oyster-0",
+    ],
 )
-def test_masks_by_their_own_names_beside_a_coco_file_are_refused(name, pixels, tmp_path):
-    """Also in colours, as VOC and CVAT write them, where sites are named by their depths, and if some images are
-    missing."""
+def test_masks_by_their_own_names_beside_a_coco_file_are_refused(name, write, tmp_path):
+    """Also with a palette, as VOC has them, where sites are named by their depths, and if some images are missing."""
     path = coco_2017(tmp_path, ["a", "site_depth4m_a", "c"])
     (tmp_path / "val2017" / "c.png").unlink()
     assert open_truth(path)[0].coco is not None
-    write_png(tmp_path / f"{name}.png", pixels)
+    write(tmp_path / f"{name}.png", NUMBERS)
     with pytest.raises(LabelError, match=rf"got both, such as .*{name}\.png"):
         open_truth(tmp_path)
 
@@ -103,6 +133,9 @@ def test_masks_of_any_name_beside_a_coco_file_without_its_images_are_refused(tmp
         ("a_depth", NUMBERS),
         ("runs/MaskPR_curve", COLOURS),
         ("docs/label_distribution", COLOURS),
+        ("mask_rcnn/loss_0", COLOURS),
+        ("labels/plots/0", COLOURS),
+        ("docs/how-to-mask/a", COLOURS),
         ("labelled/logo", NUMBERS),
         ("unlabelled/dark", np.zeros((HEIGHT, WIDTH), np.uint8)),
         ("plots/a_hist", COLOURS),
