@@ -31,6 +31,33 @@ KINDS = (
 NOTHING = frozenset(("null", "na", "n", "a", "default", "undefined", "root", *KINDS))
 """Words of supercategories that programs write where none was given, or by which VIA divides objects: they are of
 nothing."""
+ELSE = frozenset(
+    (
+        *(
+            "fish",
+            "finfish",
+            "goby",
+            "blenny",
+            "toadfish",
+            "sculpin",
+            "eel",
+            "shark",
+            "ray",
+            "skate",
+            "turtle",
+            "mammal",
+        ),
+        *("bird", "crab", "shrimp", "prawn", "lobster", "crayfish", "crustacean", "amphipod", "isopod", "barnacle"),
+        *("mussel", "clam", "cockle", "scallop", "snail", "gastropod", "whelk", "limpet", "conch", "chiton", "slug"),
+        *("squid", "octopus", "cephalopod", "starfish", "urchin", "cucumber", "echinoderm", "anemone", "jellyfish"),
+        *("coral", "hydroid", "bryozoan", "tunicate", "ascidian", "sponge", "worm", "polychaete", "alga", "algae"),
+        *("macroalga", "macroalgae", "seaweed", "kelp", "seagrass", "eelgrass", "plant"),
+        *("rock", "stone", "sand", "mud", "sediment", "debris", "litter", "trash", "vehicle"),
+    )
+)
+"""Words of supercategories that are of no oysters, for certain: animals, plants and things on and around oyster reefs,
+by the names of their kinds in English. Groups that hold oysters, such as bivalves, shellfish or molluscs, are none of
+them, nor are ages, or what else objects are divided by."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +77,7 @@ def categories_of(content: list[Any], oysters_alone: bool = False) -> Categories
     too, if their supercategory is oysters; or, where the file has no others but one above all, as Roboflow writes, or
     is about oysters alone, if it has this word among others, says nothing, or is that of oysters beside them. Elsewhere
     these are doubtful, and so are all other names that have the word oyster, such as juvenile oyster, or are a state
-    alone (`DOUBTFUL`), though not the ages, or what is not known, of something else, as of fish; and what has the
+    alone (`DOUBTFUL`), though not the ages, or what is not known, of something `ELSE`, as of fish; and what has the
     supercategory oysters, as a project of this name may have anything below it, unless oysters have a category of their
     own beside it.
     """
@@ -68,7 +95,7 @@ def categories_of(content: list[Any], oysters_alone: bool = False) -> Categories
     if oysters_alone or names.keys() - whole <= bare | oysters:
         none = STATES | {"none"} | (frozenset() if oysters else NOTHING)
         found |= {k for k in bare if groups[k] in own or above[k] & OYSTERS or above[k] <= none}
-    elsewhere = {k for k in names if groups[k] not in own and not above[k] & OYSTERS and above[k] - NOTHING - {"none"}}
+    elsewhere = {k for k in names if groups[k] not in own and not above[k] & OYSTERS and _of_something_else(above[k])}
     named = {k for k, name in names.items() if may_be_oysters(name)}
     named -= {k for k in elsewhere if not words[k] & (OYSTERS | STATES)}
     doubtful = (named | {k for k in within if groups[k] not in own}) - found
@@ -79,6 +106,10 @@ def may_be_oysters(name: str) -> bool:
     """Whether a name has the word oyster, among any others, or says a state and not of what."""
     said = set(re.findall(r"[^\W\d_]+", name.casefold()))
     return bool(said & OYSTERS or (said and said <= DOUBTFUL))
+
+
+def _of_something_else(words: set[str]) -> bool:
+    return any(ELSE & {word, word.removesuffix("s"), word.removesuffix("es")} for word in words)
 
 
 def _words(name: str) -> set[str]:

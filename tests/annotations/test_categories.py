@@ -37,7 +37,17 @@ def test_a_name_of_something_else_is_of_no_oysters(name):
     assert not of("oyster", name).doubtful
 
 
-@pytest.mark.parametrize(("name", "above"), [("unknown", "fish"), ("juvenile", "crab"), ("unsure", "algae")])
+@pytest.mark.parametrize("above", ["bivalve", "shellfish", "Crassostrea virginica", "life stage", "age", "condition"])
+@pytest.mark.parametrize("name", ["spat", "juvenile", "unknown"])
+def test_the_ages_and_doubts_of_what_may_be_oysters_are_doubtful(name, above):
+    """Such as those of a group that holds oysters, or of an age: they were left out without a word."""
+    content = [{"id": 0, "name": "oyster", "supercategory": "reef"}, {"id": 1, "name": name, "supercategory": above}]
+    assert categories_of(content).doubtful == {1}
+
+
+@pytest.mark.parametrize(
+    ("name", "above"), [("unknown", "fish"), ("juvenile", "crab"), ("unsure", "algae"), ("adults", "Reef fishes")]
+)
 def test_the_ages_and_doubts_of_something_else_are_of_no_oysters(name, above):
     content = [{"id": 0, "name": "oyster", "supercategory": "shell"}, {"id": 1, "name": name, "supercategory": above}]
     assert not categories_of(content).doubtful
