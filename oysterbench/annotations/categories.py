@@ -103,9 +103,9 @@ def categories_of(content: list[Any], oysters_alone: bool = False) -> Categories
 
 
 def may_be_oysters(name: str) -> bool:
-    """Whether a name has the word oyster, among any others, or says a state and not of what."""
-    said = set(re.findall(r"[^\W\d_]+", name.casefold()))
-    return bool(said & OYSTERS or (said and said <= DOUBTFUL))
+    """Whether a name has the word oyster, among any others or in one with them, or says a state and not of what."""
+    said = set(re.findall(r"[^\W\d_]+", _apart(name).casefold()))
+    return "oyster" in name.casefold() or bool(said and said <= DOUBTFUL)
 
 
 def _of_something_else(words: set[str]) -> bool:
@@ -113,7 +113,12 @@ def _of_something_else(words: set[str]) -> bool:
 
 
 def _words(name: str) -> set[str]:
-    return set(re.split(r"[\W_]+", name.casefold())) - {""}
+    return set(re.split(r"[\W_]+", _apart(name).casefold())) - {""}
+
+
+def _apart(name: str) -> str:
+    """A name with spaces between words that are joined, as in DeadOyster."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
 
 
 def _state(words: set[str]) -> str:

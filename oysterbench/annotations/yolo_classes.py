@@ -14,6 +14,8 @@ from oysterbench.core.places import shown
 
 FILES = ("data.yaml", "data.yml", "classes.txt")
 """Files that may name the classes; the first that does is read. classes.txt has a name per line."""
+LISTS = (".txt", ".names")
+"""Suffixes of files with a name per line; .names is that of darknet."""
 NAMES = re.compile(rb"^(?:\xef\xbb\xbf)?[\"']?names[\"']?\s*:", re.MULTILINE)
 """What is in a YAML file that names classes, also behind the byte order mark of Windows."""
 ANY = ("data", "dataset", "datasets", "images", "labels")
@@ -28,8 +30,8 @@ def classes_of(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
     Read are `FILES` in the folder, or else in the one above if this is called train, valid or test (`SIDES`), which
     share them; a YAML file there also if it names this folder, or the name of this ends in such a word and the file
     names no folders of other sets alone. Raises LabelError where others are named elsewhere: here in a YAML file of
-    another name, or above by a file that may be of this data set or not: one called data.yaml, that has oysters among
-    its classes, or that lists this folder.
+    another name, or in a list as darknet has it (`LISTS`), or above by a file that may be of this data set or not: one
+    called data.yaml, that has oysters among its classes, or that lists this folder.
     """
     whole = folder.resolve()
     own = [folder / name for name in FILES]
@@ -37,18 +39,29 @@ def classes_of(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
     for path in (path for path in (*own, *above) if path.is_file()):
         if names := read_classes(path):
             return names, () if names == USUAL else (path,)
-    for path in shown(folder, "*.y*ml"):
+    for path in _that_may_name(folder):
         if path.is_file() and _names_others(path):
-            raise LabelError(f"{path}: expected the names of the classes in {FILES[0]}, got them here: rename it")
-    for path in (*shown(whole.parent, "*.y*ml"), whole.parent / FILES[-1]):
+            raise LabelError(_elsewhere(path))
+    for path in (*_that_may_name(whole.parent), whole.parent / FILES[-1]):
         if path.is_file() and _names_others(path, whole):
             if whole.name.casefold() in SIDES:
-                raise LabelError(f"{path}: expected the names of the classes in {FILES[0]}, got them here: rename it")
+                raise LabelError(_elsewhere(path))
             raise LabelError(
                 f"{path}: expected the names of the classes of {whole.name}/ in {FILES[0]} there, got names here that "
                 "may be of it or not: copy them there, or write others there, such as `names: [oyster]`"
             )
     return USUAL, ()
+
+
+def _that_may_name(folder: Path) -> list[Path]:
+    """Files of other names that may name classes."""
+    return [*shown(folder, "*.y*ml"), *shown(folder, f"*{LISTS[-1]}")]
+
+
+def _elsewhere(path: Path) -> str:
+    """What to say where a file of another name names the classes."""
+    usual = FILES[-1] if path.suffix in LISTS else FILES[0]
+    return f"{path}: expected the names of the classes in {usual}, got them here: rename it"
 
 
 def _is_of(path: Path, folder: Path) -> bool:
@@ -103,7 +116,7 @@ def _names_others(path: Path, beside: Path | None = None) -> bool:
     it names no oysters, or cannot be read, it is of something else unless it is called data.yaml or lists this folder.
     Raises LabelError where a file that is of no other folder names none."""
     try:
-        if path.suffix != ".txt" and not NAMES.search(path.read_bytes()):
+        if path.suffix not in LISTS and not NAMES.search(path.read_bytes()):
             return False
         return read_classes(path) not in ({}, USUAL)
     except (LabelError, OSError):
@@ -145,7 +158,7 @@ def keys_naming(path: Path, folder: str) -> set[str]:
 def read_classes(path: Path) -> dict[int, str]:
     """Read the names of the classes from a file of `FILES`, by number, all that are of oysters as oyster
     (`categories_of`); empty if it names none. Raises LabelError if it cannot be read, or no name says oyster."""
-    names = _lines(path) if path.suffix == ".txt" else _names(path)
+    names = _lines(path) if path.suffix in LISTS else _names(path)
     if names is None:
         return {}
     oysters = categories_of([{"id": number, "name": name} for number, name in names.items()]).states

@@ -16,6 +16,11 @@ def test_live_and_dead_alone_are_oysters_below_a_supercategory_that_says_nothing
     assert of("live", "dead", above=above).states == {0: "live", 1: "dead"}
 
 
+@pytest.mark.parametrize("names", [("LiveOyster", "DeadOyster"), ("oysterLive", "oysterDead"), ("liveOysters", "Dead")])
+def test_words_that_are_joined_are_told_apart_by_their_capitals(names):
+    assert of(*names).states == {0: "live", 1: "dead"}
+
+
 @pytest.mark.parametrize("above", ["coral", "mussels", "barnacles"])
 def test_live_and_dead_of_something_else_are_no_oysters(above):
     found = of("live", "dead", above=above)
@@ -24,7 +29,7 @@ def test_live_and_dead_of_something_else_are_no_oysters(above):
 
 
 @pytest.mark.parametrize(
-    "name", ["recently dead", "dying", "live_2", "dead1", "unsure", "unidentified", "oyster-shell"]
+    "name", ["recently dead", "dying", "live_2", "dead1", "unsure", "unidentified", "oyster-shell", "deadoyster"]
 )
 def test_a_state_or_an_age_of_nothing_named_may_be_of_oysters(name):
     assert may_be_oysters(name)

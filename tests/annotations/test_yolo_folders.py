@@ -48,12 +48,27 @@ def test_classes_are_of_oysters_by_their_names_as_categories_of_coco_files_are(n
     assert sum(one.oysters.any() for one in open_labelled(folder)) == 1
 
 
+def test_a_list_of_classes_of_darknet_is_refused_unless_it_is_called_as_others_are(tmp_path):
+    """All barnacles were read as oysters."""
+    folder = yolo_folder(tmp_path / "reef", {"a": "0" + TRIANGLE})
+    (folder / "obj.names").write_text("oyster\n")
+    assert open_labelled(folder)[0].oysters.any()
+    (folder / "obj.names").write_text("barnacle\noyster\n")
+    with pytest.raises(
+        LabelError, match=r"obj\.names: expected the names of the classes in classes\.txt, .* rename it"
+    ):
+        open_labelled(folder)
+    (folder / "obj.names").rename(folder / "classes.txt")
+    assert not open_labelled(folder)[0].oysters.any()
+
+
 @pytest.mark.parametrize("name", ["reef", "reef-test"])
 @pytest.mark.parametrize(
     ("file", "text"),
     [
         ("classes.txt", "person\ncar\n"),
         ("classes.txt", "oyster\n"),
+        ("coco.names", "person\ncar\n"),
         ("coco128.yaml", "names: [person]\n"),
         ("coco128.yaml", "names: {\n"),
     ],
@@ -68,6 +83,7 @@ def test_class_names_beside_a_folder_that_is_no_part_of_an_export_are_of_other_s
     ("file", "text"),
     [
         ("classes.txt", "barnacle\noyster\n"),
+        ("obj.names", "barnacle\noyster\n"),
         ("data.yaml", "names: [barnacle, oyster]\ntrain: train/images\n"),
         ("data.yaml", "names: [reef, oyster]\n"),
         ("data.yaml", "names: [barnacle, oyster]\npath: other\ntrain: reef/2024/train\n"),
