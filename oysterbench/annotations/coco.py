@@ -139,7 +139,14 @@ def read_coco(path: Path, truth: CocoFile | None = None, oysters_alone: bool = F
         return _sorted(path, truth.images, kept, known, notes)
     for key in ("images", "annotations", "categories"):
         if not isinstance(content, dict) or not isinstance(content.get(key), list):
-            raise LabelError(f"{path}: expected a list of results, or an object with the list {key!r}")
+            other = program_of(content)
+            got = f", got annotations of {other}: export or convert them to COCO" if other else ""
+            raise LabelError(f"{path}: expected a list of results, or an object with the list {key!r}{got}")
+    if any(isinstance(item, dict) and "segments_info" in item for item in content["annotations"]):
+        raise LabelError(
+            f"{path}: expected annotations of instances, got panoptic ones, whose masks are in PNG files: give the "
+            "file of the instances, such as instances_val2017.json, or convert them"
+        )
     categories = _categories(path, content["categories"], oysters_alone)
     own = _images(path, content["images"])
     kept = []
@@ -217,6 +224,18 @@ def read_json(path: Path) -> Any:
         raise LabelError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:
         raise LabelError(f"{path}: cannot be read as JSON: {error}") from None
+
+
+def program_of(content: Any) -> str:
+    """Program other than of COCO that writes such JSON files; empty if it is not known."""
+    if not isinstance(content, dict):
+        return ""
+    if {"shapes", "imagePath"} <= content.keys():
+        return "LabelMe"
+    images = content.get("_via_img_metadata", content)
+    images = list(images.values()) if isinstance(images, dict) else []
+    regions = all(isinstance(image, dict) and {"filename", "regions"} <= image.keys() for image in images)
+    return "VIA" if images and regions else ""
 
 
 def _images(path: Path, images: list[Any]) -> dict[Any, CocoImage]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from oysterbench.annotations.coco import program_of, read_json
 from oysterbench.annotations.coco_set import coco_files, coco_set
 from oysterbench.annotations.image import LabelledSet
 from oysterbench.annotations.yolo import yolo_root, yolo_set
@@ -67,6 +68,16 @@ def got_at(path: Path) -> str:
     if found := kinds_at(path):
         return f"what could be {' or '.join(found)}"
     if len(files := coco_files(path)) > 1:
+        smallest = min(files, key=lambda file: file.stat().st_size)
+        if other := _program_of(smallest):
+            return f"{len(files)} JSON files, as {smallest.name} of {other}: export or convert them to one COCO file"
         return f"{len(files)} JSON files: give the COCO file that is meant, such as {files[0]}"
     below = [one for one in shown(path, "*") if one.is_dir() and len(kinds_at(one)) == 1]
     return f"{NONE} itself, but a folder of such: give one below, as {below[0]}" if below else NONE
+
+
+def _program_of(path: Path) -> str:
+    try:
+        return program_of(read_json(path))
+    except LabelError:
+        return ""

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from oysterbench.annotations.categories import may_be_oysters
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
 from oysterbench.annotations.manifest import ManifestRow, images_with, parts_of
-from oysterbench.annotations.yolo_classes import classes_of, side_of
+from oysterbench.annotations.yolo_classes import FILES, classes_of, side_of
 from oysterbench.core.errors import LabelError
+from oysterbench.core.places import shown
 from oysterbench.core.polygons import rasterise
 from oysterbench.evaluate.detection.instances import OUTSIDE
 
@@ -75,6 +76,13 @@ def yolo_images(folder: Path) -> tuple[list[YoloImage], dict[int, str], tuple[Pa
     names, source = classes_of(root)
     hint = "; one without oysters has an empty file"
     sides = {part: side_of(root, part) for part in parts_of(root / "images")}
+    for part in sides or ("",):
+        listed = root / "labels" / part / FILES[-1]
+        if listed.is_file() and not shown(root / "images" / part, f"{listed.stem}.*"):
+            raise LabelError(
+                f"{listed}: expected label files of images, got the names of the classes, as labelImg puts them there: "
+                "move it beside images/ and labels/"
+            )
     found = images_with(root, "labels", ".txt", hint, sides)
     return [YoloImage(*one) for one in found], names, source
 

@@ -202,6 +202,20 @@ def test_a_data_yaml_above_a_side_that_cannot_be_read_is_refused(name, tmp_path)
         open_labelled(folder)
 
 
+@pytest.mark.parametrize("side", ["", "train"])
+def test_class_names_beside_label_files_are_to_be_moved(side, tmp_path):
+    """Where labelImg writes them."""
+    folder = yolo_folder(tmp_path / "reef", {}) if side else yolo_folder(tmp_path / "reef", {"a": "1" + TRIANGLE})
+    if side:
+        sides_folder(folder, side)
+        (folder / "data.yaml").unlink()
+    (folder / "labels" / side / "classes.txt").write_text("barnacle\noyster\n")
+    with pytest.raises(LabelError, match=r"classes\.txt: expected label files .* move it beside images/ and labels/"):
+        open_labelled(folder)
+    (folder / "labels" / side / "classes.txt").rename(folder / "classes.txt")
+    assert open_labelled(folder)[0].oysters.any()
+
+
 def sides_folder(root, *sides, prefix=""):
     """A YOLO data set with images/SIDE/ and labels/SIDE/, each with one oyster of class 1 in the image a."""
     for k, side in enumerate(sides):
