@@ -33,20 +33,8 @@ NOTHING = frozenset(("null", "na", "n", "a", "default", "undefined", "root", *KI
 nothing."""
 ELSE = frozenset(
     (
-        *(
-            "fish",
-            "finfish",
-            "goby",
-            "blenny",
-            "toadfish",
-            "sculpin",
-            "eel",
-            "shark",
-            "ray",
-            "skate",
-            "turtle",
-            "mammal",
-        ),
+        *("fish", "finfish", "goby", "blenny", "toadfish", "sculpin", "eel", "shark", "ray", "skate"),
+        *("turtle", "mammal", "seal", "dolphin", "otter"),
         *("bird", "crab", "shrimp", "prawn", "lobster", "crayfish", "crustacean", "amphipod", "isopod", "barnacle"),
         *("mussel", "clam", "cockle", "scallop", "snail", "gastropod", "whelk", "limpet", "conch", "chiton", "slug"),
         *("squid", "octopus", "cephalopod", "starfish", "urchin", "cucumber", "echinoderm", "anemone", "jellyfish"),
