@@ -34,13 +34,14 @@ nothing."""
 ELSE = frozenset(
     (
         *("fish", "finfish", "goby", "blenny", "toadfish", "sculpin", "eel", "shark", "ray", "skate"),
-        *("turtle", "mammal", "seal", "dolphin", "otter"),
+        *("salmon", "turtle", "mammal", "seal", "dolphin", "otter", "diver", "human", "person", "star"),
         *("bird", "crab", "shrimp", "prawn", "lobster", "crayfish", "crustacean", "amphipod", "isopod", "barnacle"),
         *("mussel", "clam", "cockle", "scallop", "snail", "gastropod", "whelk", "limpet", "conch", "chiton", "slug"),
         *("squid", "octopus", "cephalopod", "starfish", "urchin", "cucumber", "echinoderm", "anemone", "jellyfish"),
         *("coral", "hydroid", "bryozoan", "tunicate", "ascidian", "sponge", "worm", "polychaete", "alga", "algae"),
-        *("macroalga", "macroalgae", "seaweed", "kelp", "seagrass", "eelgrass", "plant"),
+        *("macroalga", "macroalgae", "macrophyte", "seaweed", "kelp", "seagrass", "eelgrass", "plant", "vegetation"),
         *("rock", "stone", "sand", "mud", "sediment", "debris", "litter", "trash", "vehicle"),
+        *("substrate", "background", "void", "other", "equipment"),
     )
 )
 """Words of supercategories that are of no oysters, for certain: animals, plants and things on and around oyster reefs,

@@ -22,12 +22,14 @@ OTHERS = re.compile(
     r"panoptic|pixelmaps|stuffthingmaps|(?<![^-_./])(?:depth|disparity)s?(?![-_]?\d+m)(?=[-_./])", re.IGNORECASE
 )
 """In paths of maps that have the names of images and are no masks of oysters: those of COCO, and depths, but not sites
-named by theirs, such as depth_03m, nor where a word of `MASKS` says what they are."""
+named by theirs, such as depth_03m, nor where a word of `MASKS` follows."""
 MASKS = re.compile(
-    r"segmentation|(?:masks?|labels?|(?<![a-z])(?:gt|seg|ground[-_ ]?truth|annotation))(?![a-z])", re.IGNORECASE
+    r"(?:segmentation|label|mask|(?<![a-z])(?:gt|seg|ground[-_ ]?truth))s?(?:[-_]?(?:png|class|object|mask)s?)?(?=/)"
+    r"|(?<![a-z])masks?(?![a-z])|label[-_]?\d|(?<![^/])label(?=\.png$)|task-\d+-annotation",
+    re.IGNORECASE,
 )
-"""In paths of label images whose names need not be those of images: words that end so, such as trainmasks/,
-JsonToDataset/label.png or SegmentationClass/, and what Label Studio calls them, task-1-annotation-1."""
+"""In paths of label images whose names need not be those of images: folders such as trainmasks/ or SegmentationClass/,
+the word mask, and what programs call them: label0001, JsonToDataset/label.png, task-1-annotation-1 of Label Studio."""
 PALETTE = b"\x03"
 """Colour type of a PNG with a palette, at byte 25: numbers, with a colour for each."""
 SHARE = 4
@@ -47,7 +49,7 @@ def check_no_masks(place: Path, path: Path, names: Iterable[str], pictures: Iter
     files = png_files(place)
     own = _some([file for file in files if file.resolve() in known])
     others = [file for file in files if file.resolve() not in known]
-    called = {file for file in others if MASKS.search(_below(place, file))}
+    called = {file for file in others if _last(MASKS, _below(place, file)) > _last(OTHERS, _below(place, file))}
     rest = [file for file in others if file in called or not OTHERS.search(_below(place, file))]
     named = [file for file in rest if file in called or _is_named_after(file, stems)]
     found = next((file for file in _some(named if known else rest) if is_label_image(file)), None)
@@ -61,6 +63,11 @@ def check_no_masks(place: Path, path: Path, names: Iterable[str], pictures: Iter
             f"{place}: expected masks or COCO annotations, got both, such as {found} and {path}: give the COCO file "
             "itself if it is meant, else move it elsewhere"
         )
+
+
+def _last(words: re.Pattern[str], path: str) -> int:
+    """Where the last of these words begins in a path; -1 where there is none."""
+    return max((found.start() for found in words.finditer(path)), default=-1)
 
 
 def is_label_image(path: Path, blank: bool = True) -> bool:

@@ -70,7 +70,8 @@ def got_at(path: Path) -> str:
     if len(files := coco_files(path)) > 1:
         smallest = min(files, key=lambda file: file.stat().st_size)
         if other := _program_of(smallest):
-            return f"{len(files)} JSON files, as {smallest.name} of {other}: export or convert them to one COCO file"
+            converted = "export or convert them to one COCO file, or give that"
+            return f"{len(files)} JSON files, as {smallest.name} of {other}: {converted}"
         return f"{len(files)} JSON files: give the COCO file that is meant, such as {files[0]}"
     below = [one for one in shown(path, "*") if one.is_dir() and len(kinds_at(one)) == 1]
     return f"{NONE} itself, but a folder of such: give one below, as {below[0]}" if below else NONE

@@ -10,7 +10,7 @@ from typing import Any
 
 from oysterbench.annotations.image import Entry
 
-TIME = re.compile(r"(?<![^-_/ ])(?:\d+[-_Th ])*\d(?:\d[-_]|\d? )[0-5]\d$")
+TIME = re.compile(r"(?<![^-_/ ])(?:\d+[-_Th ])*\d\d[-_ ][0-5]\d$")
 """End of a name that is a time in parts, with or without a date: 2026-05-01_12-30-05, 2026-05-01 12-30-05, 12 30 05, or
 03-59 of a video."""
 ROBOFLOW = re.compile(r"_(?:jpe?g|png|bmp|webp|tiff?)\.rf\.\w+$", re.IGNORECASE)
@@ -27,18 +27,19 @@ also where a camera stopped earlier, or took few images, unless they looked at o
 SIDE_LAST = re.compile(rf"(\d+)[-_/]{_SIDE}$", re.IGNORECASE)
 NUMBER = re.compile(r"\d+$")
 """Number at the end of a name: 000123, frame0001, left.7."""
-LONGER = re.compile(r"(?<!\d)(?<!cam)(?<!camera)(?<!mp)\d+(?:[hms]|min[-_ ]?|[^\w\s/-]\s*)$", re.IGNORECASE)
-"""Ends of names before a number that is the last part of a longer one, or of a longer time: digits, but those of a
-camera or of mp4, and a unit of time or any mark but dashes, underscores, spaces and slashes, as in 12h30m05, 12:30:05,
-00min_05, 3.96 or 1305031102.16."""
+LONGER = re.compile(r"(?<!\d)(?<![a-z]{2})(?<!cam[-_ ])(?<!camera[-_ ])\d+[^\w\s/()\[\]-]\s*$", re.IGNORECASE)
+"""Ends of names before a number that is the last part of a longer one: digits and any mark but dashes, underscores,
+spaces, slashes and brackets, as in 12:30:05, 3.96 or 1305031102.16; but not those of a word, as in cam_0.0001,
+dive1.0001 or dive.mp4.12."""
+TIMED = re.compile(r"(?<!\d)(?<![a-zA-Z]{2})(?:\d+(?:[hms]|min[-_ ]?)|\d\d[HMS])\d\d?$")
+"""End of a name that is a longer time with units, as 12h30m05 or 00min_05."""
 CUT_OUT = re.compile(r"(?:crop|tile|patch|part|slice|aug)[-_]?$", re.IGNORECASE)
 """Ends of names before a number that counts pieces or copies of an image, and says no time."""
 APART = 0.1
 """Cameras of one rig begin and end together, up to this share of their time; videos whose numbers restart do not."""
-CAMERAS, FEW, MANY = 4, 20, 30
-"""Up to 4 prefixes with fewer than 20 images each where no clip is known, or more with fewer than 30, are taken for no
-cameras: they are quadrats or sites, of each of which some ten photographs are usual, and their numbers are no times. Of
-a video, 20 frames are 20 s at one per second."""
+CAMERAS, FEW = 4, 30
+"""Of more than this many prefixes with fewer than this many images each, none is taken for a camera: they are quadrats
+or sites, and their numbers are no times."""
 
 Instant = tuple[int, ...]
 """Instants of one rig are in order of time, and begin with its number."""
@@ -88,13 +89,11 @@ def taken_of(entries: Sequence[Entry]) -> list[tuple[str, Instant]]:
     SEQUENCE/CAMERA/STAMP, or with dashes or underscores in folders. Cameras that names tell apart by such words as left
     and right (`SIDE`) are one where their times overlap; others of one rig (`_rigs`) that looked at the same time
     have the same instant; those of others, such as videos whose numbers restart, have other ones. Where names do not
-    say so, or cameras took too few images, the camera is empty, and the instant is the place in the run, of the first
-    image of its camera and number."""
+    say so, or cameras are too many, the camera is empty, and the instant is the place in the run, of the first image of
+    its camera and number."""
     said = _said(_bare([entry.name for entry in entries]))
     count = len({camera for camera, _ in said})
-    one = len({entry.clip for entry in entries}) == 1
-    least = MANY if count > CAMERAS else 0 if one else FEW
-    rigs = _rigs(said) if len(said) >= least * count else {}
+    rigs = _rigs(said) if count <= CAMERAS or len(said) >= FEW * count else {}
     first: dict[tuple[str, Instant], int] = {}
     taken: list[tuple[str, Instant]] = []
     for place, (camera, numbers) in enumerate(said):
@@ -136,8 +135,9 @@ def _times(names: Sequence[str]) -> list[tuple[str, Instant]]:
     found: list[tuple[str, Instant]] = []
     for name in names:
         end = (TIME if in_parts else NUMBER).search(name)
-        if end and not in_parts and any(other.search(name[: end.start()]) for other in (LONGER, CUT_OUT)):
+        if end and not in_parts and (TIMED.search(name) or LONGER.search(name[: end.start()])):
             end = None
+        end = None if end and CUT_OUT.search(name[: end.start()]) else end
         time = tuple(map(int, re.findall(r"\d+", end.group()))) if end else ()
         before = re.sub("[_/]", "-", name[: end.start()] if end else name)
         found.append((before, (len(time), *time) if in_parts else time))

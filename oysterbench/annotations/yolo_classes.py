@@ -47,8 +47,8 @@ def classes_of(folder: Path) -> tuple[dict[int, str], tuple[Path, ...]]:
             if whole.name.casefold() in SIDES:
                 raise LabelError(_elsewhere(path))
             raise LabelError(
-                f"{path}: expected the names of the classes of {whole.name}/ in {FILES[0]} there, got names here that "
-                "may be of it or not: copy them there, or write others there, such as `names: [oyster]`"
+                f"{path}: expected the names of the classes of {whole.name}/ in {_usual(path)} there, got names here "
+                "that may be of it or not: copy them there, or write others there, such as `oyster` in classes.txt"
             )
     return USUAL, ()
 
@@ -60,8 +60,12 @@ def _that_may_name(folder: Path) -> list[Path]:
 
 def _elsewhere(path: Path) -> str:
     """What to say where a file of another name names the classes."""
-    usual = FILES[-1] if path.suffix in LISTS else FILES[0]
-    return f"{path}: expected the names of the classes in {usual}, got them here: rename it"
+    return f"{path}: expected the names of the classes in {_usual(path)}, got them here: rename it"
+
+
+def _usual(path: Path) -> str:
+    """Name of the file that should name the classes as this one does."""
+    return FILES[-1] if path.suffix in LISTS else FILES[0]
 
 
 def _is_of(path: Path, folder: Path) -> bool:

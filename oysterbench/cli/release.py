@@ -45,8 +45,8 @@ def release(
 
     What is read of a sequence is kept: its file may then be deleted. The manifest is written once all sequences have
     been read. With --so-far, those read until now make a partial one, with which renders of them are compared, and
-    which the next call with this option continues, on any machine. A release never changes: another manifest under its
-    name is refused.
+    which the next call continues, on any machine. A release never changes: another manifest under its name, or without
+    what the partial one has, is refused.
     """
     from importlib import resources
 
@@ -90,11 +90,12 @@ def release(
             keep_read(kept, name, path, rig_topics(split.rig_of(split.find_sequence(name))))
             done += path.stat().st_size
             progress(done, total)
+    take_over(kept, folder, split.name, split.version, made_by)  # what others have added meanwhile
     missing = not_read(kept, known)
     read = [name for name in known if name not in missing]
     if missing:
         message(f"{split.name} {split.version}: {len(missing)} of {len(known)} to be read: {', '.join(missing)}")
-    if not read or (missing and not so_far):
+    if not read or (missing and not (so_far and not (folder / f"{split.name}-{split.version}.json").is_file())):
         return
     facts = {"split": split.name, "version": split.version, "track": split.track, "summary": split.summary}
     manifest = put_together(kept, {**facts, "rig": split.rig.name}, read, made_by, split.texts)

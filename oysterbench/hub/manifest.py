@@ -172,4 +172,5 @@ def _shipped(split: str, version: str, folder: str) -> Manifest | None:
     if not (NAME.fullmatch(split) and VERSION_NAME.fullmatch(version)):
         return None
     entry = resources.files("oysterbench_datasets") / folder / f"{split}-{version}.json"
-    return read_manifest(entry.read_bytes(), f"{split}-{version}.json of oysterbench") if entry.is_file() else None
+    what = f"{folder}/{split}-{version}.json of oysterbench"
+    return read_manifest(entry.read_bytes(), what) if entry.is_file() else None

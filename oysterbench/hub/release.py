@@ -111,15 +111,25 @@ def write_partial(manifest: Manifest, folder: Path) -> Path:
     """Write the manifest of the sequences read so far, in the folder `partial` of the released ones, instead of the one
     of fewer. Raises HubError where that has another description of one of them: what was shipped never changes."""
     path = folder / PARTIAL / f"{manifest.split}-{manifest.version}.json"
-    shipped = read_manifest(path.read_bytes(), str(path)).files if path.is_file() else ()
-    for entry in shipped:
-        if manifest.find(entry.name) != entry:
-            raise HubError(
-                f"{path}: {entry.sequence} is in it with another description than was read now; it was left unchanged: "
-                "raise the version in the split's recipe, or delete the file if it has not been distributed"
-            )
+    _check_kept(manifest, path)
     write_atomically(path, manifest.data)
     return path
+
+
+def _check_kept(manifest: Manifest, path: Path) -> None:
+    """Raise HubError unless a manifest has all that the partial one at a path has."""
+    if not path.is_file():
+        return
+    shipped = read_manifest(path.read_bytes(), str(path))
+    way_out = (
+        "it was left unchanged and nothing was written: raise the version in the split's recipe, or delete that file "
+        "if it has not been distributed"
+    )
+    if shipped.recipe_digest != manifest.recipe_digest:
+        raise HubError(f"{path}: it is of another recipe or generation than was read now; {way_out}")
+    for entry in shipped.files:
+        if manifest.find(entry.name) != entry:
+            raise HubError(f"{path}: {entry.sequence} has another description in it than was read now; {way_out}")
 
 
 def write_release(manifest: Manifest, folder: Path) -> Path:
@@ -131,6 +141,7 @@ def write_release(manifest: Manifest, folder: Path) -> Path:
             f"{path}: {manifest.split} {manifest.version} has another manifest, and a release never changes; it was "
             "left unchanged: raise the version in the split's recipe, or delete the file if it has not been distributed"
         )
+    _check_kept(manifest, folder / PARTIAL / path.name)
     write_atomically(path, manifest.data)
     (folder / PARTIAL / path.name).unlink(missing_ok=True)
     return path

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from itertools import islice
+from itertools import islice, zip_longest
 from pathlib import Path
 from statistics import median
 
@@ -21,6 +21,9 @@ WORDS = {
     FORCE: {"a", "f", "acc", "accel", "acceleration", "accelerometer", "linear", "force"},
 }
 """Words in the names of columns, by what they hold."""
+
+SAID = 4
+"""Least number of the seven columns that the line of their names says something of; a remark says less."""
 
 UNITS = {RATE: {"", "rad/s", "rads-1", "1/s", "s-1"}, FORCE: {"", "m/s2", "ms-2", "m/s/s"}}
 """Units of each, as `_unit` writes them."""
@@ -59,27 +62,44 @@ SHORT = {"squared": "2", "per": "/", r"met(er|re)(s(?!-2))?": "m", r"radian(s(?!
 
 
 def names_above(lines: Iterable[str]) -> list[str]:
-    """Names of the columns in the lines of a table, from the last one above its rows that gives a time and six others,
-    or the three axes twice; empty where none does. Units in a line of their own below are added to the names.
+    """Names of the columns in the lines of a table: the line above its rows that says most of what they hold, the
+    last one of several; empty where none says it of most of them. Units in a line of their own are added to the names.
 
     >>> names_above(["# of 2024, gyro, accel, IMU, site A, B, C", "#t,wx,wy,wz,ax,ay,az", "#[ns],,,,[g],[g],[g]"])[3:5]
     ['wz', 'ax [g]']
     """
-    names: list[str] = []
+    found: list[list[str]] = []
     for number, line in enumerate(lines):
         text = line.strip()
         if text and not text.startswith("#") and not (number == 0 and text[0].isalpha()):
             break
         # At none in brackets, as in [ns, UTC], where another mark than between the names may be.
         split = (re.split(mark + r"(?![^\[(]*[\])])", text.lstrip("# ")) for mark in SEPARATORS)
-        fields = [field.strip() for field in max(split, key=len)]
-        if len(fields) < 7:
-            continue
-        if names and not any(re.sub(BRACKET, "", field).strip() for field in fields):
-            names = [f"{name} {unit}".strip() for name, unit in zip(names, fields, strict=False)]
-        elif _is_time(fields[0]) or [_parts(name)[0][-1:] for name in fields[1:7]] == [["x"], ["y"], ["z"]] * 2:
-            names = fields
-    return names
+        found.append([field.strip() for field in max(split, key=len)])
+    found = [fields for fields in found if len(fields) > 6]
+    units = next((fields for fields in found if all(_is_unit(field) for field in fields[:7])), [""] * 7)
+    names = max((fields for fields in reversed(found) if fields is not units), key=_said, default=[])
+    if _said(names) < SAID:
+        return []
+    return [
+        f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in zip_longest(names, units, fillvalue="")
+    ]
+
+
+def _said(names: list[str]) -> int:
+    """How many of the seven columns a line says something of: a time, a rate or a force, an axis or a unit."""
+    parts = [_parts(name) for name in names[1:7]]
+    known = [
+        unit or words[-1:] in (["x"], ["y"], ["z"]) or (WORDS[RATE] | WORDS[FORCE]) & {*words} for words, unit in parts
+    ]
+    return sum(map(bool, (*known, names and _is_time(names[0]))))
+
+
+def _is_unit(text: str) -> bool:
+    """Whether a field is a unit alone, with or without brackets, or empty."""
+    unit = text.strip("[]() ")
+    known = {*UNIT_WORDS, *UNITS[RATE], *UNITS[FORCE]}
+    return unit.lower() in known or _unit(unit) in known or bool(OTHER_UNITS.fullmatch(_unit(unit)))
 
 
 def check_inertial_table(path: Path, names: list[str], stamps_ns: Iterable[int]) -> None:

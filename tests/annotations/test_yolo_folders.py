@@ -96,7 +96,9 @@ def test_class_names_beside_a_folder_that_is_no_part_of_an_export_are_of_other_s
 def test_class_names_beside_a_folder_that_may_be_of_it_or_not_are_refused(file, text, tmp_path):
     folder = yolo_folder(tmp_path / "reef", {"a": "0" + TRIANGLE})
     (tmp_path / file).write_text(text.replace("HERE", tmp_path.name))
-    with pytest.raises(LabelError, match=rf"{file}: expected the names of the classes of reef/ in data\.yaml there"):
+    with pytest.raises(
+        LabelError, match=rf"{file}: expected the names of the classes of reef/ in (data.yaml|classes.txt) there"
+    ):
         open_labelled(folder)
     (folder / "data.yaml").write_text("names: [oyster]\n")
     assert open_labelled(folder)[0].oysters.any()

@@ -103,11 +103,14 @@ def test_what_a_partial_manifest_says_of_a_sequence_never_changes(files, tmp_pat
     path = write_partial(put_together(tmp_path, FACTS, NAMES[:1], DIGEST, TEXTS), tmp_path)
     before = path.read_bytes()
     keep_read(tmp_path, "dive-01", files["dive-02"], TOPICS)
-    with pytest.raises(HubError, match="dive-01 is in it with another description than was read now"):
-        write_partial(put_together(tmp_path, FACTS, NAMES, DIGEST, TEXTS), tmp_path)
-    with pytest.raises(HubError, match="dive-01 is in it with another description"):
-        write_partial(put_together(tmp_path, FACTS, NAMES[1:], DIGEST, TEXTS), tmp_path)
+    whole, other = (put_together(tmp_path, FACTS, names, DIGEST, TEXTS) for names in (NAMES, NAMES[1:]))
+    for write, manifest in ((write_partial, whole), (write_partial, other), (write_release, whole)):
+        with pytest.raises(HubError, match="dive-01 has another description in it than was read now"):
+            write(manifest, tmp_path)
+    with pytest.raises(HubError, match="it is of another recipe or generation"):
+        write_partial(put_together(tmp_path, FACTS, NAMES, "0" * 64, TEXTS), tmp_path)
     assert path.read_bytes() == before
+    assert not (tmp_path / path.name).exists()
 
 
 @pytest.mark.parametrize("text", ["split.toml", "rig.toml"])

@@ -233,3 +233,38 @@ def test_a_frame_in_brackets_is_no_unit(folder, frame):
     names = ",".join(f"w_{axis}{frame}" for axis in "xyz") + "," + ",".join(f"a_{axis}" for axis in "xyz")
     samples.write_text(f"#timestamp [ns],{names}\n{text}")
     assert len(list(oysterbench.open(folder.path).imu())) == len(SAMPLES)
+
+
+@pytest.mark.parametrize(
+    "above",
+    [
+        "#timestamp,ax,ay,az,wx,wy,wz\n#ns,m/s^2,m/s^2,m/s^2,rad/s,rad/s,rad/s",
+        "#timestamp,acc,acc,acc,gyro,gyro,gyro\n#,x,y,z,x,y,z",
+        "SystemTime,AccX_mg,AccY_mg,AccZ_mg,GyroX_dps,GyroY_dps,GyroZ_dps",
+        "#TimestampNs,gyro_x_dps,gyro_y_dps,gyro_z_dps,acc_x,acc_y,acc_z",
+        "#Epoch,acc_z,acc_y,acc_x,gyro_z,gyro_y,gyro_x",
+        "#utc,acc1,acc2,acc3,gyr1,gyr2,gyr3",
+        "#[ns],[deg/s],[deg/s],[deg/s],[g],[g],[g]\n#timestamp,wx,wy,wz,ax,ay,az",
+        "#ns,deg/s,deg/s,deg/s,g,g,g\n#timestamp,wx,wy,wz,ax,ay,az",
+    ],
+)
+def test_names_and_units_of_another_order_or_unit_are_refused_wherever_they_stand(folder, above):
+    samples = folder.root / "imu0" / "data.csv"
+    samples.write_text(f"{above}\n{samples.read_text().partition(chr(10))[2]}")
+    with pytest.raises(SequenceError, match="expected in column 2 the x of the angular rate"):
+        oysterbench.open(folder.path)
+
+
+@pytest.mark.parametrize(
+    "below",
+    [
+        "#(int64),(float64),(float64),(float64),(float64),(float64),(float64)",
+        "#(1),(2),(3),(4),(5),(6),(7)",
+        "#0,1,2,3,4,5,6",
+        "# time offset to cam0: 0.003 s, gyro, accel, FLU, site A, B, C",
+    ],
+)
+def test_types_numbers_and_remarks_below_the_names_say_no_units(folder, below):
+    samples = folder.root / "imu0" / "data.csv"
+    samples.write_text(f"{NAMES}\n{below}\n{samples.read_text().partition(chr(10))[2]}")
+    assert len(list(oysterbench.open(folder.path).imu())) == len(SAMPLES)
