@@ -10,9 +10,9 @@ from typing import Any
 
 from oysterbench.annotations.image import Entry
 
-TIME = re.compile(r"(?<![^-_/ ])(?:\d+[-_Th ])*\d\d[-_ ][0-5]\d$")
-"""End of a name that is a time in parts, with or without a date: 2026-05-01_12-30-05, 2026-05-01 12-30-05, 12 30 05, or
-03-59 of a video."""
+TIME = re.compile(r"(?<![^-_/])(?:\d+[-_T ])*\d\d[-_][0-5]\d$")
+"""End of a name that is a time in parts, with or without a date: 2026-05-01_12-30-05, 2026-05-01 12-30-05, or 03-59 of
+a video."""
 ROBOFLOW = re.compile(r"_(?:jpe?g|png|bmp|webp|tiff?)\.rf\.\w+$", re.IGNORECASE)
 """What Roboflow adds to names; copies of an image by augmentation differ in it."""
 LABEL_STUDIO = re.compile(r"(?<![^/])(?P<drawn>[0-9a-f]{8})-(?=[^/]+$)")
@@ -27,12 +27,13 @@ also where a camera stopped earlier, or took few images, unless they looked at o
 SIDE_LAST = re.compile(rf"(\d+)[-_/]{_SIDE}$", re.IGNORECASE)
 NUMBER = re.compile(r"\d+$")
 """Number at the end of a name: 000123, frame0001, left.7."""
-LONGER = re.compile(r"(?<!\d)(?<![a-z]{2})(?<!cam[-_ ])(?<!camera[-_ ])\d+[^\w\s/()\[\]-]\s*$", re.IGNORECASE)
-"""Ends of names before a number that is the last part of a longer one: digits and any mark but dashes, underscores,
-spaces, slashes and brackets, as in 12:30:05, 3.96 or 1305031102.16; but not those of a word, as in cam_0.0001,
-dive1.0001 or dive.mp4.12."""
-TIMED = re.compile(r"(?<!\d)(?<![a-zA-Z]{2})(?:\d+(?:[hms]|min[-_ ]?)|\d\d[HMS])\d\d?$")
-"""End of a name that is a longer time with units, as 12h30m05 or 00min_05."""
+_DIGIT, _MARK = r"(?<!\d)(?<![a-z]{2})(?<!cam[-_ ])(?<!camera[-_ ])\d", r"[^\w\s/()\[\]-]\s*"
+LONGER = re.compile(
+    rf"{_DIGIT}(?:{_MARK}(?!\d{{4,5}}$)|\d+{_MARK})\d+$|(?:\d\d[hms]|\d+min[-_ ]?)\d\d?$", re.IGNORECASE
+)
+"""End of a name whose last number is part of a longer one: behind digits and any mark but dashes, underscores, spaces,
+slashes and brackets, as in 12:30:05, 3.96 or 1305031102.16, or behind a unit, as in 12h30m05 or 00min_05; but not a
+counter of four digits behind one, as in dive_1.0001, nor behind the number of a word, as in cam_0.12 or dive.mp4.12."""
 CUT_OUT = re.compile(r"(?:crop|tile|patch|part|slice|aug)[-_]?$", re.IGNORECASE)
 """Ends of names before a number that counts pieces or copies of an image, and says no time."""
 APART = 0.1
@@ -135,9 +136,8 @@ def _times(names: Sequence[str]) -> list[tuple[str, Instant]]:
     found: list[tuple[str, Instant]] = []
     for name in names:
         end = (TIME if in_parts else NUMBER).search(name)
-        if end and not in_parts and (TIMED.search(name) or LONGER.search(name[: end.start()])):
+        if end and (CUT_OUT.search(name[: end.start()]) or (not in_parts and LONGER.search(name))):
             end = None
-        end = None if end and CUT_OUT.search(name[: end.start()]) else end
         time = tuple(map(int, re.findall(r"\d+", end.group()))) if end else ()
         before = re.sub("[_/]", "-", name[: end.start()] if end else name)
         found.append((before, (len(time), *time) if in_parts else time))

@@ -76,7 +76,7 @@ def yolo_images(folder: Path) -> tuple[list[YoloImage], dict[int, str], tuple[Pa
     names, source = classes_of(root)
     hint = "; one without oysters has an empty file"
     sides = {part: side_of(root, part) for part in parts_of(root / "images")}
-    for part in ("", *sides):
+    for part in sides if source else ("", *sides):
         listed = root / "labels" / part / FILES[-1]
         if listed.is_file() and not shown(root / "images" / part, f"{listed.stem}.*"):
             raise LabelError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from itertools import islice, zip_longest
+from itertools import accumulate, islice, zip_longest
 from pathlib import Path
 from statistics import median
 
@@ -22,7 +22,8 @@ WORDS = {
 }
 """Words in the names of columns, by what they hold."""
 
-SAID = 4
+HELD = WORDS[RATE] | WORDS[FORCE]
+LEAST_SAID = 4
 """Least number of the seven columns that the line of their names says something of; a remark says less."""
 
 UNITS = {RATE: {"", "rad/s", "rads-1", "1/s", "s-1"}, FORCE: {"", "m/s2", "ms-2", "m/s/s"}}
@@ -62,11 +63,14 @@ SHORT = {"squared": "2", "per": "/", r"met(er|re)(s(?!-2))?": "m", r"radian(s(?!
 
 
 def names_above(lines: Iterable[str]) -> list[str]:
-    """Names of the columns in the lines of a table: the line above its rows that says most of what they hold, the
-    last one of several; empty where none says it of most of them. Units in a line of their own are added to the names.
+    """Names of the columns in the lines of a table: the line above its rows that says most of what they hold, with that
+    of the groups of axes, if there is one; empty where none says it of most columns. Units in a line of their own are
+    added to the names.
 
     >>> names_above(["# of 2024, gyro, accel, IMU, site A, B, C", "#t,wx,wy,wz,ax,ay,az", "#[ns],,,,[g],[g],[g]"])[3:5]
     ['wz', 'ax [g]']
+    >>> names_above(["#,gyro,,,acc,,", "#timestamp,x,y,z,x,y,z"])[3:5]
+    ['gyro z', 'acc x']
     """
     found: list[list[str]] = []
     for number, line in enumerate(lines):
@@ -77,10 +81,14 @@ def names_above(lines: Iterable[str]) -> list[str]:
         split = (re.split(mark + r"(?![^\[(]*[\])])", text.lstrip("# ")) for mark in SEPARATORS)
         found.append([field.strip() for field in max(split, key=len)])
     found = [fields for fields in found if len(fields) > 6]
-    units = next((fields for fields in found if all(_is_unit(field) for field in fields[:7])), [""] * 7)
-    names = max((fields for fields in reversed(found) if fields is not units), key=_said, default=[])
-    if _said(names) < SAID:
-        return []
+    units = next((fields for fields in found if all(map(_is_unit, fields[:7]))), [])
+    rest = [list(accumulate(fields, lambda last, field: field or last)) for fields in found if fields is not units]
+    names = max(rest, key=_said, default=[])
+    groups = max(rest, key=_held, default=[])
+    if _held(groups) >= LEAST_SAID and not _held(names):
+        names = [*names[:1], *map(" ".join, zip(groups[1:], names[1:], strict=False))]
+    if _said(names) < LEAST_SAID:
+        names = [""] * len(units)
     return [
         f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in zip_longest(names, units, fillvalue="")
     ]
@@ -89,10 +97,13 @@ def names_above(lines: Iterable[str]) -> list[str]:
 def _said(names: list[str]) -> int:
     """How many of the seven columns a line says something of: a time, a rate or a force, an axis or a unit."""
     parts = [_parts(name) for name in names[1:7]]
-    known = [
-        unit or words[-1:] in (["x"], ["y"], ["z"]) or (WORDS[RATE] | WORDS[FORCE]) & {*words} for words, unit in parts
-    ]
+    known = [unit or words[-1:] in (["x"], ["y"], ["z"]) or HELD & {*words} for words, unit in parts]
     return sum(map(bool, (*known, names and _is_time(names[0]))))
+
+
+def _held(names: list[str]) -> int:
+    """How many of the six columns a line calls a rate or a force."""
+    return sum(bool(HELD & {*_parts(name)[0]}) for name in names[1:7])
 
 
 def _is_unit(text: str) -> bool:

@@ -211,7 +211,8 @@ def test_a_remark_with_commas_names_no_columns(folder, above):
     text = samples.read_text().partition("\n")[2]
     samples.write_text(f"{above}\n{text}")
     assert len(list(oysterbench.open(folder.path).imu())) == len(SAMPLES)
-    samples.write_text(f"{above}\n#timestamp [ns],ax,ay,az,wx,wy,wz\n{text}")
+    other = "#timestamp [ns],ax,ay,az,wx,wy,wz"
+    samples.write_text(f"{above.replace(NAMES, other)}\n{other}\n{text}")
     with pytest.raises(SequenceError, match="expected in column 2 the x of the angular rate"):
         oysterbench.open(folder.path)
 
@@ -246,6 +247,10 @@ def test_a_frame_in_brackets_is_no_unit(folder, frame):
         "#utc,acc1,acc2,acc3,gyr1,gyr2,gyr3",
         "#[ns],[deg/s],[deg/s],[deg/s],[g],[g],[g]\n#timestamp,wx,wy,wz,ax,ay,az",
         "#ns,deg/s,deg/s,deg/s,g,g,g\n#timestamp,wx,wy,wz,ax,ay,az",
+        "#timestamp [ns],acc,,,gyro,,\n#,x,y,z,x,y,z",
+        "#,acc,,,gyro,,\n#timestamp [ns],x,y,z,x,y,z",
+        "#[ns],[deg/s],[deg/s],[deg/s],[g],[g],[g]",
+        "#[ns],[m/s^2],[m/s^2],[m/s^2],[rad/s],[rad/s],[rad/s]",
     ],
 )
 def test_names_and_units_of_another_order_or_unit_are_refused_wherever_they_stand(folder, above):
@@ -262,6 +267,7 @@ def test_names_and_units_of_another_order_or_unit_are_refused_wherever_they_stan
         "#(1),(2),(3),(4),(5),(6),(7)",
         "#0,1,2,3,4,5,6",
         "# time offset to cam0: 0.003 s, gyro, accel, FLU, site A, B, C",
+        "# converted from t,acc_x,acc_y,acc_z,gyro_x,gyro_y,gyro_z",
     ],
 )
 def test_types_numbers_and_remarks_below_the_names_say_no_units(folder, below):
