@@ -95,7 +95,8 @@ def release(
     read = [name for name in known if name not in missing]
     if missing:
         message(f"{split.name} {split.version}: {len(missing)} of {len(known)} to be read: {', '.join(missing)}")
-    if not read or (missing and not (so_far and not (folder / f"{split.name}-{split.version}.json").is_file())):
+    released = (folder / f"{split.name}-{split.version}.json").is_file()
+    if not read or (missing and (released or not so_far)):
         return
     facts = {"split": split.name, "version": split.version, "track": split.track, "summary": split.summary}
     manifest = put_together(kept, {**facts, "rig": split.rig.name}, read, made_by, split.texts)
