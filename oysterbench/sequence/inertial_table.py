@@ -82,7 +82,7 @@ def names_above(lines: Iterable[str]) -> list[str]:
         found.append([field.strip() for field in max(split, key=len)])
     found = [fields for fields in found if len(fields) > 6]
     units = next((fields for fields in found if all(map(_is_unit, fields[:7]))), [])
-    rest = [list(accumulate(fields, lambda last, field: field or last)) for fields in found if fields is not units]
+    rest = [list(accumulate(fields, _or_last)) for fields in found if fields is not units]
     names = max(rest, key=_said, default=[])
     groups = max(rest, key=_held, default=[])
     if _held(groups) >= LEAST_SAID and not _held(names):
@@ -92,6 +92,11 @@ def names_above(lines: Iterable[str]) -> list[str]:
     return [
         f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in zip_longest(names, units, fillvalue="")
     ]
+
+
+def _or_last(last: str, field: str) -> str:
+    """The name of a column: the one left of it where its own is empty, as in ``gyro,,,acc,,``."""
+    return field or last
 
 
 def _said(names: list[str]) -> int:
