@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from itertools import accumulate, islice, zip_longest
+from collections.abc import Iterable, Sequence
+from itertools import accumulate, islice
 from pathlib import Path
 from statistics import median
+from typing import NamedTuple
 
 from oysterbench.core.errors import SequenceError
-from oysterbench.core.trajectory.names import MICRO, TIME_WORDS, UNIT_WORDS, words_of
+from oysterbench.core.trajectory.names import MICRO, UNIT_WORDS
 from oysterbench.core.trajectory.stamps import SHIFTS
 
 SEPARATORS = (",", ";", "\t")
@@ -17,14 +18,13 @@ SEPARATORS = (",", ";", "\t")
 
 RATE, FORCE = "angular rate in rad/s", "specific force in m/s^2"
 WORDS = {
-    RATE: {"w", "g", "gyr", "gyro", "gyroscope", "omega", "angular"},
+    RATE: {"w", "g", "gyr", "gyro", "gyros", "gyroscope", "omega", "angular", "rotation"},
     FORCE: {"a", "f", "acc", "accel", "acceleration", "accelerometer", "linear", "force"},
 }
 """Words in the names of columns, by what they hold."""
 
-HELD = WORDS[RATE] | WORDS[FORCE]
-LEAST_SAID = 4
-"""Least number of the seven columns that the line of their names says something of; a remark says less."""
+LAYOUT = [(kind, axis) for kind in (RATE, FORCE) for axis in "xyz"]
+"""What the columns after the stamp hold."""
 
 UNITS = {RATE: {"", "rad/s", "rads-1", "1/s", "s-1"}, FORCE: {"", "m/s2", "ms-2", "m/s/s"}}
 """Units of each, as `_unit` writes them."""
@@ -57,100 +57,125 @@ FRAMES = {"body", "imu", "sensor", "flu", "frd", "rfu", "fwd", "ned", "enu", "nw
 """What may be in brackets after the name of an axis and says no unit: its frame."""
 BRACKET = r"[\[(]([^\[\]()]*)[\])]"
 
-PLAIN = str.maketrans({"\u207b": "-", "\u00b2": "2", "\u00b9": "1", "\u2079": "9", **dict.fromkeys(" ^*.\u00b7")})
+PLAIN = str.maketrans(
+    {"\u00b0": "deg", "\u207b": "-", "\u00b2": "2", "\u00b9": "1", "\u2079": "9", **dict.fromkeys(" ^*.\u00b7")}
+)
 SHORT = {"squared": "2", "per": "/", r"met(er|re)(s(?!-2))?": "m", r"radian(s(?!-1))?": "rad", r"sec(ond)?s?": "s"}
 """Words in the name of a unit, once its blanks are gone, and the short ones."""
 
 
-def names_above(lines: Iterable[str]) -> list[str]:
-    """Names of the columns in the lines of a table: the line above its rows that says most of what they hold, with that
-    of the groups of axes, if there is one; empty where none says it of most columns. Units in a line of their own are
-    added to the names.
+class Names(NamedTuple):
+    """A line above the rows of a table, with a field for each column: names, units, groups of axes, or a remark."""
 
-    >>> names_above(["# of 2024, gyro, accel, IMU, site A, B, C", "#t,wx,wy,wz,ax,ay,az", "#[ns],,,,[g],[g],[g]"])[3:5]
-    ['wz', 'ax [g]']
-    >>> names_above(["#,gyro,,,acc,,", "#timestamp,x,y,z,x,y,z"])[3:5]
-    ['gyro z', 'acc x']
+    line: int
+    fields: list[str]
+
+
+class Said(NamedTuple):
+    """What a field says of its column: kinds of quantity, the last axis, and units. Empty where it says nothing."""
+
+    kinds: set[str]
+    axis: str
+    units: set[str]
+
+
+def names_above(lines: Iterable[str]) -> list[Names]:
+    """Lines above the rows of a table that have a field for each column of the layout. Fields left empty in a line of
+    groups are of the group.
+
+    >>> names_above(["# site A, 2 m", "#t,gyro,,,acc,,", "#[ns, UTC],x,y,z,x,y,z", "0,0,0,0,0,0,9.8"])[0]
+    Names(line=2, fields=['t', 'gyro', 'gyro', 'gyro', 'acc', 'acc', 'acc'])
     """
-    found: list[list[str]] = []
-    for number, line in enumerate(lines):
+    found = []
+    for number, line in enumerate(lines, start=1):
         text = line.strip()
-        if text and not text.startswith("#") and not (number == 0 and text[0].isalpha()):
+        if text and not text.startswith("#") and not (number == 1 and text[0].isalpha()):
             break
         # At none in brackets, as in [ns, UTC], where another mark than between the names may be.
         split = (re.split(mark + r"(?![^\[(]*[\])])", text.lstrip("# ")) for mark in SEPARATORS)
-        found.append([field.strip() for field in max(split, key=len)])
-    found = [fields for fields in found if len(fields) > 6]
-    units = next((fields for fields in found if all(map(_is_unit, fields[:7]))), [])
-    rest = [list(accumulate(fields, _or_last)) for fields in found if fields is not units]
-    names = max(rest, key=_said, default=[])
-    groups = max(rest, key=_held, default=[])
-    if _held(groups) >= LEAST_SAID and not _held(names):
-        names = [*names[:1], *map(" ".join, zip(groups[1:], names[1:], strict=False))]
-    if _said(names) < LEAST_SAID:
-        names = [""] * len(units)
-    return [
-        f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in zip_longest(names, units, fillvalue="")
-    ]
+        stamp, *fields = (field.strip() for field in max(split, key=len))
+        if len([*filter(None, fields)]) > 1:
+            fields = [*accumulate(fields, _of_group)]
+        if len(fields) >= len(LAYOUT):
+            found.append(Names(number, [stamp, *fields]))
+    return found
 
 
-def _or_last(last: str, field: str) -> str:
-    """The name of a column: the one left of it where its own is empty, as in ``gyro,,,acc,,``."""
-    return field or last
+def _of_group(group: str, field: str) -> str:
+    return field or group
 
 
-def _said(names: list[str]) -> int:
-    """How many of the seven columns a line says something of: a time, a rate or a force, an axis or a unit."""
-    parts = [_parts(name) for name in names[1:7]]
-    known = [unit or words[-1:] in (["x"], ["y"], ["z"]) or HELD & {*words} for words, unit in parts]
-    return sum(map(bool, (*known, names and _is_time(names[0]))))
-
-
-def _held(names: list[str]) -> int:
-    """How many of the six columns a line calls a rate or a force."""
-    return sum(bool(HELD & {*_parts(name)[0]}) for name in names[1:7])
-
-
-def _is_unit(text: str) -> bool:
-    """Whether a field is a unit alone, with or without brackets, or empty."""
-    unit = text.strip("[]() ")
-    known = {*UNIT_WORDS, *UNITS[RATE], *UNITS[FORCE]}
-    return unit.lower() in known or _unit(unit) in known or bool(OTHER_UNITS.fullmatch(_unit(unit)))
-
-
-def check_inertial_table(path: Path, names: list[str], stamps_ns: Iterable[int]) -> None:
-    """Check the names of the columns, the stamp's first, as far as they say what the columns hold, and the rate of the
-    samples. Raises SequenceError for another order or unit, and for stamps that cannot be ns, whatever their name."""
-    _check_names(path, names)
+def check_inertial_table(path: Path, above: Sequence[Names], stamps_ns: Iterable[int]) -> None:
+    """Check the lines above the rows, as far as they say what the columns hold, and the rate of the samples. Raises
+    SequenceError for another order or unit, and for stamps that cannot be ns, whatever their name. A line that leaves
+    the kind or unit of a column open, as a remark may, counts only where there is none that says all."""
+    for names in [names for names in above if _is_whole(names)] or above:
+        _check_names(path, names)
     _check_rate(path, list(islice(stamps_ns, RATED)))
 
 
-def _is_time(name: str) -> bool:
-    words, unit = words_of(name)
-    return bool({*words, unit} & {*TIME_WORDS, *UNIT_WORDS})
+def _is_whole(names: Names) -> bool:
+    """Whether a line says the kind or unit of each column, but where it gives a type or a dash; not of all."""
+    fields = names.fields[1 : 1 + len(LAYOUT)]
+    said = [bool(one.kinds or one.units) for one in map(_said, fields)]
+    return any(said) and all(one or _is_plain(field) for one, field in zip(said, fields, strict=True))
 
 
-def _check_names(path: Path, names: list[str]) -> None:
-    layout = [(kind, axis) for kind in (RATE, FORCE) for axis in "xyz"]
-    if names and (unit := _unit_of_stamps(names[0])) != "ns":
+def _said(field: str) -> Said:
+    """What a name or a unit says.
+
+    >>> [_said(text).units for text in ("w_x [rad/s]", "[LSB]", "deg/s", "[-]")]
+    [{'rad/s'}, {'lsb'}, {'deg/s'}, set()]
+    """
+    if _is_plain(field):
+        return Said(set(), "", set())
+    words, unit = _parts(f"[{field}]" if _is_unit(field) else field)
+    axes = [word for word in words if word in ("x", "y", "z")]
+    # A letter is one of a quantity beside an axis or a number, or by itself, but not in `site A`.
+    numbered = axes or any(word.isdigit() for word in words) or field in words
+    kinds = {kind for kind, known in WORDS.items() if any(word in known for word in words if numbered or len(word) > 1)}
+    after = words[words.index(axes[-1]) + 1 :][:1] if axes else []
+    # Behind the last name may be those of all, (rad/s, m/s^2), and behind any its axes, [m/s^2, FLU].
+    units = {_unit(one) for one in re.split("[,;]", unit)} if unit else {*filter(OTHER_UNITS.fullmatch, after)}
+    return Said(kinds, axes[-1] if axes else "", units)
+
+
+def _is_plain(field: str) -> bool:
+    return bool(re.fullmatch(r"-?|u?int\d*|float\d*|double|\d+", field.strip("[]() ").lower()))
+
+
+def _is_unit(field: str) -> bool:
+    """Whether a field is a unit alone, without brackets."""
+    known = {*UNIT_WORDS, *UNITS[RATE], *UNITS[FORCE]}
+    return field.lower() in known or _unit(field) in known or bool(OTHER_UNITS.fullmatch(_unit(field)))
+
+
+def _check_names(path: Path, names: Names) -> None:
+    stamp, *fields = names.fields
+    said = [_said(field) for field in fields]
+    if any(any(one) for one in said[: len(LAYOUT)]) and (unit := _unit_of_stamps(stamp)) != "ns":
         raise SequenceError(
-            f"{path}: expected stamps in ns, got {unit}, by the name {names[0]!r:.60}; convert them, and name them "
-            "`timestamp [ns]`"
+            f"{path}: expected stamps in ns, got {unit}, by the name {stamp!r:.60} in line {names.line}; convert them, "
+            "and name them `timestamp [ns]`"
         )
-    for column, (name, (kind, axis)) in enumerate(zip(names[1:], layout, strict=False), start=2):
-        words, unit = _parts(name)
-        held = [one for one, known in WORDS.items() if known & set(words)]
-        axes = [word for word in words if word in ("x", "y", "z")]
-        after = words[words.index(axes[-1]) + 1 :][:1] if axes else []
-        other = held and (kind not in held or axes[-1:] not in ([], [axis]))
-        # Behind the last name may be those of all, (rad/s, m/s^2), and behind any its axes, [m/s^2, FLU].
-        units = {_unit(one) for one in re.split("[,;]", unit)}
-        unknown = [one for one in units - UNITS[RATE] - UNITS[FORCE] if not one.isalpha() or OTHER_UNITS.fullmatch(one)]
-        if other or unknown or not units & UNITS[kind] or any(map(OTHER_UNITS.fullmatch, after)):
+    others = any(one.kinds for one in said[len(LAYOUT) :])
+    for column, (field, one, (kind, axis)) in enumerate(zip(fields, said, LAYOUT, strict=False), start=2):
+        if _contradicts(one, kind, axis) or (others and not any(one)):
             raise SequenceError(
                 f"{path}: expected in column {column} the {axis} of the {kind}, as in the layout, which has the rate "
-                f"before the force, got {name!r:.60}; reorder or convert the columns, and correct their names"
+                f"before the force, got {field!r:.60} in line {names.line}; reorder or convert the columns and correct "
+                "their names or, if the line is a remark, remove it"
             )
+
+
+def _contradicts(said: Said, kind: str, axis: str) -> bool:
+    unknown = said.units - UNITS[RATE] - UNITS[FORCE]
+    return bool(
+        (said.kinds and kind not in said.kinds)
+        or (said.axis and said.axis != axis)
+        or (said.units and not said.units & UNITS[kind])
+        or any(not unit.isalpha() or OTHER_UNITS.fullmatch(unit) for unit in unknown)
+    )
 
 
 def _check_rate(path: Path, stamps_ns: list[int]) -> None:

@@ -71,7 +71,7 @@ def folder(tmp_path):
         ("#timestamp [ns],w_x,w_y,w_z,a_x [g],a_y [g],a_z [g]", "column 5 the x of the specific force in m/s.2, "),
         ("t,gyro_x_deg_s,gyro_y_deg_s,gyro_z_deg_s,acc_x,acc_y,acc_z", "column 2 .*, got 'gyro_x_deg_s'"),
         ("t,gyro_z,gyro_y,gyro_x,accX,accY,accZ", "column 2 the x of the angular rate in rad/s, .*, got 'gyro_z'"),
-        ("t,temperature,wx,wy,wz,ax,ay,az", "column 3 the y of the angular rate in rad/s, .*, got 'wx'"),
+        ("t,temperature,wx,wy,wz,ax,ay,az", "column 2 the x of the angular rate in rad/s, .*, got 'temp"),
         *(
             (f"#t {said},w_x,w_y,w_z,a_x,a_y,a_z", f"stamps in ns, got {re.escape(unit)}, by the name 't ")
             for said, unit in STAMPED
@@ -204,7 +204,11 @@ NAMES = "#timestamp [ns],wx,wy,wz,ax,ay,az"
 
 
 @pytest.mark.parametrize(
-    "above", [f"{REMARK}\n{NAMES}", f"{NAMES}\n{REMARK}", "# Copyright (c) 2024, A, B, C, D, E, F"]
+    "above",
+    [
+        *(f"{REMARK}\n{NAMES}", f"{NAMES}\n{REMARK}", "# Copyright (c) 2024, A, B, C, D, E, F"),
+        *("#Recorded by A. Smith,,,,,,\n#timestamp [ns],x,y,z,x,y,z", "#Dive A,,,,,,", "#IMU of ROV at site F,,,,,,"),
+    ],
 )
 def test_a_remark_with_commas_names_no_columns(folder, above):
     samples = folder.root / "imu0" / "data.csv"
@@ -223,7 +227,7 @@ def test_units_in_a_line_of_their_own_are_those_of_the_columns(folder):
     samples.write_text(f"{NAMES}\n#[ns],[rad/s],[rad/s],[rad/s],[m/s^2],[m/s^2],[m/s^2]\n{text}")
     assert len(list(oysterbench.open(folder.path).imu())) == len(SAMPLES)
     samples.write_text(f"#timestamp,wx,wy,wz,ax,ay,az\n#[ns],[deg/s],[deg/s],[deg/s],[g],[g],[g]\n{text}")
-    with pytest.raises(SequenceError, match=re.escape("got 'wx [deg/s]'")):
+    with pytest.raises(SequenceError, match=re.escape("got '[deg/s]' in line 2")):
         oysterbench.open(folder.path)
 
 
@@ -251,6 +255,22 @@ def test_a_frame_in_brackets_is_no_unit(folder, frame):
         "#,acc,,,gyro,,\n#timestamp [ns],x,y,z,x,y,z",
         "#[ns],[deg/s],[deg/s],[deg/s],[g],[g],[g]",
         "#[ns],[m/s^2],[m/s^2],[m/s^2],[rad/s],[rad/s],[rad/s]",
+        "#timestamp,wx,wy,wz,ax,ay,az\n#[ns],[\u00b0/s],[\u00b0/s],[\u00b0/s],[m/s\u00b2],[m/s\u00b2],[m/s\u00b2]",
+        "#timestamp,wx,wy,wz,ax,ay,az\n#ns;\u00b0/s;\u00b0/s;\u00b0/s;m/s\u00b2;m/s\u00b2;m/s\u00b2",
+        "#timestamp,wx,wy,wz,ax,ay,az\n#[ns since boot],[deg/s],[deg/s],[deg/s],[g],[g],[g]",
+        "#timestamp,wx,wy,wz,ax,ay,az\n#[int64],[LSB],[LSB],[LSB],[LSB],[LSB],[LSB]",
+        "#timestamp,wx,wy,wz,ax,ay,az\n# Units: [ns],[deg/s],[deg/s],[deg/s],[g],[g],[g]",
+        "#,,,,,,\n#timestamp,wx,wy,wz,ax,ay,az\n#[ns],[deg/s],[deg/s],[deg/s],[g],[g],[g]",
+        "#timestamp,qx,qy,qz,qw,gx,gy,gz,ax,ay,az",
+        "#timestamp,px,py,pz,qw,qx,qy,qz,gx,gy,gz,ax,ay,az",
+        "#GpsTow,Yaw,Pitch,Roll,MagX,MagY,MagZ,AccelX,AccelY,AccelZ,GyroX,GyroY,GyroZ",
+        "#time,gFx,gFy,gFz,ax,ay,az,wx,wy,wz",
+        "#timestamp,temperature,pressure,depth,heading,gx,gy,gz,ax,ay,az",
+        "#Time series of gyro and accelerometer,,,,,,\n#timestamp [ns],ax,ay,az,wx,wy,wz",
+        "#,Acceleration,,,Rotation rate,,\n#Timestamp,X,Y,Z,X,Y,Z",
+        "#,Gyroscope [deg/s],,,Accelerometer [g],,\n#Timestamp,X,Y,Z,X,Y,Z",
+        "#timestamp [ns],wx,wy,wz,ax,ay,az\n# converted from t,acc_x,acc_y,acc_z,gyro_x,gyro_y,gyro_z",
+        "#timestamp,a,a,a,w,w,w",
     ],
 )
 def test_names_and_units_of_another_order_or_unit_are_refused_wherever_they_stand(folder, above):
@@ -267,7 +287,9 @@ def test_names_and_units_of_another_order_or_unit_are_refused_wherever_they_stan
         "#(1),(2),(3),(4),(5),(6),(7)",
         "#0,1,2,3,4,5,6",
         "# time offset to cam0: 0.003 s, gyro, accel, FLU, site A, B, C",
-        "# converted from t,acc_x,acc_y,acc_z,gyro_x,gyro_y,gyro_z",
+        "# of dive 3,,,,,,",
+        "#,,,,,,",
+        "# A. Smith, with G, W and A, F, W, site B, 2024, at 2 m, 7 C",
     ],
 )
 def test_types_numbers_and_remarks_below_the_names_say_no_units(folder, below):
