@@ -41,7 +41,7 @@ ELSE = frozenset(
         *("coral", "hydroid", "bryozoan", "tunicate", "ascidian", "sponge", "worm", "polychaete", "alga", "algae"),
         *("macroalga", "macroalgae", "macrophyte", "seaweed", "kelp", "seagrass", "eelgrass", "plant", "vegetation"),
         *("rock", "stone", "sand", "mud", "sediment", "debris", "litter", "trash", "vehicle"),
-        *("substrate", "background", "void", "other", "equipment"),
+        *("background", "void", "equipment"),
     )
 )
 """Words of supercategories that are of no oysters, for certain: animals, plants and things on and around oyster reefs,

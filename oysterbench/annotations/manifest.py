@@ -110,14 +110,19 @@ def scored_sides(side_of: Mapping[str, str]) -> tuple[frozenset[str], str]:
 
 
 def images_with(
-    folder: Path, labels: str, suffix: str, hint: str = "", sides: Mapping[str, str] | None = None
+    folder: Path,
+    labels: str,
+    suffix: str,
+    hint: str = "",
+    sides: Mapping[str, str] | None = None,
+    other: str = "",
 ) -> Iterator[tuple[str, ManifestRow, Path, Path]]:
     """Yield name, manifest row, image file and label file (LABELS/NAME.suffix) of each image of a folder, in the order
     of the manifest if there is one; without it, each image is a clip of its own.
 
     Raises LabelError if the names of images, label files and manifest do not match. hint: added where a label file is
     missing. sides: where images lie in folders below images/, the side of each such folder, which only the manifest
-    overrules; names are then FOLDER/NAME.
+    overrules; names are then FOLDER/NAME. other: name of a file among the labels that needs no image.
     """
     listed = read_manifest(folder)
     images: dict[str, Path] = {}
@@ -138,7 +143,7 @@ def images_with(
         if name not in beside:
             raise LabelError(f"{folder}: image {name} has no {labels}/{name}{suffix}{hint}")
     for name in beside:
-        if name not in images:
+        if name not in images and name.rpartition("/")[2] != other:
             raise LabelError(f"{folder}: {labels}/{name}{suffix} has no image of that name in images/")
     for name in listed or images:
         row = listed.get(name) or ManifestRow(name, "")

@@ -10,7 +10,7 @@ from typing import Any
 
 from oysterbench.annotations.image import Entry
 
-TIME = re.compile(r"(?<![^-_/])(?:\d+[-_T ])*\d\d[-_][0-5]\d$")
+TIME = re.compile(r"(?<![^-_/ ])(?:\d+[-_T ])*\d\d[-_][0-5]\d$")
 """End of a name that is a time in parts, with or without a date: 2026-05-01_12-30-05, 2026-05-01 12-30-05, or 03-59 of
 a video."""
 ROBOFLOW = re.compile(r"_(?:jpe?g|png|bmp|webp|tiff?)\.rf\.\w+$", re.IGNORECASE)
@@ -29,11 +29,11 @@ NUMBER = re.compile(r"\d+$")
 """Number at the end of a name: 000123, frame0001, left.7."""
 _DIGIT, _MARK = r"(?<!\d)(?<![a-z]{2})(?<!cam[-_ ])(?<!camera[-_ ])\d", r"[^\w\s/()\[\]-]\s*"
 LONGER = re.compile(
-    rf"{_DIGIT}(?:{_MARK}(?!\d{{4,5}}$)|\d+{_MARK})\d+$|(?:\d\d[hms]|\d+min[-_ ]?)\d\d?$", re.IGNORECASE
+    rf"{_DIGIT}(?:{_MARK}(?!\d{{4,5}}$)|\d+{_MARK})\d+$|(?:\d\d[hm]|\d+min[-_ ]?)\d\d?$|\d\ds\d{{1,3}}$", re.IGNORECASE
 )
 """End of a name whose last number is part of a longer one: behind digits and any mark but dashes, underscores, spaces,
-slashes and brackets, as in 12:30:05, 3.96 or 1305031102.16, or behind a unit, as in 12h30m05 or 00min_05; but not a
-counter of four digits behind one, as in dive_1.0001, nor behind the number of a word, as in cam_0.12 or dive.mp4.12."""
+slashes and brackets, as in 12:30:05, 3.96 or 1305031102.16, or behind a unit, as in 12h30m05 or 05s033; but not a
+counter of four digits behind one, as in dive_1.0001, nor behind the number of a word, as in cam_0.12."""
 CUT_OUT = re.compile(r"(?:crop|tile|patch|part|slice|aug)[-_]?$", re.IGNORECASE)
 """Ends of names before a number that counts pieces or copies of an image, and says no time."""
 APART = 0.1

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from oysterbench.annotations.categories import may_be_oysters
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
 from oysterbench.annotations.manifest import ManifestRow, images_with, parts_of
-from oysterbench.annotations.yolo_classes import FILES, classes_of, side_of
+from oysterbench.annotations.yolo_classes import FILES, classes_of, read_classes, side_of
 from oysterbench.core.errors import LabelError
 from oysterbench.core.places import shown
 from oysterbench.core.polygons import rasterise
@@ -76,15 +76,22 @@ def yolo_images(folder: Path) -> tuple[list[YoloImage], dict[int, str], tuple[Pa
     names, source = classes_of(root)
     hint = "; one without oysters has an empty file"
     sides = {part: side_of(root, part) for part in parts_of(root / "images")}
-    for part in sides if source else ("", *sides):
-        listed = root / "labels" / part / FILES[-1]
-        if listed.is_file() and not shown(root / "images" / part, f"{listed.stem}.*"):
-            raise LabelError(
-                f"{listed}: expected label files of images, got the names of the classes, as labelImg puts them there: "
-                "move it beside images/ and labels/"
-            )
-    found = images_with(root, "labels", ".txt", hint, sides)
+    for listed in (root / "labels" / part / FILES[-1] for part in ("", *sides)):
+        if listed.is_file() and not shown(root / "images" / listed.parent.name, f"{listed.stem}.*"):
+            _check_list(listed, names)
+    found = images_with(root, "labels", ".txt", hint, sides, Path(FILES[-1]).stem)
     return [YoloImage(*one) for one in found], names, source
+
+
+def _check_list(listed: Path, names: Mapping[int, str]) -> None:
+    """Refuse names of the classes among the label files, where labelImg puts them, if they are others than those of
+    the data set."""
+    if (found := read_classes(listed)) != names:
+        known, others = (", ".join(of.values()) for of in (names, found))
+        raise LabelError(
+            f"{listed}: expected the classes of the data set ({known}), got {others}, as labelImg lists them: if they "
+            "are those of the label files, move it beside images/ and labels/ (in place of data.yaml); else delete it"
+        )
 
 
 def _read(image: Path, label: Path, classes: Mapping[int, str], name: str, clip: str) -> LabelledImage:

@@ -42,7 +42,9 @@ def test_a_name_of_something_else_is_of_no_oysters(name):
     assert not of("oyster", name).doubtful
 
 
-@pytest.mark.parametrize("above", ["bivalve", "shellfish", "Crassostrea virginica", "life stage", "age", "condition"])
+@pytest.mark.parametrize(
+    "above", ["bivalve", "shellfish", "Crassostrea virginica", "life stage", "age", "condition", "other"]
+)
 @pytest.mark.parametrize("name", ["spat", "juvenile", "unknown"])
 def test_the_ages_and_doubts_of_what_may_be_oysters_are_doubtful(name, above):
     """Such as those of a group that holds oysters, or of an age: they were left out without a word."""

@@ -212,10 +212,31 @@ def test_class_names_beside_label_files_are_to_be_moved(side, tmp_path):
         sides_folder(folder, side)
         (folder / "data.yaml").unlink()
     (folder / "labels" / side / "classes.txt").write_text("barnacle\noyster\n")
-    with pytest.raises(LabelError, match=r"classes\.txt: expected label files .* move it beside images/ and labels/"):
+    with pytest.raises(LabelError, match=r"classes\.txt: expected the classes .*, got barnacle, oyster, .* move it"):
         open_labelled(folder)
     (folder / "labels" / side / "classes.txt").rename(folder / "classes.txt")
     assert open_labelled(folder)[0].oysters.any()
+
+
+@pytest.mark.parametrize("place", ["labels", "labels/train", "labels/val"])
+@pytest.mark.parametrize("names", ["barnacle\noyster\n", "oyster\nbarnacle\n"])
+def test_class_names_among_label_files_are_to_be_those_of_data_yaml(place, names, tmp_path):
+    folder = sides_folder(tmp_path / "reef", "train", "val")
+    (folder / place / "classes.txt").write_text(names)
+    if names.startswith("b"):
+        assert len(open_labelled(folder)) == 2
+    else:
+        with pytest.raises(LabelError, match=r"expected the classes of the data set \(barnacle, oyster\), got oyster"):
+            open_labelled(folder)
+
+
+@pytest.mark.parametrize("beside", ["", "data.yaml"])
+def test_one_class_may_be_listed_among_label_files(beside, tmp_path):
+    folder = yolo_folder(tmp_path / "reef", {"a": "0" + TRIANGLE})
+    if beside:
+        (folder / beside).write_text("names: [oyster]\n")
+    (folder / "labels" / "classes.txt").write_text("oyster\n")
+    assert [one.name for one in open_labelled(folder).entries] == ["a"]
 
 
 def sides_folder(root, *sides, prefix=""):
