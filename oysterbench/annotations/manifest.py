@@ -122,7 +122,7 @@ def images_with(
 
     Raises LabelError if the names of images, label files and manifest do not match. hint: added where a label file is
     missing. sides: where images lie in folders below images/, the side of each such folder, which only the manifest
-    overrules; names are then FOLDER/NAME. other: name of a file among the labels that needs no image.
+    overrules; names are then FOLDER/NAME. other: name, without suffix, of a file among the labels that needs no image.
     """
     listed = read_manifest(folder)
     images: dict[str, Path] = {}

@@ -3,7 +3,7 @@ labels/SIDE/ID.txt."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from oysterbench.annotations.categories import may_be_oysters
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
 from oysterbench.annotations.manifest import ManifestRow, images_with, parts_of
-from oysterbench.annotations.yolo_classes import FILES, classes_of, read_classes, side_of
+from oysterbench.annotations.yolo_classes import FILES, classes_of, listed_names, numbers_of_oysters, side_of
 from oysterbench.core.errors import LabelError
 from oysterbench.core.places import shown
 from oysterbench.core.polygons import rasterise
@@ -76,22 +76,28 @@ def yolo_images(folder: Path) -> tuple[list[YoloImage], dict[int, str], tuple[Pa
     names, source = classes_of(root)
     hint = "; one without oysters has an empty file"
     sides = {part: side_of(root, part) for part in parts_of(root / "images")}
-    for listed in (root / "labels" / part / FILES[-1] for part in ("", *sides)):
-        if listed.is_file() and not shown(root / "images" / listed.parent.name, f"{listed.stem}.*"):
+    for part in ("", *sides):
+        listed = root / "labels" / part / FILES[-1]
+        if listed.is_file() and not shown(root / "images" / part, f"{listed.stem}.*"):
             _check_list(listed, names)
     found = images_with(root, "labels", ".txt", hint, sides, Path(FILES[-1]).stem)
     return [YoloImage(*one) for one in found], names, source
 
 
 def _check_list(listed: Path, names: Mapping[int, str]) -> None:
-    """Refuse names of the classes among the label files, where labelImg puts them, if they are others than those of
-    the data set."""
-    if (found := read_classes(listed)) != names:
-        known, others = (", ".join(of.values()) for of in (names, found))
+    """Refuse names of the classes among the label files, where labelImg puts them, if the numbers of oysters by them
+    are others than those of the data set."""
+    known, found = numbers_of_oysters(names), numbers_of_oysters(listed_names(listed))
+    if listed_names(listed) and known != found:
         raise LabelError(
-            f"{listed}: expected the classes of the data set ({known}), got {others}, as labelImg lists them: if they "
-            "are those of the label files, move it beside images/ and labels/ (in place of data.yaml); else delete it"
+            f"{listed}: expected class {_numbers(known)} to be oyster, as in the data set, got {_numbers(found)}, as "
+            "labelImg lists them: if the labels are by this list, move it beside images/ and labels/, in place of any "
+            "there; else delete it"
         )
+
+
+def _numbers(classes: Iterable[int]) -> str:
+    return " and ".join(map(str, sorted(classes))) or "none"
 
 
 def _read(image: Path, label: Path, classes: Mapping[int, str], name: str, clip: str) -> LabelledImage:

@@ -162,10 +162,10 @@ def keys_naming(path: Path, folder: str) -> set[str]:
 def read_classes(path: Path) -> dict[int, str]:
     """Read the names of the classes from a file of `FILES`, by number, all that are of oysters as oyster
     (`categories_of`); empty if it names none. Raises LabelError if it cannot be read, or no name says oyster."""
-    names = _lines(path) if path.suffix in LISTS else _names(path)
-    if names is None:
+    names = listed_names(path) if path.suffix in LISTS else _names(path)
+    if not names:
         return {}
-    oysters = categories_of([{"id": number, "name": name} for number, name in names.items()]).states
+    oysters = numbers_of_oysters(names)
     found = {number: "oyster" if number in oysters else name for number, name in names.items()}
     if not any("oyster" in name.casefold() for number, name in names.items() if number in oysters):
         known = ", ".join(f"{number} = {name}" for number, name in names.items())
@@ -173,12 +173,18 @@ def read_classes(path: Path) -> dict[int, str]:
     return found
 
 
-def _lines(path: Path) -> dict[int, str] | None:
+def numbers_of_oysters(names: Mapping[int, str]) -> set[int]:
+    """Numbers of the classes of oysters by their names."""
+    return {*categories_of([{"id": number, "name": name} for number, name in names.items()]).states}
+
+
+def listed_names(path: Path) -> dict[int, str]:
+    """Read a list of names, one per line, by number. Raises LabelError if it cannot be read."""
     try:
         lines = path.read_text(encoding="utf-8-sig").rstrip().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise LabelError(f"{path}: cannot be read as text: {error}") from None
-    return dict(enumerate(line.strip() for line in lines)) or None
+    return dict(enumerate(line.strip() for line in lines))
 
 
 def _names(path: Path) -> dict[int, str] | None:

@@ -18,8 +18,8 @@ SEPARATORS = (",", ";", "\t")
 
 RATE, FORCE = "angular rate in rad/s", "specific force in m/s^2"
 WORDS = {
-    RATE: {"w", "g", "gyr", "gyro", "gyros", "gyroscope", "omega", "angular", "rotation"},
-    FORCE: {"a", "f", "acc", "accel", "acceleration", "accelerometer", "linear", "force"},
+    RATE: {"w", "g", "gyr", "gyro", "gyros", "gyroscope", "gyroscopes", "omega", "angular", "rotation"},
+    FORCE: {"a", "f", "acc", "accel", "acceleration", "accelerations", "accelerometer", "linear", "force"},
 }
 """Words in the names of columns, by what they hold."""
 
@@ -29,7 +29,7 @@ LAYOUT = [(kind, axis) for kind in (RATE, FORCE) for axis in "xyz"]
 UNITS = {RATE: {"", "rad/s", "rads-1", "1/s", "s-1"}, FORCE: {"", "m/s2", "ms-2", "m/s/s"}}
 """Units of each, as `_unit` writes them."""
 
-OTHER_UNITS = re.compile(r"deg.*|m?dps|rpm|mrad|[mu]?g|[cm]m(s|ps)?")
+OTHER_UNITS = re.compile(r"deg.*|m?dps|rpm|mrad(/s)?|[mu]?g|[cm]m(s|ps)?")
 """First word of the units that stand after the axis in the names of some tables, as in `gyro_x_deg_per_s`."""
 
 LEAST_HZ, MOST_HZ = 1.0, 5000.0
@@ -93,7 +93,7 @@ def names_above(lines: Iterable[str]) -> list[Names]:
             break
         # At none in brackets, as in [ns, UTC], where another mark than between the names may be.
         split = (re.split(mark + r"(?![^\[(]*[\])])", text.lstrip("# ")) for mark in SEPARATORS)
-        stamp, *fields = (field.strip() for field in max(split, key=len))
+        stamp, *fields = (field.strip(" \"'") for field in max(split, key=len))
         if len([*filter(None, fields)]) > 1:
             fields = [*accumulate(fields, _of_group)]
         if len(fields) >= len(LAYOUT):
@@ -107,18 +107,17 @@ def _of_group(group: str, field: str) -> str:
 
 def check_inertial_table(path: Path, above: Sequence[Names], stamps_ns: Iterable[int]) -> None:
     """Check the lines above the rows, as far as they say what the columns hold, and the rate of the samples. Raises
-    SequenceError for another order or unit, and for stamps that cannot be ns, whatever their name. A line that leaves
-    the kind or unit of a column open, as a remark may, counts only where there is none that says all."""
-    for names in [names for names in above if _is_whole(names)] or above:
+    SequenceError for another order or unit, and for stamps that cannot be ns, whatever their name. A line that says
+    little, as a remark may, counts only where there is none of names, groups or units."""
+    for names in [names for names in above if _is_of_columns(names)] or above:
         _check_names(path, names)
     _check_rate(path, list(islice(stamps_ns, RATED)))
 
 
-def _is_whole(names: Names) -> bool:
-    """Whether a line says the kind or unit of each column, but where it gives a type or a dash; not of all."""
-    fields = names.fields[1 : 1 + len(LAYOUT)]
-    said = [bool(one.kinds or one.units) for one in map(_said, fields)]
-    return any(said) and all(one or _is_plain(field) for one, field in zip(said, fields, strict=True))
+def _is_of_columns(names: Names) -> bool:
+    """Whether a line says the kind of each column of a sensor, or the axis or the unit of each."""
+    said = [_said(field) for field in names.fields[1 : 1 + len(LAYOUT)]]
+    return any(all(what) for sensor in (said[:3], said[3:]) for what in zip(*sensor, strict=True))
 
 
 def _said(field: str) -> Said:
@@ -132,7 +131,7 @@ def _said(field: str) -> Said:
     words, unit = _parts(f"[{field}]" if _is_unit(field) else field)
     axes = [word for word in words if word in ("x", "y", "z")]
     # A letter is one of a quantity beside an axis or a number, or by itself, but not in `site A`.
-    numbered = axes or any(word.isdigit() for word in words) or field in words
+    numbered = axes or field in words or {*words} & {*"0123"}
     kinds = {kind for kind, known in WORDS.items() if any(word in known for word in words if numbered or len(word) > 1)}
     after = words[words.index(axes[-1]) + 1 :][:1] if axes else []
     # Behind the last name may be those of all, (rad/s, m/s^2), and behind any its axes, [m/s^2, FLU].
@@ -141,7 +140,8 @@ def _said(field: str) -> Said:
 
 
 def _is_plain(field: str) -> bool:
-    return bool(re.fullmatch(r"-?|u?int\d*|float\d*|double|\d+", field.strip("[]() ").lower()))
+    """Whether a field is a number, a dash, or a type or format of numbers."""
+    return bool(re.fullmatch(r"-?|\d+|u?int\d*|float\d*|double|[<>=]?[iuf]\d+|%.*", field.strip("[]() ").lower()))
 
 
 def _is_unit(field: str) -> bool:
@@ -155,12 +155,12 @@ def _check_names(path: Path, names: Names) -> None:
     said = [_said(field) for field in fields]
     if any(any(one) for one in said[: len(LAYOUT)]) and (unit := _unit_of_stamps(stamp)) != "ns":
         raise SequenceError(
-            f"{path}: expected stamps in ns, got {unit}, by the name {stamp!r:.60} in line {names.line}; convert them, "
-            "and name them `timestamp [ns]`"
+            f"{path}: expected stamps in ns, got {unit}, by the name {stamp!r:.60} in line {names.line}; convert them "
+            "and name them `timestamp [ns]` or, if the line is a remark, remove it"
         )
-    others = any(one.kinds for one in said[len(LAYOUT) :])
+    further = {kind for one in said[len(LAYOUT) :] if one.axis for kind in one.kinds}
     for column, (field, one, (kind, axis)) in enumerate(zip(fields, said, LAYOUT, strict=False), start=2):
-        if _contradicts(one, kind, axis) or (others and not any(one)):
+        if _contradicts(one, kind, axis) or (kind in further and not (one.kinds or one.units)):
             raise SequenceError(
                 f"{path}: expected in column {column} the {axis} of the {kind}, as in the layout, which has the rate "
                 f"before the force, got {field!r:.60} in line {names.line}; reorder or convert the columns and correct "
@@ -232,14 +232,16 @@ def _is_clock(text: str) -> bool:
 
 
 def _parts(name: str) -> tuple[list[str], str]:
-    """Lower-case words of a column's name, `gx` and `accx` as two, and its unit in brackets; a number there counts the
-    axes, as in `gyro_rad[0]`."""
+    """Lower-case words of a column's name, `gx`, `xacc` and `AccelX` as two, and its unit in brackets; a number there
+    counts the axes, as in `gyro_rad[0]`."""
     while (frame := re.search(BRACKET + r"\s*$", name)) and frame[1].strip().lower() in FRAMES:
         name = name[: frame.start()]
     bracket = re.search(r"[\[(]([^\])]*)[\])]\s*$", name)
-    words = re.findall(r"[a-z]+|[0-9]+", (name[: bracket.start()] if bracket else name).lower())
+    parts = re.sub("(?<=[a-z]{2})(?=[A-Z])", " ", name[: bracket.start()] if bracket else name)
+    words = re.findall(r"[a-z]+|[0-9]+", parts.lower())
     known = "|".join(sorted(WORDS[RATE] | WORDS[FORCE], key=len, reverse=True))
-    split = [word for one in words for word in re.sub(rf"^({known})([xyz])$", r"\1 \2", one).split()]
+    pattern = rf"^({known})([xyz])$|^([xyz])({known})$"
+    split = [word for one in words for word in re.sub(pattern, r"\1\4 \2\3", one).split()]
     if bracket and bracket[1] in ("0", "1", "2"):
         return [*split, "xyz"[int(bracket[1])]], ""
     return split, bracket[1] if bracket else ""

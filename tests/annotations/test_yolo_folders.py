@@ -212,22 +212,29 @@ def test_class_names_beside_label_files_are_to_be_moved(side, tmp_path):
         sides_folder(folder, side)
         (folder / "data.yaml").unlink()
     (folder / "labels" / side / "classes.txt").write_text("barnacle\noyster\n")
-    with pytest.raises(LabelError, match=r"classes\.txt: expected the classes .*, got barnacle, oyster, .* move it"):
+    with pytest.raises(LabelError, match=r"classes\.txt: expected class 0 to be oyster, .*, got 1, .* move it"):
         open_labelled(folder)
     (folder / "labels" / side / "classes.txt").rename(folder / "classes.txt")
     assert open_labelled(folder)[0].oysters.any()
 
 
 @pytest.mark.parametrize("place", ["labels", "labels/train", "labels/val"])
-@pytest.mark.parametrize("names", ["barnacle\noyster\n", "oyster\nbarnacle\n"])
+@pytest.mark.parametrize("names", ["barnacle\noyster\n", "oyster\nbarnacle\n", "dog\ncat\n", "b\nOyster\nc\n", ""])
 def test_class_names_among_label_files_are_to_be_those_of_data_yaml(place, names, tmp_path):
     folder = sides_folder(tmp_path / "reef", "train", "val")
     (folder / place / "classes.txt").write_text(names)
-    if names.startswith("b"):
+    if names[:1] in ("b", ""):
         assert len(open_labelled(folder)) == 2
     else:
-        with pytest.raises(LabelError, match=r"expected the classes of the data set \(barnacle, oyster\), got oyster"):
+        with pytest.raises(
+            LabelError, match=r"classes\.txt: expected class 1 to be oyster, .*, got (0|none), .* delete it"
+        ):
             open_labelled(folder)
+
+
+def test_an_image_may_be_called_classes(tmp_path):
+    folder = yolo_folder(tmp_path / "reef", {"a": "0" + TRIANGLE, "classes": "0" + TRIANGLE})
+    assert [one.name for one in open_labelled(folder).entries] == ["a", "classes"]
 
 
 @pytest.mark.parametrize("beside", ["", "data.yaml"])

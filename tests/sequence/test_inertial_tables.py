@@ -71,7 +71,7 @@ def folder(tmp_path):
         ("#timestamp [ns],w_x,w_y,w_z,a_x [g],a_y [g],a_z [g]", "column 5 the x of the specific force in m/s.2, "),
         ("t,gyro_x_deg_s,gyro_y_deg_s,gyro_z_deg_s,acc_x,acc_y,acc_z", "column 2 .*, got 'gyro_x_deg_s'"),
         ("t,gyro_z,gyro_y,gyro_x,accX,accY,accZ", "column 2 the x of the angular rate in rad/s, .*, got 'gyro_z'"),
-        ("t,temperature,wx,wy,wz,ax,ay,az", "column 2 the x of the angular rate in rad/s, .*, got 'temp"),
+        ("t,temperature,wx,wy,wz,ax,ay,az", "column 3 the y of the angular rate in rad/s, .*, got 'wx'"),
         *(
             (f"#t {said},w_x,w_y,w_z,a_x,a_y,a_z", f"stamps in ns, got {re.escape(unit)}, by the name 't ")
             for said, unit in STAMPED
@@ -113,6 +113,10 @@ def test_inertial_columns_that_are_not_the_layouts_by_their_names_are_refused(fo
         "t (ns, UTC)\tw_x [rad/s]\tw_y [rad/s]\tw_z [rad/s]\ta_x [m/s^2]\ta_y [m/s^2]\ta_z [m/s^2]",
         "t;w_x [rad/s, FLU];w_y [rad/s, FLU];w_z [rad/s, FLU];a_x [m/s^2, FLU];a_y [m/s^2, FLU];a_z [m/s^2, FLU]",
         "# of a diver, in the bay",
+        "timestamp,p,q,r,ax,ay,az,gyro_temp",
+        "timestamp,rollrate,pitchrate,yawrate,ax,ay,az,x,y,z,w",
+        "t,AngularRateX,AngularRateY,AngularRateZ,AccelX,AccelY,AccelZ,gyro_temp",
+        "t,Var2,Var3,Var4,Var5,Var6,Var7,gyro_temp",
         *(f"timestamp {said},w_x,w_y,w_z,a_x,a_y,a_z" for said in CLOCKS),
     ],
 )
@@ -271,12 +275,22 @@ def test_a_frame_in_brackets_is_no_unit(folder, frame):
         "#,Gyroscope [deg/s],,,Accelerometer [g],,\n#Timestamp,X,Y,Z,X,Y,Z",
         "#timestamp [ns],wx,wy,wz,ax,ay,az\n# converted from t,acc_x,acc_y,acc_z,gyro_x,gyro_y,gyro_z",
         "#timestamp,a,a,a,w,w,w",
+        "#,Gyroscope,,,Accelerometer,,\n#Timestamp,Z,Y,X,Z,Y,X",
+        "#,Gyroscope,,,Accelerometer,,\n#Timestamp [ns],X [deg/s],Y [deg/s],Z [deg/s],X,Y,Z",
+        "#timestamp,accel_x,accel_y,accel_z,p,q,r\n#[ns],[rad/s],[rad/s],[rad/s],[m/s^2],[m/s^2],[m/s^2]",
+        "#timestamp,wx,wy,wz,ax,ay,az\n#ns,deg/s,deg/s,deg/s,cm/s^2,cm/s^2,cm/s^2",
+        '#timestamp,wx,wy,wz,ax,ay,az\n#"ns","deg/s","deg/s","deg/s","g","g","g"',
+        "#timestamp,wx,wy,wz,ax,ay,az\n#ns,mrad/s,mrad/s,mrad/s,mg,mg,mg",
+        "#timestamp,mag_x,mag_y,mag_z,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z",
+        "Time,LinearAccelerationX,LinearAccelerationY,LinearAccelerationZ,AngularVelocityX,AngularVelocityY,c",
+        "Time,LinearAcceleration_1,LinearAcceleration_2,LinearAcceleration_3,AngularVelocity_1,b,c",
+        "timestamp,xacc,yacc,zacc,xgyro,ygyro,zgyro",
     ],
 )
 def test_names_and_units_of_another_order_or_unit_are_refused_wherever_they_stand(folder, above):
     samples = folder.root / "imu0" / "data.csv"
     samples.write_text(f"{above}\n{samples.read_text().partition(chr(10))[2]}")
-    with pytest.raises(SequenceError, match="expected in column 2 the x of the angular rate"):
+    with pytest.raises(SequenceError, match=r"expected in column \d the [xyz] of the (angular rate|specific force)"):
         oysterbench.open(folder.path)
 
 
@@ -286,6 +300,8 @@ def test_names_and_units_of_another_order_or_unit_are_refused_wherever_they_stan
         "#(int64),(float64),(float64),(float64),(float64),(float64),(float64)",
         "#(1),(2),(3),(4),(5),(6),(7)",
         "#0,1,2,3,4,5,6",
+        "#<i8,<f8,<f8,<f8,<f8,<f8,<f8",
+        "#%d,%.9f,%.9f,%.9f,%.9f,%.9f,%.9f",
         "# time offset to cam0: 0.003 s, gyro, accel, FLU, site A, B, C",
         "# of dive 3,,,,,,",
         "#,,,,,,",
