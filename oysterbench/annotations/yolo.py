@@ -3,7 +3,7 @@ labels/SIDE/ID.txt."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from oysterbench.annotations.categories import may_be_oysters
 from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
 from oysterbench.annotations.manifest import ManifestRow, images_with, parts_of
-from oysterbench.annotations.yolo_classes import FILES, classes_of, listed_names, numbers_of_oysters, side_of
+from oysterbench.annotations.yolo_classes import FILES, classes_of, listed_names, side_of, that_may_be_oysters
 from oysterbench.core.errors import LabelError
 from oysterbench.core.places import shown
 from oysterbench.core.polygons import rasterise
@@ -85,19 +85,19 @@ def yolo_images(folder: Path) -> tuple[list[YoloImage], dict[int, str], tuple[Pa
 
 
 def _check_list(listed: Path, names: Mapping[int, str]) -> None:
-    """Refuse names of the classes among the label files, where labelImg puts them, if the numbers of oysters by them
-    are others than those of the data set."""
-    known, found = numbers_of_oysters(names), numbers_of_oysters(listed_names(listed))
-    if listed_names(listed) and known != found:
+    """Refuse names of the classes among the label files, where labelImg puts them, if oysters have other numbers by
+    them than in the data set, or if this has not so many classes."""
+    found = {number: name for number, name in listed_names(listed).items() if name}
+    known, others = that_may_be_oysters(names), that_may_be_oysters(found)
+    if found and (known != others or not found.keys() <= names.keys()):
         raise LabelError(
-            f"{listed}: expected class {_numbers(known)} to be oyster, as in the data set, got {_numbers(found)}, as "
-            "labelImg lists them: if the labels are by this list, move it beside images/ and labels/, in place of any "
-            "there; else delete it"
+            f"{listed}: expected {_classes(names)}, as in the data set, got {_classes(found)}, as labelImg lists them: "
+            "if the labels are by this list, move it beside images/ and labels/, in place of any there; else delete it"
         )
 
 
-def _numbers(classes: Iterable[int]) -> str:
-    return " and ".join(map(str, sorted(classes))) or "none"
+def _classes(names: Mapping[int, str]) -> str:
+    return f"{', '.join(f'{number} = {name}' for number, name in names.items()):.80}"
 
 
 def _read(image: Path, label: Path, classes: Mapping[int, str], name: str, clip: str) -> LabelledImage:

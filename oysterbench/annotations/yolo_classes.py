@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from oysterbench.annotations.categories import categories_of
+from oysterbench.annotations.categories import Categories, categories_of
 from oysterbench.annotations.manifest import SIDE_LAST, SIDES, side_in
 from oysterbench.core.errors import LabelError
 from oysterbench.core.places import shown
@@ -165,7 +165,7 @@ def read_classes(path: Path) -> dict[int, str]:
     names = listed_names(path) if path.suffix in LISTS else _names(path)
     if not names:
         return {}
-    oysters = numbers_of_oysters(names)
+    oysters = _categories(names).states
     found = {number: "oyster" if number in oysters else name for number, name in names.items()}
     if not any("oyster" in name.casefold() for number, name in names.items() if number in oysters):
         known = ", ".join(f"{number} = {name}" for number, name in names.items())
@@ -173,9 +173,14 @@ def read_classes(path: Path) -> dict[int, str]:
     return found
 
 
-def numbers_of_oysters(names: Mapping[int, str]) -> set[int]:
-    """Numbers of the classes of oysters by their names."""
-    return {*categories_of([{"id": number, "name": name} for number, name in names.items()]).states}
+def that_may_be_oysters(names: Mapping[int, str]) -> set[int]:
+    """Numbers of the classes that are of oysters, or may be, by their names."""
+    found = _categories(names)
+    return {*found.states, *found.doubtful}
+
+
+def _categories(names: Mapping[int, str]) -> Categories:
+    return categories_of([{"id": number, "name": name} for number, name in names.items()])
 
 
 def listed_names(path: Path) -> dict[int, str]:

@@ -18,8 +18,8 @@ SEPARATORS = (",", ";", "\t")
 
 RATE, FORCE = "angular rate in rad/s", "specific force in m/s^2"
 WORDS = {
-    RATE: {"w", "g", "gyr", "gyro", "gyros", "gyroscope", "gyroscopes", "omega", "angular", "rotation"},
-    FORCE: {"a", "f", "acc", "accel", "acceleration", "accelerations", "accelerometer", "linear", "force"},
+    RATE: {"w", "g", "gyr", "gyro", "gyros", "gyroscope", "gyroscopes", "omega", "ang", "angular", "rotation"},
+    FORCE: {"a", "f", "acc", "accl", "accel", "acceleration", "accelerations", "accelerometer", "linear", "force"},
 }
 """Words in the names of columns, by what they hold."""
 
@@ -93,7 +93,7 @@ def names_above(lines: Iterable[str]) -> list[Names]:
             break
         # At none in brackets, as in [ns, UTC], where another mark than between the names may be.
         split = (re.split(mark + r"(?![^\[(]*[\])])", text.lstrip("# ")) for mark in SEPARATORS)
-        stamp, *fields = (field.strip(" \"'") for field in max(split, key=len))
+        stamp, *fields = (field.strip(' "') for field in max(split, key=len))
         if len([*filter(None, fields)]) > 1:
             fields = [*accumulate(fields, _of_group)]
         if len(fields) >= len(LAYOUT):
@@ -115,9 +115,15 @@ def check_inertial_table(path: Path, above: Sequence[Names], stamps_ns: Iterable
 
 
 def _is_of_columns(names: Names) -> bool:
-    """Whether a line says the kind of each column of a sensor, or the axis or the unit of each."""
+    """Whether a line says the kind of the columns of a sensor, or the axis or the unit of each."""
     said = [_said(field) for field in names.fields[1 : 1 + len(LAYOUT)]]
-    return any(all(what) for sensor in (said[:3], said[3:]) for what in zip(*sensor, strict=True))
+    sensors = (said[:3], said[3:])
+    return any(_kinds(of) or all(one.axis for one in of) or all(one.units for one in of) for of in sensors)
+
+
+def _kinds(columns: Sequence[Said]) -> set[str]:
+    """Kinds of quantity that all of some columns have."""
+    return set.intersection(*(one.kinds for one in columns))
 
 
 def _said(field: str) -> Said:
@@ -158,7 +164,8 @@ def _check_names(path: Path, names: Names) -> None:
             f"{path}: expected stamps in ns, got {unit}, by the name {stamp!r:.60} in line {names.line}; convert them "
             "and name them `timestamp [ns]` or, if the line is a remark, remove it"
         )
-    further = {kind for one in said[len(LAYOUT) :] if one.axis for kind in one.kinds}
+    more = said[len(LAYOUT) :]
+    further = {kind for three in zip(more, more[1:], more[2:], strict=False) for kind in _kinds(three)}
     for column, (field, one, (kind, axis)) in enumerate(zip(fields, said, LAYOUT, strict=False), start=2):
         if _contradicts(one, kind, axis) or (kind in further and not (one.kinds or one.units)):
             raise SequenceError(

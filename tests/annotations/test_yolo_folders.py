@@ -212,14 +212,18 @@ def test_class_names_beside_label_files_are_to_be_moved(side, tmp_path):
         sides_folder(folder, side)
         (folder / "data.yaml").unlink()
     (folder / "labels" / side / "classes.txt").write_text("barnacle\noyster\n")
-    with pytest.raises(LabelError, match=r"classes\.txt: expected class 0 to be oyster, .*, got 1, .* move it"):
+    with pytest.raises(
+        LabelError, match=r"classes\.txt: expected 0 = oyster, .*, got 0 = barnacle, 1 = oyster, .* move it"
+    ):
         open_labelled(folder)
     (folder / "labels" / side / "classes.txt").rename(folder / "classes.txt")
     assert open_labelled(folder)[0].oysters.any()
 
 
 @pytest.mark.parametrize("place", ["labels", "labels/train", "labels/val"])
-@pytest.mark.parametrize("names", ["barnacle\noyster\n", "oyster\nbarnacle\n", "dog\ncat\n", "b\nOyster\nc\n", ""])
+@pytest.mark.parametrize(
+    "names", ["barnacle\noyster\n", "oyster\nbarnacle\n", "dog\ncat\n", "b\nOyster\n\n", "", "spat\noyster"]
+)
 def test_class_names_among_label_files_are_to_be_those_of_data_yaml(place, names, tmp_path):
     folder = sides_folder(tmp_path / "reef", "train", "val")
     (folder / place / "classes.txt").write_text(names)
@@ -227,7 +231,7 @@ def test_class_names_among_label_files_are_to_be_those_of_data_yaml(place, names
         assert len(open_labelled(folder)) == 2
     else:
         with pytest.raises(
-            LabelError, match=r"classes\.txt: expected class 1 to be oyster, .*, got (0|none), .* delete it"
+            LabelError, match=r"classes\.txt: expected 0 = barnacle, 1 = oyster, .*, got 0 = .* delete it"
         ):
             open_labelled(folder)
 
