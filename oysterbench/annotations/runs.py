@@ -10,9 +10,10 @@ from typing import Any
 
 from oysterbench.annotations.image import Entry
 
-TIME = re.compile(r"(?<![^-_/ ])(?:\d+[-_T ])*\d\d[-_][0-5]\d$")
+_NO_CAMERA = r"(?<!cam[-_ ])(?<!camera[-_ ])"
+TIME = re.compile(rf"(?<![^-_/ ]){_NO_CAMERA}(?:\d+[-_T ])*\d\d[-_][0-5]\d$", re.IGNORECASE)
 """End of a name that is a time in parts, with or without a date: 2026-05-01_12-30-05, 2026-05-01 12-30-05, or 03-59 of
-a video."""
+a video; not cam_01-05."""
 ROBOFLOW = re.compile(r"_(?:jpe?g|png|bmp|webp|tiff?)\.rf\.\w+$", re.IGNORECASE)
 """What Roboflow adds to names; copies of an image by augmentation differ in it."""
 LABEL_STUDIO = re.compile(r"(?<![^/])(?P<drawn>[0-9a-f]{8})-(?=[^/]+$)")
@@ -27,7 +28,7 @@ also where a camera stopped earlier, or took few images, unless they looked at o
 SIDE_LAST = re.compile(rf"(\d+)[-_/]{_SIDE}$", re.IGNORECASE)
 NUMBER = re.compile(r"\d+$")
 """Number at the end of a name: 000123, frame0001, left.7."""
-_DIGIT, _MARK = r"(?<!\d)(?<![a-z]{2})(?<!cam[-_ ])(?<!camera[-_ ])\d", r"[^\w\s/()\[\]-]\s*"
+_DIGIT, _MARK = r"(?<!\d)(?<![a-z]{2})" + _NO_CAMERA + r"\d", r"[^\w\s/()\[\]-]\s*"
 LONGER = re.compile(
     rf"{_DIGIT}(?:{_MARK}(?!\d{{4,5}}$)|\d+{_MARK})\d+$|(?:\d\d[hm]|\d+min[-_ ]?)\d\d?$|\d\ds\d{{1,3}}$", re.IGNORECASE
 )

@@ -92,7 +92,16 @@ def test_a_space_is_a_mark_between_date_and_time(form):
 
 
 @pytest.mark.parametrize(
-    "form", ["cam_{}.{:04}", "gopro{}.{:04}", "gopro_{}.{:04}", "cam 0{} {:02}", "cam_{}_{:04}", "image_{}_{:06}"]
+    "form",
+    [
+        "cam_{}.{:04}",
+        "gopro{}.{:04}",
+        "gopro_{}.{:04}",
+        "cam 0{} {:02}",
+        "Cam 0{}-{:02}",
+        "cam_{}_{:04}",
+        "image_{}_{:06}",
+    ],
 )
 @pytest.mark.parametrize("count", [15, 40])
 def test_images_of_few_cameras_of_any_name_are_held_out_at_the_same_instants(form, count):
