@@ -115,14 +115,14 @@ def images_with(
     suffix: str,
     hint: str = "",
     sides: Mapping[str, str] | None = None,
-    other: str = "",
+    imageless: str = "",
 ) -> Iterator[tuple[str, ManifestRow, Path, Path]]:
     """Yield name, manifest row, image file and label file (LABELS/NAME.suffix) of each image of a folder, in the order
     of the manifest if there is one; without it, each image is a clip of its own.
 
     Raises LabelError if the names of images, label files and manifest do not match. hint: added where a label file is
     missing. sides: where images lie in folders below images/, the side of each such folder, which only the manifest
-    overrules; names are then FOLDER/NAME. other: name, without suffix, of a file among the labels that needs no image.
+    overrules; names are then FOLDER/NAME. imageless: stem of a file among the labels that is of no image.
     """
     listed = read_manifest(folder)
     images: dict[str, Path] = {}
@@ -143,7 +143,7 @@ def images_with(
         if name not in beside:
             raise LabelError(f"{folder}: image {name} has no {labels}/{name}{suffix}{hint}")
     for name in beside:
-        if name not in images and name.rpartition("/")[2] != other:
+        if name not in images and name.rpartition("/")[2] != imageless:
             raise LabelError(f"{folder}: {labels}/{name}{suffix} has no image of that name in images/")
     for name in listed or images:
         row = listed.get(name) or ManifestRow(name, "")

@@ -24,7 +24,7 @@ from oysterbench.core.trajectory.frames import poses_of_body
 from oysterbench.core.trajectory.read import EUROC_TRUTH
 from oysterbench.sensors.camera import KIND as CAMERA
 from oysterbench.sensors.imu import KIND as IMU
-from oysterbench.sequence.inertial_table import SEPARATORS, check_inertial_table, names_above
+from oysterbench.sequence.inertial_table import SEPARATORS, check_inertial_table, headers_above
 from oysterbench.sequence.state import sensor_folders
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
@@ -65,7 +65,7 @@ class EurocSequence(Sequence):
         samples = root / "imu0" / "data.csv"
         if not samples.is_file():
             raise SequenceError(f"{self.folder}: expected an EuRoC folder with mav0/imu0/data.csv, found none")
-        check_inertial_table(samples, names_above(_lines(samples)), _stamps(samples))
+        check_inertial_table(samples, headers_above(_lines(samples)), _stamps(samples))
         self.cameras = {
             path.name: _read_sensor(path / "sensor.yaml", _camera) for path in sensor_folders(self.folder)[1:]
         }

@@ -64,7 +64,7 @@ SHORT = {"squared": "2", "per": "/", r"met(er|re)(s(?!-2))?": "m", r"radian(s(?!
 """Words in the name of a unit, once its blanks are gone, and the short ones."""
 
 
-class Names(NamedTuple):
+class Header(NamedTuple):
     """A line above the rows of a table, with a field for each column: names, units, groups of axes, or a remark."""
 
     line: int
@@ -79,12 +79,12 @@ class Said(NamedTuple):
     units: set[str]
 
 
-def names_above(lines: Iterable[str]) -> list[Names]:
+def headers_above(lines: Iterable[str]) -> list[Header]:
     """Lines above the rows of a table that have a field for each column of the layout. Fields left empty in a line of
     groups are of the group.
 
-    >>> names_above(["# site A, 2 m", "#t,gyro,,,acc,,", "#[ns, UTC],x,y,z,x,y,z", "0,0,0,0,0,0,9.8"])[0]
-    Names(line=2, fields=['t', 'gyro', 'gyro', 'gyro', 'acc', 'acc', 'acc'])
+    >>> headers_above(["# site A, 2 m", "#t,gyro,,,acc,,", "#[ns, UTC],x,y,z,x,y,z", "0,0,0,0,0,0,9.8"])[0]
+    Header(line=2, fields=['t', 'gyro', 'gyro', 'gyro', 'acc', 'acc', 'acc'])
     """
     found = []
     for number, line in enumerate(lines, start=1):
@@ -97,7 +97,7 @@ def names_above(lines: Iterable[str]) -> list[Names]:
         if len([*filter(None, fields)]) > 1:
             fields = [*accumulate(fields, _of_group)]
         if len(fields) >= len(LAYOUT):
-            found.append(Names(number, [stamp, *fields]))
+            found.append(Header(number, [stamp, *fields]))
     return found
 
 
@@ -105,18 +105,18 @@ def _of_group(group: str, field: str) -> str:
     return field or group
 
 
-def check_inertial_table(path: Path, above: Sequence[Names], stamps_ns: Iterable[int]) -> None:
+def check_inertial_table(path: Path, above: Sequence[Header], stamps_ns: Iterable[int]) -> None:
     """Check the lines above the rows, as far as they say what the columns hold, and the rate of the samples. Raises
     SequenceError for another order or unit, and for stamps that cannot be ns, whatever their name. A line that says
     little, as a remark may, counts only where there is none of names, groups or units."""
-    for names in [names for names in above if _is_of_columns(names)] or above:
-        _check_names(path, names)
+    for header in [header for header in above if _is_of_columns(header)] or above:
+        _check_header(path, header)
     _check_rate(path, list(islice(stamps_ns, RATED)))
 
 
-def _is_of_columns(names: Names) -> bool:
+def _is_of_columns(header: Header) -> bool:
     """Whether a line says the kind of the columns of a sensor, or the axis or the unit of each."""
-    said = [_said(field) for field in names.fields[1 : 1 + len(LAYOUT)]]
+    said = [_said(field) for field in header.fields[1 : 1 + len(LAYOUT)]]
     sensors = (said[:3], said[3:])
     return any(_kinds(of) or all(one.axis for one in of) or all(one.units for one in of) for of in sensors)
 
@@ -156,13 +156,13 @@ def _is_unit(field: str) -> bool:
     return field.lower() in known or _unit(field) in known or bool(OTHER_UNITS.fullmatch(_unit(field)))
 
 
-def _check_names(path: Path, names: Names) -> None:
-    stamp, *fields = names.fields
+def _check_header(path: Path, header: Header) -> None:
+    stamp, *fields = header.fields
     said = [_said(field) for field in fields]
     if any(any(one) for one in said[: len(LAYOUT)]) and (unit := _unit_of_stamps(stamp)) != "ns":
         raise SequenceError(
-            f"{path}: expected stamps in ns, got {unit}, by the name {stamp!r:.60} in line {names.line}; convert them "
-            "and name them `timestamp [ns]` or, if the line is a remark, remove it"
+            f"{path}: expected stamps in ns, got {unit}, by the name {stamp!r:.60} in line {header.line}; convert "
+            "them and name them `timestamp [ns]` or, if the line is a remark, remove it"
         )
     more = said[len(LAYOUT) :]
     further = {kind for three in zip(more, more[1:], more[2:], strict=False) for kind in _kinds(three)}
@@ -170,8 +170,8 @@ def _check_names(path: Path, names: Names) -> None:
         if _contradicts(one, kind, axis) or (kind in further and not (one.kinds or one.units)):
             raise SequenceError(
                 f"{path}: expected in column {column} the {axis} of the {kind}, as in the layout, which has the rate "
-                f"before the force, got {field!r:.60} in line {names.line}; reorder or convert the columns and correct "
-                "their names or, if the line is a remark, remove it"
+                f"before the force, got {field!r:.60} in line {header.line}; reorder or convert the columns and "
+                "correct their names or, if the line is a remark, remove it"
             )
 
 
