@@ -123,8 +123,8 @@ def shrink(values: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
 
 def statistics(pixels: NDArray[np.uint8]) -> tuple[Floats, Floats]:
     """Mean and standard deviation (3,) of each channel: the main effect of water and exposure, which is removed."""
-    values = pixels.reshape(-1, 3).astype(np.float64)
-    return values.mean(axis=0).astype(np.float32), np.maximum(values.std(axis=0), LEAST_CONTRAST).astype(np.float32)
+    mean, contrast = cv2.meanStdDev(pixels)
+    return mean[:, 0].astype(np.float32), np.maximum(contrast[:, 0], LEAST_CONTRAST).astype(np.float32)
 
 
 def depths(instances: NDArray[np.uint16]) -> NDArray[np.uint8]:

@@ -130,11 +130,34 @@ class PretrainedUNetwork(nn.Module):
         """See the class."""
         *levels, found = self.encoder.features(CONTRAST * pixels)
         for block, beside in zip(self.up, reversed(levels), strict=True):
-            found = functional.interpolate(found, size=beside.shape[-2:], mode="nearest")
-            found = torch.cat([beside, found], dim=1)
-            found = block(found.contiguous() if self.training else found)
+            if self.training:
+                found = functional.interpolate(found, size=beside.shape[-2:], mode="nearest")
+                found = block(torch.cat([beside, found], dim=1).contiguous())
+            else:
+                first, *others = block
+                found = nn.Sequential(*others)(_convolved(first.weight, beside, found))
         planes = self.head(found) if self.training else self.head(found)[:, : self.outputs]
         return functional.interpolate(planes, size=pixels.shape[-2:], mode="bilinear", align_corners=False)
+
+
+WITHIN = torch.tensor([[[1.0, 0, 0], [0, 1, 1]], [[1, 1, 0], [0, 0, 1]]])
+"""(2, 2, 3): for the first and the second of two enlarged pixels, which of the three taps of a kernel fall on the first
+and which on the second of the two original pixels that they meet."""
+
+
+def _convolved(weight: torch.Tensor, beside: torch.Tensor, deep: torch.Tensor) -> torch.Tensor:
+    """Convolve beside (B, c, 2h, 2w), stacked on deep (B, d, h, w) enlarged to twice its size (nearest), by weight
+    (K, c + d, 3, 3), padded by zeros. Of an enlarged image a 3 x 3 window sees only 2 x 2 different pixels, so deep is
+    convolved as it is, by four kernels of 2 x 2: 4 / 9 of the products, up to rounding the same result."""
+    channels, height, width = beside.shape[1], *deep.shape[-2:]
+    within = WITHIN.to(weight)
+    kernels = torch.einsum("pty,qux,kcyx->pqkctu", within, within, weight[:, channels:]).flatten(0, 2)
+    parts = functional.conv2d(deep, kernels.to(memory_format=torch.channels_last), padding=1)
+    found = functional.conv2d(beside, weight[:, :channels].to(memory_format=torch.channels_last), padding=1)
+    for place, part in enumerate(parts.chunk(4, dim=1)):
+        row, column = divmod(place, 2)
+        found[..., row::2, column::2] += part[..., row : row + height, column : column + width]
+    return found
 
 
 def build_network(settings: UNetworkSettings, begun: bool = False) -> nn.Module:
