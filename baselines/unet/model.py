@@ -21,7 +21,7 @@ from oysterbench_baselines.learning.samples import Floats, shrink, standardised,
 from oysterbench_baselines.unet.calibration import Calibration
 from oysterbench_baselines.unet.instances import Division
 from oysterbench_baselines.unet.network import CONTRAST, PretrainedUNetwork, UNetworkSettings, build_network, kind_of
-from oysterbench_baselines.unet.views import CLOSER, VIEWS, Look, View, fitting_zoom, shows_the_same
+from oysterbench_baselines.unet.views import CLOSER, FINER, VIEWS, Look, View, fitting_zoom, shows_the_same
 
 ALIKE_SIDE = 320
 """Length of an image's longer side, px, at which its features for novelty are computed."""
@@ -51,17 +51,19 @@ class UNetModel(MaskModel):
     def look(self, pixels: NDArray[np.uint8]) -> Look:
         """Predict logits of an image (H, W, 3) uint8 RGB, averaged over views. With more than one view, a network with
         a pretrained encoder looks from farther away where oysters are large at first glance, and more closely where
-        they are small, if that shows the same ones."""
+        they are small; the closer views alone are averaged if they show the same ones."""
         glance = self._seen(pixels, VIEWS[0])
         zoom = fitting_zoom(glance) if self.views > 1 and isinstance(self.network, PretrainedUNetwork) else 1.0
         if zoom < 1.0:
             farther = [view._replace(zoom=zoom * view.zoom) for view in VIEWS[: self.views]]
             return Look(self._mean([self._seen(pixels, view) for view in farther]), zoom)
+        views = CLOSER if zoom > 1.0 else VIEWS
+        seen = [glance, *(self._seen(pixels, view) for view in views[1 : self.views])]
         if zoom > 1.0:
-            closer = self._mean([self._seen(pixels, view) for view in CLOSER[: self.views // 2]])
+            closer = self._mean(seen[1::2])
             if shows_the_same(closer, glance):
-                return Look(closer, zoom)
-        return Look(self._mean([glance, *(self._seen(pixels, view) for view in VIEWS[1 : self.views])]))
+                return Look(closer, FINER)
+        return Look(self._mean(seen))
 
     @staticmethod
     def _mean(seen: list[Floats]) -> Floats:

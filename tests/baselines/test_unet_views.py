@@ -27,7 +27,7 @@ def logits(grey):
 
 @pytest.mark.parametrize(
     ("radius", "count", "zoom"),
-    [(8, 40, 2.0), (30, 40, 1.0), (8, 10, 1.0), (8, 0, 1.0), (120, 1, 0.5)],
+    [(8, 40, 5 / 3), (30, 40, 1.0), (8, 10, 1.0), (8, 0, 1.0), (120, 1, 0.5)],
 )
 def test_the_zoom_is_that_at_which_oysters_have_the_size_that_is_known_best(radius, count, zoom):
     assert fitting_zoom(logits(reef(radius, count))) == zoom
@@ -43,7 +43,7 @@ def test_the_zoom_has_no_steps_towards_large_oysters():
 
 def test_large_oysters_that_come_out_in_pieces_are_large():
     crumbs = np.maximum(reef(8, 40), np.roll(reef(120, 1), 160, axis=0))
-    assert fitting_zoom(logits(reef(8, 40))) == 2.0
+    assert fitting_zoom(logits(reef(8, 40))) == 5 / 3
     assert fitting_zoom(logits(crumbs)) < 0.7
 
 
@@ -61,7 +61,7 @@ class Seeing(PretrainedUNetwork):
 
 @pytest.mark.parametrize(
     ("radius", "views", "zoom", "shown"),
-    [(8, 1, 1.0, [320]), (8, 2, 2.0, [320, 640]), (8, 4, 2.0, [320, 640, 640]), (30, 2, 1.0, [320, 448])],
+    [(8, 1, 1.0, [320]), (8, 2, 2.5, [320, 533]), (8, 4, 2.5, [320, 533, 320, 533]), (30, 2, 1.0, [320, 448])],
 )
 def test_a_picture_of_small_oysters_is_looked_at_enlarged(radius, views, zoom, shown):
     grey = reef(radius, 40)
@@ -72,14 +72,14 @@ def test_a_picture_of_small_oysters_is_looked_at_enlarged(radius, views, zoom, s
     assert ((look.logits[0] > 0) == (grey > 0)).mean() > 0.95, "laid over the picture as it is"
 
 
-def test_a_closer_look_that_shows_other_oysters_is_not_believed():
+def test_a_closer_look_that_shows_other_oysters_is_not_used_alone():
     class Silted(Seeing):
         def forward(self, pixels):
-            return super().forward(pixels) + (10.0 if max(pixels.shape[2:]) == 640 else 0.0)
+            return super().forward(pixels) + (1.5 if max(pixels.shape[2:]) == 533 else 0.0)
 
     grey, network = reef(8, 40), Silted()
     look = UNetModel(network, 1.0, 1, torch.device("cpu"), side=320, views=2).look(np.stack([grey] * 3, axis=-1))
-    assert (look.zoom, network.shown) == (1.0, [320, 640, 448])
+    assert (look.zoom, network.shown) == (1.0, [320, 533])
     assert ((look.logits[0] > 0) == (grey > 0)).mean() > 0.95
 
 
