@@ -69,6 +69,15 @@ class Block(nn.Sequential):
             ]
         super().__init__(*layers)
 
+    def on_enlarged(self, beside: torch.Tensor, deep: torch.Tensor) -> torch.Tensor:
+        """Apply the block to beside (B, c, 2h, 2w), stacked on deep (B, d, h, w) enlarged to twice its size."""
+        first, *others = self
+        assert isinstance(first, nn.Conv2d)
+        found = _convolved(first.weight, beside, deep)
+        for layer in others:
+            found = layer(found)
+        return found
+
 
 class UNetwork(nn.Module):
     """U-Net from standardised pixels (B, 3, h, w) to logits (B, K, h, w) (`OUTPUTS`); h and w are multiples of
@@ -130,12 +139,12 @@ class PretrainedUNetwork(nn.Module):
         """See the class."""
         *levels, found = self.encoder.features(CONTRAST * pixels)
         for block, beside in zip(self.up, reversed(levels), strict=True):
+            assert isinstance(block, Block)
             if self.training:
                 found = functional.interpolate(found, size=beside.shape[-2:], mode="nearest")
                 found = block(torch.cat([beside, found], dim=1).contiguous())
             else:
-                first, *others = block
-                found = nn.Sequential(*others)(_convolved(first.weight, beside, found))
+                found = block.on_enlarged(beside, found)
         planes = self.head(found) if self.training else self.head(found)[:, : self.outputs]
         return functional.interpolate(planes, size=pixels.shape[-2:], mode="bilinear", align_corners=False)
 
