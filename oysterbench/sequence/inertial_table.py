@@ -23,6 +23,15 @@ WORDS = {
 }
 """Words in the names of columns, by what they hold."""
 
+OTHER = "another quantity"
+"""What a velocity beside a word of forces is, and an acceleration beside one of rates: `linear_velocity_x`."""
+AXES = {"x": "x", "y": "y", "z": "z", "roll": "x", "pitch": "y", "yaw": "z"}
+"""Axes by their names in columns."""
+TURNS = {"rate", "speed"}
+"""Words that make an angular rate of roll, pitch and yaw."""
+BODY_RATES = dict(zip("pqr", "xyz", strict=True))
+"""Rates about the axes as aviation calls them, whole names of columns."""
+
 LAYOUT = [(kind, axis) for kind in (RATE, FORCE) for axis in "xyz"]
 """What the columns after the stamp hold."""
 
@@ -96,9 +105,26 @@ def headers_above(lines: Iterable[str]) -> list[Header]:
         stamp, *fields = (field.strip(' "') for field in max(split, key=len))
         if len([*filter(None, fields)]) > 1:
             fields = [*accumulate(fields, _of_group)]
-        if len(fields) >= len(LAYOUT):
+        if len(fields) < len(LAYOUT):
+            fields = _names_between(text) or _of_two_groups(fields)
+        if fields:
             found.append(Header(number, [stamp, *fields]))
     return found
+
+
+def _names_between(text: str) -> list[str]:
+    """Names of the columns after the stamp in a line with other marks between them than the rows: no remark has so
+    many axes. Empty in any other line."""
+    names = re.split(r"[\s|]+", text.lstrip("# "))[1:]
+    return names if len(names) >= len(LAYOUT) and all(_said(name).axis for name in names[: len(LAYOUT)]) else []
+
+
+def _of_two_groups(fields: Sequence[str]) -> list[str]:
+    """Names of the columns in a line that has one for each sensor, as in `t, gyro, acc(x,y,z)`. Empty in any other."""
+    groups = [re.sub(r"[\[(]([xyz, ]+|3)[\])]", "", field).strip() for field in fields]
+    if len(groups) != 2 or any(len(_said(re.sub(BRACKET, "", group).strip()).kinds) != 1 for group in groups):
+        return []
+    return [group for group in groups for _ in "xyz"]
 
 
 def _of_group(group: str, field: str) -> str:
@@ -134,15 +160,21 @@ def _said(field: str) -> Said:
     """
     if _is_plain(field):
         return Said(set(), "", set())
+    if axis := BODY_RATES.get(field.strip().lower()):
+        return Said({RATE}, axis, set())
     words, unit = _parts(f"[{field}]" if _is_unit(field) else field)
-    axes = [word for word in words if word in ("x", "y", "z")]
+    axes = [word for word in words if word in AXES]
     # A letter is one of a quantity beside an axis or a number, or by itself, but not in `site A`.
     numbered = axes or field in words or {*words} & {*"0123"}
     kinds = {kind for kind, known in WORDS.items() if any(word in known for word in words if numbered or len(word) > 1)}
+    if {"linear", "velocity"} <= {*words} or ({"acceleration"} & {*words} and {"angular", "ang"} & {*words}):
+        kinds = {OTHER}
+    if TURNS & {*words} and {*words} & AXES.keys() - {*"xyz"}:
+        kinds = {RATE}
     after = words[words.index(axes[-1]) + 1 :][:1] if axes else []
     # Behind the last name may be those of all, (rad/s, m/s^2), and behind any its axes, [m/s^2, FLU].
     units = {_unit(one) for one in re.split("[,;]", unit)} if unit else {*filter(OTHER_UNITS.fullmatch, after)}
-    return Said(kinds, axes[-1] if axes else "", units)
+    return Said(kinds, AXES[axes[-1]] if axes else "", units)
 
 
 def _is_plain(field: str) -> bool:
@@ -245,7 +277,7 @@ def _parts(name: str) -> tuple[list[str], str]:
         name = name[: frame.start()]
     bracket = re.search(r"[\[(]([^\])]*)[\])]\s*$", name)
     parts = re.sub("(?<=[a-z]{2})(?=[A-Z])", " ", name[: bracket.start()] if bracket else name)
-    words = re.findall(r"[a-z]+|[0-9]+", parts.lower())
+    words = re.findall(r"(?:roll|pitch|yaw)(?=rate|speed)|[a-z]+|[0-9]+", parts.lower())
     known = "|".join(sorted(WORDS[RATE] | WORDS[FORCE], key=len, reverse=True))
     pattern = rf"^({known})([xyz])$|^([xyz])({known})$"
     split = [word for one in words for word in re.sub(pattern, r"\1\4 \2\3", one).split()]
