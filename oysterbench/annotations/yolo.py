@@ -3,7 +3,7 @@ labels/SIDE/ID.txt."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -76,23 +76,34 @@ def yolo_images(folder: Path) -> tuple[list[YoloImage], dict[int, str], tuple[Pa
     names, source = classes_of(root)
     hint = "; one without oysters has an empty file"
     sides = {part: side_of(root, part) for part in parts_of(root / "images")}
-    for part in ("", *sides):
-        listed = root / "labels" / part / FILES[-1]
-        if listed.is_file() and not shown(root / "images" / part, f"{listed.stem}.*"):
-            _check_list(listed, names)
+    for listed in _lists(root, sides):
+        if listed.is_file() and listed not in source:
+            _check_list(listed, names, root)
     found = images_with(root, "labels", ".txt", hint, sides, Path(FILES[-1]).stem)
     return [YoloImage(*one) for one in found], names, source
 
 
-def _check_list(listed: Path, names: Mapping[int, str]) -> None:
-    """Refuse names of the classes among the label files, where labelImg puts them, if oysters have other numbers by
-    them than in the data set, or if this has not so many classes."""
+def _lists(root: Path, sides: Iterable[str]) -> Iterator[Path]:
+    """Where a list of names may be, as labelImg writes it, besides the file that gives them: beside images/ and
+    labels/, among the images, and among the labels unless an image is called so."""
+    yield root / FILES[-1]
+    for part in ("", *sides):
+        images = root / "images" / part
+        yield images / FILES[-1]
+        if all(path.suffix == ".txt" for path in shown(images, f"{Path(FILES[-1]).stem}.*")):
+            yield root / "labels" / part / FILES[-1]
+
+
+def _check_list(listed: Path, names: Mapping[int, str], root: Path) -> None:
+    """Refuse a list of names if oysters have other numbers by it than in the data set, or if this has not so many
+    classes."""
     found = {number: name for number, name in listed_names(listed).items() if name}
     known, others = that_may_be_oysters(names), that_may_be_oysters(found)
     if found and (known != others or not found.keys() <= names.keys()):
+        move = "" if listed.parent == root else "move it beside images/ and labels/ and "
         raise LabelError(
             f"{listed}: expected {_classes(names)}, as in the data set, got {_classes(found)}, as labelImg lists them: "
-            "if the labels are by this list, move it beside images/ and labels/, in place of any there; else delete it"
+            f"if the labels are by this list, {move}delete any {FILES[0]} there; else delete it"
         )
 
 

@@ -187,8 +187,10 @@ def listed_names(path: Path) -> dict[int, str]:
     """Read a list of names, one per line, by number. Raises LabelError if it cannot be read."""
     try:
         lines = path.read_text(encoding="utf-8-sig").rstrip().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise LabelError(f"{path}: cannot be read as text: {error}") from None
+    except OSError as error:
+        raise LabelError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise LabelError(f"{path}: expected text in UTF-8, got {error}: save it as UTF-8") from None
     return dict(enumerate(line.strip() for line in lines))
 
 

@@ -220,7 +220,7 @@ def test_class_names_beside_label_files_are_to_be_moved(side, tmp_path):
     assert open_labelled(folder)[0].oysters.any()
 
 
-@pytest.mark.parametrize("place", ["labels", "labels/train", "labels/val"])
+@pytest.mark.parametrize("place", ["labels", "labels/train", "labels/val", ".", "images", "images/val"])
 @pytest.mark.parametrize(
     "names", ["barnacle\noyster\n", "oyster\nbarnacle\n", "dog\ncat\n", "b\nOyster\n\n", "", "spat\noyster"]
 )
