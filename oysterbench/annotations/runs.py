@@ -11,9 +11,17 @@ from typing import Any
 from oysterbench.annotations.image import Entry
 
 _NO_CAMERA = r"(?<!cam[-_ ])(?<!camera[-_ ])"
-TIME = re.compile(rf"(?<![^-_/ ]){_NO_CAMERA}(?:\d+[-_T ])*\d\d[-_][0-5]\d$", re.IGNORECASE)
+_FRACTION = r"[-_](?:\d{3}){1,3}"
+_PARTS = (
+    r"(?:\d+[-_T ])*\d\d[-_][0-5]\d",
+    rf"\d{{4}}-\d\d-\d\d[-_T ]\d\d[-_][0-5]\d[-_][0-5]\d{_FRACTION}",
+    rf"\d{{8}}[-_T ]\d{{6}}{_FRACTION}",
+    r"\d{10}[-_]\d{9}",
+)
+TIME = re.compile(rf"(?<![^-_/ ]){_NO_CAMERA}(?:{'|'.join(_PARTS)})$", re.IGNORECASE)
 """End of a name that is a time in parts, with or without a date: 2026-05-01_12-30-05, 2026-05-01 12-30-05, or 03-59 of
-a video; not cam_01-05."""
+a video; not cam_01-05. The last part is one of a second only behind a whole date and time, 20260501_123005_900, or
+behind ten digits of seconds."""
 ROBOFLOW = re.compile(r"_(?:jpe?g|png|bmp|webp|tiff?)\.rf\.\w+$", re.IGNORECASE)
 """What Roboflow adds to names; copies of an image by augmentation differ in it."""
 LABEL_STUDIO = re.compile(r"(?<![^/])(?P<drawn>[0-9a-f]{8})-(?=[^/]+$)")
@@ -92,15 +100,17 @@ def taken_of(entries: Sequence[Entry]) -> list[tuple[str, Instant]]:
     and right (`SIDE`) are one where their times overlap; others of one rig (`_rigs`) that looked at the same time
     have the same instant; those of others, such as videos whose numbers restart, have other ones. Where names do not
     say so, or cameras are too many, the camera is empty, and the instant is the place in the run, of the first image of
-    its camera and number."""
-    said = _said(_bare([entry.name for entry in entries]))
+    its camera and number, or of its name without the words of `SIDE`."""
+    names = _bare([entry.name for entry in entries])
+    said = _said(names)
     count = len({camera for camera, _ in said})
     rigs = _rigs(said) if count <= CAMERAS or len(said) >= FEW * count else {}
     first: dict[tuple[str, Instant], int] = {}
     taken: list[tuple[str, Instant]] = []
     for place, (camera, numbers) in enumerate(said):
         known = rigs and numbers
-        at = first.setdefault((camera, numbers), place) if numbers else place
+        key = (camera, numbers) if numbers else (SIDE.sub("", names[place]), ())
+        at = first.setdefault(key, place) if numbers or _side_of(names[place]) else place
         taken.append((camera, (rigs[camera], *numbers)) if known else ("", (-1, at)))
     return taken
 
@@ -195,9 +205,10 @@ def _rigs(said: Sequence[tuple[str, Instant]]) -> dict[str, int]:
 
 
 def _in_time(clip: Sequence[Entry]) -> list[Entry]:
-    """The images of a clip in order of time, where every name says it; else as they stand."""
+    """The images of a clip in order of time, where every name says it; else as they stand, with those of an instant
+    together."""
     taken = taken_of(clip)
-    return list(clip) if any(rig < 0 for _, (rig, *_) in taken) else _ordered(taken, clip)
+    return list(clip) if len({rig < 0 for _, (rig, *_) in taken}) > 1 else _ordered(taken, clip)
 
 
 def _by_name(images: Sequence[Entry]) -> list[Entry]:

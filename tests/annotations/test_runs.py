@@ -232,12 +232,24 @@ def test_numbers_after_a_word_for_a_camera_are_those_of_images():
         "clip at {m:02}-{s:02}",
         "IMG_{m:04}_crop{s:02}",
         "IMG_{m:04}tile{s:02}",
+        "IMG_20260501_12{m:02}05_{s:03}",
+        "2026-05-01T12-{m:02}-05-{s:03}000",
+        "1777638{m:03}_{s:02}0990000",
     ],
 )
 def test_the_last_part_of_a_longer_time_is_no_time_and_what_is_before_it_no_camera(form, clip):
     """Else the end of each minute, or of each image that was cut up, would be held out, amid what was seen."""
     names = [form.format(h=12, m=k // 60, s=k % 60, k=k) for k in range(240)]
     assert ends(entries_of(names, clip), 0.25) == names[180:]
+
+
+@pytest.mark.parametrize("clip", ["", "reef"])
+@pytest.mark.parametrize("form", ["{side}_1714567890.{k:02}0000", "{side}_12h28m{k:02}s"])
+@pytest.mark.parametrize("mixed", [False, True])
+def test_names_alike_but_for_the_word_of_a_camera_are_of_one_instant_though_they_end_in_no_number(form, clip, mixed):
+    pairs = [[form.format(side=side, k=k) for side in ("left", "right")] for k in range(40)]
+    names = [name for row in (pairs if mixed else zip(*pairs, strict=True)) for name in row]
+    assert sorted(ends(entries_of(names, clip), 0.1)) == sorted(name for pair in pairs[-4:] for name in pair)
 
 
 @pytest.mark.parametrize("clip", ["", "reef"])
