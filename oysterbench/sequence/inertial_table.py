@@ -25,10 +25,10 @@ WORDS = {
 
 OTHER = "another quantity"
 """What a velocity beside a word of forces is, and an acceleration beside one of rates: `linear_velocity_x`."""
-AXES = {"x": "x", "y": "y", "z": "z", "roll": "x", "pitch": "y", "yaw": "z"}
-"""Axes by their names in columns."""
-TURNS = {"rate", "speed"}
-"""Words that make an angular rate of roll, pitch and yaw."""
+TURNS = {"roll": "x", "pitch": "y", "yaw": "z"}
+"""Axes of angular rates by the names of rotations."""
+SPEEDS = {"rate", "rates", "speed"}
+"""Words that make an angular rate beside an axis: `roll_rate`, `x_rate`."""
 BODY_RATES = dict(zip("pqr", "xyz", strict=True))
 """Rates about the axes as aviation calls them, whole names of columns."""
 
@@ -89,8 +89,8 @@ class Said(NamedTuple):
 
 
 def headers_above(lines: Iterable[str]) -> list[Header]:
-    """Lines above the rows of a table that have a field for each column of the layout. Fields left empty in a line of
-    groups are of the group.
+    """Lines above the rows of a table that have a name for each column of the layout, or one for each sensor. Fields
+    left empty in a line of groups are of the group.
 
     >>> headers_above(["# site A, 2 m", "#t,gyro,,,acc,,", "#[ns, UTC],x,y,z,x,y,z", "0,0,0,0,0,0,9.8"])[0]
     Header(line=2, fields=['t', 'gyro', 'gyro', 'gyro', 'acc', 'acc', 'acc'])
@@ -105,26 +105,29 @@ def headers_above(lines: Iterable[str]) -> list[Header]:
         stamp, *fields = (field.strip(' "') for field in max(split, key=len))
         if len([*filter(None, fields)]) > 1:
             fields = [*accumulate(fields, _of_group)]
-        if len(fields) < len(LAYOUT):
-            fields = _names_between(text) or _of_two_groups(fields)
-        if fields:
-            found.append(Header(number, [stamp, *fields]))
+        names = [stamp, *fields]
+        if len(names) <= len(LAYOUT):
+            names = _names_between(text) or _of_two_groups(names)
+        if names:
+            found.append(Header(number, names))
     return found
 
 
 def _names_between(text: str) -> list[str]:
-    """Names of the columns after the stamp in a line with other marks between them than the rows: no remark has so
-    many axes. Empty in any other line."""
-    names = re.split(r"[\s|]+", text.lstrip("# "))[1:]
-    return names if len(names) >= len(LAYOUT) and all(_said(name).axis for name in names[: len(LAYOUT)]) else []
+    """Names of the columns in a line with blanks or | between them, each with an axis. Empty in any other line."""
+    text = re.sub(r"\s+(?=[\[(])", "", text.lstrip("# "))
+    names = [name.strip() for name in (text.split("|") if "|" in text else text.split())]
+    return names if len(names) > len(LAYOUT) and all(_said(name).axis for name in names[1 : 1 + len(LAYOUT)]) else []
 
 
-def _of_two_groups(fields: Sequence[str]) -> list[str]:
-    """Names of the columns in a line that has one for each sensor, as in `t, gyro, acc(x,y,z)`. Empty in any other."""
-    groups = [re.sub(r"[\[(]([xyz, ]+|3)[\])]", "", field).strip() for field in fields]
-    if len(groups) != 2 or any(len(_said(re.sub(BRACKET, "", group).strip()).kinds) != 1 for group in groups):
+def _of_two_groups(names: Sequence[str]) -> list[str]:
+    """Names of the columns in a line that has the time and a word for each sensor, as in `t, gyro, acc(x,y,z)`; what
+    is in brackets is left out. Empty in any other line, as a remark."""
+    stamp, *groups = (re.sub(BRACKET, "", name).strip().lower() for name in names)
+    if len(groups) != 2 or not re.search(r"^t$|time|stamp", stamp):
         return []
-    return [group for group in groups for _ in "xyz"]
+    alike = all(group.isalpha() and len(_said(group).kinds) == 1 for group in groups)
+    return [names[0], *(group for group in groups for _ in "xyz")] if alike else []
 
 
 def _of_group(group: str, field: str) -> str:
@@ -163,18 +166,22 @@ def _said(field: str) -> Said:
     if axis := BODY_RATES.get(field.strip().lower()):
         return Said({RATE}, axis, set())
     words, unit = _parts(f"[{field}]" if _is_unit(field) else field)
-    axes = [word for word in words if word in AXES]
+    axes = [word for word in words if word in ("x", "y", "z")]
     # A letter is one of a quantity beside an axis or a number, or by itself, but not in `site A`.
     numbered = axes or field in words or {*words} & {*"0123"}
     kinds = {kind for kind, known in WORDS.items() if any(word in known for word in words if numbered or len(word) > 1)}
-    if {"linear", "velocity"} <= {*words} or ({"acceleration"} & {*words} and {"angular", "ang"} & {*words}):
+    if re.search("linear velocity|ang(ular)? acceleration", " ".join(words)):
         kinds = {OTHER}
-    if TURNS & {*words} and {*words} & AXES.keys() - {*"xyz"}:
+    turns = [word for word in words if word in TURNS and not axes]
+    if (axes or turns) and not kinds and SPEEDS & {*words}:
         kinds = {RATE}
-    after = words[words.index(axes[-1]) + 1 :][:1] if axes else []
+    if RATE in kinds:
+        axes = [*axes, *turns]
+    last = [place for place, word in enumerate(words) if axes and word in {*axes, *SPEEDS}]
+    after = words[last[-1] + 1 :][:1] if last else []
     # Behind the last name may be those of all, (rad/s, m/s^2), and behind any its axes, [m/s^2, FLU].
     units = {_unit(one) for one in re.split("[,;]", unit)} if unit else {*filter(OTHER_UNITS.fullmatch, after)}
-    return Said(kinds, AXES[axes[-1]] if axes else "", units)
+    return Said(kinds, TURNS.get(axes[-1], axes[-1]) if axes else "", units)
 
 
 def _is_plain(field: str) -> bool:
