@@ -95,15 +95,26 @@ def _lists(root: Path, sides: Iterable[str]) -> Iterator[Path]:
 
 
 def _check_list(listed: Path, names: Mapping[int, str], root: Path) -> None:
-    """Refuse a list of names if oysters have other numbers by it than in the data set, or if this has not so many
-    classes."""
-    found = {number: name for number, name in listed_names(listed).items() if name}
+    """Refuse a list of names by which oysters have other numbers than in the data set. Among the labels, it also has
+    to name oysters, and no more classes than there are; elsewhere, what cannot be read or names none is of another use.
+    """
+    among = listed.is_relative_to(root / "labels")
+    try:
+        found = {number: name for number, name in listed_names(listed).items() if name}
+    except LabelError:
+        if among:
+            raise
+        return
     known, others = that_may_be_oysters(names), that_may_be_oysters(found)
-    if found and (known != others or not found.keys() <= names.keys()):
-        move = "" if listed.parent == root else "move it beside images/ and labels/ and "
+    if not among:
+        known, others = known & found.keys(), others & names.keys()
+    named = among or any("oyster" in name.casefold() for name in found.values())
+    if found and named and (known != others or (among and not found.keys() <= names.keys())):
+        there = next((name for name in FILES if (root / name).is_file() and root / name != listed), "")
+        so = f"name the classes so in {there} there" if there else "move it beside images/ and labels/"
         raise LabelError(
             f"{listed}: expected {_classes(names)}, as in the data set, got {_classes(found)}, as labelImg lists them: "
-            f"if the labels are by this list, {move}delete any {FILES[0]} there; else delete it"
+            f"if the labels are by this list, {so}; else delete it"
         )
 
 
