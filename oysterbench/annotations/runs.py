@@ -11,17 +11,9 @@ from typing import Any
 from oysterbench.annotations.image import Entry
 
 _NO_CAMERA = r"(?<!cam[-_ ])(?<!camera[-_ ])"
-_FRACTION = r"[-_](?:\d{3}){1,3}"
-_PARTS = (
-    r"(?:\d+[-_T ])*\d\d[-_][0-5]\d",
-    rf"\d{{4}}-\d\d-\d\d[-_T ]\d\d[-_][0-5]\d[-_][0-5]\d{_FRACTION}",
-    rf"\d{{8}}[-_T ]\d{{6}}{_FRACTION}",
-    r"\d{10}[-_]\d{9}",
-)
-TIME = re.compile(rf"(?<![^-_/ ]){_NO_CAMERA}(?:{'|'.join(_PARTS)})$", re.IGNORECASE)
+TIME = re.compile(rf"(?<![^-_/ ]){_NO_CAMERA}(?:\d+[-_T ])*\d\d[-_][0-5]\d$", re.IGNORECASE)
 """End of a name that is a time in parts, with or without a date: 2026-05-01_12-30-05, 2026-05-01 12-30-05, or 03-59 of
-a video; not cam_01-05. The last part is one of a second only behind a whole date and time, 20260501_123005_900, or
-behind ten digits of seconds."""
+a video; not cam_01-05."""
 ROBOFLOW = re.compile(r"_(?:jpe?g|png|bmp|webp|tiff?)\.rf\.\w+$", re.IGNORECASE)
 """What Roboflow adds to names; copies of an image by augmentation differ in it."""
 LABEL_STUDIO = re.compile(r"(?<![^/])(?P<drawn>[0-9a-f]{8})-(?=[^/]+$)")

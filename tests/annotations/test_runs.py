@@ -18,7 +18,7 @@ def ends(entries, share):
 
 
 @pytest.mark.parametrize("clip", ["", "reef"])
-@pytest.mark.parametrize("form", ["GX{:02}_{:06}", "site{}-{}", "dive{}/f-{:04}"])
+@pytest.mark.parametrize("form", ["GX{:02}_{:06}", "site{}-{}", "dive{}/f-{:04}", "20260501_1{}3002_{:06}"])
 def test_of_videos_whose_numbers_restart_the_end_of_each_is_held_out(form, clip):
     """And not, of the longer ones, what has the numbers of the ends of shorter ones."""
     counts = range(100, 420, 40)
@@ -232,9 +232,6 @@ def test_numbers_after_a_word_for_a_camera_are_those_of_images():
         "clip at {m:02}-{s:02}",
         "IMG_{m:04}_crop{s:02}",
         "IMG_{m:04}tile{s:02}",
-        "IMG_20260501_12{m:02}05_{s:03}",
-        "2026-05-01T12-{m:02}-05-{s:03}000",
-        "1777638{m:03}_{s:02}0990000",
     ],
 )
 def test_the_last_part_of_a_longer_time_is_no_time_and_what_is_before_it_no_camera(form, clip):
