@@ -1,4 +1,5 @@
-"""The encoder computes a convolution and its normalisation at once: as one after the other, forwards and backwards."""
+"""The encoder computes a convolution and its normalisation at once: as one after the other, forwards and backwards; and
+the decoder on it an enlargement and a convolution."""
 
 import math
 
@@ -9,6 +10,7 @@ torch = pytest.importorskip("torch")
 from torch.nn import functional  # noqa: E402
 
 from oysterbench_baselines.learning.efficientnet import EfficientNetLite, SameConvolution  # noqa: E402
+from oysterbench_baselines.unet.network import UNetworkSettings, build_network  # noqa: E402
 
 
 @pytest.fixture
@@ -73,3 +75,15 @@ def test_features_and_gradients_are_those_of_one_layer_after_the_other(network, 
     ]
     for one, other in zip(*found, strict=True):
         assert torch.allclose(one, other, rtol=1e-6, atol=1e-9)
+
+
+def test_the_decoder_predicts_what_it_computes_in_training():
+    """In training it enlarges deep features before it convolves them, in prediction it does not."""
+    torch.manual_seed(0)
+    network = build_network(UNetworkSettings(groups=8, encoder="lite0", side=320)).eval()
+    pixels = torch.rand(2, 3, 64, 96)
+    with torch.inference_mode():
+        predicted = network(pixels)
+        learnt = network.train()(pixels)[:, :2]
+    assert learnt.std() > 0.01
+    assert torch.allclose(predicted, learnt, atol=1e-4)

@@ -76,18 +76,6 @@ def test_a_network_on_an_encoder_keeps_the_size_and_has_two_answers():
     assert settings.multiple == 32
 
 
-def test_the_decoder_predicts_what_it_computes_in_training():
-    """In training it enlarges deep features before it convolves them, in prediction it does not."""
-    torch.manual_seed(0)
-    network = build_network(UNetworkSettings(groups=8, encoder="lite0", side=320)).eval()
-    pixels = torch.rand(2, 3, 64, 96)
-    with torch.inference_mode():
-        predicted = network(pixels)
-        learnt = network.train()(pixels)[:, :2]
-    assert learnt.std() > 0.01
-    assert torch.allclose(predicted, learnt, atol=1e-4)
-
-
 def test_an_encoder_begins_with_what_it_has_learnt_and_goes_on_with_what_it_was_taught():
     try:
         file = weights_file("lite0")
