@@ -197,8 +197,8 @@ def _rigs(said: Sequence[tuple[str, Instant]]) -> dict[str, int]:
 
 
 def _in_time(clip: Sequence[Entry]) -> list[Entry]:
-    """The images of a clip in order of time, where every name says it; else as they stand, with those of an instant
-    together."""
+    """The images of a clip in order of time, where every name says it; where none does, as they stand, with those of an
+    instant together; and as they stand where some do."""
     taken = taken_of(clip)
     return list(clip) if len({rig < 0 for _, (rig, *_) in taken}) > 1 else _ordered(taken, clip)
 

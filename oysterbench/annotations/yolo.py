@@ -111,7 +111,11 @@ def _check_list(listed: Path, names: Mapping[int, str], root: Path) -> None:
     named = among or any("oyster" in name.casefold() for name in found.values())
     if found and named and (known != others or (among and not found.keys() <= names.keys())):
         there = next((name for name in FILES if (root / name).is_file() and root / name != listed), "")
-        so = f"name the classes so in {there} there" if there else "move it beside images/ and labels/"
+        so = (
+            f"name the classes so in {there} beside images/ and labels/"
+            if there
+            else "move it beside images/ and labels/"
+        )
         raise LabelError(
             f"{listed}: expected {_classes(names)}, as in the data set, got {_classes(found)}, as labelImg lists them: "
             f"if the labels are by this list, {so}; else delete it"
