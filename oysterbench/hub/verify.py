@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from oysterbench.core.errors import HubError, IntegrityError, SequenceError
 from oysterbench.core.mcap import MAGIC
+from oysterbench.core.names import did_you_mean, nearest
 from oysterbench.core.places import home, models, released_models
 from oysterbench.hub.canonical import decode, sha256
 from oysterbench.hub.index import IndexBody, SignedIndex
@@ -27,6 +28,7 @@ from oysterbench.hub.manifest import (
 from oysterbench.hub.model import Model, read_model
 from oysterbench.hub.release import made_with
 from oysterbench.hub.trusted import is_trusted
+from oysterbench.recipe import split_names
 
 if TYPE_CHECKING:
     from oysterbench.hub.content import Content
@@ -292,7 +294,9 @@ def checks(name: str = "") -> Iterator[Check]:
         found = True
         yield check
     if name and not found:
-        raise HubError(f"{name}: no data of it is here; `oysterbench download {name}` downloads it")
+        known = {*split_names(), *(path.stem for path in released_models().glob("*.pt"))}
+        meant = "" if split in known else did_you_mean(nearest(split, known))
+        raise HubError(f"{name}: no data of it is here; {meant}`oysterbench download {name}` downloads it")
 
 
 def check_tree(tree: Path) -> Iterator[Check]:

@@ -132,6 +132,8 @@ def test_errors_are_one_line_with_their_code(place, tmp_path):
     assert "oysterbench render" in line(1, "publish", place.recipe, tmp_path / "x", "--key", place.folder / "key.pem")
     assert "index.json is absent" in line(1, "serve", tmp_path)
     assert "no data of it is here" in line(1, "verify", "slam-max")
+    assert "no data of it is here; `oysterbench download slam-train`" in line(1, "verify", "slam-train")
+    assert "no data of it is here; did you mean slam-train or " in line(1, "verify", "slam-trian")
     place.run("publish", place.recipe, tmp_path, "--key", place.folder / "key.pem", "--hidden", code=2)
 
 
