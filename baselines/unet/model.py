@@ -12,8 +12,9 @@ import torch
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError
+from oysterbench_baselines.common.memory import keep_freed
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_finished
-from oysterbench_baselines.learning.efficientnet import EfficientNetLite, pretrained
+from oysterbench_baselines.learning.efficientnet import EfficientNetLite, for_prediction, pretrained
 from oysterbench_baselines.learning.loop import channels_last
 from oysterbench_baselines.learning.masks import MaskModel, enlarged, probability
 from oysterbench_baselines.learning.novelty import Array, Novelty
@@ -21,7 +22,7 @@ from oysterbench_baselines.learning.samples import Floats, shrink, standardised,
 from oysterbench_baselines.unet.calibration import Calibration
 from oysterbench_baselines.unet.instances import Division
 from oysterbench_baselines.unet.network import CONTRAST, PretrainedUNetwork, UNetworkSettings, build_network, kind_of
-from oysterbench_baselines.unet.views import CLOSER, FINER, VIEWS, Look, View, fitting_zoom, shows_the_same
+from oysterbench_baselines.unet.views import FINER, VIEWS, Look, View, closer_views, fitting_zoom, shows_the_same
 
 ALIKE_SIDE = 320
 """Length of an image's longer side, px, at which its features for novelty are computed."""
@@ -57,12 +58,12 @@ class UNetModel(MaskModel):
         if zoom < 1.0:
             farther = [view._replace(zoom=zoom * view.zoom) for view in VIEWS[: self.views]]
             return Look(self._mean([self._seen(pixels, view) for view in farther]), zoom)
-        views = CLOSER if zoom > 1.0 else VIEWS
+        views = closer_views(zoom) if zoom > 1.0 else VIEWS
         seen = [glance, *(self._seen(pixels, view) for view in views[1 : self.views])]
         if zoom > 1.0:
             closer = self._mean(seen[1::2])
             if shows_the_same(closer, glance):
-                return Look(closer, FINER)
+                return Look(closer, FINER * zoom)
         return Look(self._mean(seen))
 
     @staticmethod
@@ -98,7 +99,7 @@ class UNetModel(MaskModel):
     @cached_property
     def _untrained(self) -> EfficientNetLite:
         assert isinstance(self.network, PretrainedUNetwork)
-        encoder: EfficientNetLite = channels_last(pretrained(self.network.encoder.name).to(self.device))
+        encoder: EfficientNetLite = for_prediction(channels_last(pretrained(self.network.encoder.name).to(self.device)))
         return encoder
 
     def novelty_of(self, pixels: NDArray[np.uint8]) -> float | None:
@@ -115,8 +116,9 @@ def unet_model(checkpoint: Checkpoint, device: torch.device | None = None, views
     network = build_network(settings)
     network.load_state_dict(checkpoint.weights)
     device = device or torch.device("cpu")
+    keep_freed()
     return UNetModel(
-        channels_last(network.to(device)).eval(),
+        for_prediction(channels_last(network.to(device))),
         settings.scale,
         settings.multiple,
         device,

@@ -23,11 +23,11 @@ class View(NamedTuple):
 
 VIEWS = (View(1.0), View(1.4, turns=1), View(1.0, mirrored=True), View(1.4, turns=1, mirrored=True))
 """In the order of their benefit."""
-CLOSER = tuple(view._replace(zoom=5 / 3) if view.turns else view for view in VIEWS)
-"""Views of an image of small oysters, of which the enlarged ones alone are used where they show the same oysters as the
-first glance. At twice the size an image takes half as long again, for the same IoU and AP50."""
-FINER = 2.5
-"""Zoom by which the oysters of a closer look are divided (`instances.Division.zoomed`): more finely than it is
+CLOSER, SHAPE = 5 / 3, 3 / 4
+"""Zoom of a closer look at an image whose height is at most a share SHAPE of its width; a squarer one is enlarged less,
+to as many pixels. At twice the size an image takes half as long again, for the same IoU and AP50."""
+FINER = 1.5
+"""Factor by which the oysters of a closer look are divided more finely (`instances.Division.zoomed`) than it is
 enlarged."""
 LARGE, FARTHEST = 32.0, 0.5
 """Size at which the network knows oysters best, px, for an image whose longer side is `instances.SIDE` px: an image of
@@ -47,7 +47,7 @@ rendered reefs, and 0.54 to 0.67 on real quadrats, where the closer look sees oy
 
 class Look(NamedTuple):
     """Prediction for an image: logits (K, H, W) float32 of `network.OUTPUTS` at its own size, and the zoom by which
-    it is divided: `FINER` for a closer look, that of a farther look, and 1 for the usual one."""
+    it is divided: `FINER` times that of a closer look, that of a farther look, and 1 for the usual one."""
 
     logits: Floats
     zoom: float = 1.0
@@ -55,7 +55,7 @@ class Look(NamedTuple):
 
 def fitting_zoom(logits: Floats) -> float:
     """Zoom at which to look at an image, by the size of its oysters, given the logits (K, H, W) of a first glance:
-    below 1 where they are large, that of `CLOSER` where they are small, and 1 otherwise. The logits are subsampled,
+    below 1 where they are large, `closer_zoom` where they are small, and 1 otherwise. The logits are subsampled,
     which takes a quarter of the time; whether oysters are small came out differently for one image in 78."""
     step = max(1, max(logits.shape[1:]) // SIDE)
     oyster, depth = (probability(plane[::step, ::step]) for plane in logits[:2])
@@ -66,7 +66,19 @@ def fitting_zoom(logits: Floats) -> float:
     if size > LARGE:
         return max(LARGE / size, FARTHEST)
     areas = areas[found.scores >= 0.5]
-    return CLOSER[1].zoom if len(areas) >= MANY and float(np.median(np.sqrt(areas))) < SMALL else 1.0
+    small = len(areas) >= MANY and float(np.median(np.sqrt(areas))) < SMALL
+    return closer_zoom(*oyster.shape) if small else 1.0
+
+
+def closer_zoom(height: int, width: int) -> float:
+    """Zoom of a closer look at an image of this shape (`CLOSER`)."""
+    return CLOSER * math.sqrt(min(1.0, SHAPE * max(height, width) / min(height, width)))
+
+
+def closer_views(zoom: float) -> tuple[View, ...]:
+    """Views of an image of small oysters, of which the enlarged ones alone are used where they show the same oysters as
+    the first glance."""
+    return tuple(view._replace(zoom=zoom) if view.turns else view for view in VIEWS)
 
 
 def shows_the_same(closer: Floats, glance: Floats) -> bool:

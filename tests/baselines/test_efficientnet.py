@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch")
 
 from torch.nn import functional  # noqa: E402
 
-from oysterbench_baselines.learning.efficientnet import EfficientNetLite, SameConvolution  # noqa: E402
+from oysterbench_baselines.learning.efficientnet import EfficientNetLite, SameConvolution, for_prediction  # noqa: E402
 from oysterbench_baselines.unet.network import UNetworkSettings, build_network  # noqa: E402
 
 
@@ -75,6 +75,21 @@ def test_features_and_gradients_are_those_of_one_layer_after_the_other(network, 
     ]
     for one, other in zip(*found, strict=True):
         assert torch.allclose(one, other, rtol=1e-6, atol=1e-9)
+
+
+def test_a_network_for_prediction_has_no_normalisations_and_predicts_the_same(network):
+    picture = torch.randn(1, 3, 45, 50)
+    with torch.inference_mode():
+        before = [*network.features(picture), network(picture)]
+        folded = for_prediction(network)
+        after = [*folded.features(picture), folded(picture)]
+    assert not any(isinstance(part, torch.nn.BatchNorm2d) for part in folded.modules())
+    assert len(before) == 6
+    for one, other in zip(before, after, strict=True):
+        assert torch.equal(one, other)
+    assert for_prediction(folded) is folded, "twice changes nothing"
+    with torch.inference_mode():
+        assert torch.equal(folded(picture), after[-1])
 
 
 def test_the_decoder_predicts_what_it_computes_in_training():

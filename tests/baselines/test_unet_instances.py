@@ -42,6 +42,17 @@ def test_oysters_that_touch_are_told_apart_along_the_valley_between_them_and_sha
     assert (found.labels[:, 33:55][oyster[:, 33:55] > 0] == right).all()
 
 
+@pytest.mark.parametrize("count", [255, 256, 300])
+def test_any_number_of_oysters_is_told_apart(count):
+    oyster, depth = np.zeros((2, 160, 160), np.float32)
+    for k in range(count):
+        row, column = (slice(8 * n, 8 * n + 7) for n in divmod(k, 20))
+        oyster[row, column] = 0.9
+        depth[row, column] = depths(np.ones((7, 7), np.uint16)) / 255
+    found = find_instances(oyster, depth, Division(smooth=0.1, area=4.0))
+    assert found.areas.tolist() == [49] * count
+
+
 def test_a_hill_that_hardly_stands_out_is_no_oyster_of_its_own():
     oyster = discs((20, 30, 12), (34, 30, 12))
     saddle = np.maximum(hills((20, 30, 12), (34, 30, 12)), 0.97 * discs((27, 30, 9)) / 0.9)

@@ -8,7 +8,7 @@ torch = pytest.importorskip("torch")
 from oysterbench_baselines.unet.instances import Division  # noqa: E402
 from oysterbench_baselines.unet.model import UNetModel  # noqa: E402
 from oysterbench_baselines.unet.network import PretrainedUNetwork  # noqa: E402
-from oysterbench_baselines.unet.views import fitting_zoom  # noqa: E402
+from oysterbench_baselines.unet.views import closer_zoom, fitting_zoom  # noqa: E402
 
 
 def reef(radius, count, side=640):
@@ -47,6 +47,14 @@ def test_large_oysters_that_come_out_in_pieces_are_large():
     assert fitting_zoom(logits(crumbs)) < 0.7
 
 
+def test_a_closer_look_at_a_squarer_picture_has_as_many_pixels():
+    assert closer_zoom(360, 640) == closer_zoom(480, 640) == closer_zoom(640, 480) == 5 / 3
+    for height, width in ((640, 640), (600, 640), (512, 640)):
+        zoom = closer_zoom(height, width)
+        assert zoom == closer_zoom(width, height)
+        assert zoom**2 * height * width == pytest.approx((5 / 3) ** 2 * 640 * 480)
+
+
 class Seeing(PretrainedUNetwork):
     """A network that sees what is bright, and keeps the sides of what it has been shown."""
 
@@ -70,6 +78,14 @@ def test_a_picture_of_small_oysters_is_looked_at_enlarged(radius, views, zoom, s
     assert (look.zoom, network.shown) == (zoom, shown)
     assert look.logits.shape == (2, *grey.shape)
     assert ((look.logits[0] > 0) == (grey > 0)).mean() > 0.95, "laid over the picture as it is"
+
+
+def test_a_square_picture_is_enlarged_less():
+    grey = np.vstack([reef(8, 40), reef(8, 40)])
+    network = Seeing()
+    look = UNetModel(network, 1.0, 1, torch.device("cpu"), side=320, views=2).look(np.stack([grey] * 3, axis=-1))
+    assert network.shown == [320, 462]
+    assert look.zoom == pytest.approx(1.5 * 462 / 320, rel=1e-3)
 
 
 def test_a_closer_look_that_shows_other_oysters_is_not_used_alone():

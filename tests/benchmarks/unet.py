@@ -23,7 +23,7 @@ from oysterbench_baselines.learning.samples import LabelledDataset
 from oysterbench_baselines.unet.model import UNetModel
 from oysterbench_baselines.unet.network import build_network
 from oysterbench_baselines.unet.training import pretrained_settings
-from oysterbench_baselines.unet.views import CLOSER, VIEWS
+from oysterbench_baselines.unet.views import VIEWS, closer_views, closer_zoom
 
 TIMES = 5
 
@@ -61,7 +61,8 @@ def main(threads: str = "1") -> None:
     print("crops {:.0f}, forward {:.0f}, backward {:.0f}, weights {:.0f}".format(*step))
     model = UNetModel(network.eval(), 1.0, 32, torch.device("cpu"), settings.network.side, settings.network.outputs, 2)
     pixels = np.ascontiguousarray(labelled.entries[0].read().pixels)
-    views = middle_ms(*(lambda view=view: model._seen(pixels, view) for view in (*VIEWS[:2], CLOSER[0])))
+    closer = closer_views(closer_zoom(*pixels.shape[:2]))[1]
+    views = middle_ms(*(lambda view=view: model._seen(pixels, view) for view in (*VIEWS[:2], closer)))
     print(f"a picture of {pixels.shape[1]} x {pixels.shape[0]}, ms: ", end="")
     print("first view {:.0f}, second {:.0f}, a closer look {:.0f}".format(*views))
 
