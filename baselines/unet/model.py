@@ -12,7 +12,6 @@ import torch
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError
-from oysterbench_baselines.common.memory import keep_freed
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_finished
 from oysterbench_baselines.learning.efficientnet import EfficientNetLite, for_prediction, pretrained
 from oysterbench_baselines.learning.loop import channels_last
@@ -116,7 +115,6 @@ def unet_model(checkpoint: Checkpoint, device: torch.device | None = None, views
     network = build_network(settings)
     network.load_state_dict(checkpoint.weights)
     device = device or torch.device("cpu")
-    keep_freed()
     return UNetModel(
         for_prediction(channels_last(network.to(device))),
         settings.scale,
