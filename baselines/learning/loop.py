@@ -76,9 +76,11 @@ def pick_device(name: str) -> torch.device:
     try:
         device = torch.device(name)
     except RuntimeError:
-        raise MethodError(f"device {name!r}: expected auto, cpu, cuda or cuda:N") from None
+        device = None
+    if device is None or device.type not in ("cpu", "cuda"):
+        raise MethodError(f"device {name!r}: expected auto, cpu, cuda or cuda:N")
     if device.type == "cuda" and not torch.cuda.is_available():
-        raise MethodError(f"device {name!r}: this PyTorch sees no GPU; --device cpu trains on the processor")
+        raise MethodError(f"device {name!r}: this PyTorch sees no GPU; expected auto or cpu")
     return device
 
 

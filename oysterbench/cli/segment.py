@@ -255,15 +255,25 @@ def _scale(
         _tell_unused(table.path, table.unused)
         return quadrats(given["quadrat"], table), {"kind": "quadrat", "size_m": given["quadrat"]}, table
     if given["altitude"] is not None:
+        metres = _metres(given["altitude"])
         lens = read_lens(given["calibration"], given["camera"])
         about = {"kind": "altitude", "altitude": given["altitude"], "calibration": given["calibration"].name}
-        try:
-            return altitudes(lens, float(given["altitude"])), about, None
-        except ValueError:
-            altitude = read_table(Path(given["altitude"]), ALTITUDE, sources)
-            _tell_unused(altitude.path, altitude.unused)
-            return altitudes(lens, altitude), about, altitude
+        if metres is not None:
+            return altitudes(lens, metres), about, None
+        altitude = read_table(Path(given["altitude"]), ALTITUDE, sources)
+        _tell_unused(altitude.path, altitude.unused)
+        return altitudes(lens, altitude), about, altitude
     return (lambda source, name: None), None, None
+
+
+def _metres(altitude: str) -> float | None:
+    """Altitude, or None if it is the name of a file. Raises click.UsageError if it is neither."""
+    try:
+        return float(altitude)
+    except ValueError:
+        if Path(altitude).exists():
+            return None
+        raise click.UsageError(f"--altitude: expected metres, such as 0.4, or a CSV file, got {altitude}") from None
 
 
 def _tell_others(found: Found) -> None:
@@ -310,8 +320,10 @@ def _tell(found: Survey, page: Path, made: int, cpu_s: float) -> None:
     echo(f"{found.oysters} {what} in {len(found.pictures)} {noun}{each}")
     if found.small:
         echo(f"Not counted, smaller than {found.at_least}: {found.small}")
-    for reason in dict.fromkeys(one.ratio.interval.reason for one in found.measures if not one.ratio.interval.known):
-        echo(reason)
+    unknown = [one for one in found.measures if not one.ratio.interval.known]
+    for reason in dict.fromkeys(one.ratio.interval.reason for one in unknown):
+        own = [one.heading for one in unknown if one.ratio.interval.reason == reason]
+        echo(reason if len(own) == len(found.measures) else f"{', '.join(own)}: {reason}")
     for one in found.measures:
         column = Column("", kind="interval", digits=one.digits)
         interval = one.ratio.interval

@@ -51,7 +51,7 @@ def average_precision(
     Raises
     ------
     oysterbench.core.errors.LabelError
-        Truth and estimate differ in size or number of images.
+        Truth and estimate differ in size or number of images, or kind or overlap is none of these.
     oysterbench.core.errors.MissingExtraError
         pycocotools is not installed.
 
@@ -66,7 +66,9 @@ def average_precision(
     >>> round(oysterbench.metrics.average_precision(truth, one), 3)
     0.505
     """
-    part = "" if overlap is None else str(overlap)
+    if overlap not in (None, 50, 75):
+        raise LabelError(f"overlap: expected 50 or 75 (%), or none for the mean over 50 to 95, got {overlap!r}")
+    part = "" if overlap is None else f"{overlap:.0f}"
     return _metric(f"ap{part}_{_kind(kind)}", truth, estimate, scores)
 
 
@@ -88,7 +90,8 @@ def average_recall(
 
 def panoptic_quality(truth: Planes, estimate: Planes, scores: Scores | None = None) -> float:
     """Panoptic quality of the class oyster (Kirillov et al. 2019): the sum of the overlaps of all matches over the
-    number of matches plus half the number of unmatched oysters; parameters as for `average_precision`.
+    number of matches plus half the number of unmatched oysters; parameters as for `average_precision`. With scores,
+    estimates below 0.5 are left out, as when oysters are counted; without, none is.
 
     Examples
     --------

@@ -143,6 +143,8 @@ def _metric(key: str, truth: Masks, estimate: Masks, ignore: Masks | None, thres
         asked = None if left_out is None else as_mask(left_out, f"{where}: ignore")
         given = {"probability" if said.dtype.kind == "f" else "oyster": said}
         scorer.add(TruthImage(where, classes, named=False, ignore=asked), EstimateImage(where, **given))
+    if ignored is not None and next(ignored, None) is not None:
+        raise LabelError("ignore: expected as many images as truth has, got more")
     return float(scorer.result().metrics[key])
 
 
@@ -151,13 +153,22 @@ def _pictures(masks: Masks) -> Iterator[NDArray[Any]]:
     if isinstance(masks, list | tuple) and masks and np.ndim(masks[0]) < 2:
         masks = np.asarray(masks)
     if hasattr(masks, "ndim") or hasattr(masks, "__array__"):
-        array = np.asarray(masks)
+        array = _array(masks)
         if array.ndim not in (2, 3):
             raise LabelError(f"expected masks (H, W) or (N, H, W), got an array of shape {array.shape}")
         masks = [array] if array.ndim == 2 else list(array)
-    assert isinstance(masks, Iterable)
+    if not isinstance(masks, Iterable):
+        raise LabelError(f"expected masks (H, W) or (N, H, W), or several of (H, W), got {masks!r:.80}")
     for one in masks:
-        array = np.asarray(one)
+        array = _array(one)
         if array.ndim != 2:
             raise LabelError(f"expected masks (H, W), got one of shape {array.shape}")
         yield array
+
+
+def _array(mask: Any) -> NDArray[Any]:
+    """A mask as an array. Raises LabelError for a tensor that cannot become one."""
+    try:
+        return np.asarray(mask)
+    except (TypeError, RuntimeError) as error:
+        raise LabelError(f"expected masks that NumPy can read, such as tensor.float().cpu().numpy(): {error}") from None

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from oysterbench.core.errors import SequenceError
+from oysterbench.core.errors import OptionError, SequenceError
 from oysterbench.recipe import OYSTER
 from oysterbench.sensors.camera_messages import LAYERS, read_layer
 from oysterbench.sequence import Sequence
@@ -23,6 +23,7 @@ from oysterbench.torch.sources import (
     Transform,
     cameras_of,
     channels_first,
+    names_of,
     opened,
     place_of,
     sequence_files,
@@ -84,6 +85,8 @@ class FrameDataset(Dataset[Any]):
     ------
     oysterbench.core.errors.SequenceError
         A file is absent or damaged, or no camera of a file has the layers: the message says which layers there are.
+    oysterbench.core.errors.OptionError
+        Cameras or layers are not given by their names.
 
     Examples
     --------
@@ -108,12 +111,14 @@ class FrameDataset(Dataset[Any]):
         transform: Transform | None = None,
         cache_mb: float = CACHE_BYTES / 1e6,
     ) -> None:
-        self.layers = tuple([layers] if isinstance(layers, str) else layers)
+        self.layers = tuple(names_of(layers, "layers"))
         self.transform = transform
         for layer in self.layers:
             if layer not in LAYERS and layer not in DERIVED:
                 raise SequenceError(f"layers: unknown layer {layer!r}; known layers: {', '.join([*DERIVED, *LAYERS])}")
-        asked = [camera] if isinstance(camera, str) else None if camera is None else list(camera)
+        asked = None if camera is None else names_of(camera, "camera")
+        if asked == []:
+            raise OptionError("camera: expected a name or several, got none; leave it out for all that have the layers")
         chunks = Chunks(round(1e6 * cache_mb))
         self._parts: list[_Part] = []
         for path in sequence_files(source):

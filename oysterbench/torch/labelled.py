@@ -11,7 +11,8 @@ from torch.utils.data import Dataset
 
 from oysterbench.annotations import LabelledSet, open_labelled
 from oysterbench.core.errors import LabelError
-from oysterbench.torch.sources import Transform, channels_first
+from oysterbench.notebook.split import Split
+from oysterbench.torch.sources import Transform, channels_first, place_of
 
 
 class LabelledDataset(Dataset[Any]):
@@ -19,7 +20,7 @@ class LabelledDataset(Dataset[Any]):
 
     Parameters
     ----------
-    source : path or oysterbench.annotations.LabelledSet
+    source : path, oysterbench.Split or oysterbench.annotations.LabelledSet
         A folder with images/ and labels/*.txt (YOLO) or masks/*.png, one with a COCO file, or a set of them, such as
         `oysterbench.labelled(path).of_split("train")`.
     transform : callable, optional
@@ -30,7 +31,7 @@ class LabelledDataset(Dataset[Any]):
     An item is a dict: image (3, H, W) uint8 RGB; oyster (H, W) bool; instance (H, W) int32, 0 is none; ignore (H, W)
     bool, pixels that are not evaluated; name and clip, str. These keys are shared with `FrameDataset(...,
     layers=("oyster", "instance", "ignore"))`, so that a `ConcatDataset` can mix rendered and real images if a transform
-    keeps what both have.
+    keeps what both have; `instance` numbers other objects, too, there, so the transform sets it to 0 outside `oyster`.
 
     Raises
     ------
@@ -47,7 +48,11 @@ class LabelledDataset(Dataset[Any]):
     torch.Size([48, 64])
     """
 
-    def __init__(self, source: str | os.PathLike[str] | LabelledSet, transform: Transform | None = None) -> None:
+    def __init__(
+        self, source: str | os.PathLike[str] | Split | LabelledSet, transform: Transform | None = None
+    ) -> None:
+        if isinstance(source, Split):
+            source = source.labelled()
         self.pictures = source if isinstance(source, LabelledSet) else open_labelled(os.fspath(source))
         self.transform = transform
         if not len(self.pictures):
@@ -57,7 +62,7 @@ class LabelledDataset(Dataset[Any]):
         return len(self.pictures)
 
     def __getitem__(self, number: int) -> Any:
-        found = self.pictures[number]
+        found = self.pictures[place_of(number, np.array([len(self)]))[1]]
         item = {
             "image": channels_first(found.pixels),
             "oyster": torch.from_numpy(found.oysters.copy()),

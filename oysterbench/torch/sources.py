@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from oysterbench.core.errors import SequenceError
+from oysterbench.core.errors import OptionError, SequenceError
 from oysterbench.notebook.split import Split, split
 from oysterbench.sensors.camera import CameraCalibration
 from oysterbench.sensors.camera_messages import read_colour
@@ -65,6 +65,16 @@ def sequence_files(source: Source) -> list[Path]:
     if not files:
         raise SequenceError("expected a split, sequence files (.mcap) or a folder of them, got nothing")
     return files
+
+
+def names_of(asked: str | Iterable[str], what: str) -> list[str]:
+    """Names that were asked for, of cameras or layers. Raises OptionError for anything else."""
+    if isinstance(asked, str):
+        return [asked]
+    names = list(asked) if isinstance(asked, Iterable) else []
+    if not isinstance(asked, Iterable) or not all(isinstance(name, str) for name in names):
+        raise OptionError(f"{what}: expected a name or several, got {asked!r:.80}")
+    return names
 
 
 def cameras_of(sequence: Sequence, path: Path, camera: str | Iterable[str] | None) -> Iterator[str]:

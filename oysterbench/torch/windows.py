@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from oysterbench.core.trajectory import too_wide
 from oysterbench.sequence import Sequence
 from oysterbench.sequence.places import CACHE_BYTES, Chunks, IndexedFile
 from oysterbench.sequence.types import imu_arrays
-from oysterbench.torch.sources import Shots, Source, Transform, cameras_of, opened, place_of, sequence_files
+from oysterbench.torch.sources import Shots, Source, Transform, cameras_of, names_of, opened, place_of, sequence_files
 
 
 class WindowDataset(Dataset[Any]):
@@ -104,10 +105,11 @@ class WindowDataset(Dataset[Any]):
         cache_mb: float = CACHE_BYTES / 1e6,
     ) -> None:
         for name, value, least in (("length", length, 2), ("stride", stride, 1)):
-            if not isinstance(value, int) or value < least:
+            if not isinstance(value, Integral) or value < least:
                 raise OptionError(f"{name}: expected a number of frames from {least} on, got {value!r}")
+        length, stride = int(length), int(stride)
         self.length, self.stride, self.poses, self.transform = length, stride, poses, transform
-        asked = [camera] if isinstance(camera, str) else None if camera is None else list(camera)
+        asked = None if camera is None else names_of(camera, "camera")
         chunks = Chunks(round(1e6 * cache_mb))
         self._parts = [part for path in sequence_files(source) for part in _parts_of(path, asked, poses, chunks)]
         self._begins = [part.begins(length, stride, max_gap_s) for part in self._parts]

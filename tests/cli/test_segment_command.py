@@ -349,24 +349,6 @@ def test_a_picture_without_corners_is_not_counted_and_told_of(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--quadrat", "0.5"), "--quadrat: expected --corners FILE as well"),
-        (("--corners", "c.csv"), "--corners: expected --quadrat M as well"),
-        (("--altitude", "1"), "--altitude: expected --calibration FILE as well"),
-        (("--calibration", "c.yaml"), "--calibration: expected --altitude M as well"),
-        (("--camera", "cam0"), "--camera: expected --calibration FILE as well"),
-        (("--min-mm", "25"), "--min-mm: expected a scale as well"),
-        (("--mm-per-px", "1", "--quadrat", "1", "--corners", "c"), "expected at most one scale"),
-    ],
-)
-def test_options_of_a_scale_that_do_not_belong_together_are_refused(folder, options, said):
-    done = run("segment", folder, *DISCS, *options)
-    assert done.returncode == 2
-    assert said in done.stderr
-
-
-@pytest.mark.parametrize(
     ("options", "code", "said"),
     [
         (("--mm-per-px", "-1"), 2, "--mm-per-px: expected millimetres above 0, got -1"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -26,6 +27,9 @@ TRAJECTORIES = {
     "trajectory_score": "score",
 }
 """Function -> key of a result."""
+
+ONE = np.ones((4, 4), dtype=int)
+"""An oyster that fills its image."""
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +103,13 @@ def test_tensors_are_masks_too(masks):
     assert metrics.iou(list(torch.from_numpy(truth)), probability) == metrics.iou(truth, probability)
 
 
+def test_a_tensor_of_a_kind_that_numpy_has_not_is_refused_in_one_line(masks):
+    torch = pytest.importorskip("torch")
+    truth, probability, _ = masks
+    with pytest.raises(LabelError, match=r"such as tensor.float\(\).cpu\(\).numpy\(\): .*BFloat16"):
+        metrics.iou(truth, torch.from_numpy(probability).bfloat16())
+
+
 def test_a_picture_has_one_vote_where_it_is_asked_for(masks):
     truth, probability, _ = masks
     each = [metrics.iou(one, other) for one, other in zip(truth, probability, strict=True)]
@@ -115,6 +126,10 @@ def test_a_picture_has_one_vote_where_it_is_asked_for(masks):
         (lambda: metrics.iou(np.ones((4, 4), bool), np.full((4, 4), 3.0)), "probabilities from 0 to 1, got 3 to 3"),
         (lambda: metrics.iou(np.ones(4, bool), np.ones(4, bool)), r"expected masks \(H, W\)"),
         (lambda: metrics.iou(np.ones((4, 4)) > 0, np.ones((4, 4)) > 0, np.ones((3, 3)) > 0), "ignore: expected"),
+        (lambda: metrics.iou(ONE, ONE, [ONE < 1] * 2), "ignore: .* has, got more"),
+        (lambda: metrics.iou(cast(Any, None), ONE), "expected masks .*, got None"),
+        (lambda: metrics.average_precision(ONE, ONE, overlap=cast(Any, 60)), "overlap: expected 50 or 75"),
+        (lambda: metrics.average_precision(ONE, ONE, overlap=cast(Any, 0.5)), "overlap: expected .* got 0.5"),
         (lambda: metrics.count_mae([1, 2], [1]), "as many estimated counts"),
         (lambda: metrics.average_precision(np.ones((4, 4), int), np.ones((2, 4, 4), int)), "of the same images"),
         (lambda: metrics.average_precision(np.ones((4, 4)), np.ones((4, 4), int)), "oyster numbers as integers"),
@@ -165,6 +180,13 @@ def test_numbers_may_be_as_large_as_an_int32_holds(oysters):
 def test_panoptic_quality_is_overlaps_by_matches_and_half_of_what_has_none(oysters):
     assert metrics.panoptic_quality(*oysters) == pytest.approx(1.0 / (1 + 0.5 + 0.5))
     assert metrics.panoptic_quality(*(np.stack([one, one]) for one in oysters)) == pytest.approx(0.5)
+
+
+def test_panoptic_quality_leaves_out_what_is_not_counted(oysters):
+    true, _ = oysters
+    scores = {int(one): 0.4 for one in np.unique(true) if one}
+    assert metrics.panoptic_quality(true, true) == 1.0
+    assert metrics.panoptic_quality(true, true, [scores | {1: 0.5}]) == pytest.approx(1 / (1 + 0.5 * (len(scores) - 1)))
 
 
 def test_counts_are_held_against_each_other():

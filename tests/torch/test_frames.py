@@ -15,7 +15,7 @@ import torch
 from torch.utils.data import DataLoader
 
 import oysterbench
-from oysterbench.core.errors import SequenceError
+from oysterbench.core.errors import OptionError, SequenceError
 from oysterbench.sequence.export import export_sequence
 from oysterbench.sequence.places import Chunks, IndexedFile
 from oysterbench.torch import FrameDataset
@@ -154,10 +154,14 @@ def test_files_without_labels_are_refused_in_one_line(dive_file, tmp_path):
         ({"layers": ("masks",)}, "unknown layer 'masks'; known layers: oyster, ignore, depth"),
         ({"camera": "cam_down"}, "no camera 'cam_down'; cameras: cam_left, cam_right"),
         ({"camera": "cam_right"}, "cam_right has none"),
+        ({"camera": []}, "camera: expected a name or several, got none"),
+        ({"camera": 3}, "camera: expected a name or several, got 3"),
+        ({"layers": None}, "layers: expected a name or several, got None"),
+        ({"layers": [3]}, r"layers: expected a name or several, got \[3\]"),
     ],
 )
 def test_what_a_file_has_not_is_refused_in_one_line(dive_file, options, pattern):
-    with pytest.raises(SequenceError, match=pattern):
+    with pytest.raises((SequenceError, OptionError), match=pattern):
         FrameDataset(dive_file, **options)
 
 

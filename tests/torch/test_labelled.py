@@ -37,6 +37,20 @@ def test_a_part_of_a_set_is_a_data_set(folder):
     assert [item["clip"] for item in LabelledDataset(part)] == ["a"] * 3
 
 
+def test_one_item_is_had_by_its_number(folder):
+    pictures = LabelledDataset(folder)
+    assert pictures[-1]["name"] == pictures[np.int64(4)]["name"] == oysterbench.labelled(folder)[4].name
+    with pytest.raises(IndexError, match="expected an item from 0 to 4, got 5"):
+        pictures[5]
+    with pytest.raises(TypeError, match=r"Subset\(data, numbers\) has several"):
+        pictures[0:2]
+
+
+def test_a_split_is_a_data_set_too(dive_file):
+    split = oysterbench.split(dive_file.parent)
+    assert [item["name"] for item in LabelledDataset(split)] == [one.name for one in split.labelled()]
+
+
 def test_workers_give_the_same_items(folder):
     pictures = LabelledDataset(folder)
     loader = DataLoader(pictures, batch_size=5, num_workers=2, multiprocessing_context="fork")

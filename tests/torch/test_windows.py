@@ -98,6 +98,7 @@ def test_windows_over_a_gap_are_left_out_where_that_is_asked_for(dive_file):
     ("options", "pattern"),
     [
         ({"length": 1}, "length: expected a number of frames from 2 on, got 1"),
+        ({"length": 2.5}, "length: expected a number of frames from 2 on, got 2.5"),
         ({"length": 3, "stride": 0}, "stride: expected a number of frames from 1 on, got 0"),
     ],
 )
