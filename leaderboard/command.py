@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from oysterbench.cli.groups import Group
 from oysterbench.cli.outputs import TEXTS
 from oysterbench.core.errors import ResultError
 
@@ -33,7 +34,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
 """Name -> module, attribute and a line of help, so that the group's help needs no import."""
 
 
-class Lazy(click.Group):
+class Lazy(Group):
     """A group whose commands are imported when they are called."""
 
     def list_commands(self, context: click.Context) -> list[str]:

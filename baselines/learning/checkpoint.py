@@ -87,7 +87,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
             raise ValueError(f"expected {FORMAT}")
         return Checkpoint(**values)
     except FileNotFoundError:
-        meant = did_you_mean(nearest(str(path), weights_names()))
+        names = weights_names()
+        meant = "" if str(path) in names else did_you_mean(nearest(str(path), names))
         raise MethodError(f"{path}: no such checkpoint; {meant}`oysterbench train` makes one") from None
     except MethodError:
         raise

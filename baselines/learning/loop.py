@@ -292,5 +292,5 @@ def _difference(known: Mapping[str, Any], wanted: Mapping[str, Any], of: str = "
             if key == "held_out":
                 return "holds a training that held out other images to measure its thresholds, or does not say which"
             why = f": the images or labels of {key} have changed" if of == "data" and mine and other else ""
-            return f"holds a training with {key} = {str(mine)[:60]}, and {key} = {str(other)[:60]} is asked for{why}"
+            return f"holds a training with {key} = {str(mine)[:60]}, and this one has {key} = {str(other)[:60]}{why}"
     return "holds another training"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oysterbench.core.errors import MethodError
+from oysterbench.methods.weights import weights_names
 from oysterbench_baselines.learning.trained import (
     checkpoint_path,
     device_option,
@@ -23,13 +25,17 @@ if TYPE_CHECKING:
     from oysterbench_baselines.learning.checkpoint import Checkpoint
     from oysterbench_baselines.unet.training import UNetSettings
 
-begin_option = click.option(
-    "--begin",
-    metavar="MODEL|FILE",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Initial weights: a file of another training of the method, or its name, such as unet, for those that it "
-    "runs on.",
-)
+
+def begin_option(name: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Option for the initial weights of a training of this name."""
+    return click.option(
+        "--begin",
+        metavar="MODEL|FILE",
+        type=click.Path(path_type=Path, dir_okay=False),
+        help=f"Initial weights: a file of another `oysterbench train {name}`, or {name}, for the current weights of "
+        "that method.",
+    )
+
 
 
 @click.command("unet", short_help="A U-Net with a pretrained encoder, on any labelled images.")
@@ -40,7 +46,7 @@ begin_option = click.option(
     help="EfficientNet-Lite pretrained on ImageNet, each a third more costly than the one before.  [default: lite0, or "
     "with --begin that of the weights]",
 )
-@begin_option
+@begin_option("unet")
 @side_option
 @device_option("auto")
 def command(
@@ -90,7 +96,7 @@ def command(
 
 @click.command("unet_small", short_help="The same with a small network trained from random weights.")
 @training_options()
-@begin_option
+@begin_option("unet_small")
 @side_option
 @device_option("auto")
 def small_command(
@@ -145,6 +151,11 @@ def _train(
     if begin == Path(name) and not begin.exists():
         _check_out(path, begin, checkpoint_path(name))  # what the name means as soon as there is such a file
         begin = trained(name)
+    if begin is not None and str(begin) in weights_names() and not begin.exists():
+        raise MethodError(
+            f"--begin {begin}: these are weights of another network; begin with a file of `oysterbench train {name}`, "
+            f"or with {name}"
+        )
     if begin is not None:
         _check_out(path, begin, begin)
     begun = None if begin is None else read_finished(begin)

@@ -7,10 +7,11 @@ from typing import Any
 
 import click
 
+from oysterbench.cli.groups import Group
 from oysterbench.core.errors import MethodError
 
 
-class Installed(click.Group):
+class Installed(Group):
     """Command group whose commands are entry points; each is a click command, loaded when it is needed."""
 
     def __init__(self, name: str, points: str, **settings: object) -> None:
@@ -50,7 +51,7 @@ train = Installed(
     "train",
     "oysterbench.train",
     short_help="Train a learned method.",
-    help="""Train a learned method on labelled images.
+    help="""Train a learned method, on labelled images or on sequences, as its own help says.
 
     \b
     Examples:

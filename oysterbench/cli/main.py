@@ -19,6 +19,7 @@ from oysterbench.cli.eval import eval_command
 from oysterbench.cli.export import export
 from oysterbench.cli.extras import extra_of
 from oysterbench.cli.failures import told
+from oysterbench.cli.groups import Group
 from oysterbench.cli.interrupts import BEGUN, TERMINATED, Terminated, interruption
 from oysterbench.cli.learn import Installed, experiment, train, translate
 from oysterbench.cli.map import map_command
@@ -52,7 +53,7 @@ RENAMED = {"hub-key": "keygen"}
 """Former name of a command -> present name."""
 
 
-class Commands(click.Group):
+class Commands(Group):
     """Command group that turns expected failures into one line on stderr and an exit code. It includes the commands
     that packages register in the entry-point group `oysterbench.commands`."""
 

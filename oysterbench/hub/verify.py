@@ -295,8 +295,10 @@ def checks(name: str = "") -> Iterator[Check]:
         yield check
     if name and not found:
         known = {*split_names(), *(path.stem for path in released_models().glob("*.pt"))}
-        meant = "" if split in known else did_you_mean(nearest(split, known))
-        raise HubError(f"{name}: no data of it is here; {meant}`oysterbench download {name}` downloads it")
+        if split in known:
+            raise HubError(f"{name}: no data of it is here; `oysterbench download {name}` downloads it")
+        meant = did_you_mean(nearest(split, known))
+        raise HubError(f"{name}: no such file, folder, split or weights; {meant}`oysterbench splits` lists the splits")
 
 
 def check_tree(tree: Path) -> Iterator[Check]:

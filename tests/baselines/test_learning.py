@@ -274,7 +274,7 @@ def test_a_checkpoint_says_all_that_is_needed_to_repeat_it(labelled, tmp_path):
 def test_a_training_of_other_data_or_settings_is_not_gone_on_with(labelled, tmp_path):
     train(labelled, tmp_path / "a.pt", SMALL, 3, CPU)
     more = dataclasses.replace(SMALL, fit=dataclasses.replace(SMALL.fit, steps=13))
-    with pytest.raises(MethodError, match=r"a\.pt: holds a training with steps = 12, and steps = 13 is asked for"):
+    with pytest.raises(MethodError, match=r"a\.pt: holds a training with steps = 12, and this one has steps = 13"):
         train(labelled, tmp_path / "a.pt", more, 3, CPU)
     with pytest.raises(MethodError, match=r"a training with small = .*: the images or labels of small have changed"):
         train(labelled.where(lambda entry: entry.clip == "one"), tmp_path / "a.pt", SMALL, 3, CPU)

@@ -64,6 +64,10 @@ def test_a_training_begins_with_the_weights_of_a_name(tmp_path, begun, monkeypat
         failed = CliRunner().invoke(main, [*words, name, *out])
         assert failed.exit_code != 0
         assert f"{name}: no such checkpoint; {meant}`oysterbench train` makes one" in failed.stderr
+    for name in ("unet", "moving"):
+        failed = CliRunner().invoke(main, [*words, name, *out])
+        assert failed.exit_code == 1
+        assert f"--begin {name}: these are weights of another network; begin with a file of" in failed.stderr
 
 
 @pytest.mark.parametrize("begin", ["begun.pt", "unet_small"])

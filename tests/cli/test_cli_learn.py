@@ -42,7 +42,8 @@ def test_what_is_installed_is_listed_and_run(group):
     run = group(mine=mine)
     assert "mine  My own." in run("--help").stdout
     assert run("mine", "--name", "it").stdout == "trained it\n"
-    assert "No such command 'other'" in run("other").stderr
+    assert "No such command 'other'.\n" in run("other").stderr
+    assert "No such command 'mien'. Did you mean mine?" in run("mien").stderr
 
 
 def test_a_package_that_is_missing_is_named_with_what_to_install(group):

@@ -131,9 +131,11 @@ def test_errors_are_one_line_with_their_code(place, tmp_path):
     assert "no such key" in line(1, "publish", place.recipe, tmp_path / "x", "--key", tmp_path / "no.pem")
     assert "oysterbench render" in line(1, "publish", place.recipe, tmp_path / "x", "--key", place.folder / "key.pem")
     assert "index.json is absent" in line(1, "serve", tmp_path)
-    assert "no data of it is here" in line(1, "verify", "slam-max")
+    unknown = "no such file, folder, split or weights; "
+    assert f"nothing: {unknown}`oysterbench splits` lists" in line(1, "verify", "nothing")
+    assert f"slam-max: {unknown}did you mean slam-" in line(1, "verify", "slam-max")
     assert "no data of it is here; `oysterbench download slam-train`" in line(1, "verify", "slam-train")
-    assert "no data of it is here; did you mean slam-train or " in line(1, "verify", "slam-trian")
+    assert f"{unknown}did you mean slam-train or " in line(1, "verify", "slam-trian")
     place.run("publish", place.recipe, tmp_path, "--key", place.folder / "key.pem", "--hidden", code=2)
 
 

@@ -309,3 +309,8 @@ def test_a_track_with_nothing_but_a_former_recipe_names_the_option_that_shows_it
     fill(board, {"boxes": boxes, "new": new})
     assert "--all shows those of former ones" in refused("leaderboard", "--track", "detection")
     assert "boxes" in shown("--track", "detection", "--all").stdout
+
+
+def test_the_command_that_was_meant_is_named():
+    for words, meant in ((("leaderbord",), "leaderboard"), (("submt",), "submit"), (("leaderboard", "serv"), "serve")):
+        assert f"No such command {words[-1]!r}. Did you mean {meant}?" in typed(*words, code=2).stderr

@@ -160,7 +160,8 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
 
     if sparse := sparse_note(estimate, settings):
         notes.append(sparse)
-    notes += attitude_notes(met.truth.quaternions, met.estimate.quaternions, fit.similarity)
+    turned = T is not None and not np.allclose(T[:3, :3], np.eye(3))
+    notes += attitude_notes(met.truth.quaternions, met.estimate.quaternions, fit.similarity, turned)
     seen = poses_of_frame(met.truth, T), poses_of_frame(met.estimate, met.estimate.T_body_estimate)
     notes += alignment_notes(seen[0].positions, seen[1].positions, settings.align, measures["ate_rmse_m"])
     notes += rate_notes(truth, estimate)

@@ -110,11 +110,12 @@ def _others(wrong: NDArray[np.bool_]) -> str:
     return f" and {count} more" if count else ""
 
 
-def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list[str]:
+def attitude_notes(truth: Array, estimate: Array, alignment: Similarity, turned: bool = False) -> list[str]:
     """Note on attitudes that seem to be in another order or of another frame than `base_link`.
 
-    truth (N, 4) and estimate (N, 4) are matched quaternions x y z w, the estimate's before alignment. This never
-    changes scores: it only points out the two most common mistakes in writing a trajectory.
+    truth (N, 4) and estimate (N, 4) are matched quaternions x y z w, the estimate's before alignment. turned:
+    whether they were read as those of another frame and rotated to `base_link`. This never changes scores: it only points out the two most common mistakes in
+    writing a trajectory.
     """
     aligned = alignment.rotate(estimate)
     error = _rms(rotation_angle(truth, aligned))
@@ -141,10 +142,14 @@ def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list
     # A rotation about the vertical alone is what a wrong alignment of a level vehicle looks like.
     tilt = np.arccos(np.clip(turn.as_matrix()[2, 2], -1.0, 1.0))
     if rest * SUSPICIOUS_GAIN < error and tilt > SUSPICIOUS_RAD:
+        asked = (
+            "they were read as poses of a camera or an IMU (--poses-of): are they those of another frame?"
+            if turned
+            else "are these poses of a camera or an IMU? Poses of base_link are expected"
+        )
         return [
             "the attitudes differ from the ground truth by a constant rotation of "
-            f"{np.rad2deg(turn.magnitude()):.1f} deg ({np.rad2deg(rest):.1f} deg remain): are these poses of "
-            "a camera or an IMU? Poses of base_link are expected"
+            f"{np.rad2deg(turn.magnitude()):.1f} deg ({np.rad2deg(rest):.1f} deg remain): {asked}"
         ]
     return []
 
