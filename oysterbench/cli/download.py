@@ -13,7 +13,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.models import download_model, model_path, part_of_oysterbench
-from oysterbench.core.errors import HubError, IntegrityError, NotOnHubError, SilentError
+from oysterbench.core.errors import HubError, IntegrityError, NetworkError, NotOnHubError, SilentError
 
 if TYPE_CHECKING:
     from oysterbench.hub.download import Hub
@@ -33,7 +33,7 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 @click.option("--topics", multiple=True, metavar="GLOB", help="Only these topics, in a smaller file; repeatable.")
 @click.option("--out", type=FOLDER, help="Folder.  [default: under the home folder]")
 @click.option("--connections", type=click.IntRange(1, 32), default=4, show_default=True, help="Connections at once.")
-@click.option("--dry-run", is_flag=True, help="Only show what would be downloaded.")
+@click.option("--dry-run", is_flag=True, help="Only show what is here and what is not.")
 @click.option("--verify", "check", is_flag=True, help="Read every file again afterwards, and repair damaged ones.")
 @click.option("--again", is_flag=True, help="Replace weights trained here.")
 @click.option("--json", "as_json", is_flag=True, help="Print the files as JSON.")
@@ -64,7 +64,8 @@ def download(
       oysterbench download unet    trained weights; `oysterbench models --hub` lists them
 
     May be interrupted at any time, even killed; the same command resumes. Without a hub (--from, OYSTERBENCH_HUB or
-    hub.toml in the home folder), a split is rendered instead, with the same bytes. Weights trained here are replaced
+    hub.toml in the home folder), a split is rendered instead, with the same bytes. Released splits, whose manifests are
+    part of oysterbench, need no key, and of what is here already no hub is asked. Weights trained here are replaced
     only with --again.
     """
     from oysterbench.hub.download import Hub, choose, download, find_here
@@ -102,7 +103,7 @@ def download(
     if here is None and not hub_at:
         _render_instead(context, split, name, patterns, topics, out, dry_run, check, as_json)
         return
-    with _telling_of(unvouched):
+    with _telling_of(unvouched), _or_rendered(split):
         hub = Hub([], None) if here else Hub.at(hub_at, hub_key(key), message, connections=connections)
         folder, manifest = here or (None, hub.manifest(split_name, version or None))
     folder = folder or out or _folder(split, manifest)
@@ -112,7 +113,8 @@ def download(
         return
     from oysterbench.cli.progress import bytes_bar
 
-    with bytes_bar(f"downloading {split_name}") as progress:
+    doing = "downloading and verifying" if check else "downloading"
+    with _or_rendered(split), bytes_bar(f"{doing} {split_name}") as progress:
         if topics:
             from oysterbench.hub.topics import fetch_topics
 
@@ -143,6 +145,17 @@ def _telling_of(folder: Path | None) -> Iterator[None]:
             f"{error}; the files are in {folder}, by a manifest that no key vouches for here: OYSTERBENCH_OFFLINE=1 "
             "uses them"
         ) from None
+
+
+@contextmanager
+def _or_rendered(split: SplitRecipe | None) -> Iterator[None]:
+    """Where a hub cannot give a split, add to its error what renders it here, if its recipe is known."""
+    try:
+        yield
+    except (NotOnHubError, NetworkError) as error:
+        if split is None or split.hidden:
+            raise
+        raise type(error)(f"{error}; `oysterbench render {split.name}` makes the same files") from None
 
 
 def _model(

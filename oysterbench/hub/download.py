@@ -145,7 +145,7 @@ class Hub:
                     mirror.fail(str(error), lied=True)
                 except Refusal as refusal:
                     mirror.answered = True
-                    mirror.refused[path] = str(refusal)
+                    mirror.refused[path] = refusal
                 except Setback as setback:
                     mirror.answered |= not isinstance(setback, Silence)
                     if attempt >= self.patience.first_contact or setback.wait_s > self.patience.longest_wait_s:
@@ -313,8 +313,9 @@ def download(
 ) -> dict[str, Path]:
     """Fetch the files of a manifest that are not in the folder yet, and return all: sequence -> path.
 
-    verify: read back files that are here already, and those that were written, and repair what is damaged. Raises
-    IntegrityError or NetworkError where that fails; downloaded data is kept.
+    verify: read back files that are here already, and those that were written, and repair what is damaged; progress:
+    of the bytes of those and of what is fetched. Raises IntegrityError or NetworkError where that fails; downloaded
+    data is kept.
     """
     entries = manifest.files if entries is None else entries
     steps = plan(manifest, entries, folder)
@@ -322,16 +323,17 @@ def download(
     write_atomically(folder / MANIFEST, manifest.data)
     if not any(step.path.is_file() for step in steps if step.state != "here"):
         remember_folder(folder, manifest)  # at once, so that resuming need not read what is complete
-    total, done = sum(entry.size for entry in entries), 0
+    total, done = sum(step.entry.size for step in steps if verify or step.state != "here"), 0
 
     def count(n: int) -> None:
         nonlocal done
         done += n
         progress(done, total)
 
-    count(0)
+    if total:
+        count(0)
     for step in steps:
-        _fetch(hub, step, verify, count)
+        _fetch(hub, step, verify, count if verify or step.state != "here" else lambda n: None)
     remember_folder(folder, manifest)  # damaged files were replaced
     return {step.entry.sequence: step.path for step in steps}
 

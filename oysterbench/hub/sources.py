@@ -47,6 +47,10 @@ class Refusal(Exception):
     """A request that this source will not fulfil, however often it is retried."""
 
 
+class Absence(Refusal):
+    """A file that this source does not have."""
+
+
 @dataclass(frozen=True)
 class Patience:
     """How long and how often a client tries. Times in seconds."""
@@ -117,7 +121,7 @@ class Folder:
                 file.seek(start)
                 yield FileBody(file, start, None if end is None else end - start)
         except FileNotFoundError:
-            raise Refusal(f"{self.folder / path} is not there") from None
+            raise Absence(f"{self.folder / path} is not there") from None
         except OSError as error:
             raise Setback(f"{self.folder / path}: {error.strerror or error}") from None
 
@@ -185,7 +189,7 @@ def _check(response: BaseHTTPResponse, start: int, end: int | None) -> int:
         raise Setback(f"status {status}", retry_after_s(response.headers.get("Retry-After")))
     if status not in (200, 206):
         why = "the file there is shorter than it should be" if status == 416 else (response.reason or "refused")
-        kind = Setback if status == 416 else Refusal
+        kind = Setback if status == 416 else Absence if status == 404 else Refusal
         raise kind(f"status {status} ({why})")
     if response.headers.get("Content-Encoding", "identity") != "identity":
         raise Refusal(f"the answer is compressed ({response.headers['Content-Encoding']!r:.80}), though it must not be")

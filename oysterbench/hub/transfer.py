@@ -15,7 +15,7 @@ from oysterbench.core.errors import HubError, IntegrityError, NetworkError, Sile
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.draft import Draft, drafts_left
 from oysterbench.hub.part import Part
-from oysterbench.hub.sources import Body, Patience, Refusal, Setback, Source
+from oysterbench.hub.sources import Absence, Body, Patience, Refusal, Setback, Source
 
 RUN = 8
 """Maximum number of pieces in one request."""
@@ -43,7 +43,7 @@ class Mirror:
         self.failure: str | None = None
         self.lied = False  # it gave wrong bytes
         self.answered = False  # however wrongly, when asked for a document
-        self.refused: dict[str, str] = {}  # path -> why
+        self.refused: dict[str, Refusal] = {}  # by path
         self.whole = False  # it ignores ranges
         self.sweeping = threading.Lock()  # held by the one connection that reads a whole file from it
 
@@ -53,7 +53,8 @@ class Mirror:
 
     def why_not(self, path: str) -> str | None:
         """Why this mirror is not asked for a file, or None."""
-        return self.failure or self.refused.get(path)
+        refusal = self.refused.get(path)
+        return self.failure or (None if refusal is None else str(refusal))
 
 
 def no_mirror_left(what: str, path: str, mirrors: Iterable[Mirror]) -> HubError:
@@ -146,7 +147,10 @@ class Transfer:
         if self._missing:
             total, there = len(self.entry.pieces), len(self.entry.pieces) - len(self._missing)
             error = no_mirror_left(self.entry.name, self.path, self._mirrors)
-            raise type(error)(f"{error}; {there} of {total} pieces are kept, and the same command resumes from there")
+            then = f"{there} of {total} pieces are kept, and the same command resumes from there"
+            if not there and all(isinstance(one.refused.get(self.path), Absence) for one in self._mirrors):
+                then = "has this hub got it? `oysterbench splits --hub` and `oysterbench models --hub` list what it has"
+            raise type(error)(f"{error}; {then}")
 
     def _work(self, number: int) -> None:
         descriptor = self._part.duplicate()
@@ -242,7 +246,7 @@ class Connection:
                 try:
                     self._ask(mirror, run)
                 except Refusal as refusal:
-                    mirror.refused[self.t.path] = str(refusal)
+                    mirror.refused[self.t.path] = refusal
                     self._change_mirror()
                 except Setback as setback:
                     self._fall_back(mirror, setback)

@@ -57,7 +57,7 @@ class DensityTrack(Track):
         Option(
             "masks",
             "--masks",
-            "Oyster masks for the images; of several sequences, a folder of each.  [default: true]",
+            "Oyster masks for the images; of several sequences, a folder of each.  [default: the ground truth's]",
             Path,
         ),
         Option("kind", "--masks-kind", "Meaning of the masks' values.  [default: auto]", FORMS),

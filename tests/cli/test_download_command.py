@@ -46,8 +46,21 @@ def test_offline_gives_what_is_here(place, tmp_path):
     done = place.run("download", place.recipe, home=tmp_path, **hub)
     assert Path(done.stdout.strip()).read_bytes() == place.whole
     assert "tiny-01" in place.run("download", "tiny@1.0", "--json", home=tmp_path, **hub).stdout
+    again = place.run("download", place.recipe, "--from", place.tree, "--key", place.public, home=tmp_path)
+    assert (again.stdout, again.stderr) == (done.stdout, "")
     failed = place.run("download", "tiny@2.0", home=tmp_path, code=4, **hub)
     assert failed.stderr.startswith("oysterbench: http://127.0.0.1:9: OYSTERBENCH_OFFLINE is set")
+
+
+def test_a_hub_that_lacks_a_file_is_said_to_and_what_renders_it(place, tmp_path):
+    shutil.copytree(place.tree, tmp_path / "tree")
+    shutil.rmtree(tmp_path / "tree" / "blobs")
+    words = ("download", place.recipe, "--from", tmp_path / "tree", "--key", place.public)
+    failed = place.run(*words, home=tmp_path / "home", code=4)
+    (line,) = (one for one in failed.stderr.splitlines() if one.startswith("oysterbench: "))
+    assert "has this hub got it? `oysterbench splits --hub` and" in line
+    assert line.endswith("; `oysterbench render tiny` makes the same files")
+    assert "resumes" not in line
 
 
 def test_a_manifest_from_elsewhere_is_held_against_the_hub(place, tmp_path):
