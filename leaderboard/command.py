@@ -68,7 +68,7 @@ class Lazy(Group):
 )
 @click.option("--track", help="Boards of this track, such as slam or steering.")
 @click.option("--split", help="Boards of this split.")
-@click.option("--id", "board", help="One board by its id, including boards of older evaluators.")
+@click.option("--id", "board", help="One board by its id (see --json), including boards of older evaluators.")
 @click.option(
     "--rows", type=click.IntRange(min=1), help="Rows per board.  [default: 5, or all of a single board and in CSV]"
 )

@@ -10,6 +10,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.labelled import LABELLED
+from oysterbench.core.names import counted
 from oysterbench_baselines.learning.trained import device_option, seed_option, used_path
 
 if TYPE_CHECKING:
@@ -122,8 +123,8 @@ def train_command(
         checkpoint = train(rendered, real, settings, out / "checkpoint.pt", seed, pick_device(device), bar, keep)
     last = curves(checkpoint)[-100:].mean(axis=0)
     message(
-        f"{checkpoint.step} steps, looks {last[1]:.3f}, content {last[2]:.3f} over the last 100, "
-        f"{checkpoint.seconds:.0f} s of a processor"
+        f"{counted(checkpoint.step, 'step')}, looks {last[1]:.3f}, content {last[2]:.3f} over the last 100, "
+        f"{checkpoint.seconds:.0f} CPU-seconds"
     )
     echo(out / "checkpoint.pt")
 

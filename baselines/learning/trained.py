@@ -13,6 +13,7 @@ import click
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.labelled import LABELLED
 from oysterbench.core.errors import MethodError
+from oysterbench.core.names import counted
 from oysterbench.methods.weights import existing, weights_path, weights_variable
 from oysterbench.methods.weights import used_path as used_by_default
 
@@ -124,7 +125,7 @@ def tell_end(checkpoint: Checkpoint, path: Path) -> None:
     """Report the end of a training: steps, loss and time on stderr, the checkpoint's path on stdout."""
     last = checkpoint.losses[-LAST:]
     message(
-        f"{checkpoint.step} steps, loss {sum(last) / len(last):.3f} over the last {len(last)}, "
-        f"{checkpoint.seconds:.0f} s of a processor"
+        f"{counted(checkpoint.step, 'step')}, loss {sum(last) / len(last):.3f} over the last {len(last)}, "
+        f"{checkpoint.seconds:.0f} CPU-seconds"
     )
     echo(path)

@@ -37,7 +37,6 @@ def begin_option(name: str) -> Callable[[Callable[..., None]], Callable[..., Non
     )
 
 
-
 @click.command("unet", short_help="A U-Net with a pretrained encoder, on any labelled images.")
 @training_options(steps=1200)
 @click.option(

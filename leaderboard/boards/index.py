@@ -116,7 +116,8 @@ class BoardIndex:
         found = self._rows(ROWS.c.digest >= digest, ROWS.c.digest < digest + "g")
         if not found:
             why = self.problems().get(digest)
-            raise ResultError(f"no such record: {digest[:12]}" + (f"; it was left out: {why}" if why else ""))
+            told = f"it was left out: {why}" if why else "`oysterbench leaderboard --json` has the digests"
+            raise ResultError(f"no such record: {digest[:12]}; {told}")
         if len(found) > 1:
             raise ResultError(f"several records begin with {digest}: give more digits")
         return found[0]

@@ -94,7 +94,8 @@ class MemoryIndex:
         found = [row for name, row in self._columns.items() if name.startswith(digest)]
         if not found:
             why = self._problems.get(digest)
-            raise ResultError(f"no such record: {digest[:12]}" + (f"; it was left out: {why}" if why else ""))
+            told = f"it was left out: {why}" if why else "`oysterbench leaderboard --json` has the digests"
+            raise ResultError(f"no such record: {digest[:12]}; {told}")
         if len(found) > 1:
             raise ResultError(f"several records begin with {digest}: give more digits")
         return self._row(found[0])

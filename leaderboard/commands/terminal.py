@@ -100,6 +100,9 @@ def _chosen(
         asked = " on ".join(filter(None, (track, split))) or board
         if any(track in (None, each.track) and split in (None, each.split) for each in known) and board is None:
             raise ResultError(f"no board {asked} of today's evaluator and recipe; --all shows those of former ones")
+        if board is not None:
+            ids = listed(f"{each.id} ({each.track} on {each.split})" for each in known)
+            raise ResultError(f"no board {asked}; `oysterbench leaderboard --all --json` has the ids: {ids}")
         raise ResultError(f"no board {asked}; {meant}there are: {there}")
     return found
 

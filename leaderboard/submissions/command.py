@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from oysterbench_leaderboard.submissions.sending.package import Found
 
 TOKEN = "OYSTERBENCH_TOKEN"
+EXPECTED_TOKEN = f"expected a team's token in --team-token-file FILE or {TOKEN}; the operators of the board give one"
 
 
 @click.command("submit", short_help="Send results or estimates to a leaderboard.")
@@ -68,7 +69,8 @@ def command(
     \b
     What can be sent:
       a folder with one file per sequence: SEQUENCE.tum, .txt, .csv (EuRoC or named columns), .npz
-      the output of `oysterbench run` and `eval`; for public splits also results.json, marked as reported
+      the output of `oysterbench run` and `eval` on the track slam
+      for public splits also the results.json of any track, marked as reported: --results
       masks: SEQUENCE/CAMERA/STAMP.png in a folder, an .npz with an array per image, or COCO annotations
       commands: SEQUENCE.csv with columns stamp_ns,yaw,pitch, or with the probabilities of all classes
       a zip archive of any of these
@@ -136,7 +138,7 @@ def _token(file: Path | None) -> str:
             token = file.read_text(encoding="utf-8").strip()
             shared = file.stat().st_mode & 0o077
         except OSError as error:
-            raise ResultError(f"--team-token-file: {file}: {error.strerror}") from None
+            raise ResultError(f"--team-token-file: {file}: {error.strerror}; {EXPECTED_TOKEN}") from None
         except UnicodeDecodeError:
             raise ResultError(f"--team-token-file: {file}: not text: expected a team's token, oyb_...") from None
         if shared:
@@ -144,9 +146,7 @@ def _token(file: Path | None) -> str:
     else:
         token = os.environ.get(TOKEN, "").strip()
     if not token or not token.isascii() or not token.isprintable():
-        raise ResultError(
-            f"expected a team's token in --team-token-file FILE or {TOKEN}; the operators of the board give one"
-        )
+        raise ResultError(EXPECTED_TOKEN)
     return token
 
 

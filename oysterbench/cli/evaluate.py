@@ -155,7 +155,8 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs, before: Sequen
         methods = ", ".join(dict.fromkeys(one.method for one in kept))
         runs = "1 earlier run" if len(kept) == 1 else f"{len(kept)} earlier runs"
         message(
-            f"{out}: results of {runs} are kept beside these, without figures: {methods}; oysterbench compare {out}"
+            f"{out}: results of {runs} are kept beside these, without figures: {methods}; `oysterbench compare {out}` "
+            "shows them together"
         )
     for path in written:
         message(f"written: {path}")

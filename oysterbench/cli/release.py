@@ -39,7 +39,7 @@ def release(
     Examples:
       oysterbench release slam-mini
       oysterbench release slam-val --sequence val-03    one at a time
-      oysterbench release slam-train --sequence train-01 \
+      oysterbench release slam-train --sequence train-01 \\
         --reads /mnt/shared/slam-train    and others on other machines
       oysterbench release slam-train --sequence train-01 --so-far
 

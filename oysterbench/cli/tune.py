@@ -86,7 +86,10 @@ def tune_command(
     track = TRACKS[track_of(method)]
     found = split_reference(method)
     if ranges is None and found is None:
-        raise click.UsageError(f"--ranges: {method} is not a published system, so it has no ranges of its own")
+        raise click.UsageError(
+            f"--ranges: {method} is not a published system, so it has no ranges of its own: give --ranges FILE.toml, "
+            "with a table [OPTION] for each: range = [1, 9], or choices = [...]"
+        )
     known = read_ranges(ranges) if ranges is not None else dict(found[0].description.options) if found else {}
     if found is not None:  # the method's own values, which may differ from its system's defaults
         known = {key: replace(option, default=found[2].get(key, option.default)) for key, option in known.items()}

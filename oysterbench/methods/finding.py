@@ -43,8 +43,7 @@ def find_variant(reference: str) -> tuple[Method, dict[str, Any]]:
     except MethodError:
         raise
     except ImportError as error:
-        advice = "" if ":" in reference else "; install what it needs, e.g. pip install 'oysterbench[slam]'"
-        raise MethodError(f"method {reference!r} cannot be loaded: {error}{advice}") from None
+        raise MethodError(f"method {reference!r} cannot be loaded: {error}{_advice(reference, error)}") from None
     except Exception as error:
         raise MethodError(f"method {reference!r} cannot be loaded: {type(error).__name__}: {error}") from error
     if isinstance(method, type) or not isinstance(method, Method):
@@ -74,6 +73,18 @@ def _load_point(name: str) -> Any:
             "published systems"
         )
     return points[name].load()
+
+
+def _advice(reference: str, error: ImportError) -> str:
+    """What to do about a method that could not be imported."""
+    module, of_class, name = reference.partition(":")
+    if not of_class:
+        return "; install what it needs, e.g. pip install 'oysterbench[slam]'"
+    if module.endswith(".py"):
+        return f"; expected a module, not its file: did you mean {Path(module).stem}:{name}?"
+    if error.name == module:
+        return f"; it was searched for on Python's path and in {Path.cwd()}"
+    return ""
 
 
 def _load_class(reference: str) -> Any:

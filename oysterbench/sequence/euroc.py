@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from oysterbench.core.errors import NoTruthError, SequenceError
 from oysterbench.core.geometry import Array, is_rigid
 from oysterbench.core.measurements import Image, ImuMeasurement
+from oysterbench.core.names import counted
 from oysterbench.core.pictures import decode_picture, used_bits
 from oysterbench.core.places import leads_out
 from oysterbench.core.text import as_unicode
@@ -64,7 +65,11 @@ class EurocSequence(Sequence):
         self.metadata = {"sequence": self.name, "format": "euroc"}
         samples = root / "imu0" / "data.csv"
         if not samples.is_file():
-            raise SequenceError(f"{self.folder}: expected an EuRoC folder with mav0/imu0/data.csv, found none")
+            inside = sorted([*self.folder.glob("*.mcap"), *self.folder.glob("*/*.mcap")])
+            raise SequenceError(
+                f"{self.folder}: expected a sequence file (.mcap) or an EuRoC folder with mav0/imu0/data.csv, "
+                + (f"got a folder of {counted(len(inside), 'file')} such as {inside[0]}" if inside else "found neither")
+            )
         check_inertial_table(samples, headers_above(_lines(samples)), _stamps(samples))
         self.cameras = {
             path.name: _read_sensor(path / "sensor.yaml", _camera) for path in sensor_folders(self.folder)[1:]

@@ -42,7 +42,9 @@ def read_salt(file: Path | None = None) -> Salt | None:
         try:
             data = found.read_bytes()
         except OSError as error:
-            raise RecipeError(f"{where}: {found}: the salt cannot be read: {error.strerror}") from None
+            raise RecipeError(
+                f"{where}: {found}: the salt cannot be read: {error.strerror}; for a new split, {HOW_TO_MAKE}"
+            ) from None
     elif os.environ.get(SALT):
         where, data = SALT, os.environb[SALT.encode()]
     else:

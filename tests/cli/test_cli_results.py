@@ -32,9 +32,9 @@ def test_results_of_other_methods_stay_and_those_of_the_same_are_replaced(evalua
     # What is printed is what was asked for.
     assert [row["method"] for row in json.loads(done.stdout)["results"]] == ["theirs.tum"]
     assert (
-        f"{out}: results of 1 earlier run are kept beside these, without figures: mine.tum; oysterbench compare {out}\n"
-        in done.stderr
-    )
+        f"{out}: results of 1 earlier run are kept beside these, without figures: mine.tum; "
+        f"`oysterbench compare {out}` shows them together\n"
+    ) in done.stderr
     assert [record.method for record in read_results(out / "results.json")] == ["mine.tum", "theirs.tum"]
     for name in ("results.csv", "results.md", "results.tex", "report.html"):
         text = (out / name).read_text()

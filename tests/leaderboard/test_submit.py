@@ -232,7 +232,8 @@ def test_a_run_that_left_no_estimates_is_sent_by_its_results(site, tmp_path):
     write_results(tmp_path / "results.json", rows)
     refused = submit(site, tmp_path, "--method", "net")
     assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1)
-    assert "no estimates there, only a results.json; add --results to send that, as reported" in refused.stderr
+    assert "no estimates there as a board reads them (SEQUENCE.tum or .csv, masks as SEQ" in refused.stderr
+    assert "only a results.json; add --results to send that, as reported\n" in refused.stderr
 
 
 @pytest.mark.slow
@@ -277,7 +278,8 @@ def test_a_token_is_read_from_a_file_and_shown_nowhere(site, estimates, tmp_path
     (tmp_path / "token").write_text(f"{site.token}\n")
     args = ["submit", str(estimates), "--to", site.url, "--method", "filed", "--split", "pool-test", "--no-wait"]
     none = CliRunner().invoke(main, args)
-    assert "expected a team's token in --team-token-file FILE or OYSTERBENCH_TOKEN" in none.stderr
+    said = "token in --team-token-file FILE or OYSTERBENCH_TOKEN; the operators of the board give one"
+    assert f"expected a team's {said}" in none.stderr
     sent = CliRunner().invoke(main, [*args, "--team-token-file", str(tmp_path / "token")])
     assert sent.exit_code == 0, sent.output
     assert site.token not in sent.output
@@ -286,7 +288,10 @@ def test_a_token_is_read_from_a_file_and_shown_nowhere(site, estimates, tmp_path
     shared = CliRunner().invoke(main, [*args, "--team-token-file", str(tmp_path / "token")])
     assert f"{tmp_path / 'token'}: others on this machine may read this token; `chmod 600" in shared.stderr
     absent = CliRunner().invoke(main, [*args, "--team-token-file", str(tmp_path / "none")])
-    assert absent.stderr == f"oysterbench: --team-token-file: {tmp_path / 'none'}: No such file or directory\n"
+    assert (
+        absent.stderr
+        == f"oysterbench: --team-token-file: {tmp_path / 'none'}: No such file or directory; expected a team's {said}\n"
+    )
 
 
 def test_a_server_that_is_not_there_is_a_network_failure(tmp_path):

@@ -105,7 +105,14 @@ def test_what_is_asked_wrongly_is_refused_in_one_line(board):
     fill(board)
     assert "slam on slam-val, segmentation on seg-val" in refused("leaderboard", "--split", "nowhere")
     assert "no record of 'nobody'" in refused("leaderboard", "history", "nobody")
-    assert "no such record" in refused("leaderboard", "show", "0" * 12)
+    rows = json.loads(shown("--all", "--json").stdout)
+    first = json.dumps(rows)
+    told = refused("leaderboard", "--id", "slam")
+    (one, *_) = re.findall(r"([0-9a-f]{16}) \(slam on slam-val\)", told)
+    assert "no board slam; `oysterbench leaderboard --all --json` has the ids: " in told
+    assert one in first
+    told = refused("leaderboard", "show", "0" * 12)
+    assert "no such record: 000000000000; `oysterbench leaderboard --json` has the digests" in told
     assert "hex digits" in refused("leaderboard", "show", "carp")
     assert "nothing is listed" in refused("leaderboard", "literature", "--track", "golf")
     shown("--json", "--csv", "-", code=2)

@@ -77,8 +77,14 @@ def test_a_class_that_a_module_has_from_elsewhere_is_found(tmp_path, monkeypatch
         "from oysterbench_baselines.threshold.method import All\n\ndef __getattr__(name):\n    return All\n"
     )
     assert find_method("made:Anything").name == "all"
-    with pytest.raises(MethodError, match=r"cannot be loaded: No module named 'nowhere_at_all'"):
+    with pytest.raises(
+        MethodError, match=r"No module named 'nowhere_at_all'; it was searched for on Python's path and in /"
+    ):
         find_method("nowhere_at_all:Net")
+    (tmp_path / "plain.py").write_text("class Net:\n    pass\n")
+    for file in ("plain.py", "methods/plain.py"):
+        with pytest.raises(MethodError, match=r"expected a module, not its file: did you mean plain:Net\?$"):
+            find_method(f"{file}:Net")
 
 
 def test_a_run_is_measured(tiny_file):

@@ -125,6 +125,13 @@ def test_values_that_a_method_does_not_take_are_refused_before_the_first_run(tab
     assert not (tmp_path / "out").exists()
 
 
+def test_a_method_without_ranges_of_its_own_is_refused_with_what_gives_some(tmp_path):
+    done = run_here("tune", "gtsam_vi", "--out", tmp_path / "out")
+    assert done.returncode == 2
+    told = " ".join(done.stderr.split())
+    assert "give --ranges FILE.toml, with a table [OPTION] for each: range = [1, 9], or choices = [...]" in told
+
+
 def test_values_that_only_go_together_are_taken(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "tuned_ends.py").write_text(

@@ -122,3 +122,13 @@ def test_a_camera_without_its_list_is_refused(folder):
     (folder.root / "cam0" / "data.csv").unlink()
     with pytest.raises(SequenceError, match=r"cam0/data\.csv: expected this file of the EuRoC layout"):
         folder.read()
+
+
+def test_a_folder_that_holds_sequences_is_told_apart_from_one_that_is_one(tmp_path):
+    expected = r"expected a sequence file \(\.mcap\) or an EuRoC folder with mav0/imu0/data\.csv, "
+    with pytest.raises(SequenceError, match=expected + "found neither$"):
+        oysterbench.open(tmp_path)
+    (tmp_path / "1.0").mkdir()
+    (tmp_path / "1.0" / "mini-01.mcap").touch()
+    with pytest.raises(SequenceError, match=expected + r"got a folder of 1 file such as .*/1\.0/mini-01\.mcap$"):
+        oysterbench.open(tmp_path)

@@ -111,6 +111,8 @@ def test_a_salt_is_read_from_a_file_or_the_environment(tmp_path, monkeypatch):
 def test_a_salt_that_could_be_guessed_is_refused(tmp_path, weak):
     file = tmp_path / "salt"
     file.write_bytes(weak)
+    with pytest.raises(RecipeError, match=r"the salt cannot be read: No such file .*; for a new split, `head -c 32 "):
+        read_salt(file.with_name("none"))
     with pytest.raises(RecipeError, match=r"--salt-file: expected a salt of at least 16 bytes") as raised:
         read_salt(file)
     assert not weak.strip() or weak.decode() not in str(raised.value)

@@ -106,7 +106,10 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
         runs = _runs(place, sequences, method)
         made = [number for number, left in runs.items() if left]
         if not made:
-            raise ResultError(f"{place}: no estimates there, only a {RESULTS}; add --results to send that, as reported")
+            raise ResultError(
+                f"{place}: no estimates there as a board reads them (SEQUENCE.tum or .csv, masks as "
+                f"SEQUENCE/CAMERA/STAMP.png), only a {RESULTS}; add --results to send that, as reported"
+            )
         files = runs.get(run, {})
         if not files:
             raise ResultError(

@@ -113,9 +113,9 @@ def _others(wrong: NDArray[np.bool_]) -> str:
 def attitude_notes(truth: Array, estimate: Array, alignment: Similarity, turned: bool = False) -> list[str]:
     """Note on attitudes that seem to be in another order or of another frame than `base_link`.
 
-    truth (N, 4) and estimate (N, 4) are matched quaternions x y z w, the estimate's before alignment. turned:
-    whether they were read as those of another frame and rotated to `base_link`. This never changes scores: it only points out the two most common mistakes in
-    writing a trajectory.
+    truth (N, 4) and estimate (N, 4) are matched quaternions x y z w, the estimate's before alignment. turned: whether
+    they were read as those of another frame and rotated to `base_link`. This never changes scores: it only points out
+    the two most common mistakes in writing a trajectory.
     """
     aligned = alignment.rotate(estimate)
     error = _rms(rotation_angle(truth, aligned))
