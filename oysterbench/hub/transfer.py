@@ -149,7 +149,9 @@ class Transfer:
             error = no_mirror_left(self.entry.name, self.path, self._mirrors)
             then = f"{there} of {total} pieces are kept, and the same command resumes from there"
             if not there and all(isinstance(one.refused.get(self.path), Absence) for one in self._mirrors):
-                then = "does this hub have it? `oysterbench splits --hub` and `oysterbench models --hub` list what it has"
+                then = (
+                    "does the hub have it? `oysterbench splits --hub` and `oysterbench models --hub` list what it has"
+                )
             raise type(error)(f"{error}; {then}")
 
     def _work(self, number: int) -> None:

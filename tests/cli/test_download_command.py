@@ -58,7 +58,7 @@ def test_a_hub_that_lacks_a_file_is_said_to_and_what_renders_it(place, tmp_path)
     words = ("download", place.recipe, "--from", tmp_path / "tree", "--key", place.public)
     failed = place.run(*words, home=tmp_path / "home", code=4)
     (line,) = (one for one in failed.stderr.splitlines() if one.startswith("oysterbench: "))
-    assert "does this hub have it? `oysterbench splits --hub` and" in line
+    assert "does the hub have it? `oysterbench splits --hub` and" in line
     assert line.endswith("; `oysterbench render tiny` makes the same files")
     assert "resumes" not in line
 

@@ -37,7 +37,7 @@ def attempt(kind, seed, folder):
         assert failure.exit_code in (3, 4)
         part = target.with_suffix(".part")
         lacks = "status 404" in str(failure) and not right_pieces(part)
-        assert ("does this hub have it?" if lacks else "the same command resumes from there") in str(failure)
+        assert ("does the hub have it?" if lacks else "the same command resumes from there") in str(failure)
         assert site.url in str(failure)
         # What was kept is right: an honest server gives the rest, and the beginnings again that the bad one faked.
         rest = len(DATA) - sum(ENTRY.length(piece) for piece in right_pieces(part))
