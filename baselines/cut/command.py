@@ -167,8 +167,8 @@ def cut_command(
     _write(open_all(sources), lambda images: translated(generator, settings, images), out, judging, keep)
 
 
-def _recolour(name: str) -> click.Command:
-    @click.command(name, short_help=f"Transfer colours with {name}, image by image, without training.")
+def _recolour(name: str, how: str) -> click.Command:
+    @click.command(name, short_help=f"Transfer colours by {how}, image by image, without training.")
     @source_option
     @click.option("--target", required=True, type=LABELLED, metavar="PATH", help="Real images to take colours from.")
     @side_option
@@ -204,8 +204,8 @@ def _recolour(name: str) -> click.Command:
     return command
 
 
-histogram_command = _recolour("histogram")
-reinhard_command = _recolour("reinhard")
+histogram_command = _recolour("histogram", "histogram matching")
+reinhard_command = _recolour("reinhard", "Reinhard's method")
 
 
 def targets(labelled: LabelledSet, side: str | None, clips: tuple[str, ...]) -> LabelledSet:

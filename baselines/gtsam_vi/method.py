@@ -73,7 +73,7 @@ class GtsamVi:
             if second is None:
                 raise MethodError(
                     f"{self.name}: sequence {sequence.name} has no second camera that looks where {cameras[0]!r} "
-                    f"looks, with pictures of the same size; cameras: {', '.join(sequence.cameras)}; with one camera "
+                    f"looks, with images of the same size; cameras: {', '.join(sequence.cameras)}; with one camera "
                     "run gtsam_vi"
                 )
             cameras.append(second)

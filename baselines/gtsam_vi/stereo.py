@@ -73,7 +73,7 @@ def _apart(stamps_ns: dict[str, list[int]], found: int, tolerance_s: float) -> s
     return (
         f"of {len(rare)} frames of {first!r} and {second!r}, {found} were taken within {1e3 * tolerance_s:g} ms of "
         f"each other: the nearest stamps differ by {apart_ms.min():.3g} ms at least, {np.median(apart_ms):.3g} ms in "
-        "the median; correct the stamps, give --set stereo.sync_s=SECONDS if the pictures are taken together all the "
+        "the median; correct the stamps, give --set stereo.sync_s=SECONDS if the images are taken together all the "
         "same, or run gtsam_vi, with one camera"
     )
 

@@ -65,7 +65,7 @@ class Pairs:
         self._pairs = [footage.pairs(settings.most_s) for footage in footages]
         if not footages or not all(self._pairs):
             names = ", ".join(one.name for one, pairs in zip(footages, self._pairs, strict=True) if not pairs) or NAME
-            raise LabelError(f"{names}: expected pictures with depth to learn tracking from, got none")
+            raise LabelError(f"{names}: expected images with depth to learn tracking from, got none")
 
     def __len__(self) -> int:
         return sum(map(len, self._pairs))

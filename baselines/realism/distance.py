@@ -44,7 +44,7 @@ def kid_between(a: Array, b: Array, blocks_a: Array, blocks_b: Array) -> tuple[f
     value = float(_discrepancy(own, other, both, np.ones((1, len(a))), np.ones((1, len(b))))[0])
     fewest = min(len(np.unique(blocks_a)), len(np.unique(blocks_b)))
     if fewest < LEAST_BLOCKS:
-        return value, Interval(np.nan, np.nan, f"{fewest} blocks of pictures are too few, {LEAST_BLOCKS} are needed")
+        return value, Interval(np.nan, np.nan, f"{fewest} blocks of images are too few, {LEAST_BLOCKS} are needed")
     rng = stream(0, b"", "realism", "halves")
     halves = _discrepancy(own, other, both, _halves(blocks_a, rng), _halves(blocks_b, rng))
     quantile = float(scipy.special.stdtrit(fewest - 1, 0.5 + LEVEL / 2))

@@ -37,7 +37,7 @@ def distances(synthetic: Sequence[FeatureSet], real: Sequence[FeatureSet]) -> li
                     {
                         "kind": kind,
                         "set": one.name,
-                        "pictures": len(one.names),
+                        "images": len(one.names),
                         "real": other.name,
                         "kid": value,
                         "interval": interval,
@@ -54,7 +54,7 @@ def document(lines: Sequence[dict[str, Any]]) -> str:
 def table_of(lines: Sequence[dict[str, Any]]) -> Table:
     """Table with a row for each set and a column for each real set."""
     real = list(dict.fromkeys(line["real"] for line in lines))
-    columns = [Column("set", "Pictures"), Column("kind", "Kind"), Column("pictures", "Number", kind="number")]
+    columns = [Column("set", "Images"), Column("kind", "Kind"), Column("images", "Number", kind="number")]
     columns += [Column(name, f"KID to {name}", kind="estimate", digits=3, better="lower") for name in real]
     rows = []
     for name, kind in dict.fromkeys((line["set"], line["kind"]) for line in lines):
@@ -62,7 +62,7 @@ def table_of(lines: Sequence[dict[str, Any]]) -> Table:
         cells = [
             Cell(value=Estimate(line["kid"], line["interval"]), kind="soft" if kind == "real" else "") for line in own
         ]
-        rows.append(TableRow((name, kind, own[0]["pictures"], *cells)))
+        rows.append(TableRow((name, kind, own[0]["images"], *cells)))
     notes = (
         "Squared kernel distance of the features of an EfficientNet-Lite0, without bias; 95 % intervals over blocks of "
         "neighbouring images. A real set and itself: its first half and its last.",

@@ -188,7 +188,7 @@ def thresholds_of(checkpoint: Checkpoint, begun: Checkpoint | None = None) -> st
     if begun is not None and known == calibration_of(begun):
         known_on = f", measured on {known.images} images" if known.images else ""
         few = f"fewer than {LEAST} images held out show an oyster"
-        return f"{few}: thresholds are those of the weights that it began with{known_on}"
+        return f"{few}: the thresholds of the initial weights are kept{known_on}"
     if known == Calibration():
         return "no oyster in images held out: thresholds are the default ones, and counts may be far off"
     if not known.images:  # earlier versions did not keep it

@@ -115,7 +115,7 @@ def learnt_on(split: str) -> str:
     if role_of(split) in ("mini", "val", "test") or split not in split_names():
         return ""
     kind = split.partition("-")[0]
-    return f"{split} is there to learn on, and methods may have: what they are worth is on the boards of {kind}-val."
+    return f"{split} is a training split: methods may have been trained on it. Compare them on {kind}-val."
 
 
 @cache

@@ -320,7 +320,7 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
 
     Prints for each file: right; right, with some of the topics (made with --topics); same content, other bytes; alike
     (within one grey level on 99.9 % of the pixels checked); or what differs. Exits with 3 if anything differs, is
-    damaged or absent; `oysterbench download SPLIT --verify`, or `download MODEL --again`, repairs what is damaged or
+    damaged or missing; `oysterbench download SPLIT --verify`, or `download MODEL --again`, repairs what is damaged or
     absent. A file of other content is left alone: delete it first.
     """
     from oysterbench.hub.verify import checks
@@ -337,11 +337,11 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
         message("there is no local data; `oysterbench splits` lists the splits")
     bad = sum(not check.good for check in found)
     if bad and what and all((Path(name) / "index.json").is_file() for name in what):
-        raise IntegrityError(f"{bad} of {len(found)} files are damaged or absent; each line above says what mends it")
+        raise IntegrityError(f"{bad} of {len(found)} files are damaged or missing; each line above says what mends it")
     if bad:
         raise IntegrityError(
-            f"{bad} of {len(found)} files are damaged, absent, of other programs or different from the release; "
-            "`oysterbench download SPLIT --verify`, or `oysterbench download MODEL --again`, makes damaged and absent "
+            f"{bad} of {len(found)} files are damaged, missing, from another program, or different from the release; "
+            "`oysterbench download SPLIT --verify`, or `oysterbench download MODEL --again`, makes damaged and missing "
             "ones anew; delete those of other content first"
         )
 

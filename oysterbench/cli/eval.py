@@ -97,7 +97,7 @@ def track_command(track: Track) -> click.Command:
             click.Option([name], type=kind, multiple=True, callback=_one, help=f"Score files: {what}.")
             for name, what in (
                 ("--truth", f"the true {track.files.rstrip(',')}"),
-                ("--estimate", "the estimated ones; those of other methods by another call"),
+                ("--estimate", "the estimates of one method; run again for another"),
             )
         ]
     parameters += [click_option(option) for option in track.options]

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from oysterbench.sequence import Sequence
     from oysterbench.tracks import Option
 
-SOURCES = ("pictures", "echoes")
+SOURCES = ("images", "echoes")
 DEPTHS = ("stereo", "motion", "plane", "layer")
 KINDS = ("auto", "instances", "mask", "probability", "classes")
 """Copy of `annotations.masks.FORMS`, which is slow to load for a page of help."""
@@ -91,7 +91,7 @@ class MapCommand(click.Command):
 )
 @click.option("--cell", "cell_m", type=POSITIVE, help="Map: size of the grid cells, in m.  [default: 1]")
 @click.option("--threshold", type=SHARE, help="Map: minimum score of an oyster.  [default: 0.5]")
-@click.option("--from", "source", type=click.Choice(SOURCES), help="Cloud: source of points.  [default: pictures]")
+@click.option("--from", "source", type=click.Choice(SOURCES), help="Cloud: source of points.  [default: images]")
 @click.option(
     "--voxel", "voxel_m", type=POSITIVE, help="Cloud: voxel size, in m; one point per voxel.  [default: 0.01]"
 )
@@ -162,7 +162,7 @@ def map_command(
     chosen |= {key: given[key] for key in (("voxel_m",) if masks is None else ("cell_m", "threshold"))}
     chosen = {key: value for key, value in chosen.items() if value is not None}
     if masks is None:
-        facts = _cloud(sequence, trajectory, options, out, given["source"] or "pictures", cameras, chosen)
+        facts = _cloud(sequence, trajectory, options, out, given["source"] or "images", cameras, chosen)
         summary = facts.pop("summary")
     else:
         if len(cameras) > 1:

@@ -42,11 +42,11 @@ TOLD = 5
     metavar="M",
     help="Side length of a square quadrat; needs --corners.",
 )
-@click.option("--corners", type=FILE, help="CSV: picture,x1,y1,...,x4,y4 in px, for each quadrat.")
+@click.option("--corners", type=FILE, help="CSV: image,x1,y1,...,x4,y4 in px, for each quadrat.")
 @click.option(
     "--altitude",
     metavar="M|FILE",
-    help="Altitude above a flat bottom, or CSV: picture,altitude_m; needs --calibration.",
+    help="Altitude above a flat bottom, or CSV: image,altitude_m; needs --calibration.",
 )
 @click.option("--calibration", type=click.Path(path_type=Path), help="Kalibr, EuRoC or ROS YAML, or a sequence.")
 @click.option("--camera", metavar="NAME", help="Which camera of the calibration.  [default: the first]")
@@ -104,7 +104,7 @@ def segment_command(
     \b
     The folder gets
       index.html      one page: counts and cover with intervals, outlines, warnings, how to check it
-      pictures.csv    oysters, cover, live and dead, novelty of each image      summary.json  totals
+      images.csv      oysters, cover, live and dead, novelty of each image      summary.json  totals
       oysters.csv     box, area, score, state, length and width of each oyster
       masks/          16-bit PNG, a number for each oyster that counts   overlays/, videos/  outlines
 
@@ -128,7 +128,7 @@ def segment_command(
         raise click.UsageError("--rate, --every: expected only one of them")
     _check_scaling(scaling, min_mm)
     title = paths[0].absolute().name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
-    out = out or Path(f"{paths[0].absolute().stem or 'pictures'}-oysters")
+    out = out or Path(f"{paths[0].absolute().stem or 'images'}-oysters")
     found = find_sources(paths, leave_out=out)
     _tell_others(found)
 
@@ -230,7 +230,7 @@ def _check_scaling(given: dict[str, Any], min_mm: float | None) -> None:
     if min_mm is not None and not kinds:
         raise click.UsageError(f"--min-mm: expected a scale as well ({', '.join(names.values())}); else give --min-px")
     for key, needed, what in (
-        ("quadrat", "corners", "--quadrat: expected --corners FILE as well, with picture,x1,y1,x2,y2,x3,y3,x4,y4"),
+        ("quadrat", "corners", "--quadrat: expected --corners FILE as well, with image,x1,y1,x2,y2,x3,y3,x4,y4"),
         ("corners", "quadrat", "--corners: expected --quadrat M as well, the side of the square in metres"),
         ("altitude", "calibration", "--altitude: expected --calibration FILE as well: a lens tells px from metres"),
         ("calibration", "altitude", "--calibration: expected --altitude M as well, in metres above the bottom"),
@@ -356,6 +356,11 @@ def _failed(found: Survey) -> str:
     failures = found.failures
     for name, why in list(failures.items())[:TOLD]:
         message(why if name in why else f"{name}: {why}")
-    more = f", {len(failures) - TOLD} more are in pictures.csv" if len(failures) > TOLD else ""
+    more = f", {len(failures) - TOLD} more are in images.csv" if len(failures) > TOLD else ""
     rest = "; the rest was counted" if found.pictures else ""
-    return f"{len(failures)} of {len(failures) + len(found.pictures)} could not be counted{more}{rest}"
+    begun = (
+        ", or not to the end"
+        if any(one.video and one.name.rpartition("/")[0] in failures for one in found.pictures)
+        else ""
+    )
+    return f"{len(failures)} of {len(failures) + len(found.pictures)} could not be counted{begun}{more}{rest}"

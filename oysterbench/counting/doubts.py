@@ -37,7 +37,7 @@ def doubts(
     off it is on others."""
     if pictures and rendered:
         yield (
-            f"{method} has learnt from rendered reefs alone: it may count several times as many oysters as there are "
+            f"{method} was trained on rendered reefs only: it may count several times as many oysters as there are "
             "in real images; train it further on labelled images of your own (`oysterbench train unet --help` says how)"
         )
     if copies:

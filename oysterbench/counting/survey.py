@@ -129,7 +129,7 @@ class Survey:
             {
                 "counted": self.title,
                 "method": self.method,
-                "pictures": len(self.pictures),
+                "images": len(self.pictures),
                 "failures": dict(self.failures),
                 "oysters": self.oysters,
                 "counted_as": PARTS if self.parts else "separate oysters",

@@ -13,7 +13,7 @@ from oysterbench.core.errors import LabelError
 from oysterbench.core.text import composed, separator
 from oysterbench.counting.sources import Source
 
-PICTURE = "picture"
+IMAGE = "image"
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class PictureTable:
 
 
 def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) -> PictureTable:
-    """Read a CSV with the column `picture` and further columns of numbers. Between semicolons or tabs, commas may
+    """Read a CSV with the column `image` and further columns of numbers. Between semicolons or tabs, commas may
     be decimal, as spreadsheets write them.
 
-    An image is identified by its name, as in pictures.csv, or by that of its file if it is unique; a frame by
+    An image is identified by its name, as in images.csv, or by that of its file if it is unique; a frame by
     VIDEO/NUMBER. Raises LabelError naming the line.
     """
     try:
@@ -55,7 +55,7 @@ def read_table(path: Path, columns: Sequence[str], sources: Sequence[Source]) ->
         lines = list(reader)
     except csv.Error as error:
         raise LabelError(f"{path}:{reader.line_num}: cannot be read as CSV: {error}") from None
-    wanted = [PICTURE, *columns]
+    wanted = [IMAGE, *columns]
     head = [word.strip() for word in lines[0]] if lines else []
     if missing := [key for key in wanted if key not in head]:
         raise LabelError(f"{path}:1: expected the columns {','.join(wanted)}, missing: {', '.join(missing)}")
@@ -97,7 +97,7 @@ class _Names:
         """Return the name of the source or frame that is meant; None if there is none. Raises LabelError if several
         images have that name.
 
-        An apostrophe before it is that of pictures.csv, which keeps spreadsheets from running names as formulas.
+        An apostrophe before it is that of images.csv, which keeps spreadsheets from running names as formulas.
         """
         found = self._named(composed(said), where)
         return self._named(composed(said[1:]), where) if found is None and said.startswith("'") else found

@@ -228,7 +228,7 @@ def _check_unchanged(tree: Path, index: Index, manifest: Manifest) -> None:
         return
     if kept_manifest_of(tree, known) is None:
         raise HubError(
-            f"{tree / 'manifests' / known.manifest}.json: damaged or absent, and cannot be made again from these files "
+            f"{tree / 'manifests' / known.manifest}.json: damaged or missing, and these files cannot make it again "
             "(others than were released, or described otherwise by this version of oysterbench); the tree was left "
             "unchanged: copy it from a mirror of the tree"
         )
@@ -316,7 +316,7 @@ def put(path: Path, data: bytes) -> None:
 
 
 def put_again(path: Path, candidates: Callable[[], Sequence[bytes]], announce: Announce) -> None:
-    """Write a file that the index names by its SHA-256 again, where it is damaged or absent and one of the candidates
+    """Write a file that the index names by its SHA-256 again, where it is damaged or missing and one of the candidates
     has that hash. Otherwise announce that only a copy helps."""
     if path.is_file() and sha256(path.read_bytes()) == path.stem:
         return
@@ -326,6 +326,6 @@ def put_again(path: Path, candidates: Callable[[], Sequence[bytes]], announce: A
         announce(f"{path}: written again")
     else:
         announce(
-            f"{path}: damaged or absent, and made otherwise by this version of oysterbench or with this --url: copy it "
-            "from a mirror of the tree"
+            f"{path}: damaged or missing, and made otherwise by this version of oysterbench or with this --url: copy "
+            "it from a mirror of the tree"
         )

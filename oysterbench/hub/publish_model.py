@@ -79,7 +79,7 @@ def publish_model(
             card = tree / "models" / f"{known.card}.json"
             if not card.is_file() or sha256(card.read_bytes()) != known.card:
                 raise HubError(
-                    f"{card}: damaged or absent, and not what would be published now; the tree was left unchanged: "
+                    f"{card}: damaged or missing, and not what would be published now; the tree was left unchanged: "
                     "copy it from a mirror of the tree, or publish the same weights with the same words and results"
                 )
             raise HubError(

@@ -15,14 +15,14 @@ from oysterbench.mapping.pictures import seen_points
 from oysterbench.mapping.views import PoseInterpolator, Watch, check_time, unwatched
 from oysterbench.sequence.types import Sequence
 
-SOURCES = ("pictures", "echoes")
+SOURCES = ("images", "echoes")
 """Sources of a cloud: depth from images at known poses, or ranges of DVL, altimeters and imaging sonars."""
 
 
 def build_cloud(
     sequence: Sequence,
     trajectory: Trajectory,
-    source: str = "pictures",
+    source: str = "images",
     cameras: Several[str] = (),
     settings: CloudSettings | None = None,
     watch: Watch = unwatched,
@@ -44,7 +44,7 @@ def build_cloud(
             )
     poses = PoseInterpolator(trajectory, settings.max_gap_s)
     check_time(sequence, trajectory)
-    if source == "pictures":
+    if source == "images":
         if not chosen:
             raise SequenceError(f"{sequence.name} has no camera to make a cloud from; use its echoes: --from")
         parts = (part for name in chosen for part in seen_points(sequence, name, poses, settings, watch))

@@ -45,7 +45,7 @@ class OysterMap:
     tracks:  what images show of each oyster
     cover:   the ground that the images show, aligned with their oysters (`mapping.pose_graph`)
     path:    (N, 2) m, where the images were taken, by the trajectory
-    pictures, without_pose, without_depth: number of images given, and of those without a pose or a depth
+    images, without_pose, without_depth: number of images given, and of those without a pose or a depth
     unassociated: the count without association (`mapping.unassociated`); None if path and depths are the ground truth
     magnetic_north_rad: clockwise from +y of the path's world frame; None if unknown
     has_magnetometer: whether the sequence has one, which may not show north along this path (`mapping.north`)
@@ -59,7 +59,7 @@ class OysterMap:
     cover: Cover
     path: Array
     settings: MapSettings
-    pictures: int
+    images: int
     without_pose: int = 0
     without_depth: int = 0
     notes: tuple[str, ...] = field(default=())
@@ -147,11 +147,11 @@ def build_map(
         raster_of(trajectory, settings)
     lattice = lattice_around(*_around(trajectory.positions, settings))
     pictures = list[list[Patch]]()
-    places, counts = [], {"pictures": 0, "without_pose": 0, "without_depth": 0}
+    places, counts = [], {"images": 0, "without_pose": 0, "without_depth": 0}
     any_oyster, in_gaps = False, 0
     with Tiles() as tiles:
         for k, picture in enumerate(seen()):
-            counts["pictures"] += 1
+            counts["images"] += 1
             shown = shown_at(sequence, camera, picture.stamp_ns)
             check_shown(picture, sequence, camera, shown is not None)
             assert shown is not None
@@ -326,9 +326,9 @@ def _notes(
     sequence: Sequence, camera: str, depth: str, counts: dict[str, int], reasons: str, any_oyster: bool
 ) -> list[str]:
     """What readers of a map should know about its input, in sentences."""
-    notes, given = [], counts["pictures"]
+    notes, given = [], counts["images"]
     if depth == "layer":
-        notes.append("depths are the truth's (layer depth): no real survey has them")
+        notes.append("depths come from the ground truth (layer depth), which no real survey has")
     if not any_oyster:
         notes.append(
             f"no oyster in any of {given} masks: if there are oysters, the threshold or the meaning of the masks' "
@@ -375,15 +375,15 @@ def _unmasked(sequence: Sequence, camera: str, given: int) -> str:
 
 
 def _check(sequence: Sequence, camera: str, depth: str, counts: dict[str, int], used: int, reasons: str) -> None:
-    if counts["pictures"] == 0:
+    if counts["images"] == 0:
         raise LabelError(f"{sequence.name}: no mask of an image of {camera}: expected some to map")
-    if counts["without_pose"] == counts["pictures"]:
+    if counts["without_pose"] == counts["images"]:
         raise TrajectoryError(
-            f"{sequence.name}: the trajectory has no pose at any of {counts['pictures']} images that have masks: "
+            f"{sequence.name}: the trajectory has no pose at any of {counts['images']} images that have masks: "
             f"{reasons}"
         )
     if used == 0:
         raise SequenceError(
-            f"{sequence.name}: none of {counts['pictures']} images has a depth from {depth!r}; expected another "
+            f"{sequence.name}: none of {counts['images']} images has a depth from {depth!r}; expected another "
             "--depth: stereo, motion, plane or layer"
         )

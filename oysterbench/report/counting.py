@@ -23,7 +23,7 @@ from oysterbench.report.renderers.csv import field
 
 FORMAT = "oysterbench-counts/1"
 
-PAGE, PICTURES, OYSTERS, SUMMARY, COCO = "index.html", "pictures.csv", "oysters.csv", "summary.json", "instances.json"
+PAGE, IMAGES, OYSTERS, SUMMARY, COCO = "index.html", "images.csv", "oysters.csv", "summary.json", "instances.json"
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def write_counts(found: Survey, counted: Counted, store: Store, making: Making, 
     """Write all files of the finished images and return their paths."""
     folder = store.folder
     summary = {"format": FORMAT, **found.as_plain(), "settings": making.settings, "made_of": making.identity}
-    write_atomically(folder / PICTURES, csv_of(list(picture_rows(found))).encode())
+    write_atomically(folder / IMAGES, csv_of(list(picture_rows(found))).encode())
     _write_oysters(folder / OYSTERS, store, found.pictures)
     write_atomically(folder / SUMMARY, (json.dumps(summary, indent=2, allow_nan=False) + "\n").encode())
     if with_coco:
@@ -73,7 +73,7 @@ def write_counts(found: Survey, counted: Counted, store: Store, making: Making, 
 
 
 def _files(with_coco: bool) -> list[str]:
-    return [PAGE, PICTURES, OYSTERS, SUMMARY, *([COCO] if with_coco else [])]
+    return [PAGE, IMAGES, OYSTERS, SUMMARY, *([COCO] if with_coco else [])]
 
 
 def picture_rows(found: Survey) -> Iterator[dict[str, Any]]:
@@ -81,7 +81,7 @@ def picture_rows(found: Survey) -> Iterator[dict[str, Any]]:
     told = found.tells_state
     for one in found.pictures:
         yield {
-            "picture": one.name,
+            "image": one.name,
             "file": one.file,
             "frame": one.index,
             "time_s": _rounded(one.time_s, 3),
@@ -101,11 +101,11 @@ def picture_rows(found: Survey) -> Iterator[dict[str, Any]]:
             "failure": None,
         }
     for name, why in found.failures.items():
-        yield {"picture": name, "failure": why}
+        yield {"image": name, "failure": why}
 
 
 OYSTER_COLUMNS = (
-    "picture",
+    "image",
     "time_s",
     "number",
     "counted",

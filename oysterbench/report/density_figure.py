@@ -117,7 +117,7 @@ def drawn(run: DensityRun) -> DensityRun:
 def notes(found: OysterMap) -> list[str]:
     """Notes on a map, in sentences."""
     return [
-        f"{len(found.path)} of {found.pictures} images of {found.camera} that have masks, {DEPTHS[found.depth]}",
+        f"{len(found.path)} of {found.images} images of {found.camera} that have masks, {DEPTHS[found.depth]}",
         "Oysters hidden under others in every image are not counted.",
         "An oyster that the edge always cuts counts as half.",
         "? the 95 % interval extends into another class. Grey: too little seen.",

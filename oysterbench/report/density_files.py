@@ -147,9 +147,9 @@ def summary(found: OysterMap) -> dict[str, Any]:
             "sequence": found.name,
             "camera": found.camera,
             "depth": found.depth,
-            "pictures": found.pictures,
-            "pictures_without_pose": found.without_pose,
-            "pictures_without_depth": found.without_depth,
+            "images": found.images,
+            "images_without_pose": found.without_pose,
+            "images_without_depth": found.without_depth,
             "seen_m2": total.area_m2,
             "magnetic_north_deg": None if north is None else math.degrees(north) % 360.0,  # clockwise from +y
             "oysters": {

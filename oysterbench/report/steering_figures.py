@@ -43,7 +43,7 @@ def picture_figures(
     samples = samples_of(dives, runs)
     if samples and methods:
         drawn = samples_figure(samples, task, colours_of(methods))
-        made.append(_kept(folder / "pictures.png", drawn, "Sample images"))
+        made.append(_kept(folder / "images.png", drawn, "Sample images"))
     return made
 
 

@@ -135,7 +135,7 @@ def match_topics(known: Collection[str], wanted: Collection[str], what: str) -> 
 
     for pattern in wanted:
         if not any(fnmatchcase(topic, pattern) for topic in known):
-            raise SequenceError(f"{what}: no topic fits {pattern!r}; its topics: {', '.join(sorted(known))}")
+            raise SequenceError(f"{what}: no topic matches {pattern!r}; its topics: {', '.join(sorted(known))}")
     return [topic for topic in known if any(fnmatchcase(topic, pattern) for pattern in wanted)]
 
 

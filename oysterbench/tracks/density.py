@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 IMAGES = ("segmentation", "detection")
 DEPTHS = ("stereo", "motion", "plane", "layer")
+TRUTH = "truth"
 
 
 class DensityTrack(Track):
@@ -57,7 +58,7 @@ class DensityTrack(Track):
         Option(
             "masks",
             "--masks",
-            "Oyster masks for the images; of several sequences, a folder of each.  [default: the ground truth's]",
+            "Oyster masks for the images; of several sequences, a folder of each.  [default: truth]",
             Path,
         ),
         Option("kind", "--masks-kind", "Meaning of the masks' values.  [default: auto]", FORMS),
@@ -109,6 +110,10 @@ class DensityTrack(Track):
         from oysterbench.tracks.mapping_evaluation import MappedSequence, evaluate_maps
 
         self.check(request)
+        if (
+            request.options.get("masks") == Path(TRUTH) and not Path(TRUTH).exists()
+        ):  # the default, by name as for `map`
+            request = replace(request, options={k: v for k, v in request.options.items() if k != "masks"})
         SLAM.settings(request.options)  # refused before methods are run, and though none is
         options, settings = request.options, self.settings(request.options)
         if request.template is not None or request.runs > 1:

@@ -147,7 +147,7 @@ def test_a_fan_without_texture_is_refused(level):
 
 
 def test_a_picture_of_another_shape_is_an_error():
-    with pytest.raises(ValueError, match="expected a picture of 400 bins x 256 beams, got"):
+    with pytest.raises(ValueError, match="expected an image of 400 bins x 256 beams, got"):
         texture(np.zeros((256, 400), np.uint16), GRID, OF.fan)
 
 

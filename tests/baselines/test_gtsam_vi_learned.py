@@ -241,7 +241,7 @@ def test_disturbances_change_a_picture_and_keep_its_kind():
 
 
 def test_nothing_to_learn_from_is_said(footage):
-    with pytest.raises(LabelError, match="tiny-01: expected pictures with depth to learn tracking from, got none"):
+    with pytest.raises(LabelError, match="tiny-01: expected images with depth to learn tracking from, got none"):
         Pairs([footage], dataclasses.replace(PAIRS, most_s=0.0))
 
 

@@ -182,7 +182,7 @@ def test_real_images_without_clips_are_one_set_and_a_clip_of_one_image_is_named_
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 0, done.output
     (line,) = json.loads((tmp_path / "out" / "distances.json").read_text())
-    assert (line["set"], line["real"], line["pictures"]) == ("real", "real", 6)
+    assert (line["set"], line["real"], line["images"]) == ("real", "real", 6)
     rows = "".join(f"p{k},{'two' if k else 'one'}\n" for k in range(6))
     (real / "manifest.csv").write_text(f"id,clip\n{rows}")
     refused = " ".join(CliRunner().invoke(main, words).output.split())

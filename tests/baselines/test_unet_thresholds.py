@@ -45,7 +45,7 @@ def test_a_training_on_few_images_keeps_the_thresholds_of_the_weights_that_it_be
     mine = read_checkpoint(tmp_path / "mine.pt")
     assert Calibration(**mine.measured["calibration"]) == KNOWN
     said = (
-        "fewer than 5 images held out show an oyster: thresholds are those of the weights that it began with, measured "
+        "fewer than 5 images held out show an oyster: the thresholds of the initial weights are kept, measured "
         "on 240 images"
     )
     assert said in " ".join(done.stderr.split())

@@ -62,7 +62,7 @@ def test_pictures_are_scored_printed_and_drawn(recipe, tmp_path):
     own, straight = (picture_of(out / f"confusion-{name}.png") for name in ("reader", "straight"))
     assert own.shape == straight.shape
     assert (own != straight).any()
-    assert picture_of(out / "pictures.png").size
+    assert picture_of(out / "images.png").size
     page = (out / "report.html").read_text()
     assert page.count("<svg xmlns") == 3
     assert "Confusions of reader" in page

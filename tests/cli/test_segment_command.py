@@ -32,7 +32,7 @@ def test_a_folder_of_pictures_becomes_a_page_and_tables(folder, tmp_path):
     assert "12 oysters in 6 images" in done.stdout
     assert "Oysters per image: 2.0 [1.0 to 3.5]" in done.stdout
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        *("index.html", "pictures.csv", "oysters.csv", "summary.json", "masks", "overlays", "finished")
+        *("index.html", "images.csv", "oysters.csv", "summary.json", "masks", "overlays", "finished")
     }
     again = run("segment", folder, *DISCS, "--out", "out")
     assert "all finished before" in again.stdout
@@ -66,17 +66,17 @@ def test_tables_call_a_picture_by_one_name_that_no_spreadsheet_runs(tmp_path, mo
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "in" / "=1+2.png", discs((40, 40)))
     assert run("segment", "in", *DISCS, "--out", "out").returncode == 0
-    for name in ("pictures.csv", "oysters.csv"):
+    for name in ("images.csv", "oysters.csv"):
         with open(tmp_path / "out" / name, encoding="utf-8", newline="") as file:
-            assert [row["picture"] for row in csv.DictReader(file)] == ["'=1+2"], name
+            assert [row["image"] for row in csv.DictReader(file)] == ["'=1+2"], name
 
 
 def test_a_carriage_return_in_a_name_ends_no_line_of_a_table(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "in" / "a\rb.png", discs((40, 40)))
     assert run("segment", "in", *DISCS, "--out", "out").returncode == 0
-    with open(tmp_path / "out" / "pictures.csv", encoding="utf-8", newline="") as file:
-        assert [row["picture"] for row in csv.DictReader(file)] == ["a\N{SYMBOL FOR CARRIAGE RETURN}b"]
+    with open(tmp_path / "out" / "images.csv", encoding="utf-8", newline="") as file:
+        assert [row["image"] for row in csv.DictReader(file)] == ["a\N{SYMBOL FOR CARRIAGE RETURN}b"]
 
 
 def test_copies_of_pictures_are_warned_of(folder, tmp_path):
@@ -101,7 +101,7 @@ def test_a_picture_in_two_formats_is_warned_of_and_counted_when_the_count_is_res
 
 
 def test_a_quadrat_in_another_unit_is_one_line(folder, tmp_path):
-    (tmp_path / "corners.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n0,10,10,90,10,90,80,10,80\n")
+    (tmp_path / "corners.csv").write_text("image,x1,y1,x2,y2,x3,y3,x4,y4\n0,10,10,90,10,90,80,10,80\n")
     done = run("segment", folder, *DISCS, "--quadrat", "50", "--corners", tmp_path / "corners.csv")
     assert_one_line(done, "--quadrat: expected the side in metres, at most 10, got 50: 50 cm are --quadrat 0.5", 2)
 
@@ -162,7 +162,7 @@ def test_an_empty_argument_is_no_folder(folder, words):
 def test_results_within_the_folder_of_pictures_are_not_taken_for_pictures(folder):
     for _ in range(2):
         done = run("segment", folder, *DISCS, "--out", folder / "out", "--json")
-        assert json.loads(done.stdout)["pictures"] == 6
+        assert json.loads(done.stdout)["images"] == 6
         assert done.returncode == 0
 
 
@@ -193,7 +193,7 @@ def test_an_image_in_a_format_that_cannot_be_read_is_one_that_could_not_be_count
     assert done.returncode == 1
     assert "left out because an image of the same name is beside them: 0.HEIC" in done.stderr
     assert "phone.HEIC: a format that cannot be read: save it as JPEG, PNG or TIFF" in done.stderr
-    assert "phone.HEIC" in (tmp_path / "out" / "pictures.csv").read_text()
+    assert "phone.HEIC" in (tmp_path / "out" / "images.csv").read_text()
 
 
 def test_unlike_pictures_are_warned_of_in_one_line(folder):
@@ -248,7 +248,7 @@ def test_a_video_is_sampled_as_asked(tmp_path, monkeypatch):
     write_video(tmp_path / "dive 1.avi", [discs((60, 60))] * 30)
     for options, frames in (((), 3), (("--rate", 2), 6), (("--every", 10), 3)):
         done = run("segment", "dive 1.avi", *DISCS, *options, "--json")
-        assert json.loads(done.stdout)["pictures"] == frames
+        assert json.loads(done.stdout)["images"] == frames
     assert (tmp_path / "dive 1-oysters" / "videos" / "dive 1.avi.mp4").is_file()
     assert run("segment", "dive 1.avi", *DISCS, "--rate", 2, "--every", 10).returncode == 2
 
@@ -275,7 +275,7 @@ def test_a_video_of_sound_alone_says_so(tmp_path, monkeypatch):
 
 def test_quadrats_altitudes_and_checks_by_files(folder, tmp_path):
     corners = "".join(f"{k}.png,70,20,130,20,130,110,70,110\n" for k in range(6))
-    (tmp_path / "c.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n" + corners + "gone,1,1,9,1,9,9,1,9\n")
+    (tmp_path / "c.csv").write_text("image,x1,y1,x2,y2,x3,y3,x4,y4\n" + corners + "gone,1,1,9,1,9,9,1,9\n")
     done = run("segment", folder, *DISCS, "--quadrat", 0.5, "--corners", "c.csv", "--json")
     assert json.loads(done.stdout)["measures"]["per_m2"]["value"] == pytest.approx(4, rel=1e-3)
     assert "c.csv: no image is called gone" in done.stderr
@@ -283,7 +283,7 @@ def test_quadrats_altitudes_and_checks_by_files(folder, tmp_path):
         "intrinsics: [100, 100, 79.5, 59.5]\nresolution: [160, 120]\ndistortion_coeffs: [0, 0, 0, 0]\n"
     )
     for altitude in ("1.5", "heights.csv"):
-        (tmp_path / "heights.csv").write_text("picture,altitude_m\n" + "".join(f"{k},1.5\n" for k in range(6)))
+        (tmp_path / "heights.csv").write_text("image,altitude_m\n" + "".join(f"{k},1.5\n" for k in range(6)))
         done = run("segment", folder, *DISCS, "--altitude", altitude, "--calibration", "lens.yaml", "--json")
         area = 6 * 1.6 * 1.2 * 1.5**2
         assert json.loads(done.stdout)["area_m2"] == pytest.approx(area, rel=1e-6), done.stderr
@@ -296,7 +296,7 @@ def test_quadrats_altitudes_and_checks_by_files(folder, tmp_path):
 
 def test_a_check_of_whole_images_is_told_apart_from_a_count_in_quadrats(folder, tmp_path):
     corners = "".join(f"{k},70,20,130,20,130,110,70,110\n" for k in range(6))
-    (tmp_path / "c.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n" + corners)
+    (tmp_path / "c.csv").write_text("image,x1,y1,x2,y2,x3,y3,x4,y4\n" + corners)
     write_results(tmp_path / "check" / "results.json", [result("discs")])
     checked = ("segment", folder, *DISCS, "--checked", "check", "--json", "--out", "out")
     told = "the check counts whole images, this count only quadrats: oysters outside the quadrats that are not labelled"
@@ -310,13 +310,23 @@ def test_a_check_of_whole_images_is_told_apart_from_a_count_in_quadrats(folder, 
     assert "also those outside the quadrat, which instances.json does not have" in page
 
 
+def test_a_video_that_breaks_off_is_not_said_to_be_uncounted(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_video(tmp_path / "dive.avi", [discs((60, 60))] * 20)
+    data = (tmp_path / "dive.avi").read_bytes()
+    (tmp_path / "dive.avi").write_bytes(data[: len(data) // 2])
+    done = run("segment", "dive.avi", *DISCS, "--rate", 10)
+    assert done.returncode == 1
+    assert "could not be counted, or not to the end; the rest was counted" in done.stderr
+
+
 def test_lines_of_frames_that_were_not_counted_are_told_of(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_video(tmp_path / "dive.avi", [discs((60, 60))] * 20)
     (tmp_path / "lens.yaml").write_text(
         "intrinsics: [100, 100, 79.5, 59.5]\nresolution: [160, 120]\ndistortion_coeffs: [0, 0, 0, 0]\n"
     )
-    (tmp_path / "heights.csv").write_text("picture,altitude_m\ndive.avi,1.5\ndive.avi/10,1\ndive.avi/11,1\n")
+    (tmp_path / "heights.csv").write_text("image,altitude_m\ndive.avi,1.5\ndive.avi/10,1\ndive.avi/11,1\n")
     done = run("segment", "dive.avi", *DISCS, "--altitude", "heights.csv", "--calibration", "lens.yaml", "--json")
     assert json.loads(done.stdout)["area_m2"] == pytest.approx(1.6 * 1.2 * (1.5**2 + 1), rel=1e-6)
     assert "heights.csv: no frame that was counted is called dive.avi/000011; these lines are not used" in done.stderr
@@ -324,7 +334,7 @@ def test_lines_of_frames_that_were_not_counted_are_told_of(tmp_path, monkeypatch
 
 def test_corners_as_fractions_are_refused_at_once(folder, tmp_path):
     rows = "".join(f"{k},0.1,0.1,0.9,0.1,0.9,0.9,0.1,0.9\n" for k in range(6))
-    (tmp_path / "c.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n" + rows)
+    (tmp_path / "c.csv").write_text("image,x1,y1,x2,y2,x3,y3,x4,y4\n" + rows)
     done = run("segment", folder, *DISCS, "--quadrat", 0.5, "--corners", "c.csv")
     assert_one_line(done, "c.csv: 0: expected corners in px of the upright image, got fractions of its size")
 
@@ -340,11 +350,11 @@ def result(method):
 
 
 def test_a_picture_without_corners_is_not_counted_and_told_of(folder, tmp_path):
-    (tmp_path / "c.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n0,70,20,130,20,130,110,70,110\n")
+    (tmp_path / "c.csv").write_text("image,x1,y1,x2,y2,x3,y3,x4,y4\n0,70,20,130,20,130,110,70,110\n")
     done = run("segment", folder, *DISCS, "--quadrat", 0.5, "--corners", "c.csv")
     assert done.returncode == 1
     assert "1: c.csv has no corners for it, so it was not counted" in done.stderr
-    with open("Fotos ü-oysters/pictures.csv", newline="", encoding="utf-8") as file:
+    with open("Fotos ü-oysters/images.csv", newline="", encoding="utf-8") as file:
         assert [bool(row["failure"]) for row in csv.DictReader(file)] == [False] + [True] * 5
 
 

@@ -274,7 +274,7 @@ def table(tmp_path, text, sources, columns=CORNERS):
 def test_a_table_names_pictures_by_name_or_file_and_frames_by_their_video(tmp_path, sources):
     found = table(
         tmp_path,
-        "altitude_m,picture\n1,a/1\n2,b/1.jpg\n3,2 ü.png\n4,dive.mp4\n5,dive.mp4/000030\n6,zz\n",
+        "altitude_m,image\n1,a/1\n2,b/1.jpg\n3,2 ü.png\n4,dive.mp4\n5,dive.mp4/000030\n6,zz\n",
         sources,
         ALTITUDE,
     )
@@ -285,12 +285,12 @@ def test_a_table_names_pictures_by_name_or_file_and_frames_by_their_video(tmp_pa
 
 
 def test_frames_are_known_by_their_number_however_it_is_written(tmp_path, sources):
-    found = table(tmp_path, "picture,altitude_m\ndive.mp4/30,1\ndive.mp4/0000060,2\ndive.mp4/0,3\n", sources, ALTITUDE)
+    found = table(tmp_path, "image,altitude_m\ndive.mp4/30,1\ndive.mp4/0000060,2\ndive.mp4/0,3\n", sources, ALTITUDE)
     assert found.rows == {f"dive.mp4/{number:06d}": (height,) for number, height in ((30, 1), (60, 2), (0, 3))}
     assert found.besides({"dive.mp4/000000", "dive.mp4/000060"}) == ("dive.mp4/000030",)
-    assert table(tmp_path, "picture,altitude_m\ndive.mp4/x,1\n", sources, ALTITUDE).unused == ("dive.mp4/x",)
+    assert table(tmp_path, "image,altitude_m\ndive.mp4/x,1\n", sources, ALTITUDE).unused == ("dive.mp4/x",)
     with pytest.raises(LabelError, match=r"t\.csv:3: dive\.mp4/030 is listed twice"):
-        table(tmp_path, "picture,altitude_m\ndive.mp4/30,1\ndive.mp4/030,1\n", sources, ALTITUDE)
+        table(tmp_path, "image,altitude_m\ndive.mp4/30,1\ndive.mp4/030,1\n", sources, ALTITUDE)
 
 
 def test_names_with_umlauts_are_the_same_however_they_are_composed(tmp_path):
@@ -298,7 +298,7 @@ def test_names_with_umlauts_are_the_same_however_they_are_composed(tmp_path):
     for name in names:
         (tmp_path / name).write_bytes(b"x")
     sources = find_sources([tmp_path]).sources
-    text = "picture,altitude_m\nB\u00f6schung 1,1\nM\u00fcll.mp4/000010,2\nM\u00fcll 2.png,3\n"
+    text = "image,altitude_m\nB\u00f6schung 1,1\nM\u00fcll.mp4/000010,2\nM\u00fcll 2.png,3\n"
     assert table(tmp_path, text, sources, ALTITUDE).rows == {
         "Bo\u0308schung 1": (1.0,),
         "Mu\u0308ll.mp4/000010": (2.0,),
@@ -306,32 +306,32 @@ def test_names_with_umlauts_are_the_same_however_they_are_composed(tmp_path):
     }
 
 
-def test_names_may_have_the_apostrophe_that_pictures_csv_puts_before_formulas(tmp_path):
+def test_names_may_have_the_apostrophe_that_images_csv_puts_before_formulas(tmp_path):
     for name in ("=1+1.jpg", "-lead.mp4", "'quoted.png"):
         (tmp_path / name).write_bytes(b"x")
     sources = find_sources([tmp_path]).sources
-    text = "picture,altitude_m\n" + "".join(f"{field(n)},1\n" for n in ("=1+1", "-lead.mp4/000010", "'quoted"))
+    text = "image,altitude_m\n" + "".join(f"{field(n)},1\n" for n in ("=1+1", "-lead.mp4/000010", "'quoted"))
     assert "\n'=1+1,1\n'-lead" in text
     assert set(table(tmp_path, text, sources, ALTITUDE).rows) == {"=1+1", "-lead.mp4/000010", "'quoted"}
-    assert table(tmp_path, "picture,altitude_m\n'x,1\n", sources, ALTITUDE).unused == ("'x",)
+    assert table(tmp_path, "image,altitude_m\n'x,1\n", sources, ALTITUDE).unused == ("'x",)
 
 
 @pytest.mark.parametrize("mark", [";", "\t"])
 def test_a_table_of_a_spreadsheet_may_have_semicolons_or_tabs_and_decimal_commas(mark, tmp_path, sources):
-    text = f"\ufeffpicture{mark}altitude_m\na/1{mark}1,25\n\n"
+    text = f"\ufeffimage{mark}altitude_m\na/1{mark}1,25\n\n"
     assert table(tmp_path, text, sources, ALTITUDE).rows == {"a/1": (1.25,)}
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", ":1: expected the columns picture,altitude_m"),
-        ("name,altitude_m\n", ":1: expected the columns picture,altitude_m, missing: picture"),
-        ("picture,altitude_m\na/1,high\n", ":2: expected a number, got 'high'"),
-        ("picture,altitude_m\na/1\n", ":2: expected 2 values, got 1"),
-        ("picture,altitude_m\na/1,1\na/1.jpg,2\n", ":3: a/1.jpg is listed twice"),
-        ("picture,altitude_m\n1.jpg,1\n", ":2: 2 images are called '1.jpg': expected one of a/1, b/1"),
-        pytest.param(f"picture,altitude_m\na/1,{'1' * 140_000}\n", ":2: cannot be read as CSV: field", id="long field"),
+        ("", ":1: expected the columns image,altitude_m"),
+        ("name,altitude_m\n", ":1: expected the columns image,altitude_m, missing: image"),
+        ("image,altitude_m\na/1,high\n", ":2: expected a number, got 'high'"),
+        ("image,altitude_m\na/1\n", ":2: expected 2 values, got 1"),
+        ("image,altitude_m\na/1,1\na/1.jpg,2\n", ":3: a/1.jpg is listed twice"),
+        ("image,altitude_m\n1.jpg,1\n", ":2: 2 images are called '1.jpg': expected one of a/1, b/1"),
+        pytest.param(f"image,altitude_m\na/1,{'1' * 140_000}\n", ":2: cannot be read as CSV: field", id="long field"),
     ],
 )
 def test_a_table_that_is_wrong_is_refused_by_its_line(tmp_path, sources, text, said):
@@ -340,11 +340,11 @@ def test_a_table_that_is_wrong_is_refused_by_its_line(tmp_path, sources, text, s
 
 
 def test_a_picture_without_corners_or_altitude_is_not_counted(tmp_path, sources):
-    corners = table(tmp_path, f"picture,{','.join(CORNERS)}\na/1,10,10,90,10,90,90,10,90\n", sources)
+    corners = table(tmp_path, f"image,{','.join(CORNERS)}\na/1,10,10,90,10,90,90,10,90\n", sources)
     scale = quadrats(0.5, corners)
     assert area_m2(scale(sources[0], "a/1"), SHAPE) == pytest.approx(0.25)
     with pytest.raises(LabelError, match=r"b/1: .*t\.csv has no corners for it"):
         scale(sources[1], "b/1")
-    heights = table(tmp_path, "picture,altitude_m\na/1,2\n", sources, ALTITUDE)
+    heights = table(tmp_path, "image,altitude_m\na/1,2\n", sources, ALTITUDE)
     with pytest.raises(LabelError, match=r"b/1: .*t\.csv has no altitude for it"):
         altitudes(Lens(640, 480, MATRIX, np.zeros(4)), heights)(sources[1], "b/1")

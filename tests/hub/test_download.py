@@ -261,7 +261,7 @@ def test_topics_of_a_file_that_is_here_need_no_hub(long_dive, tmp_path):
     assert len(list(oysterbench.open(files["dive-01"]).images("cam_left"))) == 40
     again = fetch_topics(Hub([], None), manifest.files, download_folder, ["/cam_left/*"], tmp_path / "again")
     assert again["dive-01"].read_bytes() == files["dive-01"].read_bytes()
-    with pytest.raises(SequenceError, match="no topic fits '/nothing'"):
+    with pytest.raises(SequenceError, match="no topic matches '/nothing'"):
         fetch_topics(Hub([], None), manifest.files, download_folder, ["/nothing"])
     with pytest.raises(HubError, match="it was left unchanged"):
         fetch_topics(Hub([], None), manifest.files, download_folder, ["/imu"], download_folder)

@@ -150,15 +150,15 @@ def test_what_cannot_be_made_again_is_to_be_copied_from_a_mirror(tmp_path, files
     croissant.unlink()
     told = []
     publishing.publish(tmp_path, FACTS, files, key, DIGEST, "https://hub.example.org", told.append)
-    assert f"{croissant}: damaged or absent, and made otherwise by this version of oysterbench or with" in told[-1]
+    assert f"{croissant}: damaged or missing, and made otherwise by this version of oysterbench or with" in told[-1]
     assert told[-1].endswith("copy it from a mirror of the tree")
     path = tmp_path / "manifests" / f"{manifest.sha256}.json"
     path.unlink()  # and nothing tells of the version that made it
-    with pytest.raises(HubError, match=rf"^{path}: damaged or absent.* copy it from a mirror of the tree$"):
+    with pytest.raises(HubError, match=rf"^{path}: damaged or missing.* copy it from a mirror of the tree$"):
         publish_split(tmp_path, files, key)
     done = run("verify", tmp_path)
     assert "absent (the index names it: publish its split or model again, or copy it from a mirror)" in done.stdout
-    assert done.stderr.endswith("2 of 7 files are damaged or absent; each line above says what mends it\n")
+    assert done.stderr.endswith("2 of 7 files are damaged or missing; each line above says what mends it\n")
 
 
 @pytest.mark.parametrize("step", range(6))

@@ -66,7 +66,7 @@ def test_a_new_record_has_its_names_in_one_unicode_form(tmp_path):
     "text",
     [
         "1 / 2 of images of topic /cam_front/image, at 20 m/s, 3/4/5 of N/A",
-        "no topic fits '/cam_front/*'; its topics: /imu, /dvl/velocity, /cam_left/camera_info",
+        "no topic matches '/cam_front/*'; its topics: /imu, /dvl/velocity, /cam_left/camera_info",
         "see https://example.org/a/b/c?path=/d/e/f or http://localhost:80/a/b/c",
         "/cam_front/image/compressed/x is of topic /cam_front/image",
         "a relative path such as data/dives/x.tum",
@@ -114,7 +114,7 @@ def test_every_text_of_a_result_is_cut_and_programs_are_told_by_their_names(here
 
 def test_a_record_of_a_split_has_no_folder_and_all_of_its_topics(here, tmp_path):
     first = record_made().results[0]
-    told = "no topic fits /cam_left/image in "
+    told = "no topic matches /cam_left/image in "
     run = {"command": [f"{here}/mine.sh"], "versions": {"program": f"{here}/mine.sh"}}
     folder = here / "results"
     folder.mkdir(parents=True)

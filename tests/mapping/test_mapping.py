@@ -276,7 +276,7 @@ def test_what_stands_alone_is_removed():
     [
         ({"cameras": ["cam_top"]}, SequenceError, "reef has no camera 'cam_top'; its cameras: cam"),
         ({"source": "echoes"}, SequenceError, "reef has neither DVL, altimeter nor imaging sonar"),
-        ({"source": "guesses"}, SequenceError, "expected one of pictures, echoes, got 'guesses'"),
+        ({"source": "guesses"}, SequenceError, "expected one of images, echoes, got 'guesses'"),
     ],
 )
 def test_what_cannot_be_made_is_named(arguments, error, message):

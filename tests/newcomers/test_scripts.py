@@ -139,7 +139,7 @@ def test_oysters_of_a_video_are_counted_with_the_weights_of_oysterbench(tmp_path
     source = _with(script("counting"), [f"cp {shlex.quote(str(video))} ."], tmp_path)
     run(source, folder, tmp_path / "home")
     assert (folder / "counted" / "index.html").is_file()
-    assert len((folder / "counted" / "pictures.csv").read_text().splitlines()) > 1
+    assert len((folder / "counted" / "images.csv").read_text().splitlines()) > 1
 
 
 @pytest.mark.slow

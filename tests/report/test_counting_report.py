@@ -62,7 +62,7 @@ def table(path):
 def test_tables_have_a_line_per_picture_and_oyster_and_leave_empty_what_is_not_known(folder, tmp_path):
     out = tmp_path / "out"
     counts(folder, out)
-    pictures = {row["picture"]: row for row in table(out / "pictures.csv")}
+    pictures = {row["image"]: row for row in table(out / "images.csv")}
     assert list(pictures)[-1] == "broken"
     assert "ends before" in pictures["broken"]["failure"]
     assert pictures["broken"]["oysters"] == ""
@@ -82,7 +82,7 @@ def test_tables_have_a_line_per_picture_and_oyster_and_leave_empty_what_is_not_k
 
 def test_a_scale_fills_in_areas_densities_and_lengths(folder, tmp_path):
     counts(folder, tmp_path, scale=plain(2.0))
-    first = table(tmp_path / "pictures.csv")[0]
+    first = table(tmp_path / "images.csv")[0]
     assert float(first["area_m2"]) == pytest.approx(0.24 * 0.32)
     assert float(first["oysters_per_m2"]) == pytest.approx(1 / (0.24 * 0.32), abs=1e-3)
     assert float(table(tmp_path / "oysters.csv")[0]["length_mm"]) == pytest.approx(42, abs=2)
@@ -92,7 +92,7 @@ def test_a_scale_fills_in_areas_densities_and_lengths(folder, tmp_path):
 def test_without_oysters_the_tables_still_have_their_heads(tmp_path):
     write(tmp_path / "in" / "a.png", discs())
     counts(tmp_path / "in", tmp_path / "out")
-    assert (tmp_path / "out" / "oysters.csv").read_text().startswith("picture,time_s,number,")
+    assert (tmp_path / "out" / "oysters.csv").read_text().startswith("image,time_s,number,")
     assert table(tmp_path / "out" / "oysters.csv") == []
 
 

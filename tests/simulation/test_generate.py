@@ -208,7 +208,7 @@ def test_some_topics_are_the_file_that_is_cut_from_the_complete_one(dive, tmp_pa
         generate_split(split, made.parent)
     with pytest.raises(SequenceError, match="it was made with other --topics; it was left unchanged"):
         generate_split(split, whole.parent, topics=["/imu"])
-    with pytest.raises(SequenceError, match="tiny-01: no topic fits '/cam_front/image'; its topics: /cam_left/"):
+    with pytest.raises(SequenceError, match="tiny-01: no topic matches '/cam_front/image'; its topics: /cam_left/"):
         generate_split(split, tmp_path / "none", topics=["/cam_front/image"])
 
 

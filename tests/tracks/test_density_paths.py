@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -37,10 +38,14 @@ def paths_of(dive_file, tmp_path, monkeypatch):
         "oysterbench.tracks.mapping_evaluation.evaluate_maps", lambda one, *rest: mapped.append(one) or []
     )
 
-    def call(*methods):
+    def call(*methods, **options):
         said: list[str] = []
         request = Request(
-            tmp_path / "out", places=[dive_file], methods=methods, options={"poses": tmp_path}, announce=said.append
+            tmp_path / "out",
+            places=[dive_file],
+            methods=methods,
+            options={"poses": tmp_path, **options},
+            announce=said.append,
         )
         TRACK.evaluate(request)
         paths = {
@@ -198,3 +203,11 @@ def test_masks_and_settings_that_cannot_be_used_are_refused_before_methods_are_r
     with pytest.raises(LabelError if "masks" in options else OysterbenchError, match=message):
         TRACK.evaluate(Request(tmp_path / "out", places=[dive_file], options=given))
     assert ran == []
+
+
+def test_masks_called_truth_are_those_of_the_ground_truth_unless_a_folder_is_called_so(paths_of, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert paths_of("mine", masks=Path("truth"))[0] == {"mine": pytest.approx(1.0)}
+    (tmp_path / "truth").mkdir()
+    with pytest.raises(LabelError, match=r"truth: expected a \.png, \.npy or \.npz per image, got none"):
+        paths_of("mine", masks=Path("truth"))

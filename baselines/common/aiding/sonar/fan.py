@@ -59,7 +59,7 @@ def texture(pixels: NDArray[np.uint16], grid: Grid, settings: FanSettings) -> ND
     Raises ValueError where the image is not of the grid's shape.
     """
     if pixels.shape != (grid.bins, grid.beams):
-        raise ValueError(f"sonar: expected a picture of {grid.bins} bins x {grid.beams} beams, got {pixels.shape}")
+        raise ValueError(f"sonar: expected an image of {grid.bins} bins x {grid.beams} beams, got {pixels.shape}")
     power = cv2.GaussianBlur(pixels.astype(np.float32) ** 2, (0, 0), settings.smooth_px)
     level = 10 * np.log10(power + 10 ** (settings.floor_db / 10))
     rows = _odd(settings.veil_m / grid.range_step)
