@@ -1,4 +1,4 @@
-"""Errors that a user can act on. Only `cli.py` prints them, as one line, and exits with `exit_code`."""
+"""Errors that a user can act on. Only `oysterbench/cli/` prints them, as one line, and exits with `exit_code`."""
 
 from __future__ import annotations
 

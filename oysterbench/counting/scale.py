@@ -72,7 +72,7 @@ class PlainScale:
         return self
 
     def region(self, shape: tuple[int, int]) -> Array:
-        """The whole picture."""
+        """The whole image."""
         return border(shape)
 
     def to_ground(self, points: Array) -> Array:
@@ -99,7 +99,7 @@ class AltitudeScale:
         return replace(self, lens=self.lens.resized(shape[1], shape[0], stored_width))
 
     def region(self, shape: tuple[int, int]) -> Array:
-        """The whole picture."""
+        """The whole image."""
         return border(shape)
 
     def to_ground(self, points: Array) -> Array:
