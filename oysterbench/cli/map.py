@@ -229,7 +229,12 @@ def _cloud(
         watch = _watching(opened, looks, progress)
         cloud = build_cloud(opened, poses, source, cameras, settings, watch)
     if len(cloud) == 0:
-        raise OysterbenchError(f"{opened.name}: no points found from {source} along {trajectory}; nothing was written")
+        why = "echoes at its poses"
+        if source == "images":
+            why = (
+                "a stereo pair or successive images that overlap, at its poses, nearer than --far; or try --from echoes"
+            )
+        raise OysterbenchError(f"{opened.name}: no points along {trajectory}; expected {why}; nothing was written")
     cloud.write(out, f"{opened.name} along {trajectory.name}, from {source}, in odom, m")
     for contradiction in contradictions(opened.for_method(), poses):
         message(contradiction)

@@ -136,8 +136,8 @@ class VehicleState:
     """State from compass, tilt and pressure sensors and altimeter: heading rad (from east, counter-clockwise), pitch
     rad (bow down positive), depth m below the mean water surface, altitude m above the bottom.
 
-    In a rollout it leaves out the vehicle's sway, which the image shows, and the heading continues beyond -pi and pi; in
-    labelled images it is that of the image."""
+    In a rollout it leaves out the vehicle's sway, which the image shows, and the heading continues beyond -pi and pi;
+    in labelled images it is that of the image."""
 
     heading: float
     pitch: float

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -261,8 +262,11 @@ def numbers(total: Total, shares: dict[str, float]) -> list[str]:
 
 
 def _states(total: Total) -> str:
-    parts = [("live", total.live), ("dead", total.dead), ("live or dead unknown", total.unknown)]
-    return ", ".join(f"{_count(n)} {name}" for name, n in parts if n) or "none"
+    """Numbers by state, rounded such that they add up to the rounded total."""
+    parts = {"live": total.live, "dead": total.dead, "live or dead unknown": total.unknown}
+    ends = [0, *(round(end) for end in accumulate(parts.values()))]
+    shown = zip(parts.items(), pairwise(ends), strict=True)
+    return ", ".join(f"{_count(end - start)} {name}" for (name, n), (start, end) in shown if n) or "none"
 
 
 def _count(n: float) -> str:

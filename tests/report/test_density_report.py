@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import pytest
+
 from oysterbench.mapping import MapSettings
+from oysterbench.mapping.grid import Total
 from oysterbench.report import comparison_tables, csv_text, html_report, results_table
-from oysterbench.report.density_figure import drawn
+from oysterbench.report.density_figure import counted, drawn
 from oysterbench.tracks.mapping_evaluation import TRUE_POSES, MappedSequence, evaluate_maps
 from tests.helpers.flat_reef import LANE, FlatReef, scattered
 
@@ -26,3 +30,13 @@ def test_paths_stand_beside_each_other_in_table_and_page():
     assert page.count("<svg xmlns") == 2
     assert page.count("oysters counted (95 %:") == 2
     assert "Oyster maps on flat" in page
+
+
+@pytest.mark.parametrize(
+    ("live", "dead", "unknown", "total", "states"),
+    [(195.0, 58.5, 0.0, "254", "195 live, 59 dead"), (0.5, 0.5, 0.5, "2", "0 live, 1 dead, 1 live or dead unknown")],
+)
+def test_numbers_by_state_add_up_to_the_total(live, dead, unknown, total, states):
+    told = counted(Total(live + dead + unknown, 1, 300, live, dead, unknown, 6.12, *(math.nan,) * 5))
+    assert told.startswith(f"{total} oysters counted ")
+    assert told.endswith(f": {states}")
