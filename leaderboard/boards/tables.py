@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cache
 from typing import Any
 
-from oysterbench.evaluate.metrics import FAILED, TRACKS, find_metric
+from oysterbench.evaluate.metrics import FAILED, SPEEDS, TRACKS, find_metric
 from oysterbench.evaluate.statistics import Interval
 from oysterbench.recipe import load_split, split_names
 from oysterbench.report.columns import (
@@ -160,10 +160,11 @@ def interval_of(row: Row) -> Interval:
     return Interval(row.low, row.high)
 
 
-def machines_note(rows: Sequence[Row]) -> str:
-    """Note where speeds were measured on several machines; otherwise empty."""
+def machines_note(rows: Sequence[Row], columns: Collection[str] = SPEEDS) -> str:
+    """Note where speeds were measured on several machines; otherwise empty. columns: keys of the metrics that are shown
+    beside it."""
     machines = dict.fromkeys(row.machine for row in rows if row.machine)
-    if len(machines) < 2:
+    if len(machines) < 2 or not set(SPEEDS) & set(columns):
         return ""
     return f"Speeds are of different machines ({'; '.join(machines)}): they do not compare methods."
 
@@ -182,7 +183,7 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
         notes.append(lost)
     if rows and (lacking := lacks(board.split, board.track)):
         notes.append(lacking)
-    notes += [note for note in (machines_note(rows),) if note]
+    notes += [note for note in (machines_note(rows, board.columns),) if note]
     if any(row.state == "current" and row.tier not in RANKED for row in rows):
         notes.append(NOT_RANKED)
     if trust := trust_note(board, rows):

@@ -287,7 +287,8 @@ def check_names(truth: Iterable[str], predicted: Iterable[str], place: Path, uns
                 next((path.name for path in sorted(place.glob(f"{escape(names[0])}.*"))), "") if place.is_dir() else ""
             )
             form = f" ({other} is there, which is no {', '.join(SUFFIXES)})" if other and names[0] in wanted else ""
+            got = f", got {min(given - wanted)}" if given - wanted and names[0] in wanted else ""
             raise LabelError(
                 f"{place}: {text} {', '.join(names[:3])}{more}{form}; expected one prediction for each of "
-                f"{len(wanted)} images, named as in the ground truth, e.g. {min(wanted, default='NAME')}"
+                f"{len(wanted)} images, named as in the ground truth, e.g. {min(wanted, default='NAME')}{got}"
             )

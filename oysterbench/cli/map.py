@@ -184,14 +184,25 @@ def _settings(kind: Callable[..., Made], chosen: dict[str, Any]) -> Made:
         raise OptionError(f"{SETTING_OPTIONS.get(key, key)}:{rest}") from None
 
 
+def _is_truth(given: Path) -> bool:
+    """Whether an option asks for the ground truth, and not for a file of that name."""
+    return str(given) == TRUTH and not given.exists()
+
+
+def _truth_note(**used: bool) -> tuple[str, ...]:
+    """A note on what is from the ground truth, if anything is."""
+    true = [what for what, is_true in used.items() if is_true]
+    what = f"the true {' and '.join(true)} {'is' if true == ['path'] else 'are'} used"
+    return (f"{what}: this map is not an estimate",) if true else ()
+
+
 def _poses(opened: Sequence, trajectory: Path, options: ReadOptions) -> Trajectory:
     """Read poses from a file, or return the true ones. Raises TrajectoryError where they do not overlap with the
     sequence in time, or are not upright."""
     from oysterbench.core.trajectory import read_trajectory
     from oysterbench.mapping.views import check_time, check_upright
 
-    if str(trajectory) == TRUTH and not trajectory.exists():
-        message(f"the true path of {opened.name} is used: this map is not an estimate")
+    if _is_truth(trajectory):
         return opened.truth()
     poses = read_trajectory(trajectory, options)
     check_time(opened, poses)
@@ -221,6 +232,8 @@ def _cloud(
         chosen = {**chosen, "echo_far_m": chosen["far_m"]}
     settings = _settings(CloudSettings, chosen)
     poses = _poses(opened, trajectory, options)
+    for note in _truth_note(path=_is_truth(trajectory)):
+        message(note)
     start = time.process_time()
     looks = max(len(cameras), 1)
     if source == "echoes":
@@ -298,10 +311,10 @@ def _oysters(
             f"{opened.name} has no camera {first or ''!r}; its cameras: {', '.join(opened.cameras) or 'none'}"
         )
     depth = depth or default_depth(opened, first)
-    own = str(masks) == TRUTH and not masks.exists()
-    if own or depth == "layer":
-        used = " and ".join([*(["masks"] if own else []), *(["depths"] if depth == "layer" else [])])
-        message(f"the true {used} of {opened.name} are used: this map is not an estimate")
+    own = _is_truth(masks)
+    true = _truth_note(path=_is_truth(trajectory), masks=own)
+    for note in true:
+        message(note)
     start = time.process_time()
 
     def seen() -> Any:
@@ -313,11 +326,12 @@ def _oysters(
     with late_bars(f"map of {opened.name}") as progress:
         watch = _watching(opened, 1, partial(progress, "s of the sequence"))
         found = build_map(opened, poses, seen, first, depth, settings, progress=progress)
+    found = replace(found, notes=(*true, *found.notes))
     command = shlex.join(["oysterbench", *sys.argv[1:]])
     if time.process_time() >= start + LATE_S:
         message(f"writing the map of {opened.name}")
     written = write_map(found, out, command)
-    for note in found.notes:
+    for note in found.notes[len(true) :]:
         message(note)
     facts = {**summary(found), "files": [str(path) for path in written]}
     facts["cpu_s"] = round(time.process_time() - start, 1)

@@ -16,7 +16,7 @@ from oysterbench.core.trajectory import Trajectory
 from oysterbench.mapping.association import OysterTracks
 from oysterbench.mapping.contradictions import contradictions
 from oysterbench.mapping.cover import DIVERGED, Cover, Raster, lattice_around, raster_around, tile_of
-from oysterbench.mapping.depth import SIGMA, depth_source
+from oysterbench.mapping.depth import DEPTHS, SIGMA, depth_source
 from oysterbench.mapping.grid import Grid, Oyster, Total, known_states, live_range, live_share, make_grid, total
 from oysterbench.mapping.north import magnetic_north
 from oysterbench.mapping.pose_graph import Progress, laid
@@ -383,7 +383,8 @@ def _check(sequence: Sequence, camera: str, depth: str, counts: dict[str, int], 
             f"{reasons}"
         )
     if used == 0:
+        others = ", ".join(source for source in DEPTHS if source != depth)
         raise SequenceError(
-            f"{sequence.name}: none of {counts['images']} images has a depth from {depth!r}; expected another "
-            "--depth: stereo, motion, plane or layer"
+            f"{sequence.name}: none of {counts['images']} images has a depth from {depth!r}; expected another --depth: "
+            f"{others}"
         )

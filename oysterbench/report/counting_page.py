@@ -171,12 +171,17 @@ def _unlike_table(unlike: Sequence[PictureCount]) -> Table:
     return Table("Unlike", columns, tuple(TableRow((one.name, one.novelty, one.oysters)) for one in unlike))
 
 
+def _percent(share: float) -> str:
+    """Per cent without decimals; below 1 with one digit, so that some is not none."""
+    return f"{100 * share:.0f}" if share >= 0.01 else f"{100 * share:.1g}"
+
+
 def _picture(store: Store, one: PictureCount) -> Picture:
     data = np.frombuffer(store.overlay(one.name).read_bytes(), np.uint8)
     pixels = np.asarray(cv2.cvtColor(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB), np.uint8)
     small = one.said
     if one.cover is not None:
-        small += f", {100 * one.cover:.0f} % covered"
+        small += f", {_percent(one.cover)} % covered"
     return Picture(jpeg(pixels, 80, THUMBNAIL_PX), one.name, small, f"{one.name} with outlines of {small}")
 
 

@@ -143,6 +143,10 @@ def test_missing_and_further_predictions_are_refused_by_name(tmp_path):
         check_names(["a", "b"], ["a"], tmp_path)
     with pytest.raises(LabelError, match="no image of the truth is named c, d, e and 1 more"):
         check_names(["a"], ["a", "c", "d", "e", "f"], tmp_path)
+    with pytest.raises(
+        LabelError, match=r"no prediction for a; .*, named as in the ground truth, e\.g\. a, got images/a$"
+    ):
+        check_names(["a"], ["images/a"], tmp_path)
     for place in (tmp_path, tmp_path / "nowhere"):
         with pytest.raises(LabelError, match="expected a"):
             open_predictions(place)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from click.testing import CliRunner
 
@@ -59,7 +61,7 @@ def test_a_folder_of_masks_may_be_called_truth(dive_file, tmp_path, monkeypatch)
     common = ("map", str(dive_file), "--trajectory", "p.tum", "--depth", "layer", "--out", "m")
     (tmp_path / "truth").mkdir()
     said = error_of(*common, "--masks", "truth")
-    assert "the true depths of hand-made are used" in said
+    assert "not an estimate" not in said
     assert "truth: expected a .png, .npy or .npz per image, got none" in said
 
 
@@ -93,3 +95,14 @@ def test_options_of_run_are_said_to_be_its():
 def test_options_of_other_tracks_are_refused_on_the_density_track():
     assert "--associate: of the track slam" in error_of("eval", "--track", "density", "--associate", "nearest")
     assert "--threshold" in error_of("eval", "--track", "density", "--threshold", "0.4")
+
+
+def test_a_map_of_the_ground_truth_says_so_wherever_it_is_read(dive_file, tmp_path):
+    out = tmp_path / "m"
+    given = ("map", str(dive_file), "--trajectory", "truth", "--masks", "truth", "--depth", "layer", "--out", str(out))
+    done = CliRunner().invoke(main, given)
+    told = "the true path and masks are used: this map is not an estimate"
+    assert done.exit_code == 0, done.output
+    assert done.stderr.count(told) == 1
+    assert told in json.loads((out / "summary.json").read_text())["notes"]
+    assert told[1:] in (out / "map.html").read_text(), "as a sentence"

@@ -12,7 +12,7 @@ from oysterbench.results.records import aggregate
 from oysterbench_leaderboard.boards.board import Query
 from oysterbench_leaderboard.boards.index import open_index
 from oysterbench_leaderboard.boards.memory import MemoryIndex
-from oysterbench_leaderboard.boards.tables import board_table, history_table
+from oysterbench_leaderboard.boards.tables import board_table, history_table, machines_note
 from oysterbench_leaderboard.boards.vehicle import lacks
 from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.pages.board import board_page
@@ -182,6 +182,9 @@ def test_speeds_of_several_machines_are_said_to_be(tmp_path):
     digests = [row.digest for row in site.index.page(info.id, Query()).rows]
     pages = [board_page(site, "slam", "slam-val"), compare_page(site, *digests), several_page(site, digests)]
     assert all(note in Reading(html(page)).text for page in pages)
+    rows = site.index.page(info.id, Query()).rows
+    assert machines_note(rows, ("score", "realtime_factor")) == note
+    assert machines_note(rows, ("iou", "recall")) == "", "no speed is shown"
 
 
 def test_a_machine_of_a_long_name_is_one_all_the_same(tmp_path):

@@ -168,7 +168,7 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
         "permalink": board_path(info),
         "heats": heats(site, info, found.rows),
         "speed": speed_card(info, found.rows),
-        "machines": machines_note(found.rows),
+        "machines": machines_note(found.rows, info.columns),
         "drawings": [drawing] if (drawing := stress_drawing(site, info, found.rows)) else [],
         "has_ranks": any(row.rank is not None for row in found.rows),
         "settings": {key: numbers.setting_text(value) for key, value in info.settings.items()},
@@ -310,7 +310,7 @@ def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
     notes = [f"{mean}. {failures_note(info.track)} {rest}"]
     if rows and (lacking := lacks(info.split, info.track)):
         notes.append(lacking)
-    notes += [note for note in (machines_note(rows),) if note]
+    notes += [note for note in (machines_note(rows, info.columns),) if note]
     if has_data_set(info, rows):
         notes.append(DATA_SET.format(metric_column(info.metric).heading))
     if any(row.state == "current" and row.tier not in RANKED for row in rows):

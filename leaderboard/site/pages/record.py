@@ -266,11 +266,16 @@ def _summary_cells(
         replace(shown(numbers.finite(summary.mean)), small=small),
         shown(summary.interval, "soft"),
         shown(numbers.interval(summary.low, summary.high), "soft"),
-        Cell(summary.sequences, f"{summary.sequences} of {summary.of_sequences}"),
+        Cell(summary.sequences, _of(summary)),
         shown(data_set),
         shown(numbers.interval(*of_data_set), "soft"),
         Cell(key),
     )
+
+
+def _of(summary: Summary) -> str:
+    """How many sequences have a value, and of how many."""
+    return f"{summary.sequences} of {summary.of_sequences}"
 
 
 def strata_table(results: Sequence[ResultRecord], title: str) -> Table:
@@ -289,7 +294,8 @@ def strata_table(results: Sequence[ResultRecord], title: str) -> Table:
         for value, _, summary in board.strata(condition):
             known = summary.interval.known
             bar = numbers.bar(summary.interval.low, summary.mean, summary.interval.high) if known else None
-            cells = (CONDITIONS[condition].name, value, summary.of_sequences, summary.mean)
+            number = Cell(summary.sequences, _of(summary))
+            cells = (CONDITIONS[condition].name, value, number, summary.mean)
             lines.append(TableRow((*cells, Cell(summary.interval, kind="soft", bar=bar))))
     rule = f"An interval needs {LEAST_SEQUENCES} sequences or more in a class; a dash marks classes with fewer."
     notes = (rule,) if lines else ()

@@ -60,7 +60,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     notes = [f"cam{index} is {name}" for index, name in enumerate(sequence.cameras)]
     labels = {f"cam{index}": name for index, name in enumerate(sequence.cameras)}
     notes += write_calibration(sequence, folder, [f"/{label}/image_raw" for label in labels], "/imu0")
-    own = (*OWN, truth_line(truth, "mav0/state_groundtruth_estimate0"))
+    own = (*OWN, truth_line(truth, "mav0/state_groundtruth_estimate0, of the IMU"))
     write_readme(sequence, folder, "EuRoC/ASL", labels, truth, own)
     if truth:
         _write_state(sequence, root / "state_groundtruth_estimate0")

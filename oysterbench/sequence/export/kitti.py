@@ -103,7 +103,7 @@ def _about(sequence: Sequence, pair: list[str], matrix: Array, first_ns: int, tr
         "The images were undistorted, and those of a pair rectified: they have no distortion left.",
         *(f"{name}, as taken: {line}" for name in pair for line in shutter_lines(sequence.cameras[name])),
         f"times.txt is in s from the first image, whose stamp is {first_ns} ns; the layout has no IMU.",
-        truth_line(truth, "poses/00.txt"),
+        truth_line(truth, "poses/00.txt, of the camera of image_0"),
     ]
 
 

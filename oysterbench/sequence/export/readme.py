@@ -82,7 +82,7 @@ def head(sequence: Sequence, layout: str) -> str:
 
 
 def truth_line(truth: bool, place: str) -> str:
-    """Line on where the ground truth is."""
+    """Line on where the ground truth is. place: also tells what it is of."""
     return f"The truth is in {place}." if truth else "The truth was left out."
 
 

@@ -56,7 +56,7 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     labels = {topic: name for name, topic in topics.items()}
     own = (
         f"{IMU_TOPIC} has no orientation. camchain-imucam.yaml and imu.yaml are Kalibr's.",
-        truth_line(truth, TRUTH_TOPIC),
+        truth_line(truth, f"{TRUTH_TOPIC}, of the IMU"),
     )
     write_readme(sequence, folder, "EuRoC's ROS 1 bags", labels, truth, own)
     return [*(f"{topic} is {name}, in grey" for name, topic in topics.items()), *notes]
