@@ -31,7 +31,9 @@ def test_a_board_of_pictures_to_learn_on_says_so(split, told, tmp_path):
     site = Site(open_index(store, str(tmp_path / "index.sqlite")))
     (info,) = site.index.boards()
     notes = [note for note in board_page(site, info.track, split).tables[0].notes if "a training split" in note]
-    assert notes == [note for note in board_table(site.index.page(info.id, Query())).notes if "a training split" in note]
+    assert notes == [
+        note for note in board_table(site.index.page(info.id, Query())).notes if "a training split" in note
+    ]
     assert [note.split()[-1] for note in notes] == ([told] if told else [])
 
 
