@@ -325,7 +325,7 @@ def test_the_true_path_is_called_truth_and_a_file_is_read_as_said(dive_file, tmp
         words = [COMMAND, "map", dive_file, "--trajectory", name, "--from", "echoes", "--json", *more]
         done = subprocess.run([*words, "--out", tmp_path / "a.ply"], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
-        assert ("the true path of" in done.stderr) == (name == "truth")
+        assert ("the true path is used" in done.stderr) == (name == "truth")
         found.append({**json.loads(done.stdout), "cpu_s": 0})
     assert found[0] == found[1]
 
