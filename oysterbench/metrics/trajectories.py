@@ -203,8 +203,9 @@ def trajectory_score(truth: Poses, estimate: Poses, **settings: Any) -> float:
 def _relative(truth: Poses, estimate: Poses, delta: float, unit: str, what: str, settings: dict[str, Any]) -> float:
     if unit not in ("s", "m", "deg", "frames"):
         raise OptionError(f"unit: expected one of s, m, deg, frames, got {unit!r}")
-    key, value = ("rpe_frames", round(delta)) if unit == "frames" else (f"rpe_delta_{unit}", float(delta))
-    return _metric(truth, estimate, f"rpe_{value:g}{unit}_{what}", {**settings, key: value})
+    if unit == "frames":
+        return _metric(truth, estimate, f"rpe_{round(delta)}frames_{what}", {**settings, "rpe_frames": round(delta)})
+    return _metric(truth, estimate, f"rpe_{delta:g}{unit}_{what}", {**settings, f"rpe_delta_{unit}": float(delta)})
 
 
 def _metric(truth: Poses, estimate: Poses, key: str, settings: dict[str, Any]) -> float:

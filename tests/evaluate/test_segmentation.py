@@ -141,6 +141,22 @@ def test_classes_agree_with_sets_of_pixels_and_absent_ones_have_no_part_in_the_m
     assert reasons["iou_vehicle"] == "neither ground truth nor estimate has it"
 
 
+def test_the_mean_of_an_iou_weighted_as_stated_is_that_of_the_data_set():
+    rng = stream(3, b"", "weighed")
+    sequences = []
+    for size in ((60, 100), (10, 20)):
+        image = TruthImage("a", rng.integers(0, 3, size).astype(np.uint8))
+        scorer = ClipScorer()
+        scorer.add(image, EstimateImage("a", classes=np.where(rng.random(size) < size[0] / 70, image.classes, 1)))
+        sequences.append(scorer.result())
+    whole = join(sequences).metrics
+    for key in ("iou", *(f"iou_{name}" for name in CLASSES.values())):
+        values = np.array([one.metrics[key] for one in sequences])
+        pixels = np.array([one.metrics[find_metric(key, "segmentation").weight] for one in sequences])
+        mean = np.nansum(values * pixels) / pixels.sum() if pixels.any() else NAN
+        assert mean == pytest.approx(whole[key], nan_ok=True)
+
+
 def test_without_named_classes_there_is_no_mean_over_them():
     assert "miou" not in scored((LEFT, FULL)).metrics
 

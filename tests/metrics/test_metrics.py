@@ -77,6 +77,7 @@ def test_relative_errors_are_taken_over_what_is_asked_for(pair, delta, unit):
 
 def test_what_has_no_sample_is_nan(pair):
     assert math.isnan(metrics.rpe(*pair, 1000, "m"))
+    assert math.isnan(metrics.rpe(*pair, 1_000_000, "frames"))
 
 
 @pytest.mark.parametrize("name", ["iou", "dice", "precision", "recall"])

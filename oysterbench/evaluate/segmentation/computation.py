@@ -51,7 +51,8 @@ def weights(tally: Mapping[str, float]) -> dict[str, float]:
     parts = _of_all(tally)
     for key in ("iou", "recall", "precision", "dice", "cover", "boundary_iou"):
         found[SEGMENTATION[key].weight] = parts[key][1]
-    return found | {f"weight_{key}_px": below for key, (_, below) in _of_strata(tally).items()}
+    of_parts = {**_of_classes(tally), **_of_strata(tally)}
+    return found | {f"weight_{key}_px": below for key, (_, below) in of_parts.items()}
 
 
 def _of_all(tally: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
@@ -86,15 +87,21 @@ def _of_strata(tally: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
     return found
 
 
-def _classes(tally: Mapping[str, Any]) -> dict[str, Any]:
-    """IoU of each class in truth or estimate, and their mean; empty if classes were not counted."""
+def _of_classes(tally: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Numerator and denominator of the IoU of each class; empty if classes were not counted."""
     names = [name for name in CLASSES.values() if f"class_{name}_union_px" in tally]
-    if not names:
+    return {f"iou_{n}": (tally[f"class_{n}_intersection_px"], tally[f"class_{n}_union_px"]) for n in names}
+
+
+def _classes(tally: Mapping[str, Any]) -> dict[str, Any]:
+    """IoU of each class, and the mean over those in truth or estimate; empty if classes were not counted."""
+    each = {key: _ratio(*parts) for key, parts in _of_classes(tally).items()}
+    if not each:
         return {}
-    each = {n: _ratio(tally[f"class_{n}_intersection_px"], tally[f"class_{n}_union_px"]) for n in names}
+
     stacked = np.stack([np.asarray(value, float) for value in each.values()])
     mean = _ratio(np.nansum(stacked, axis=0), np.sum(~np.isnan(stacked), axis=0))
-    return {"miou": mean, **{f"iou_{name}": value for name, value in each.items()}}
+    return {"miou": mean, **each}
 
 
 def _ratio(numerator: Any, denominator: Any, empty: float = np.nan) -> Any:

@@ -31,7 +31,10 @@ SEGMENTATION: dict[str, Metric] = {
         "Twice the intersection over the sum of both areas, over the data set (F1 of the pixels)."
     ),
     "image_dice": higher("Dice by image", weight="scored_images")("Mean over images of the Dice coefficient."),
-    "miou": higher("mIoU")("Mean IoU over all classes in ground truth or estimate; only if the estimate has classes."),
+    "miou": higher("mIoU")(
+        "Mean IoU over all classes in ground truth or estimate; only if the estimate has classes. Over sequences, a "
+        "plain mean."
+    ),
     "empty_false_positive_rate": lower(
         "False on empty", column=Column("empty", "% false", 2, factor=100.0, small=0.1), weight="empty_px"
     )("Share (0 to 1) of the pixels of images without any oyster that are predicted as oyster."),
@@ -79,7 +82,8 @@ def find_segmentation(key: str) -> Metric | None:
             heading = ("IoU, " if key.startswith("iou") else "Recall, ") + name
             return Metric(definition.format(name), heading, better="higher", weight=f"weight_{key}_px")
     if (match := re.fullmatch(r"iou_(\w+)", key)) and match[1] in CLASSES.values():
-        return Metric(f"IoU of the class {match[1]} over the data set.", f"IoU, {match[1]}", better="higher")
+        text = f"IoU of the class {match[1]} over the data set."
+        return Metric(text, f"IoU, {match[1]}", better="higher", weight=f"weight_{key}_px")
     if match := re.fullmatch(r"weight_(.+)_px", key):
         return counted(f"Pixels of {match[1]}", "px")(f"Pixels over which {match[1]} is computed.")
     return None

@@ -92,10 +92,11 @@ SLAM: dict[str, Metric] = {
         "Mean over the same segments of the rotation angle per length."
     ),
     "subpath_yaw_deg_per_m": lower("Drift yaw", "deg/m")(
-        "Mean over the same segments of the yaw part of the rotation per length."
+        "Mean over the same segments of the yaw part of the rotation per length, about the vertical of the aligned "
+        "estimate: where that is tilted, so is the axis."
     ),
     "subpath_tilt_deg_per_m": lower("Drift gravity", "deg/m")(
-        "Mean over the same segments of the gravity part of the rotation per length."
+        "Mean over the same segments of the rest of the rotation per length: a tilt about a horizontal axis."
     ),
     "subpath_10m_translation_percent": lower("10 m", "%")(
         "Mean relative translation error per length over the estimated segments of 10 m."
@@ -105,7 +106,7 @@ SLAM: dict[str, Metric] = {
     ),
     "subpath_segments": counted("Segments")("Number of segments with an estimate at both ends."),
     "subpath_coverage": higher("Segments answered")(
-        "Share (0 to 1) of the segments of the true path with an estimate at both ends."
+        "Share (0 to 1) of the segments of the true path with an estimate at both ends; no number where there is none."
     ),
     "subpath_scale": neutral("Scale of segments")(
         "Median over the same segments of the ratio of estimated to true distance between their ends, where these are "

@@ -22,8 +22,8 @@ class PoseErrors:
     """Errors E in SE(3) of N poses or relative motions, split into the parts that metrics use.
 
     translation_m: (N,) length of the translation of E, m
-    turn:          (N, 4) unit quaternion x y z w of a rotation conjugate to that of E, in the axes of the truth's world
-                   frame: for poses, R_estimate R_truth^T
+    turn:          (N, 4) unit quaternion x y z w of a rotation conjugate to that of E, in the axes of the aligned
+                   estimate's world frame: for poses, R_estimate R_truth^T
     """
 
     translation_m: Array
@@ -92,7 +92,8 @@ def relative_errors(truth: Trajectory, estimate: Trajectory, pairs: Index, absol
     """E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j) of index pairs (M, 2) i, j into matched poses (Sturm et al. 2012, eq. 1).
 
     With H = P Q^-1 the rotations of the absolute errors (`PoseErrors.turn`), |trans E| = |H_i^-1 (p_j - p_i) -
-    (q_j - q_i)|, and H_j H_i^-1 is the rotation of E seen from the world frame: no pair needs a matrix.
+    (q_j - q_i)|, and H_j H_i^-1 is the rotation of E seen from the world frame of the aligned
+    estimate: no pair needs a matrix.
     """
     translation_m = np.empty(len(pairs))
     turn = np.empty((4, len(pairs))).T
