@@ -15,9 +15,11 @@ from oysterbench.render.lens import project
 from oysterbench.sensors.camera import KIND
 from oysterbench.sensors.port import fit_in_water
 from oysterbench.sequence.export.ply import pixel_rays, points_at
+from oysterbench.sequence.export.port import lens_centre_m
 
 PORT = CameraRecipe(name="cam", width=640, height=480, hfov_deg=69.0, rate_hz=10.0, port_mm=10.0, pitch_deg=40.0)
 SITE = SiteRecipe()
+LENS = {"lens": "brown-conrady", "distortion": (-0.05, 0.01, 4e-4, -3e-4)}
 
 
 @pytest.mark.parametrize("port_mm", [2.0, 10.0, 30.0])
@@ -49,6 +51,13 @@ def test_only_the_truth_knows_the_port_and_its_residual_grows_with_it():
     assert KIND.read_calibration(true).port_m == 0.01
     rms = [KIND.calibrate(dataclasses.replace(PORT, port_mm=d), SITE)["fitted"]["rms_px"] for d in (2.0, 10.0, 30.0)]
     assert rms[0] < rms[1] < rms[2] < 1.0
+
+
+@pytest.mark.parametrize("changes", [{}, {"port_mm": 2.0}, {"port_mm": 30.0}, {"hfov_deg": 80.0}, LENS])
+def test_the_centre_of_the_fitted_lens_follows_from_the_true_calibration(changes):
+    camera = dataclasses.replace(PORT, **changes)
+    true = KIND.read_calibration(KIND.true_calibration(camera, SITE))
+    assert lens_centre_m(true) == pytest.approx(fit_in_water(camera).axial_m, rel=0.02)
 
 
 def test_the_fitted_focal_length_is_that_in_air_times_the_index():

@@ -29,6 +29,7 @@ from oysterbench.sequence.export.parts import (
     write_lines,
     write_png,
 )
+from oysterbench.sequence.export.port import seen_from
 from oysterbench.sequence.export.readme import README, head, shutter_lines, truth_line
 from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.types import Sequence
@@ -71,7 +72,9 @@ def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[s
     )
     if truth:
         taken = np.array([times[stamp] for stamp in kept], dtype=np.int64)
-        poses = sensor_poses(path.at(taken), true.T_base_cam @ transform(turns[0].T, np.zeros(3)))
+        poses = sensor_poses(
+            path.at(taken), seen_from(sequence.cameras[left], true) @ transform(turns[0].T, np.zeros(3))
+        )
         (folder / "poses").mkdir()
         write_lines(folder / "poses" / "00.txt", (_row(pose[:3]) for pose in invert(poses[0]) @ poses))
     return notes

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from oysterbench.core.geometry import invert
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds, write_tum
 from oysterbench.sequence.export.parts import (
     any_camera,
@@ -17,6 +16,7 @@ from oysterbench.sequence.export.parts import (
     write_lines,
     write_png,
 )
+from oysterbench.sequence.export.port import lens_centre_m
 from oysterbench.sequence.export.readme import truth_line, write_readme
 from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.types import CameraCalibration, Sequence
@@ -88,7 +88,7 @@ def _behind_port(sequence: Sequence, name: str) -> list[str]:
     given, true = sequence.cameras[name], sequence.truly_calibrated().cameras[name]
     if given.port_m is not None or true.port_m is None:
         return []
-    ahead_m = float((invert(given.T_base_cam) @ true.T_base_cam)[2, 3])
+    ahead_m = -lens_centre_m(true)
     return [
         f"The camera is behind a flat port. Depth and poses are those of its pupil, {1e3 * ahead_m:.2f} mm in front of",
         "the centre of the lens that calibration.txt gives: the point of a pixel is its ray (x, y, 1) there, times",

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from evo.tools import file_interface
 
-from oysterbench.core.geometry import invert
+from oysterbench.core.geometry import invert, transform
 from oysterbench.sequence.export import export_sequence
 from oysterbench.sequence.export.kitti import _projections
+from oysterbench.sequence.export.port import lens_centre_m
 from tests.helpers import hand_made_dive as dive
 
 T_BASE_LEFT = np.array(dive.calibration()["cameras"]["cam_left"]["T_base_cam"])
@@ -34,6 +38,24 @@ def test_kitti_is_a_stereo_pair_with_poses_of_the_left_camera(sequence, folders)
     poses = sequence.truth().at(stamps[stamps <= sequence.truth().stamps_ns[-1]]).matrices @ T_BASE_LEFT
     np.testing.assert_allclose(np.array(loaded.poses_se3), invert(poses[0]) @ poses, atol=1e-9)
     np.testing.assert_allclose(loaded.poses_se3[0], np.eye(4), atol=1e-12)
+
+
+def test_behind_a_flat_port_the_poses_are_those_of_the_lens_that_the_images_were_undistorted_with(
+    sequence, folders, tmp_path, monkeypatch
+):
+    true = dive.calibration()
+    left = true["cameras"]["cam_left"]
+    behind = replace(sequence.cameras["cam_left"], port_m=0.01, port_index=1.33)
+    assert -0.008 < lens_centre_m(behind) < -0.003
+    pupil = T_BASE_LEFT @ transform(np.eye(3), np.array([0.0, 0.0, -lens_centre_m(behind)]))
+    true["cameras"]["cam_left"] = left | {"T_base_cam": pupil.tolist(), "port": {"distance_m": 0.01, "index": 1.33}}
+    known = {**sequence.attachments, "truth/calibration.json": json.dumps(true).encode()}
+    monkeypatch.setattr(sequence, "attachments", known)
+    poses, without = (
+        np.loadtxt(root / "poses" / "00.txt")
+        for root in (export_sequence(sequence, "kitti", tmp_path / "port")[0], folders["kitti"])
+    )
+    np.testing.assert_allclose(poses, without, atol=1e-8)
 
 
 def test_kitti_numbers_images_by_their_stamps_where_one_is_repeated(sequence, folders, tmp_path, monkeypatch):

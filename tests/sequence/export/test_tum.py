@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from evo.tools import file_interface
 
 from oysterbench.core.trajectory import read_trajectory
 from oysterbench.sequence.export import export_sequence
+from oysterbench.sequence.export.port import lens_centre_m
 from oysterbench.sequence.types import imu_arrays
 from tests.helpers import hand_made_dive as dive
 
@@ -90,11 +92,12 @@ def test_behind_a_flat_port_the_folder_says_where_depth_is_measured_from(sequenc
     true = dive.calibration()
     left = true["cameras"]["cam_left"]
     shift = np.array(left["T_base_cam"])
-    shift[:3, 3] += 0.005 * shift[:3, 2]  # along the optical axis
+    shift[:3, 3] += 0.005 * shift[:3, 2]  # along the optical axis, by an error of the calibration
     true["cameras"]["cam_left"] = left | {"T_base_cam": shift.tolist(), "port": {"distance_m": 0.01, "index": 1.33}}
     known = {**sequence.attachments, "truth/calibration.json": json.dumps(true).encode()}
     monkeypatch.setattr(sequence, "attachments", known)
     text = (export_sequence(sequence, "tum", tmp_path / "port")[0] / "README.txt").read_text()
-    assert "Depth and poses are those of its pupil, 5.00 mm in front of" in text
+    behind = lens_centre_m(replace(sequence.cameras["cam_left"], port_m=0.01, port_index=1.33))
+    assert f"Depth and poses are those of its pupil, {-1e3 * behind:.2f} mm in front of" in text
     blind = export_sequence(sequence, "tum", tmp_path / "blind", truth=False)[0]
     assert "flat port" not in (blind / "README.txt").read_text()
