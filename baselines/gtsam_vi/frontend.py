@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core import lens
 from oysterbench.core.geometry import Array
 from oysterbench.core.streams import stream
 from oysterbench.sequence.types import CameraCalibration
@@ -65,11 +66,8 @@ class Observations:
 
 def undistort(pixels: Array, calibration: CameraCalibration) -> Array:
     """Normalised coordinates (N, 2) of pixels (N, 2), distortion removed."""
-    if len(pixels) == 0:
-        return np.empty((0, 2))
-    points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-    rays = _lens(calibration).undistortPoints(points, calibration.matrix, calibration.distortion)
-    return np.asarray(rays.reshape(-1, 2), dtype=float)
+    equidistant = calibration.distortion_model == "equidistant"
+    return lens.undistort(pixels, calibration.matrix, calibration.distortion, equidistant)
 
 
 def distort(rays: Array, calibration: CameraCalibration) -> Array:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from oysterbench.core.geometry import Array
+from oysterbench.core.lens import undistort
 from oysterbench.sequence.types import CameraCalibration
 
 
@@ -25,13 +26,9 @@ class Lens:
         """Rays (N, 2) of pixels (N, 2)."""
         if len(pixels) == 0:
             return np.empty((0, 2))
-        points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
         known = self.calibration
-        if known.distortion_model == "equidistant":
-            rays = cv2.fisheye.undistortPoints(points, known.matrix, known.distortion[:4])
-        else:
-            rays = cv2.undistortPoints(points, known.matrix, known.distortion)
-        return self._bent(np.asarray(rays, dtype=np.float64).reshape(-1, 2), 1 / self.index)
+        rays = undistort(pixels, known.matrix, known.distortion, known.distortion_model == "equidistant")
+        return self._bent(rays, 1 / self.index)
 
     def pixels(self, rays: Array) -> Array:
         """Pixels (N, 2) of rays (N, 2)."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from oysterbench.annotations.image import Entry
+from oysterbench.core.names import natural_key
 
 _NO_CAMERA = r"(?<!cam[-_ ])(?<!camera[-_ ])"
 TIME = re.compile(rf"(?<![^-_/ ]){_NO_CAMERA}(?:\d+[-_T ])*\d\d[-_][0-5]\d$", re.IGNORECASE)
@@ -206,18 +207,13 @@ def _in_time(clip: Sequence[Entry]) -> list[Entry]:
 def _by_name(images: Sequence[Entry]) -> list[Entry]:
     """The images of a folder in the order of their names, those of the cameras of a rig one after the other."""
     names = _bare([entry.name for entry in images])
-    keys = [(_numbered(SIDE.sub("", name)), _numbered(name)) for name in names]
+    keys = [(natural_key(SIDE.sub("", name)), natural_key(name)) for name in names]
     return [images[k] for k in sorted(range(len(images)), key=lambda k: keys[k])]
 
 
 def _ordered(taken: Sequence[tuple[str, Instant]], entries: Sequence[Entry]) -> list[Entry]:
     """The images in order of their instants."""
     return [entry for _, entry in sorted(zip(taken, entries, strict=True), key=lambda pair: pair[0][1])]
-
-
-def _numbered(name: str) -> list[str | int]:
-    """What names are sorted by, so that numbers in them are in order whether or not they are filled up with zeros."""
-    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", name))]
 
 
 def _last_of(entries: Sequence[Entry], taken: Sequence[tuple[str, Instant]], share: float) -> list[Entry]:

@@ -48,7 +48,9 @@ TOLD = 5
     metavar="M|FILE",
     help="Altitude above a flat bottom, or CSV: image,altitude_m; needs --calibration.",
 )
-@click.option("--calibration", type=click.Path(path_type=Path), help="Kalibr, EuRoC or ROS YAML, or a sequence.")
+@click.option(
+    "--calibration", type=click.Path(path_type=Path), help="Made in water: Kalibr, EuRoC or ROS YAML, or a sequence."
+)
 @click.option("--camera", metavar="NAME", help="Which camera of the calibration.  [default: the first]")
 @click.option("--mm-per-px", type=float, help="A plain scale, for images taken straight down.")
 @click.option(

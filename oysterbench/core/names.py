@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 
 FEW = 10
@@ -53,6 +54,11 @@ def listed(names: Iterable[str], most: int = FEW) -> str:
     each = list(names)
     more = len(each) - most
     return (", ".join(each[:most]) + (f" and {more} more" if more > 0 else "")) or "none"
+
+
+def natural_key(name: str) -> list[str | int]:
+    """What names are sorted by, so that numbers in them are in order whether or not they are filled up with zeros."""
+    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", name))]
 
 
 def counted(number: int, noun: str) -> str:

@@ -36,9 +36,11 @@ def doubts(
     NaN if there are none; rendered: whether the method has learnt from rendered images alone, and nothing tells how far
     off it is on others."""
     if pictures and rendered:
+        states = ", and take live ones for dead" if any(one.live or one.dead for one in pictures) else ""
         yield (
             f"{method} was trained on rendered reefs only: it may count several times as many oysters as there are "
-            "in real images; train it further on labelled images of your own (`oysterbench train unet --help` says how)"
+            f"in real images{states}; train it further on labelled images of your own (`oysterbench train unet --help` "
+            "says how)"
         )
     if copies:
         listed = ", ".join(f"{name} is {first}" for name, first in copies[:3]) + ", ..." * (len(copies) > 3)

@@ -4,7 +4,8 @@ Images are a sample of the bottom. What neighbours have in common is no further 
 other over the same ground, so blocks of time are resampled, each as a whole (Carlstein 1986), with the mean of the
 blocks weighted by their denominators (`evaluate.statistics.bootstrap_interval`). Blocks that are all equal, as where no
 oyster is found, have no scatter to resample: the interval is then the exact one of a count or a share
-(`evaluate.exact`). An interval covers the scatter of sampling, but not the method's own over- or undercounting.
+(`evaluate.exact`), which the interval of a few oysters covers, too. An interval covers the scatter of sampling, but not
+the method's own over- or undercounting.
 """
 
 from __future__ import annotations
@@ -21,8 +22,19 @@ from oysterbench.counting.measure import PictureCount
 from oysterbench.evaluate.exact import count_interval, share_interval
 from oysterbench.evaluate.statistics import LEAST_SEQUENCES, LEVEL, Interval, bootstrap_interval, mean_of, too_few
 
-Exact = Callable[[float, float], tuple[float, float]]
-"""Function of the sums above and below that returns the ends of the exact interval of their ratio."""
+
+@dataclass(frozen=True)
+class Exact:
+    """The exact interval of a ratio. ends: its ends, from the sums above and below; rarer: from the same, the number of
+    things that the ratio rests on."""
+
+    ends: Callable[[float, float], tuple[float, float]]
+    rarer: Callable[[float, float], float]
+
+
+FEW = 10
+"""Number of things below which blocks with and without them cannot tell the scatter: one oyster in 60 images would have
+a lower upper end than none, and intervals of some four miss the mean in one case of eight instead of one of twenty."""
 
 ROUNDING = 1e-9
 """Relative difference up to which values of blocks are equal: sums of areas are rounded, by how many there are."""
@@ -65,16 +77,20 @@ def block_labels(pictures: Sequence[PictureCount], neighbours: int | None = None
     return np.array([known[key] for key in keys], dtype=np.intp)
 
 
-def of_counts(count: float, size: float) -> tuple[float, float]:
-    """Exact interval of a count per unit of `size`: images, or square metres."""
+def _of_counts(count: float, size: float) -> tuple[float, float]:
     low, high = count_interval(count, count)
     return low / size, high / size
 
 
-def of_percent(part: float, whole: float) -> tuple[float, float]:
-    """Exact interval, in %, of a share of things that are counted; part: 100 times their number."""
+def _of_percent(part: float, whole: float) -> tuple[float, float]:
     low, high = share_interval(part / 100.0, whole)
     return 100.0 * low, 100.0 * high
+
+
+OF_COUNTS = Exact(_of_counts, lambda count, size: count)
+"""Of a count per unit of the sum below: images, or square metres."""
+OF_PERCENT = Exact(_of_percent, lambda part, whole: min(part / 100.0, whole - part / 100.0))
+"""Of a share, in %, of things that are counted; the sum above is 100 times their number."""
 
 
 def ratio(
@@ -86,8 +102,8 @@ def ratio(
 ) -> Ratio:
     """Sum of `above` over that of `below`, each (n,), for images of the blocks `labels` (n,).
 
-    exact: for blocks that all have the same value; without it, these have no interval. The images of such a block show
-    the same ground, so what they show counts once.
+    exact: for blocks that all have the same value, which without it have no interval, and for few things, where the
+    interval also covers the exact one. The images of a block show the same ground, so what they show counts once.
     """
     sums, weights = _by_block(above, labels), _by_block(below, labels)
     held = weights > 0
@@ -97,14 +113,19 @@ def ratio(
         return Ratio(math.nan, Interval(math.nan, math.nan, "there is nothing to count"), 0)
     if n < LEAST_SEQUENCES:
         return Ratio(mean_of(values, weights), Interval(math.nan, math.nan, too_few(n, noun)), n)
-    if not np.allclose(values, values[0], rtol=ROUNDING, atol=0.0):
+    scattered = not np.allclose(values, values[0], rtol=ROUNDING, atol=0.0)
+    per_block = np.count_nonzero(np.asarray(below) > 0) / n
+    totals = float(sums[held].sum() / per_block), float(weights.sum() / per_block)
+    if scattered:
         interval = bootstrap_interval(values, weights)
+        if exact is not None and exact.rarer(*totals) < FEW:
+            low, high = exact.ends(*totals)
+            interval = Interval(min(low, interval.low), max(high, interval.high))
     elif exact is None:
         reason = f"where all {n} {noun}s have the same value, resampling gives no {LEVEL:.0%} interval"
         interval = Interval(math.nan, math.nan, reason)
     else:
-        per_block = np.count_nonzero(np.asarray(below) > 0) / n
-        interval = Interval(*exact(sums[held].sum() / per_block, weights.sum() / per_block))
+        interval = Interval(*exact.ends(*totals))
     return Ratio(mean_of(values, weights), interval, n)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
+from oysterbench.core.lens import undistort
 from oysterbench.sequence import open_sequence
 
 EXPECTED = (
@@ -37,12 +38,10 @@ class Lens:
     def rays(self, points: Array) -> Array:
         """Rays (N, 2), x, y at unit distance along the axis, of pixels (N, 2) x, y, with pixel centres at whole
         numbers. Raises SequenceError if the distortion cannot be undone, as outside the calibrated area."""
-        given = np.asarray(points, dtype=float).reshape(-1, 1, 2)
-        lens = cv2.fisheye if self.model == "equidistant" else cv2
-        found = np.asarray(lens.undistortPoints(given, self.matrix, self.distortion)).reshape(-1, 2)
+        found = undistort(points, self.matrix, self.distortion, self.model == "equidistant")
         again = self._pixels(found)
         with np.errstate(invalid="ignore"):
-            missed = float(np.abs(again - given.reshape(-1, 2)).max(initial=0.0))
+            missed = float(np.abs(again - points).max(initial=0.0))
         if not missed < UNDONE_PX:  # NaN fails as well
             raise SequenceError(
                 f"calibration: its distortion cannot be undone at the edge of an image of {self.width} x {self.height} "

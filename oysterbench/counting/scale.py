@@ -150,7 +150,10 @@ class QuadratScale:
         height, width = shape
         whole = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float32)
         _, part = cv2.intersectConvexConvex(self.corners.astype(np.float32), whole)
-        return np.empty((0, 2)) if part is None else np.asarray(part, dtype=float).reshape(-1, 2)
+        found = np.empty((0, 2)) if part is None else np.asarray(part, dtype=float).reshape(-1, 2)
+        # Of polygons that only share a part of a side, OpenCV 5.0 returns points as far away as 1e38.
+        within = np.all((found >= -1.0) & (found <= [width + 1.0, height + 1.0]))
+        return found if within else np.empty((0, 2))
 
     def to_ground(self, points: Array) -> Array:
         """Metres from a corner, along the quadrat's sides; which corner is not defined."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import LabelError
+from oysterbench.core.names import natural_key
 from oysterbench.core.places import is_hidden
 from oysterbench.counting.labels import folders_of_labels, masks_beside
 
@@ -127,7 +128,7 @@ def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
     to_convert = tuple(path for path in kinds["convert"] if path not in copies)
     videos = [Source(_name(path, root), path, True) for path in kinds["videos"]]
     sources = [*_pictures(kinds["pictures"], root, [video.name for video in videos]), *videos]
-    sources.sort(key=lambda source: source.name)
+    sources.sort(key=lambda source: (natural_key(source.name), source.name))
     return Found(
         root,
         tuple(sources),

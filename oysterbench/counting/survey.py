@@ -13,12 +13,12 @@ from oysterbench.counting.accuracy import Accuracy
 from oysterbench.counting.doubts import doubts
 from oysterbench.counting.intervals import (
     BLOCK_S,
+    OF_COUNTS,
+    OF_PERCENT,
     Exact,
     Ratio,
     block_labels,
     likeness,
-    of_counts,
-    of_percent,
     ratio_of,
 )
 from oysterbench.counting.least import EVERY_SIZE, Least
@@ -190,7 +190,7 @@ def survey(
             1,
             lambda one: one.oysters,
             about="oysters counted in an image",
-            exact=of_counts,
+            exact=OF_COUNTS,
         ),
         measure("cover", "Cover", "%", 1, _percent_covered, about="share of an image, or quadrat, that is oyster"),
         measure(
@@ -201,7 +201,7 @@ def survey(
             lambda one: 100.0 * one.live,
             lambda one: one.live + one.dead,
             "of the oysters of which the method tells live from dead",
-            exact=of_percent,
+            exact=OF_PERCENT,
         ),
         measure(
             "per_m2",
@@ -212,7 +212,7 @@ def survey(
             lambda one: one.area_m2 or 0.0,
             "all oysters over all ground; those "
             + ("whose centre is in a quadrat" if scale == "quadrat" else "that the edge of an image cuts count a half"),
-            exact=of_counts,
+            exact=OF_COUNTS,
         ),
         measure(
             "length_mm",

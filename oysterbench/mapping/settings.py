@@ -31,7 +31,7 @@ class MapSettings:
     middle_m: float = 0.012  # 1 sigma of the centre of a shell as an image shows it, as part of it may be hidden
     cut_m: float = 0.03  # the same for a shell cut by the image edge
     size_sigma: float = 0.7  # 1 sigma of the logarithm of its area between images
-    gate: float = 11.34  # squared Mahalanobis distance for a match: 99 % in three dimensions
+    gate: float = 11.34  # squared Mahalanobis distance for a match, of centre and size: 98 % of those of one shell
     join_gate: float = 4.0  # the same for joining parts of one shell that were never seen side by side
     exact_m: float = 0.012  # where positions are more certain than this, shells are told apart by their overlap
     least_overlap: float = 0.4  # share of the smaller of two shells, for a match

@@ -74,6 +74,9 @@ def test_a_method_without_a_test_of_novelty_is_a_doubt():
 def test_a_method_that_has_learnt_from_rendered_reefs_alone_is_a_doubt():
     (only,) = doubts("m", [picture(0.1)], math.nan, "", rendered=True)
     assert only.startswith("m was trained on rendered reefs only: it may count several times as many")
+    assert "dead" not in only
+    (only,) = doubts("m", [picture(0.1, live=1)], math.nan, "", rendered=True)
+    assert "in real images, and take live ones for dead; train" in only
     assert list(doubts("m", [], math.nan, "", rendered=True)) == []
 
 

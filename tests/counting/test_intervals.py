@@ -12,6 +12,7 @@ from oysterbench.core.streams import stream
 from oysterbench.counting.intervals import block_labels, likeness, ratio
 from oysterbench.counting.measure import PictureCount
 from oysterbench.counting.survey import survey
+from oysterbench.evaluate.exact import count_interval, share_interval
 
 
 def picture(name, oysters=1, time_s=None, **further):
@@ -135,7 +136,22 @@ def test_blocks_that_differ_by_rounding_alone_are_equal(count):
     assert found.high > 35
 
 
-@pytest.mark.parametrize(("mean", "images"), [(0.05, 6), (0.05, 20), (0.3, 6)])
+@pytest.mark.parametrize("count", range(1, 9))
+def test_a_few_oysters_have_an_upper_end_above_that_of_none_and_above_the_exact_one(count):
+    found = intervals([picture(f"{k}", int(k < count)) for k in range(60)])["oysters"]
+    low, high = count_interval(count, count)
+    assert found.low <= low / 60
+    assert found.high >= high / 60 > 3.689 / 60
+
+
+def test_of_a_few_dead_ones_the_share_has_the_exact_ends_as_well():
+    pictures = [picture(f"{k}", 5, live=5 - (k == 0), dead=int(k == 0)) for k in range(60)]
+    found = intervals(pictures)["live"]
+    low, high = share_interval(299, 300)
+    assert (found.low, found.high) == (pytest.approx(100 * low), pytest.approx(max(100 * high, 100.0)))
+
+
+@pytest.mark.parametrize(("mean", "images"), [(0.05, 6), (0.05, 20), (0.3, 6), (0.06, 60)])
 def test_intervals_hold_the_mean_of_sparse_ground(mean, images):
     random, tries, held = stream(images, b"", "test", "sparse"), 100, 0
     for _ in range(tries):

@@ -172,6 +172,28 @@ def test_corners_of_a_larger_copy_of_the_picture_are_refused():
     assert whole.fitted((480, 640)) is whole
 
 
+@pytest.mark.parametrize("turn", range(4))
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [(640, 100), (1200, 100), (1200, 400), (640, 400)],
+        [(100, 480), (500, 480), (520, 900), (80, 900)],
+        [(-160, 600), (0, 480), (0, 360), (-160, 0)],
+    ],
+)
+def test_a_quadrat_beside_the_picture_that_touches_its_border_is_refused(corners, turn):
+    with pytest.raises(LabelError, match="expected corners within the image"):
+        QuadratScale(0.5, np.roll(np.array(corners, dtype=float), turn, axis=0)).fitted((480, 640))
+
+
+def test_a_wide_lens_is_undone_at_its_border():
+    lens = Lens(640, 480, np.array([[320.0, 0, 319.5], [0, 320.0, 239.5], [0, 0, 1]]), np.array([-0.3, 0.12, 0, 0]))
+    points, still = border(SHAPE), np.zeros(3)
+    rays = np.column_stack([lens.rays(points), np.ones(len(points))])
+    again = cv2.projectPoints(rays, still, still, lens.matrix, lens.distortion)[0].reshape(-1, 2)
+    assert again == pytest.approx(points, abs=1e-6)
+
+
 KALIBR = """
 cam0:
   camera_model: pinhole

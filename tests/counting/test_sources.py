@@ -32,6 +32,11 @@ def test_a_folder_is_looked_through_to_its_end_and_names_are_below_it(tmp_path):
     assert names_of(tmp_path) == ["b", "deep/er/a", "dive.MP4", "ü b/c d"]
 
 
+def test_neighbours_are_in_the_order_of_their_numbers(tmp_path):
+    touch(tmp_path, *(f"photo-{k}.jpg" for k in (10, 2, 1, 11)), "photo-02.jpg")
+    assert names_of(tmp_path) == ["photo-1", "photo-02", "photo-2", "photo-10", "photo-11"]
+
+
 def test_pictures_of_one_name_in_two_folders_stay_apart(tmp_path):
     touch(tmp_path, "one/1.jpg", "two/1.jpg")
     assert names_of(tmp_path) == ["one/1", "two/1"]

@@ -66,7 +66,8 @@ ROLLOUTS: dict[str, Metric] = {
         "Those oysters as a share (0 to 1) of all live ones in the area: what can be found in a rollout."
     ),
     "covered_share": higher("Covered", column=Column("covered", "%", 1, factor=100.0))(
-        "Share (0 to 1) of the bottom within the fence that was seen from close enough."
+        "Share (0 to 1) of the bottom within the fence that was seen from close enough: of squares of 25 cm, those of "
+        "which a part was."
     ),
     "contacts": lower("Contacts")(
         "Number of times the hull would have touched something and was held above it; consecutive steps count once."

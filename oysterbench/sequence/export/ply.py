@@ -119,6 +119,11 @@ def rays_at(camera: CameraCalibration, columns: Array, rows: Array) -> Array:
         pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
         plane = np.asarray(cv2.fisheye.undistortPoints(pixels, camera.matrix, camera.distortion[:4]))
         x, y = plane.reshape(*columns.shape, 2).transpose(2, 0, 1)
+        across = (columns - camera.matrix[0, 2]) / camera.matrix[0, 0]
+        down = (rows - camera.matrix[1, 2]) / camera.matrix[1, 1]
+        # OpenCV takes no distorted angle beyond 90 degrees, and continues rays from behind to the front.
+        ahead = (np.hypot(across, down) < np.pi / 2) & (x * across + y * down >= 0)
+        x, y = np.where(ahead, [x, y], np.nan)
     else:
         matrix = camera.matrix
         x, y = _without_distortion(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -61,6 +63,18 @@ def test_an_undistorted_picture_is_that_of_a_pinhole(lens):
     inner = np.s_[15:105, 20:140]
     assert np.abs(got[inner].astype(int) - expected[inner]).max() <= 3
     assert np.abs(drawn[inner].astype(int) - expected[inner]).max() > 6
+
+
+@pytest.mark.parametrize("k", [0.0, -0.02])
+def test_what_a_fisheye_sees_beyond_90_degrees_has_no_ray_to_the_front(k):
+    matrix = np.array([[30.0, 0, 79.5], [0, 30.0, 59.5], [0, 0, 1]])
+    rays = pixel_rays(replace(camera("equidistant", [k, 0.0, 0, 0]), matrix=matrix))
+    rows, columns = np.indices((120, 160))
+    angles = np.linspace(0.0, 2.5, 10_000)
+    angle = np.interp(np.hypot(columns - 79.5, rows - 59.5) / 30.0, angles + k * angles**3, angles)
+    assert np.isnan(rays[angle > np.pi / 2, 0]).all()
+    seen = angle < np.pi / 2 - 0.02
+    assert np.hypot(*rays[seen, :2].T) == pytest.approx(np.tan(angle[seen]), rel=1e-3)
 
 
 def test_rays_behind_a_flat_port_are_those_that_the_picture_was_drawn_with():
