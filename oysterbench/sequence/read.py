@@ -201,7 +201,7 @@ class McapSequence(Sequence):
         """Each over the time from the topic's own first message to its last: clocks of sensors may differ."""
         spans_s = {topic: 1e-9 * (last - first) for topic, (first, last) in self._spans.items()}
         return {
-            topic: (count - 1) / spans_s[topic] if count > 1 and spans_s[topic] > 0 else None
+            topic: (count - 1) / spans_s[topic] if count > 1 and spans_s.get(topic, 0.0) > 0 else None
             for topic, count in self.counts.items()
         }
 
