@@ -40,6 +40,15 @@ def locked(
 
 
 @contextlib.contextmanager
+def locked_if_possible(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Hold a lock file while the block runs; on a disk without locks, as some network disks, it runs all the same."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):
+            stack.enter_context(locked(path))
+        yield
+
+
+@contextlib.contextmanager
 def scratch() -> Iterator[Path]:
     """Yield a temporary folder that exists for as long as the block runs. Those left by killed processes of this user
     are removed first: each folder is locked by its process, and the system releases the lock of a process that dies."""

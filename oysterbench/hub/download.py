@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import TypeVar
 from oysterbench.core.atomic import naming, write_atomically
 from oysterbench.core.disk_space import free_bytes
 from oysterbench.core.errors import HubError, IntegrityError, NotOnHubError
-from oysterbench.core.locks import locked
+from oysterbench.core.locks import locked_if_possible
 from oysterbench.core.names import instead
 from oysterbench.core.places import home
 from oysterbench.hub.canonical import sha256
@@ -381,13 +381,3 @@ def _is_good(hub: Hub, target: Path, entry: FileEntry, read: bool, part: Path) -
     hub.announce(f"{target}: {found.state} ({found.detail}); damaged parts are downloaded again")
     os.replace(target, part)
     return False
-
-
-@contextlib.contextmanager
-def locked_if_possible(path: Path) -> Iterator[None]:
-    """Hold a lock where the disk supports it. It only saves work: without it, as on some network disks, nothing goes
-    wrong."""
-    with contextlib.ExitStack() as stack:
-        with contextlib.suppress(OSError):
-            stack.enter_context(locked(path))
-        yield

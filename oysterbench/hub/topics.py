@@ -13,9 +13,9 @@ from pathlib import Path
 from mcap.summary import Summary
 
 from oysterbench.core.errors import HubError, IntegrityError, SequenceError
-from oysterbench.core.locks import scratch
+from oysterbench.core.locks import locked_if_possible, scratch
 from oysterbench.core.mcap import FOOTER, MAGIC
-from oysterbench.hub.download import Hub, Progress, check_space, locked_if_possible, part_path, topics_mark
+from oysterbench.hub.download import Hub, Progress, check_space, part_path, topics_mark
 from oysterbench.hub.draft import remove_drafts
 from oysterbench.hub.manifest import FileEntry
 from oysterbench.hub.part import Part

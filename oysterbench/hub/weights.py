@@ -19,8 +19,9 @@ from pathlib import Path
 
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import HubError
+from oysterbench.core.locks import locked_if_possible
 from oysterbench.core.places import released_models
-from oysterbench.hub.download import Hub, Progress, check_space, fetch_file, locked_if_possible, part_path
+from oysterbench.hub.download import Hub, Progress, check_space, fetch_file, part_path
 from oysterbench.hub.model import Model
 from oysterbench.hub.pieces import Pieced
 from oysterbench.hub.verify import kept_card

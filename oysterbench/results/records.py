@@ -18,6 +18,7 @@ import msgspec
 from oysterbench.core.atomic import write_atomically
 from oysterbench.core.errors import ResultError
 from oysterbench.core.hardware import hardware
+from oysterbench.core.locks import locked_if_possible
 from oysterbench.core.text import as_unicode, read_json
 from oysterbench.evaluate.metrics import FAILED, SPEEDS, TRACKS, find_metric
 from oysterbench.evaluate.statistics import summarise
@@ -308,17 +309,19 @@ def write_results(path: str | os.PathLike[str], records: Iterable[ResultRecord],
 def add_results(
     path: str | os.PathLike[str], records: Iterable[ResultRecord], data_set: Sequence[Any] | None = None
 ) -> list[ResultRecord]:
-    """Write results into a file, where they replace those of the same method on the same sequence.
+    """Write results into a file, where they replace those of the same method on the same sequence. Several processes
+    may do so at once: none loses what another has added.
 
     Returns the other records, which stay. Raises ResultError, leaving the file as it is, where it is no results file.
     """
     records, path = list(records), Path(path)
-    before, rows = _read(path) if path.exists() else ([], ())
     places, methods = {_place(record) for record in records}, {record.method for record in records}
-    kept = [record for record in before if _place(record) not in places]
-    kept_rows = [row for row in rows if row["method"] not in methods]
-    together = None if data_set is None and not kept_rows else [*kept_rows, *(data_set or ())]
-    write_results(path, [*kept, *records], together)
+    with locked_if_possible(path.with_name(f".{path.name}.lock")):  # another command may be adding its own
+        before, rows = _read(path) if path.exists() else ([], ())
+        kept = [record for record in before if _place(record) not in places]
+        kept_rows = [row for row in rows if row["method"] not in methods]
+        together = None if data_set is None and not kept_rows else [*kept_rows, *(data_set or ())]
+        write_results(path, [*kept, *records], together)
     return kept
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from urllib3.connection import HTTPConnection
 
-from oysterbench.hub import download as downloading
+from oysterbench.core import locks
 from oysterbench.hub.download import Hub, download
 
 
@@ -21,7 +21,7 @@ def main() -> None:
         def no_lock(path: Path):
             raise OSError("no locks here")
 
-        downloading.locked = no_lock  # type: ignore[attr-defined, assignment]
+        locks.locked = no_lock  # type: ignore[assignment]
     hub = Hub.at([url], key)
     for path in download(hub, hub.manifest("big"), Path(folder)).values():
         print(path)

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
+import fcntl
 import json
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -153,6 +157,31 @@ def test_results_are_added_to_those_of_other_methods_sequences_and_splits(tmp_pa
     assert kept == before[2:]
     assert [each.metrics["ate_rmse_m"] for each in read_results(path)] == [0.5, 0.5, 0.5, 0.25]
     assert json.loads(path.read_text())["data_set"] == [{"method": "b"}, {"method": "dead_reckoning", "clips": 1}]
+
+
+def test_results_that_are_added_at_once_are_all_kept(tmp_path):
+    path = tmp_path / "out" / "results.json"
+
+    def add(method):
+        for number in range(10):
+            add_results(path, [record(method=method, sequence=f"mini-{number:02d}")], [{"method": method}])
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(add, "abcd"))
+    found = sorted((each.method, each.sequence) for each in read_results(path))
+    assert found == [(method, f"mini-{number:02d}") for method in "abcd" for number in range(10)]
+    assert sorted(row["method"] for row in json.loads(path.read_text())["data_set"]) == list("abcd")
+    assert sorted(file.name for file in path.parent.iterdir()) == [".results.json.lock", "results.json"]
+
+
+def test_results_are_added_on_a_disk_without_locks(tmp_path, monkeypatch):
+    def no_lock(handle, how):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", no_lock)
+    add_results(tmp_path / "results.json", [record()])
+    add_results(tmp_path / "results.json", [record(method="b")])
+    assert [each.method for each in read_results(tmp_path / "results.json")] == ["dead_reckoning", "b"]
 
 
 def test_aggregate_is_the_mean_over_sequences():
