@@ -21,7 +21,7 @@ RUN = 8
 """Maximum number of pieces in one request."""
 
 WRONG = 2
-"""Number of wrong pieces in a row after which a mirror is not asked again."""
+"""Number of times that a mirror sends the same piece with wrong bytes, after which it is not asked again."""
 
 Count = Callable[[int], None]
 """Called with the number of bytes that were verified."""
@@ -78,6 +78,10 @@ def pause_s(attempt: int, asked_s: float, patience: Patience) -> float:
     return max(wait, asked_s + random.uniform(0.0, 0.1) * asked_s)
 
 
+class WrongPiece(Setback):
+    """A piece that came whole, with wrong bytes."""
+
+
 class Reader:
     """Reader of a body in portions of any size."""
 
@@ -112,6 +116,7 @@ class Transfer:
         self._missing: set[int] = set()
         self._queue: deque[int] = deque()
         self._left: dict[int, Path] = {}  # pieces of which a killed process left the start
+        self._wrong: Counter[tuple[Mirror, int]] = Counter()  # how often a mirror has sent a piece with wrong bytes
         self._error: BaseException | None = None
 
     def fetch(self, pieces: Iterable[int]) -> None:
@@ -214,6 +219,13 @@ class Transfer:
                 self._count(len(data))
             return Found.NEW
 
+    def blame(self, mirror: Mirror, piece: int) -> None:
+        """Count a piece with wrong bytes against the mirror that sent it."""
+        with self._lock:
+            self._wrong[mirror, piece] += 1
+            if self._wrong[mirror, piece] >= WRONG:
+                mirror.fail(f"piece {piece} of {self.entry.name} has wrong bytes", lied=True)
+
     def is_missing(self, piece: int | None = None) -> bool:
         """Whether a piece, or any, is missing."""
         with self._lock:
@@ -230,7 +242,6 @@ class Connection:
         self._draft = draft  # of the first piece of the run
         self._gained = 0  # bytes of progress made by the present attempt
         self._attempts: Counter[Mirror] = Counter()  # in a row that yielded nothing
-        self._wrong: Counter[Mirror] = Counter()  # wrong pieces in a row
 
     def run(self) -> None:
         """Fetch until nothing is missing or nobody is left to ask."""
@@ -265,12 +276,11 @@ class Connection:
         patience = self.t.patience
         came = self._gained >= patience.least_bytes
         self._attempts[mirror] = 1 if came else self._attempts[mirror] + 1
-        if self._wrong[mirror] >= WRONG:
-            mirror.fail(str(setback), lied=True)
-        elif setback.wait_s > patience.longest_wait_s:
+        if setback.wait_s > patience.longest_wait_s:
             mirror.fail(f"{setback}; it asks to come back in {setback.wait_s:.0f} s")
         elif self._attempts[mirror] >= patience.attempts:
-            mirror.fail(f"{setback}, {self._attempts[mirror]} times in a row")
+            lied = isinstance(setback, WrongPiece)
+            mirror.fail(f"{setback}, {self._attempts[mirror]} times in a row", lied)
         if mirror.failure or (not came and len(self.t.alive()) > 1):
             self._change_mirror()
         if not mirror.failure:
@@ -306,9 +316,9 @@ class Connection:
         found, inherited = self.t.accept(piece, draft.there, self._descriptor), draft.inherited
         draft.clear()
         if found is Found.WRONG:
-            self._wrong[mirror] += not inherited
-            raise Setback(f"piece {piece} of {self.t.entry.name} has wrong bytes")
-        self._wrong[mirror] = 0
+            if not inherited:
+                self.t.blame(mirror, piece)
+            raise WrongPiece(f"piece {piece} of {self.t.entry.name} has wrong bytes")
         if found is Found.NEW:
             self._attempts[mirror] = 0
             self._gained = max(self._gained, self.t.patience.least_bytes)
@@ -320,7 +330,7 @@ class Connection:
             body = None  # another connection is already sweeping: drop this response, and wait for that one
             mirror.sweeping.acquire()
         try:
-            if self.t.stop.is_set() or not self.t.is_missing():
+            if self.t.stop.is_set() or mirror.failure or not self.t.is_missing():
                 return
             with contextlib.ExitStack() as stack:
                 reader = Reader(body or stack.enter_context(mirror.source.open(self.t.path)))

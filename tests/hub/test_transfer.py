@@ -151,6 +151,32 @@ def test_a_server_that_ignores_ranges_is_read_once(tmp_path):
     assert len(site.requests) <= 8
 
 
+@pytest.mark.parametrize("connections", [1, 4])
+@pytest.mark.parametrize("piece", [0, 1, 12])
+def test_a_server_without_ranges_is_left_after_the_second_wrong_piece(piece, connections, tmp_path):
+    """Though the right pieces before it come again each time."""
+    wrong = bytearray(DATA)
+    wrong[piece * ENTRY.piece_size + 7] ^= 1
+    whole = type("Whole", (Honest,), {"answer": lambda self: self.wanted() and self.whole(bytes(wrong))})
+    with serving(whole, {PATH: DATA}) as site, pytest.raises(IntegrityError, match=f"piece {piece} .* wrong bytes"):
+        fetch(ENTRY, tmp_path / "file", [site.url], connections=connections)
+    # One connection reads twice to the wrong piece, and once to the end of its first run; others drop some answers.
+    assert len(site.requests) <= (3 if connections == 1 else 10)
+
+
+def test_the_last_of_a_servers_failures_says_which_kind_it_is(tmp_path):
+    class Busy(Honest):
+        def answer(self):
+            _, start, end = self.wanted()
+            if len(self.site.requests) < CALM.attempts:
+                self.send_error(503)
+            else:
+                self.give(bytes(len(DATA)), start, end)
+
+    with serving(Busy, {PATH: DATA}) as site, pytest.raises(IntegrityError, match="wrong bytes, 4 times in a row"):
+        fetch(ENTRY, tmp_path / "file", [site.url], replace(CALM, least_bytes=1 << 20), connections=1)
+
+
 def test_a_folder_is_a_mirror_too(tmp_path):
     (tmp_path / "tree" / "blobs").mkdir(parents=True)
     (tmp_path / "tree" / PATH).write_bytes(DATA)
