@@ -313,6 +313,20 @@ def test_an_address_of_something_else_is_called_that(page):
             client.splits()
 
 
+@pytest.mark.parametrize("given", [{"sequences": ["../private"]}, {"sequences": ["/private"]}, {"split": "/own.toml"}])
+def test_no_name_that_a_server_gives_leads_out_of_the_folder_that_is_sent(estimates, given):
+    (estimates.parent / "private.tum").write_bytes((estimates / "pool-01.tum").read_bytes())
+    offered = {"split": "x", "tracks": ["slam"], "hidden": True, "takes": ["estimates"], "sequences": ["x"], **given}
+    answer = json.dumps({"splits": [offered], "limits": {"upload_bytes": 1 << 20, "file_bytes": 1 << 20}})
+    with serving(Honest, {"api/submissions/splits": answer.encode()}) as board:
+        args = ["submit", str(estimates), "--to", board.url, "--method", "x", "--split", "x", "--check"]
+        sent = CliRunner().invoke(main, args, env={"OYSTERBENCH_TOKEN": "x"})
+    assert sent.exit_code == 1
+    assert sent.stderr.startswith(
+        f"oysterbench: {board.url}: expected names of splits and sequences of letters, digits"
+    )
+
+
 def test_a_split_that_is_misspelled_is_told_with_the_one_that_was_meant(site, estimates):
     sent = submit(site, estimates, "--method", "x", "--split", "pool-tset")
     assert "pool-val; did you mean pool-test" in sent.stderr

@@ -13,6 +13,7 @@ from typing import IO, Any
 import urllib3
 
 from oysterbench.core.errors import HubError, NetworkError
+from oysterbench.core.names import PLAIN, is_plain
 from oysterbench.core.text import in_one_line, read_json
 from oysterbench.hub.pool import open_pool
 from oysterbench.hub.sources import HOST, RETRIED, Patience, has_host, retry_after_s
@@ -82,7 +83,7 @@ class Client:
 
     def splits(self) -> dict[str, Any]:
         """Return the splits that the server accepts, and its limits. Raises Refused where it does not know the token,
-        and HubError where it does not take submissions."""
+        and HubError where it does not take submissions, or where a name could lead to files that were not named."""
         try:
             found = self._when_started("GET", "/api/submissions/splits")
         except Refused as refused:
@@ -91,6 +92,9 @@ class Client:
             raise
         if not {"splits", "limits"} <= found.keys():
             raise HubError(f"{self.url}: {NO_BOARD} (it answers something else)")
+        for name in (name for one in found["splits"] for name in (one["split"], *one["sequences"])):
+            if not isinstance(name, str) or not is_plain(name):
+                raise HubError(f"{self.url}: expected names of splits and sequences of {PLAIN}, got {name!r:.60}")
         return found
 
     def send(self, package: Package, method: str, url: str, summary: str, progress: Progress) -> dict[str, Any]:
