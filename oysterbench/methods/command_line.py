@@ -7,6 +7,7 @@ import re
 import shlex
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import takewhile
 from pathlib import Path
 from string import Formatter
 
@@ -16,9 +17,14 @@ SHELLS = ("sh", "bash", "dash", "ash", "ksh", "zsh")
 STARTERS = ("env", "exec", "ionice", "nice", "nohup", "numactl", "setsid", "stdbuf", "taskset", "time", "timeout")
 """Programs that start the one named after them."""
 
+ASSIGNED = re.compile(r"[A-Za-z_]\w*=")
 PYTHON = re.compile(r"python[0-9.]*|pypy[0-9.]*")
 SIGNS = "();<>|&`\n"
 """Characters that end a word of a shell's commands, besides blanks."""
+ENDS = "();&|\n"
+"""Those of them that end a command."""
+BEFORE = ("!", "{", "builtin", "command", "do", "elif", "else", "if", "then", "time", "until", "while")
+"""Words of a shell that come before a command."""
 
 
 def scripts_in(words: Sequence[str]) -> set[int]:
@@ -59,12 +65,6 @@ def filled(words: Sequence[str], values: Mapping[str, str]) -> list[str]:
 
 
 def _filled_script(script: str, values: Mapping[str, str]) -> str:
-    inner = [token for command in _parsed(script) for token in (command[i] for i in scripts_in(command))]
-    for key in values:
-        if any(f"{{{key}" in token for token in inner):
-            raise ValueError(
-                f"{{{key}}} is in a shell within a shell: write sh -c '... \"$1\"' sh {{{key}}} in the outer one"
-            )
     quotes, found = Quotes(), ""
     for literal, name, form, conversion in Formatter().parse(script):
         quotes.read(literal)
@@ -80,39 +80,78 @@ UNSAFE = {
     "#": "in a comment",
     "<<": "in a here-document or after one",
     "$'": "in $'...'",
+    "${": 'in "${...}"',
+    "case": "after case in a quoted $(...)",
+    "eval": "in a command of eval",
 }
 """Places in a shell's commands at which no value is put in."""
+
+COMMANDS = ("", "(")
+"""What is open where commands are read: nothing, or "(" and "$("."""
+HERE = "\0"
+"""The place up to which commands are read, in their words."""
 
 
 class Quotes:
     """The quotes that are open at a place of a shell's commands, which are read from left to right."""
 
     def __init__(self) -> None:
-        # "" and "(": none; quotes; "`"; "((" of arithmetic; "#" and "<<" of comments and here-documents
+        # "" and "(": none; quotes; "`"; "((" of arithmetic; "${" within quotes; "#" and "<<" of comments and
+        # here-documents; "case" in "$(...)": which of its ")" end a pattern, and which the "$(", is not followed
         self._open = [""]
-        self._last = "\n"
+        self._begins = [(0, 0)]  # where in the text each of these, and the latest command in it, begins
+        self._text, self._last = "", "\n"
 
     def read(self, text: str) -> None:
         """Read on."""
         i = 0
         while i < len(text):
-            i += self._step(text[i], text[i : i + 3])
-            self._last = text[i - 1 : i]
+            inside, here, depth = self._open[-1], len(self._text), len(self._open)
+            ends = inside in COMMANDS and text[i] in ENDS
+            if ends and not {*self._open} <= {*COMMANDS} and _first(next(self._commands())) == "case":
+                self._open.append("case")
+            n = self._step(text[i], text[i : i + 3])
+            self._text += text[i : i + n]
+            self._last = text[i + n - 1 : i + n]
+            i += n
+            if len(self._open) > depth:
+                self._begins.append((here, len(self._text)))
+            elif len(self._open) < depth:
+                begin, _ = self._begins.pop()
+                if inside in ("(", "(("):
+                    self._text = f"{self._text[:begin]}x"  # a part of the word that it is in
+            elif ends:
+                self._begins[-1] = (self._begins[-1][0], len(self._text))
+
+    def _commands(self) -> Iterator[list[str]]:
+        """Words of the commands around this place as far as they are read, from the innermost out. HERE is part of the
+        last word, unless that is the target of `>`."""
+        end, quotes = len(self._text), ""
+        for inside, (begin, command) in zip(reversed(self._open), reversed(self._begins), strict=True):
+            if inside in COMMANDS:
+                yield [[], *_parsed(f"{self._text[command:end]}{HERE}{quotes}")][-1]
+                end, quotes = begin, ""
+            elif inside in ("'", '"'):
+                quotes += inside
 
     def _step(self, one: str, ahead: str) -> int:
         """Read a character, or more that belong together. Returns how many."""
         inside = self._open[-1]
-        plain = inside in ("", "(")
-        if inside == "<<":
+        plain = inside in COMMANDS
+        if inside in ("<<", "case"):
             return 1
-        if inside in ("'", "#"):
-            if one == ("\n" if inside == "#" else inside):
-                self._open.pop()
-        elif inside == "$'" and one == "'":
+        if inside == "#":
+            if one != "\n":
+                return 1
             self._open.pop()
+            return 0  # the end of a line ends the command before the comment, too
+        if inside in ("'", "$'") and one == "'":
+            self._open.pop()
+        elif inside == "'":
+            return 1
         elif one == "\\":
             return 2  # at the end of the text one more than there is, so that `_last` is empty
-        elif (one == inside and one in '"`') or (one == ")" and inside == "("):
+        elif (one == inside and one in '"`') or f"{inside}{one}" in ("()", "${}"):
             self._open.pop()
         elif inside in ("`", "$'"):
             return 1
@@ -122,6 +161,9 @@ class Quotes:
         elif ahead == "$((" or (plain and ahead.startswith("((")):
             self._open.append("((")
             return 3 if one == "$" else 2
+        elif inside in ('"', "${") and ahead.startswith("${"):
+            self._open.append("${")
+            return 2
         elif ahead.startswith("$(") or (plain and ahead.startswith("$'")):
             self._open.append("(" if ahead[1] == "(" else "$'")
             return 2
@@ -137,18 +179,36 @@ class Quotes:
 
     def quoted(self, field: str, value: str) -> str:
         """Return a value as it is written here. Raises ValueError where no way to write it is safe."""
-        inside = self._open[-1]
-        if not self._last or inside in UNSAFE:
+        inside = within = self._open[-1]
+        if "${" in takewhile(lambda each: each not in COMMANDS, reversed(self._open)):
+            within = "${"
+        for command in self._commands():
+            if any(HERE in command[i] for i in scripts_in(command)):
+                raise ValueError(
+                    f"{field} is in a shell within a shell: write sh -c '... \"$1\"' sh {field} in the outer one"
+                )
+            if _first(command) == "eval":
+                within = "eval"
+        if not self._last or within in UNSAFE:
             raise ValueError(
-                f"{field} is {UNSAFE.get(inside, 'after a backslash')}, where blanks and quotes in its value would do "
+                f"{field} is {UNSAFE.get(within, 'after a backslash')}, where blanks and quotes in its value would do "
                 f"harm: write sh -c '... \"$1\"' sh {field}"
             )
+        self._text += "x"
         self._last = "x"
         if inside == "'":
             return value.replace("'", "'\"'\"'")
         if inside == '"':
             return re.sub(r'(["\\$`])', r"\\\1", value)
         return shlex.quote(value)
+
+
+def _first(command: Sequence[str]) -> str:
+    """The first word of a simple command, also in the body of a function: its program, or a word such as eval."""
+    words = list(command)
+    if "{" in words:
+        words = words[words.index("{") + 1 :]
+    return next((word for word in words if word not in BEFORE and not ASSIGNED.match(word)), "")
 
 
 def files_named(words: Sequence[str]) -> set[Path]:

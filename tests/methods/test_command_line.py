@@ -31,10 +31,16 @@ ODD = ["/a b", "/it's", '/"x"', "/x;echo hi", "/$(echo hi)`echo hi`", "/back\\sl
         ("printf %s $((1 << 2)){out}", "4P"),
         ('printf %s "$(( (1 + 1) * 2 ))$( (printf %s {out}) ){out}"', "4PP"),
         ("((printf %s 'a)'); printf %s '{out}')", "a)P"),
+        ('x=$(case a in a) printf %s {out};; esac); printf %s "$x"', "P"),
+        ('printf %s "${{PWD:+"a}}b"}}$(printf %s "${{x:-$(printf %s {out})}}")"', "a}bP"),
+        ("printf %s ${{x:-'{out}'}}", "P"),
+        ('eval "$(printf %s x=a)"; printf %s "$x"{out}', "aP"),
+        ("case {out} in *) printf %s {out};; esac", "P"),
+        ("printf '%s' eval; true > /dev/null && sh -c 'printf %s \"$0\"' {out} > {dev}", "eval"),
     ],
 )
 def test_a_placeholder_in_a_shells_commands_is_one_word_whatever_its_value(script, said, path, shell):
-    words = filled([shell, "-c", script], {"out": path})
+    words = filled([shell, "-c", script], {"out": path, "dev": "/dev/null"})
     done = subprocess.run(words, capture_output=True, text=True, check=True, env={"PATH": "/usr/bin:/bin"})
     assert done.stdout == said.replace("P", path)
     assert done.stderr == ""
@@ -61,6 +67,16 @@ def test_a_placeholder_elsewhere_is_replaced_as_it_is():
         ("prog $'{mcap}' {out}", r"\{mcap\} is in \$'\.\.\.'"),
         ("prog \\{mcap} {out}", r"\{mcap\} is after a backslash"),
         ("prog {mcap} # {out}", r"\{out\} is in a comment"),
+        ('prog {mcap} "$(case x in x) dirname {out};; esac)"', r"\{out\} is after case in a quoted \$\("),
+        ('prog {mcap} "$(case x in\n  (x) a;; esac)" {out}', r"\{out\} is after case in"),
+        ('prog {mcap} "${{x:-"{out}"}}"', r"\{out\} is in \"\$\{\.\.\.\}\", where"),
+        ('prog {mcap} "${{x:-a ${{y}} {out}}}"', r"\{out\} is in \"\$\{"),
+        ('eval "prog {mcap} {out}"', r"\{mcap\} is in a command of eval, where"),
+        ("eval 'prog \"$1\"' {mcap} {out}", r"\{mcap\} is in a command of eval"),
+        ("prog {mcap}; if A=1 eval $(options) {out}; then a; fi", r"\{out\} is in a command of eval"),
+        ('f() {{ eval "cd $(dirname {out})"; }}; f {mcap}', r"\{out\} is in a command of eval"),
+        ("prog {mcap} \"$(sh -c 'prog {out}')\"", r"\{out\} is in a shell within a shell"),
+        ('bash -c "cd $(dirname {out}) && prog" {mcap}', r"\{out\} is in a shell within a shell"),
         ("env A=1 bash -c 'prog {mcap}' {out}", r"\{mcap\} is in a shell within a shell: write sh -c"),
     ],
 )
