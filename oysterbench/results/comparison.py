@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -164,7 +165,7 @@ class Board:
         """Key of the ranking metric."""
         return PRIMARY[self.track]
 
-    @property
+    @cached_property
     def keys(self) -> list[str]:
         """Keys of all metrics that any record holds."""
         return list(dict.fromkeys(key for entry in self.entries for record in entry.records for key in record.metrics))
@@ -278,14 +279,26 @@ def boards(records: Iterable[ResultRecord]) -> list[Board]:
     metric.
     """
     groups: dict[tuple[str, ...], list[ResultRecord]] = {}
-    seen: set[str] = set()
-    for record in records:
-        text = replace(record, created="", hardware={}).to_json()
-        if text not in seen:
-            seen.add(text)
-            groups.setdefault(comparable_key(record), []).append(record)
+    for record in _distinct(list(records)):
+        groups.setdefault(comparable_key(record), []).append(record)
     found = [_board(group) for group in groups.values()]
     return [replace(board, apart=_apart(board, found)) for board in found]
+
+
+def _distinct(records: Sequence[ResultRecord]) -> Iterator[ResultRecord]:
+    """The records without those that another one equals but for when and where it was computed. Only records of one run
+    are written as text and compared, as that takes longer than all else."""
+    counts, seen = Counter(map(_run, records)), set[str]()
+    for record in records:
+        text = replace(record, created="", hardware={}).to_json() if counts[_run(record)] > 1 else ""
+        if text not in seen:
+            yield record
+        if text:
+            seen.add(text)
+
+
+def _run(record: ResultRecord) -> tuple[str | int, ...]:
+    return record.track, record.split, record.sequence, record.method, record.run
 
 
 def _apart(board: Board, found: Sequence[Board]) -> str:

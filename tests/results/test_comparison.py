@@ -144,6 +144,16 @@ def test_a_file_given_twice_counts_once():
     assert board.standings[0].runs == 1
 
 
+def test_results_of_different_runs_are_not_written_out_to_be_compared(monkeypatch):
+    def costly(self) -> str:
+        raise AssertionError
+
+    records = [*runs("a", [0.5, 0.5]), *runs("b", [0.5]), *runs("a", [0.5], run=1)]
+    monkeypatch.setattr(type(records[0]), "to_json", costly)
+    (board,) = boards(records)
+    assert [len(entry.records) for entry in board.entries] == [3, 1]
+
+
 def test_the_same_file_scored_again_later_or_elsewhere_counts_once(tmp_path):
     first = runs("a", [0.5], created="2026-01-01T00:00:00Z")
     later = runs("a", [0.5], created="2026-01-02T00:00:00Z", hardware={"cpu": "another"})

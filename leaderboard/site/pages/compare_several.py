@@ -16,7 +16,7 @@ from oysterbench.report.columns import (
     standing_column,
 )
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow
-from oysterbench.results.comparison import Board, as_plain
+from oysterbench.results.comparison import Board, per_sequence
 from oysterbench.results.records import plain
 from oysterbench_leaderboard.boards.board import BoardInfo, Row
 from oysterbench_leaderboard.boards.tables import LEADING, machines_note, role_of
@@ -74,7 +74,7 @@ def several_page(site: Site, names: Sequence[str]) -> Page:
         **dict.fromkeys(OF_TWO),
         "records": [asdict(row) for row in rows],
         "means": means_of(board, sides),
-        "per_sequence": as_plain(board)["per_sequence"],
+        "per_sequence": per_sequence(board),
     }
     title = f"{len(sides)} records on {info.split}"
     return Page("/compare", title, "compare_several.html", context, tuple(tables), plain(data), {"r": list(names)})
