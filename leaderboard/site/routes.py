@@ -9,9 +9,9 @@ from typing import Any
 from oysterbench.evaluate.statistics import Comparison
 from oysterbench_leaderboard.boards.board import STATES, BoardInfo, Literature, Query, Row
 from oysterbench_leaderboard.site.page import Page
-from oysterbench_leaderboard.site.pages.board import LONGEST_TEXT, MOST_ROWS, board_page, parse_query
+from oysterbench_leaderboard.site.pages.board import LONGEST_TEXT, MOST_ROWS, SIZES, board_page, parse_query
 from oysterbench_leaderboard.site.pages.compare import compare_page
-from oysterbench_leaderboard.site.pages.compare_several import MOST, several_page
+from oysterbench_leaderboard.site.pages.compare_several import MOST, records_compared, several_page
 from oysterbench_leaderboard.site.pages.data import data_page, split_page
 from oysterbench_leaderboard.site.pages.home import home_page
 from oysterbench_leaderboard.site.pages.literature import literature_page
@@ -52,7 +52,9 @@ class Parameter:
 class Route:
     """Route of a page. path: with the parts of `PATTERNS` in braces, without suffix.
 
-    ask:     parses the query into the key that the page is cached by; make: makes the page
+    ask:     parses the query; make: makes the page
+    settle:  returns what the parsed query comes to on this site, by which the page is cached; None where that is the
+             parsed query itself
     answers: keys of its JSON -> their types
     """
 
@@ -62,6 +64,7 @@ class Route:
     answers: Mapping[str, Any]
     ask: Callable[[Asked], Hashable] = lambda asked: ()
     query: tuple[Parameter, ...] = ()
+    settle: Callable[[Site, Any], Hashable] | None = None
 
     @property
     def parts(self) -> list[str]:
@@ -80,7 +83,11 @@ BOARD_QUERY = (
     Parameter("tier", "source of the numbers; all if none is given", _choice(TIERS)),
     Parameter("state", "which records; the current ones if none is given", _choice(STATES)),
     Parameter("page", "from 1", {"type": "integer", "minimum": 1, "default": 1}),
-    Parameter("size", "rows of a page", {"type": "integer", "minimum": 1, "maximum": MOST_ROWS}),
+    Parameter(
+        "size",
+        f"rows of a page, rounded up to one of {', '.join(map(str, SIZES))}",
+        {"type": "integer", "minimum": 1, "maximum": MOST_ROWS},
+    ),
 )
 PAIR_QUERY = (
     Parameter("a", "digest of a record (8 digits or more), or a method", {"type": "string"}),
@@ -165,6 +172,7 @@ ROUTES = (
         },
         _chosen,
         PAIR_QUERY,
+        records_compared,
     ),
     Route("/data", "All data sets.", lambda site, given, asked: data_page(site), {"data_sets": Objects}),
     Route(

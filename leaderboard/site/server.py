@@ -8,7 +8,8 @@ import logging
 import re
 import time
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any
+from typing import Any, TypeVar
+from weakref import WeakValueDictionary
 
 import anyio
 import anyio.to_thread
@@ -23,6 +24,7 @@ from starlette.routing import Route as HttpRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from oysterbench.core.errors import OysterbenchError
+from oysterbench.hub.addresses import network
 from oysterbench.hub.canonical import canonical
 from oysterbench.hub.serve import HeaderLimit
 from oysterbench.version import VERSION
@@ -36,11 +38,14 @@ from oysterbench_leaderboard.site.site import Site
 
 LOG = logging.getLogger("uvicorn.error")
 
+Made = TypeVar("Made")
+
 FRESH_S = 1.0
 """Time for which the revision of the index is not looked up again."""
 
 MAKERS = 4
-"""Number of pages and files made at once; others wait instead of competing for the processor."""
+"""Number of pages and files made at once, each for another client; others wait instead of competing for the
+processor."""
 
 SECURITY = {
     b"content-security-policy": (
@@ -74,6 +79,7 @@ class Pages:
         self._asking: asyncio.Task[str] | None = None
         self._making: dict[Hashable, asyncio.Task[Kept]] = {}
         self._makers: anyio.CapacityLimiter | None = None
+        self._turns: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
     async def revision(self) -> str:
         """Return the revision of the index, at most `fresh_s` old; concurrent callers share one lookup."""
@@ -88,25 +94,37 @@ class Pages:
         self._asked = time.monotonic()
         return self._revision
 
-    async def get(self, route: Route, given: dict[str, str], asked: Any, suffix: str) -> Kept:
+    async def get(self, client: str, route: Route, given: dict[str, str], query: Any, suffix: str) -> Kept:
         """Return a page, or its representation."""
+        asked, settle = query, route.settle
+        if settle is not None:
+            async with self._turn(client):
+                asked = await self._in_thread(lambda: settle(self.site, query))
         key = (route.path, tuple(sorted(given.items())), asked, suffix)
-        return await self.made(key, lambda: self.make(route, given, asked, suffix))
+        return await self.made(client, key, lambda: self.make(route, given, asked, suffix))
 
-    async def made(self, key: Hashable, make: Callable[[], Kept]) -> Kept:
-        """Return what `make` returns, called in a thread unless it is kept. Concurrent requests wait for one call."""
-        revision = await self.revision()
-        if (kept := self.cache.get(revision, key)) is not None:
+    async def made(self, client: str, key: Hashable, make: Callable[[], Kept]) -> Kept:
+        """Return what `make` returns, called in a thread unless it is kept. Concurrent requests wait for one call, and
+        those of one client for each other: however many it sends, the next page is made for another client."""
+        if (kept := self.cache.get(await self.revision(), key)) is not None:
             return kept
-        making = self._making.get((revision, key))
-        if making is None:
-            making = self._making[revision, key] = asyncio.create_task(self._make(make))
-            making.add_done_callback(lambda _: self._making.pop((revision, key), None))
-        kept = await asyncio.shield(making)
-        self.cache.put(revision, key, kept)
-        return kept
+        async with self._turn(client):
+            revision = await self.revision()
+            if (kept := self.cache.get(revision, key)) is not None:
+                return kept
+            making = self._making.get((revision, key))
+            if making is None:
+                making = self._making[revision, key] = asyncio.create_task(self._in_thread(make))
+                making.add_done_callback(lambda _: self._making.pop((revision, key), None))
+            kept = await asyncio.shield(making)
+            self.cache.put(revision, key, kept)
+            return kept
 
-    async def _make(self, make: Callable[[], Kept]) -> Kept:
+    def _turn(self, client: str) -> asyncio.Lock:
+        """Lock that requests of a client hold while a page is made for them; it exists as long as one of them does."""
+        return self._turns.setdefault(client, asyncio.Lock())
+
+    async def _in_thread(self, make: Callable[[], Made]) -> Made:
         self._makers = self._makers or anyio.CapacityLimiter(MAKERS)
         return await anyio.to_thread.run_sync(make, limiter=self._makers)
 
@@ -148,7 +166,7 @@ def application(
             if "digest" in given and len(given["digest"]) < 64:
                 return await _to_full(request, route, given["digest"], suffix)
             asked = {key: request.query_params.getlist(key) for key in request.query_params}
-            kept = await pages.get(route, given, route.ask(asked), suffix)
+            kept = await pages.get(_client(request), route, given, route.ask(asked), suffix)
             return send(request, kept, {"Access-Control-Allow-Origin": "*"} if suffix else {})
 
         return HttpRoute(_pattern(route.path, suffix), get, methods=["GET"])
@@ -159,8 +177,10 @@ def application(
 
     async def record(request: Request) -> Response:
         row = await anyio.to_thread.run_sync(site.row, request.path_params["digest"])
-        kept = await pages.made(("record", row.digest), lambda: Kept.of(site.store.data(row.digest), JSON))
-        return send(request, kept)
+        key = "record", row.digest
+        return send(
+            request, await pages.made(_client(request), key, lambda: Kept.of(site.store.data(row.digest), JSON))
+        )
 
     async def curves(request: Request) -> Response:
         row = await anyio.to_thread.run_sync(site.row, request.path_params["digest"])
@@ -170,13 +190,14 @@ def application(
                 raise PageError("this record came without paths: its split is hidden, or none were kept")
             return Kept.of(site.store.data(found, "curves"), JSON)
 
-        return send(request, await pages.made(("curves", row.digest), make))
+        return send(request, await pages.made(_client(request), ("curves", row.digest), make))
 
     async def asset(request: Request) -> Response:
         name = request.path_params["name"]
         if name not in render.ASSETS:
             raise PageError(f"no file {name!r:.60}")
-        kept = await pages.made(("asset", name), lambda: Kept.of(render.asset(name), render.ASSETS[name]))
+        key = "asset", name
+        kept = await pages.made(_client(request), key, lambda: Kept.of(render.asset(name), render.ASSETS[name]))
         # Under the name of another version, which a page of another server may ask for, this file must not be kept.
         current = request.query_params.get("v") == render.assets_version()
         return send(request, kept, {"Cache-Control": FOREVER if current else CHANGING})
@@ -223,6 +244,11 @@ def application(
         middleware=[Middleware(HeaderLimit), Middleware(Secured)],
         exception_handlers=dict.fromkeys((PageError, OysterbenchError, HTTPException, Exception), answer_error),
     )
+
+
+def _client(request: Request) -> str:
+    """Network that a request comes from."""
+    return network(request.client.host if request.client else "")
 
 
 def _pattern(path: str, suffix: str) -> str:

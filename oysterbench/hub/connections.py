@@ -29,8 +29,8 @@ BACKLOG = 2048
 """Length of the queue of connections waiting to be accepted."""
 
 CLIENTS_OF_ADDRESS = 64
-"""Connections that one address may hold, and requests that it may have running behind a proxy: an eighth of all, so
-that nobody alone can lock out all others."""
+"""Connections that one address may hold, and requests that it may have running: an eighth of all, so that nobody alone
+can lock out all others."""
 
 HEADERS_S = 20.0
 """Time limit from the connection, or the previous response, to the last byte of a request's headers. What is left of
@@ -122,9 +122,9 @@ class Guarded(H11Protocol):
 
 
 class RequestLimit:
-    """Middleware that refuses requests of a client while CLIENTS_OF_ADDRESS others of it are running. Behind a proxy,
-    whose connections are those of many, this is what keeps one client from holding them all. Requests for which the
-    proxy names no client count as its own."""
+    """Middleware that refuses requests of a client while CLIENTS_OF_ADDRESS others of it are running: also those whose
+    connections are closed already, or are a proxy's, which are those of many. Requests for which the proxy names no
+    client count as its own."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -163,7 +163,7 @@ def server_settings(
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # connections and files are limited elsewhere
     return {
-        "app": RequestLimit(app) if proxies else app,
+        "app": RequestLimit(app),
         "host": host,
         "port": port,
         "http": Guarded,

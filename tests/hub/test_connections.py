@@ -9,6 +9,8 @@ import threading
 import time
 import urllib.parse
 
+import anyio
+import anyio.to_thread
 import pytest
 from starlette.applications import Starlette
 from starlette.responses import PlainTextResponse
@@ -138,3 +140,27 @@ def test_an_ipv6_client_behind_a_proxy_is_its_network():
 
         until(lambda: status("2001:db8::ffff") == 429, patience_s=10.0)
         assert status("2001:db8:0:1::1") == 200
+
+
+def test_requests_count_until_they_are_answered_even_if_their_connections_are_closed():
+    ended = threading.Event()
+
+    async def wait(request):
+        await anyio.to_thread.run_sync(ended.wait, limiter=limiter)
+        return PlainTextResponse("late")
+
+    limiter = anyio.CapacityLimiter(1)
+    with serving_app(Starlette(routes=[Route("/", answered), Route("/wait", wait)])) as url:
+
+        def status(path):
+            with connected(url) as connection:
+                return answer_of(connection, f"GET {path} HTTP/1.1\r\nHost: x\r\n\r\n".encode())[0]
+
+        for _ in range(CLIENTS_OF_ADDRESS):
+            with connected(url) as connection:
+                connection.sendall(b"GET /wait HTTP/1.1\r\nHost: x\r\n\r\n")
+        try:
+            until(lambda: status("/") == 429, patience_s=10.0)
+        finally:
+            ended.set()
+        until(lambda: status("/") == 200)

@@ -35,7 +35,10 @@ from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.site.works import work_cell
 from oysterbench_leaderboard.storage.record import RANKED, TIERS
 
-MOST_ROWS = 1000
+SIZES = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+"""Numbers of rows that a page may have: few, as each makes other pages, all of which take time and memory."""
+
+MOST_ROWS = SIZES[-1]
 LONGEST_TEXT = 100
 """Maximum number of characters in a text search; MOST_ROWS is that of rows on a page."""
 
@@ -84,7 +87,8 @@ def find_board(site: Site, track: str, split: str, board: str | None = None) -> 
 
 
 def parse_query(asked: Mapping[str, Sequence[str]], size: int = 50) -> Query:
-    """Parse the query in the address of a board; unknown keys are ignored. Raises PageError (400)."""
+    """Parse the query in the address of a board; unknown keys are ignored, and the number of rows is rounded up to one
+    of `SIZES`. Raises PageError (400)."""
 
     def last(key: str, default: str) -> str:
         values = asked.get(key) or [default]
@@ -117,7 +121,7 @@ def parse_query(asked: Mapping[str, Sequence[str]], size: int = 50) -> Query:
         tiers=chosen("tier", TIERS),
         states=states,
         page=whole("page", 1, 10**6),
-        size=whole("size", size, MOST_ROWS),
+        size=next(one for one in SIZES if one >= whole("size", size, MOST_ROWS)),
     )
 
 

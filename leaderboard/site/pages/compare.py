@@ -45,7 +45,7 @@ def compare_page(site: Site, a: str, b: str) -> Page:
 
     Raises PageError where there are no two, or their numbers may not be compared.
     """
-    rows = _find(site, a, b)
+    rows = find_two(site, a, b)
     records = [site.record(row.digest) for row in rows]
     sides = [Side(label, row, record) for label, row, record in zip(labels_of(rows), rows, records, strict=True)]
     info = next(info for info in site.index.boards() if info.id == rows[0].board)
@@ -91,7 +91,7 @@ def compare_page(site: Site, a: str, b: str) -> Page:
     return Page("/compare", title, "compare.html", context, tables, plain(data), query)
 
 
-def _find(site: Site, a: str, b: str) -> list[Row]:
+def find_two(site: Site, a: str, b: str) -> list[Row]:
     """Find the rows of the two records that were asked for, on one board if possible. Raises PageError, also where a
     name is that of several teams' methods there."""
     for name, value in (("a", a), ("b", b)):

@@ -26,6 +26,7 @@ from oysterbench_leaderboard.site.page import Page, PageError
 from oysterbench_leaderboard.site.pages.compare import (
     Side,
     check_one_team,
+    find_two,
     labels_of,
     means_of,
     records_of,
@@ -51,8 +52,6 @@ def several_page(site: Site, names: Sequence[str]) -> Page:
 
     Raises PageError where there are too many, one is unknown, or no board has all of them.
     """
-    if len(names) > MOST:
-        raise PageError(f"r: expected {MOST} records at most, got {len(names)}", 400, {"/": "all boards"})
     info, rows = _common(site, names)
     sides = [Side(label, row, site.record(row.digest)) for label, row in zip(labels_of(rows), rows, strict=True)]
     board = whole_board(site, info, sides)
@@ -80,9 +79,19 @@ def several_page(site: Site, names: Sequence[str]) -> Page:
     return Page("/compare", title, "compare_several.html", context, tuple(tables), plain(data), {"r": list(names)})
 
 
+def records_compared(site: Site, names: Sequence[str]) -> tuple[str, ...]:
+    """Digests of the records that a comparison of these names is about: of two in the order given, of more sorted, so
+    that the same records have one page, however they were named. Raises PageError."""
+    rows = find_two(site, *names) if len(names) == 2 else _common(site, names)[1]
+    digests = [row.digest for row in rows]
+    return tuple(digests if len(digests) == 2 else sorted(digests))
+
+
 def _common(site: Site, names: Sequence[str]) -> tuple[BoardInfo, list[Row]]:
     """Find the first board that has all of them, and the newest record of each there, best first. Raises PageError,
     also where a name is that of several teams' methods there."""
+    if len(names) > MOST:
+        raise PageError(f"r: expected {MOST} records at most, got {len(names)}", 400, {"/": "all boards"})
     found = [records_of(site, name) for name in names]
     for info in sorted(site.index.boards(), key=lambda info: LEADING.index(role_of(info.split))):
         here = [[row for row in several if row.board == info.id] for several in found]
